@@ -21,15 +21,10 @@ from nsde_torch.systems import System
 
 @dataclass(frozen=True)
 class Begun:
-    """What an earlier diagnosis had selected. Laws beyond the catalogue are none of it: they are looked for anew.
+    """What an earlier diagnosis had selected. Laws beyond the catalogue are none of it: they are looked for anew."""
 
-    Args:
-        effects: Effects with values, in the order in which they were selected.
-        nats: Log likelihood that each brought [nats].
-    """
-
-    effects: Mapping[str, dict[str, Any]]
-    nats: Mapping[str, float]
+    effects: Mapping[str, dict[str, Any]]  # effects with values, in the order in which they were selected
+    nats: Mapping[str, float]  # log likelihood that each brought [nats]
 
     def beside(self, system: System) -> System:
         """A system with the effects."""

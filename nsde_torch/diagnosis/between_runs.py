@@ -39,24 +39,16 @@ _90 = float(ndtri(0.95))
 
 @dataclass(frozen=True)
 class RunZeros:
-    """A position whose zero differs between runs.
+    """A position whose zero differs between runs."""
 
-    Args:
-        state: The position.
-        unit: Its unit.
-        values: What it reads too much against the middle of the runs, with its standard error, by run that stands
-            apart.
-        p: Chance of such differences between runs that share a zero, corrected for the number of positions.
-        nats: Log likelihood that they bring.
-        tie: What explains as much; empty: nothing.
-    """
-
-    state: str
-    unit: str
+    state: str  # the position
+    unit: str  # its unit
+    # what it reads too much against the middle of the runs, with its standard error, by run that stands apart
     values: dict[str, tuple[float, float]]
     p: float
-    nats: float
-    tie: str
+    """Chance of such differences between runs that share a zero, corrected for the number of positions."""
+    nats: float  # log likelihood that they bring
+    tie: str  # what explains as much; empty: nothing
 
     @property
     def sentence(self) -> str:

@@ -26,25 +26,17 @@ BY_STEPS, BY_RESIDUAL = "log-likelihood", "residual"
 
 @dataclass(frozen=True)
 class Bought:
-    """What one effect buys on runs left out.
+    """What one effect buys on runs left out."""
 
-    Args:
-        effect: Its name.
-        gain: g, in nats of what effects are ordered by.
-        share: g over the sum of g of all effects; 0 where no effect brings anything.
-        nats: Gain in log-likelihood of one-step predictions, on the channels that it moves.
-        channel: The channel in which most returns without it; empty where no stretch is long enough to say.
-        unit: Of the residual of that channel.
-        error_with, error_without: Root mean square of its mean residual rates over a quarter of a second [unit].
-    """
-
-    effect: str
-    gain: float
-    share: float
-    nats: float
+    effect: str  # its name
+    gain: float  # g, in nats of what effects are ordered by
+    share: float  # g over the sum of g of all effects; 0 where no effect brings anything
+    nats: float  # gain in log-likelihood of one-step predictions, on the channels that it moves
     channel: str = ""
-    unit: str = ""
+    """The channel in which most returns without it; empty where no stretch is long enough to say."""
+    unit: str = ""  # of the residual of that channel
     error_with: float | None = None
+    # error_with, error_without: root mean square of its mean residual rates over a quarter of a second [unit]
     error_without: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
@@ -83,17 +75,11 @@ def bought(own: Mapping[str, Own], *, inputs: bool) -> dict[str, Bought]:
 
 @dataclass(frozen=True)
 class Told:
-    """The order in which effects are told.
+    """The order in which effects are told."""
 
-    Args:
-        few: Names of those that matter, the most important first.
-        rest: Names of the others.
-        share: What the others buy together, of what all buy.
-    """
-
-    few: tuple[str, ...]
-    rest: tuple[str, ...]
-    share: float
+    few: tuple[str, ...]  # names of those that matter, the most important first
+    rest: tuple[str, ...]  # names of the others
+    share: float  # what the others buy together, of what all buy
 
 
 def told(names: Sequence[str], buys: Mapping[str, Bought], wording: Wording) -> Told:

@@ -36,27 +36,19 @@ _HALF = 1.645  # standard errors of a 90 % interval
 
 @dataclass(frozen=True)
 class Ceiling:
-    """What functions of all that was measured explain beside the effects.
+    """What functions of all that was measured explain beside the effects."""
 
-    Args:
-        why_not: Why nothing was measured; empty where it was.
-        effects: Held-out log likelihood of the effects [nats].
-        left: What the functions bring beside them [nats].
-        interval: 90 % interval of it.
-        explained: Share of what can be explained that the effects explain; None without effects.
-        explained_interval: Its 90 % interval; None where there are too few blocks.
-        rows: What is left, by row of a port, the most first; empty where it is no more than chance.
-        gain: The functions; None where nothing was measured.
-    """
-
-    why_not: str = ""
-    effects: float = 0.0
-    left: float = 0.0
-    interval: tuple[float, float] | None = None
+    why_not: str = ""  # why nothing was measured; empty where it was
+    effects: float = 0.0  # held-out log likelihood of the effects [nats]
+    left: float = 0.0  # what the functions bring beside them [nats]
+    interval: tuple[float, float] | None = None  # 90 % interval of it
     explained: float | None = None
+    """Share of what can be explained that the effects explain; None without effects."""
     explained_interval: tuple[float, float] | None = None
+    """Its 90 % interval; None where there are too few blocks."""
     rows: tuple[RowGain, ...] = ()
-    gain: FunctionGain | None = None
+    """What is left, by row of a port, the most first; empty where it is no more than chance."""
+    gain: FunctionGain | None = None  # the functions; None where nothing was measured
 
 
 def ceiling(log: Log, outcome: Outcome) -> Ceiling:

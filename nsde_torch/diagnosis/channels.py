@@ -27,22 +27,14 @@ _PART = 256  # steps of a periodogram
 
 @dataclass(frozen=True)
 class ChannelResidual:
-    """Residual of one channel, rms of mean rates over the test function.
+    """Residual of one channel, rms of mean rates over the test function."""
 
-    Args:
-        name: Of the channel.
-        unit: Of its rate.
-        measured: Standard deviation of the measured rate.
-        before, after: Without and with the effects.
-        floor: What white noise of sensors and pushes leaves.
-    """
-
-    name: str
-    unit: str
-    measured: float
+    name: str  # of the channel
+    unit: str  # of its rate
+    measured: float  # standard deviation of the measured rate
     before: float
-    after: float
-    floor: float
+    after: float  # before, after: without and with the effects
+    floor: float  # what white noise of sensors and pushes leaves
 
     @property
     def explained(self) -> float:

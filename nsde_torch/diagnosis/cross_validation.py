@@ -54,22 +54,16 @@ Fitted = Callable[[System, Folds], LeftOut]
 
 @dataclass(frozen=True)
 class HeldOut:
-    """How two physics do on runs left out.
+    """How two physics do on runs left out."""
 
-    Args:
-        content: As `errors` of `diagnosis.json` has it: `before`, `after`, `ratio`, `difference` by quantity and
-            horizon, of open-loop predictions; `one_step` and `residual` (see `innovations`).
-        whole_runs: Whether whole runs were left out; else the last part of the only one.
-        runs: Names of the runs that errors were measured on.
-        own: By effect: what it brings itself.
-        inputs: Whether the inputs are what acted, and not restored from an average. Those know the future, and the
-            density of a step given them says nothing of causes: the residual alone judges.
-    """
-
+    # as `errors` of `diagnosis.json` has it: `before`, `after`, `ratio`, `difference` by quantity and horizon, of
+    # open-loop predictions; `one_step` and `residual` (see `innovations`)
     content: dict[str, Any]
-    whole_runs: bool
-    runs: tuple[str, ...]
-    own: Mapping[str, Own] = field(default_factory=dict)
+    whole_runs: bool  # whether whole runs were left out; else the last part of the only one
+    runs: tuple[str, ...]  # names of the runs that errors were measured on
+    own: Mapping[str, Own] = field(default_factory=dict)  # by effect: what it brings itself
+    # whether the inputs are what acted, and not restored from an average. Those know the future, and the density of
+    # a step given them says nothing of causes: the residual alone judges.
     inputs: bool = True
 
     def against(self, effect: str) -> str:

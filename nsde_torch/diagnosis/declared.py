@@ -27,19 +27,12 @@ _AT = 1e-5  # typical sizes from the bound; values are kept a millionth off it
 
 @dataclass(frozen=True)
 class Warned:
-    """A declared parameter that tells of a fault.
+    """A declared parameter that tells of a fault."""
 
-    Args:
-        parameter: Its name.
-        kind: `at_bound`, `far_off`, or `not_shown` where it ran off unseen.
-        sentence: What is odd about it.
-        remedy: What may be the cause, and what to look at.
-    """
-
-    parameter: str
-    kind: str
-    sentence: str
-    remedy: str
+    parameter: str  # its name
+    kind: str  # `at_bound`, `far_off`, or `not_shown` where it ran off unseen
+    sentence: str  # what is odd about it
+    remedy: str  # what may be the cause, and what to look at
 
 
 def declared(outcome: Outcome) -> dict[str, Estimate]:

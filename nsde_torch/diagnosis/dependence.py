@@ -7,33 +7,19 @@ from nsde_torch.sysid.noise import Noise
 
 @dataclass(frozen=True)
 class Dependence:
-    """How one channel depends on one variable.
+    """How one channel depends on one variable."""
 
-    Args:
-        channel: Name of the channel.
-        variable: Name of the variable ("time", "run" and "x * y" too).
-        p: Chance of this without any dependence, not corrected for the number of tests.
-        share: Share of the whitened variance that the functions explain, corrected for their number.
-        odd: Share of that by odd functions, the rest by even ones.
-        gain: Log-likelihood that the functions would bring [nats].
-        functions: Number of functions.
-        run: Number of the run, of a test of one run alone or of a single moment.
-        moment: Time of a single moment [s].
-        sinusoid: Frequency of a sinusoid that no phase holds together [Hz].
-        noise: ARMA noise model without the functions; None: that of the regression.
-    """
-
-    channel: str
-    variable: str
-    p: float
-    share: float
-    odd: float
-    gain: float
-    functions: int
-    run: int | None = None
-    moment: float | None = None
-    sinusoid: float | None = None
-    noise: Noise | None = None
+    channel: str  # name of the channel
+    variable: str  # name of the variable ("time", "run" and "x * y" too)
+    p: float  # chance of this without any dependence, not corrected for the number of tests
+    share: float  # share of the whitened variance that the functions explain, corrected for their number
+    odd: float  # share of that by odd functions, the rest by even ones
+    gain: float  # log-likelihood that the functions would bring [nats]
+    functions: int  # number of functions
+    run: int | None = None  # number of the run, of a test of one run alone or of a single moment
+    moment: float | None = None  # time of a single moment [s]
+    sinusoid: float | None = None  # frequency of a sinusoid that no phase holds together [Hz]
+    noise: Noise | None = None  # ARMA noise model without the functions; None: that of the regression
 
     @property
     def excess(self) -> float:

@@ -18,23 +18,15 @@ from nsde_torch.systems.parameters import own_name
 
 @dataclass(frozen=True)
 class NotShown:
-    """A parameter of an effect whose usual size these data would not show.
+    """A parameter of an effect whose usual size these data would not show."""
 
-    Args:
-        effect: Name of the effect.
-        parameter: Label of the parameter, with an index where there are axes.
-        smallest: Smallest size that would be noticed; None where nothing in the data depends on it.
-        usual: Size that it usually has.
-        unit: Unit of both.
-        experiment: The experiment that would show it.
-    """
-
-    effect: str
-    parameter: str
+    effect: str  # name of the effect
+    parameter: str  # label of the parameter, with an index where there are axes
     smallest: float | None
-    usual: float
-    unit: str
-    experiment: str
+    """Smallest size that would be noticed; None where nothing in the data depends on it."""
+    usual: float  # size that it usually has
+    unit: str  # unit of both
+    experiment: str  # the experiment that would show it
 
 
 def not_shown(

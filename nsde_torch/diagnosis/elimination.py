@@ -31,19 +31,13 @@ from nsde_torch.systems.parameters import own_name
 
 @dataclass(frozen=True)
 class Retained:
-    """Effects that stay.
+    """Effects that stay."""
 
-    Args:
-        found: The effects, in the order in which they were added.
-        final: The physics with them, fitted.
-        hidden: Effects that are not named because feedback may have made them.
-        feedback: What the data say of the loop that they were recorded in, by `final`.
-    """
-
-    found: list[Found]
-    final: Base
-    hidden: tuple[Hidden, ...] = ()
+    found: list[Found]  # the effects, in the order in which they were added
+    final: Base  # the physics with them, fitted
+    hidden: tuple[Hidden, ...] = ()  # effects that are not named because feedback may have made them
     feedback: LoopTest = field(default_factory=LoopTest)
+    """What the data say of the loop that they were recorded in, by `final`."""
 
 
 def eliminate(search: Search, chosen: Selection, *, also: Collection[str] = ()) -> Retained:

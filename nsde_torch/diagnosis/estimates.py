@@ -24,24 +24,17 @@ _BOUNDS: dict[tuple[bool, bool], Literal["below", "above"]] = {
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter of an effect with its interval.
+    """A parameter of an effect with its interval."""
 
-    Args:
-        name: `effect.parameter`, with an index where there are axes.
-        value: Estimate.
-        low, high: 90 % interval, inside the bounds; None where the data do not show it.
-        unit: Unit of all.
-        bound: `below` or `above` where that end alone is what the data say: the other one is the bound of the search.
-        widened: What its half-width is larger by than chance makes it: by what more data do not show.
-    """
-
-    name: str
-    value: float
+    name: str  # `effect.parameter`, with an index where there are axes
+    value: float  # estimate
     low: float | None
-    high: float | None
-    unit: str
+    high: float | None  # low, high: 90 % interval, inside the bounds; None where the data do not show it
+    unit: str  # unit of all
+    # `below` or `above` where that end alone is what the data say: the other one is the bound of the search
     bound: Literal["below", "above"] | None = None
     widened: float = 0.0
+    """What its half-width is larger by than chance makes it: by what more data do not show."""
 
 
 def estimates(regression: Regression, sure: Spread, name: str) -> list[Estimate]:

@@ -32,17 +32,12 @@ _LIVE = 1e-12  # of the largest variance: parameters that the data do not see
 
 @dataclass(frozen=True)
 class Score:
-    """How well a regression does on rows that it was not fitted to.
+    """How well a regression does on rows that it was not fitted to."""
 
-    Args:
-        blocks: Log likelihood of each block of time with its fold left out (B,); `fitted`'s price is spread over them.
-        fitted: Log likelihood of all rows as fitted, less one for each parameter of the noise (Akaike).
-        free: Number of parameters that the data show.
-    """
-
+    # log likelihood of each block of time with its fold left out (B,); `fitted`'s price is spread over them
     blocks: Array
-    fitted: float
-    free: int
+    fitted: float  # log likelihood of all rows as fitted, less one for each parameter of the noise (Akaike)
+    free: int  # number of parameters that the data show
 
 
 def folds(regression: Regression, decisions: Decisions = DECISIONS) -> Labels:

@@ -28,48 +28,32 @@ from nsde_torch.systems import System
 
 @dataclass(frozen=True)
 class InRun:
-    """An effect that one run seems to have.
+    """An effect that one run seems to have."""
 
-    Args:
-        run: Number of the run.
-        effect: Name of the effect.
-        estimates: Its parameters, fitted to that run.
-        held: Names of those that were held at nothing.
-        p: Chance of it in that run, corrected for the number of candidates.
-    """
-
-    run: int
-    effect: str
-    estimates: tuple[Estimate, ...]
-    held: tuple[str, ...]
-    p: float
+    run: int  # number of the run
+    effect: str  # name of the effect
+    estimates: tuple[Estimate, ...]  # its parameters, fitted to that run
+    held: tuple[str, ...]  # names of those that were held at nothing
+    p: float  # chance of it in that run, corrected for the number of candidates
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """What is left, and what may explain it.
+    """What is left, and what may explain it."""
 
-    Args:
-        channels: Residuals before and after.
-        shapes: What the residual still depends on, in words.
-        between_runs: The sensor's zero that differs between runs, where structure is left.
-        in_run: The effect that would explain it in the one run that it is in: provisional, unverified.
-        warned: Declared parameters that tell of a fault of the columns.
-        guard: How the final physics stands beside simple fits, and what speaks against it.
-        refused: What spoke against it over shorter boxes; None where these are the usual ones.
-        standing: Share of the rows that were left out because what has dry friction stands in them.
-        ceiling: What functions could still explain.
-    """
-
-    channels: list[ChannelResidual]
-    shapes: tuple[Shape, ...] = ()
+    channels: list[ChannelResidual]  # residuals before and after
+    shapes: tuple[Shape, ...] = ()  # what the residual still depends on, in words
     between_runs: RunZeros | None = None
+    """The sensor's zero that differs between runs, where structure is left."""
     in_run: InRun | None = None
-    warned: tuple[Warned, ...] = ()
+    """The effect that would explain it in the one run that it is in: provisional, unverified."""
+    warned: tuple[Warned, ...] = ()  # declared parameters that tell of a fault of the columns
     guard: Guarded = field(default_factory=Guarded)
+    """How the final physics stands beside simple fits, and what speaks against it."""
     refused: Guarded | None = None
-    standing: float = 0.0
-    ceiling: Ceiling = field(default_factory=Ceiling)
+    """What spoke against it over shorter boxes; None where these are the usual ones."""
+    standing: float = 0.0  # share of the rows that were left out because what has dry friction stands in them
+    ceiling: Ceiling = field(default_factory=Ceiling)  # what functions could still explain
 
 
 def explained(

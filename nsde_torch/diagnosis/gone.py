@@ -88,19 +88,12 @@ def _from_first_values(
 
 @dataclass(frozen=True)
 class _Freed:
-    """A candidate beside which what had gone is free.
+    """A candidate beside which what had gone is free."""
 
-    Args:
-        trial: The candidate, with what had gone held.
-        final: The physics with it, fitted.
-        held: Labels of parameters that are held still.
-        stays: Whether one that had gone stays.
-    """
-
-    trial: Trial
-    final: Base
-    held: set[str]
-    stays: bool
+    trial: Trial  # the candidate, with what had gone held
+    final: Base  # the physics with it, fitted
+    held: set[str]  # labels of parameters that are held still
+    stays: bool  # whether one that had gone stays
 
     @property
     def nats(self) -> float:

@@ -29,30 +29,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Feedback:
-    """What is asked of the loop that the data were recorded in.
+    """What is asked of the loop that the data were recorded in."""
 
-    Args:
-        test: Tests the loop by a regression that has settled.
-        shown: Whether signals from outside the loop show an effect of a system with fitted values.
-        hangs: How far parameters of a regression hang on the band up to which smoothed states were restored (k,).
-    """
-
-    test: Callable[[Regression], LoopTest]
+    test: Callable[[Regression], LoopTest]  # tests the loop by a regression that has settled
     shown: Callable[[System, str], bool]
+    """Whether signals from outside the loop show an effect of a system with fitted values."""
     hangs: Callable[[Regression], NDArray[np.float64]]
+    """How far parameters of a regression hang on the band up to which smoothed states were restored (k,)."""
 
 
 @dataclass(frozen=True)
 class Hidden:
-    """An effect that is not named because feedback may have made it.
+    """An effect that is not named because feedback may have made it."""
 
-    Args:
-        name: Of the effect.
-        channels: Channels that it moves, of which inputs may know more than the log.
-    """
-
-    name: str
-    channels: tuple[str, ...]
+    name: str  # of the effect
+    channels: tuple[str, ...]  # channels that it moves, of which inputs may know more than the log
 
     @property
     def reason(self) -> str:

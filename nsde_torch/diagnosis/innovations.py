@@ -37,24 +37,16 @@ Labels = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Scored:
-    """Physics on runs that it was not fitted to.
-
-    Args:
-        names, units: Of the dynamic channels, and of their rates.
-        density: Log density of each step (N, channels) [nat].
-        run, t: Run and time [s] of each step (N,).
-        squares: Squared mean residual rates over the test function (M, channels).
-        band_run, band_t: Run and time [s] of each of these (M,).
-    """
+    """Physics on runs that it was not fitted to."""
 
     names: tuple[str, ...]
-    units: tuple[str, ...]
-    density: Array
+    units: tuple[str, ...]  # names, units: of the dynamic channels, and of their rates
+    density: Array  # log density of each step (N, channels) [nat]
     run: Labels
-    t: Array
-    squares: Array
+    t: Array  # run, t: run and time [s] of each step (N,)
+    squares: Array  # squared mean residual rates over the test function (M, channels)
     band_run: Labels
-    band_t: Array
+    band_t: Array  # band_run, band_t: run and time [s] of each of these (M,)
 
 
 def scored(left: LeftOut, steps: Steps, folds: Folds) -> Scored:
@@ -149,24 +141,16 @@ def band(before: Scored, after: Scored, *, seed: int, decisions: Decisions = DEC
 
 @dataclass(frozen=True)
 class Own:
-    """What one effect brings on runs left out, on the channels that it moves: physics with it against physics without.
+    """What one effect brings on runs left out, on the channels that it moves."""
 
-    Args:
-        nats: Gain in log-likelihood on these channels.
-        low, high: Its 90 % interval; None where there are too few blocks.
-        channels: The same by channel: `nats`, `low_90`, `high_90`.
-        residual_ratio: By channel: residual with it over residual without.
-        residual: By channel: its unit, and the residual without the effect and with it (see `band`).
-        larger: Whether the residual of these channels together is surely larger with it.
-    """
-
-    nats: float
+    nats: float  # gain in log-likelihood on these channels
     low: float | None
-    high: float | None
-    channels: dict[str, dict[str, float | None]]
-    residual_ratio: dict[str, float]
-    larger: bool
+    high: float | None  # low, high: its 90 % interval; None where there are too few blocks
+    channels: dict[str, dict[str, float | None]]  # the same by channel: `nats`, `low_90`, `high_90`
+    residual_ratio: dict[str, float]  # by channel: residual with it over residual without
+    larger: bool  # whether the residual of these channels together is surely larger with it
     residual: dict[str, tuple[str, float, float]] = field(default_factory=dict)
+    """By channel: its unit, and the residual without the effect and with it (see `band`)."""
 
     @property
     def against(self) -> str:

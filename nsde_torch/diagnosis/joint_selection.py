@@ -59,88 +59,55 @@ _NEW = 0.03  # share of the length of a law's column that must be left beside th
 
 @dataclass(frozen=True)
 class Explained:
-    """What a candidate would explain.
+    """What a candidate would explain."""
 
-    Args:
-        name: Of the effect.
-        system: Physics with it, at the values of one linearised step.
-        begun: The same, at the values that the step begins at.
-        nats: Log likelihood of blocks left out, beyond that of the physics without it [nats].
-        error: Its standard error, from the scatter over blocks [nats].
-        rank: `nats` less the price of its parameters.
-        p: Chance of as much if the effect did nothing, corrected for all candidates and their starts.
-        columns: Its columns in the Gram matrices: the shift of its start, then its parameters.
-        blocks: `nats` by block of time (B,).
-        errors: Standard errors of what is nothing without it, by label; infinite where no row shows it.
-    """
-
-    name: str
-    system: System
-    begun: System
-    nats: float
-    error: float
-    rank: float
-    p: float
-    columns: tuple[int, ...]
-    blocks: Array
+    name: str  # of the effect
+    system: System  # physics with it, at the values of one linearised step
+    begun: System  # the same, at the values that the step begins at
+    nats: float  # log likelihood of blocks left out, beyond that of the physics without it [nats]
+    error: float  # its standard error, from the scatter over blocks [nats]
+    rank: float  # `nats` less the price of its parameters
+    p: float  # chance of as much if the effect did nothing, corrected for all candidates and their starts
+    columns: tuple[int, ...]  # its columns in the Gram matrices: the shift of its start, then its parameters
+    blocks: Array  # `nats` by block of time (B,)
     errors: dict[str, float]
+    """Standard errors of what is nothing without it, by label; infinite where no row shows it."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """What the catalogue would explain beside some physics.
+    """What the catalogue would explain beside some physics."""
 
-    Args:
-        proposals: Every candidate at the best of its starts, the best first.
-        accepted: Those of them that are beyond chance.
-        pair: Rank of the two of the best that explain most together, and these; None where there are no two.
-    """
-
-    proposals: tuple[Explained, ...]
-    accepted: tuple[Explained, ...]
+    proposals: tuple[Explained, ...]  # every candidate at the best of its starts, the best first
+    accepted: tuple[Explained, ...]  # those of them that are beyond chance
     pair: tuple[float, tuple[Explained, Explained]] | None
+    """Rank of the two of the best that explain most together, and these; None where there are no two."""
 
 
 @dataclass(frozen=True)
 class Selected:
-    """The log likelihood without an effect that was selected, and what cannot be distinguished from it.
+    """The log likelihood without an effect that was selected, and what cannot be distinguished from it."""
 
-    Args:
-        likelihood: Of the physics without it, fitted [nats].
-        blocks: The same by block of time (B,).
-        ties: Effects that explain the data as well in its place.
-        law: A law of one term that is likelier in its place; empty where none is.
-        tried: Number of the terms that a law was chosen from.
-    """
-
-    likelihood: float
-    blocks: Array
-    ties: tuple[str, ...]
-    law: str = ""
-    tried: int = 0
+    likelihood: float  # of the physics without it, fitted [nats]
+    blocks: Array  # the same by block of time (B,)
+    ties: tuple[str, ...]  # effects that explain the data as well in its place
+    law: str = ""  # a law of one term that is likelier in its place; empty where none is
+    tried: int = 0  # number of the terms that a law was chosen from
 
 
 @dataclass(frozen=True)
 class JointSelection:
-    """What the joint likelihood selected.
+    """What the joint likelihood selected."""
 
-    Args:
-        best: The physics with the effects, at its optimum.
-        system: The same, with its values.
-        at: Where that is.
-        selected: The effects.
-        screened: Nats of every candidate of the first look.
-        errors: Smallest standard errors of its sizes over all looks, by candidate and label.
-        functions: Functions that explain more beside the physics, as far as they were looked for.
-    """
-
-    best: MaximumLikelihood
-    system: System
-    at: Optimum
-    selected: dict[str, Selected]
-    screened: dict[str, float]
+    best: MaximumLikelihood  # the physics with the effects, at its optimum
+    system: System  # the same, with its values
+    at: Optimum  # where that is
+    selected: dict[str, Selected]  # the effects
+    screened: dict[str, float]  # nats of every candidate of the first look
     errors: dict[str, dict[str, float]]
+    """Smallest standard errors of its sizes over all looks, by candidate and label."""
     functions: Functions | None = None
+    """Functions that explain more beside the physics, as far as they were looked for."""
 
     def evidence(self, search: Search, trial: Trial) -> Trial:
         """A trial of an effect with the evidence of the joint likelihood.
@@ -171,17 +138,11 @@ class JointSelection:
 
 @dataclass(frozen=True)
 class FittedPhysics:
-    """Physics at its optimum.
+    """Physics at its optimum."""
 
-    Args:
-        system: With its values.
-        best: Parameters and noise levels.
-        at: The likelihood there.
-    """
-
-    system: System
-    best: MaximumLikelihood
-    at: Optimum
+    system: System  # with its values
+    best: MaximumLikelihood  # parameters and noise levels
+    at: Optimum  # the likelihood there
 
 
 @final

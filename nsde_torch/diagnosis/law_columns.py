@@ -30,17 +30,11 @@ _MOST_VALUES = 20_000  # rows that the first values of shapes are taken from
 
 @dataclass(frozen=True)
 class Term:
-    """A law of one term.
+    """A law of one term."""
 
-    Args:
-        law: Its text, with the size `c1`.
-        start: First values of its shapes.
-        port: Number of the disturbance that acts where it does.
-    """
-
-    law: str
-    start: Start
-    port: int
+    law: str  # its text, with the size `c1`
+    start: Start  # first values of its shapes
+    port: int  # number of the disturbance that acts where it does
 
 
 def with_places(system: System, names: Sequence[str]) -> list[str]:

@@ -24,15 +24,10 @@ _TURNS = (1, 2, 3)  # times an angle
 
 @dataclass(frozen=True)
 class LawTerm:
-    """A term of a law, without its size.
+    """A term of a law, without its size."""
 
-    Args:
-        text: As the grammar has it.
-        start: First values of its shapes.
-    """
-
-    text: str
-    start: tuple[tuple[str, float], ...] = ()
+    text: str  # as the grammar has it
+    start: tuple[tuple[str, float], ...] = ()  # first values of its shapes
 
 
 def terms_of(names: Sequence[str], values: Mapping[str, Array], angles: Sequence[str]) -> list[LawTerm]:

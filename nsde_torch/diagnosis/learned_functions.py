@@ -30,42 +30,27 @@ _MOVES = 0.3  # of the largest change of a channel: rows of ports that move it
 
 @dataclass(frozen=True)
 class RowGain:
-    """What functions on one row of a port explain.
+    """What functions on one row of a port explain."""
 
-    Args:
-        row: Its name, `body_force[z]`.
-        unit: Of a force there.
-        port: Number of the disturbance of the likelihood.
-        size: Root mean square of the functions over the data.
-        nats: Held-out log likelihood that they bring.
-        error: Its standard error.
-        variables: What they are of, with the log likelihood that is lost without these [nats], the most first.
-        channels: Those that the row moves.
-    """
-
-    row: str
-    unit: str
-    port: int
-    size: float
-    nats: float
-    error: float
+    row: str  # its name, `body_force[z]`
+    unit: str  # of a force there
+    port: int  # number of the disturbance of the likelihood
+    size: float  # root mean square of the functions over the data
+    nats: float  # held-out log likelihood that they bring
+    error: float  # its standard error
     variables: Mapping[str, float]
-    channels: frozenset[str]
+    """What they are of, with the log likelihood that is lost without these [nats], the most first."""
+    channels: frozenset[str]  # those that the row moves
 
 
 @dataclass(frozen=True)
 class FunctionGain:
-    """Functions beside physics.
+    """Functions beside physics."""
 
-    Args:
-        at: The optimum of the physics.
-        functions: The functions.
-        rows: What they explain beyond what feedback may hide, by row of a port, the most first.
-    """
-
-    at: Optimum
-    functions: Functions
+    at: Optimum  # the optimum of the physics
+    functions: Functions  # the functions
     rows: tuple[RowGain, ...]
+    """What they explain beyond what feedback may hide, by row of a port, the most first."""
 
     @property
     def nats(self) -> float:

@@ -28,15 +28,10 @@ _SETTLED = 0.5  # nats: turns between parameters and noise model that bring less
 
 @dataclass(frozen=True)
 class FittedNoise:
-    """A noise model and its likelihood.
+    """A noise model and its likelihood."""
 
-    Args:
-        noise: The ARMA noise model that is left.
-        likelihood: Log likelihood, less one for each parameter of the noise model.
-    """
-
-    noise: Noise
-    likelihood: float
+    noise: Noise  # the ARMA noise model that is left
+    likelihood: float  # log likelihood, less one for each parameter of the noise model
 
 
 @final

@@ -33,30 +33,20 @@ NUMERICAL = (ValueError, ArithmeticError, IndexError, torch.linalg.LinAlgError)
 
 @dataclass(frozen=True)
 class NotDone:
-    """A stage without a result.
+    """A stage without a result."""
 
-    Args:
-        stage: What it looks for, in words.
-        why: Why there is no result.
-    """
-
-    stage: str
-    why: str
+    stage: str  # what it looks for, in words
+    why: str  # why there is no result
 
 
 @dataclass(frozen=True)
 class SoFar:
-    """That a diagnosis is not finished.
+    """That a diagnosis is not finished."""
 
-    Args:
-        stopped_during: What was being done when it was stopped; None while it goes on.
-        left_s: Roughly how long it will yet take [s]; None: not known, or stopped.
-        after_min: The limit of time that ended it [min]; None: it goes on, or was interrupted.
-    """
-
-    stopped_during: str | None = None
-    left_s: float | None = None
+    stopped_during: str | None = None  # what was being done when it was stopped; None while it goes on
+    left_s: float | None = None  # roughly how long it will yet take [s]; None: not known, or stopped
     after_min: float | None = None
+    """The limit of time that ended it [min]; None: it goes on, or was interrupted."""
 
     def as_dict(self) -> dict[str, str | float | None]:
         """Plain containers, for JSON."""
@@ -83,15 +73,11 @@ class StoppedError(KeyboardInterrupt):
 
 @dataclass
 class OptionalStages:
-    """Optional stages of one diagnosis.
+    """Optional stages of one diagnosis."""
 
-    Args:
-        not_done: Those without a result.
-        too_long: Whether a stage would not end in the time that is left.
-    """
-
-    not_done: list[NotDone] = field(default_factory=list)
+    not_done: list[NotDone] = field(default_factory=list)  # those without a result
     too_long: Callable[[str], bool] = lambda stage: False
+    """Whether a stage would not end in the time that is left."""
 
     def attempt(self, stage: str, do: Callable[[], T], otherwise: D) -> T | D:
         """What a stage gives, or something else where its numbers fail or the time does not suffice.

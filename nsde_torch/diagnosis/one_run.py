@@ -31,19 +31,12 @@ _NEW = 1e-3  # of the square of a function: less is nothing that the others do n
 
 @dataclass(frozen=True)
 class Alone:
-    """What functions of a variable explain in one run.
+    """What functions of a variable explain in one run."""
 
-    Args:
-        run: Number of the run.
-        p: Chance of it where the run is like all others, times the number of runs.
-        columns: Orthonormal columns (N, q), free of what the parameters can do.
-        kept: Which functions they came from (q,).
-    """
-
-    run: int
-    p: float
-    columns: Array
-    kept: NDArray[np.int64]
+    run: int  # number of the run
+    p: float  # chance of it where the run is like all others, times the number of runs
+    columns: Array  # orthonormal columns (N, q), free of what the parameters can do
+    kept: NDArray[np.int64]  # which functions they came from (q,)
 
 
 def alone(

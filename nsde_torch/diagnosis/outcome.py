@@ -31,70 +31,50 @@ Verdict = Literal["no_effect", "effect_found", "unexplained", "undecided"]
 
 @dataclass(frozen=True)
 class Found:
-    """An effect that was added.
+    """An effect that was added."""
 
-    Args:
-        name: Of the effect.
-        trial: Its fit, with all other effects that were added present.
-        ties: Effects that explain the data as well in its place.
-        moves: Names of the channels that its parameters move.
-        provisional: Why it is provisional and not the last word; empty where it is.
-    """
-
-    name: str
-    trial: Trial
-    ties: tuple[str, ...]
-    moves: tuple[str, ...] = ()
-    provisional: str = ""
+    name: str  # of the effect
+    trial: Trial  # its fit, with all other effects that were added present
+    ties: tuple[str, ...]  # effects that explain the data as well in its place
+    moves: tuple[str, ...] = ()  # names of the channels that its parameters move
+    provisional: str = ""  # why it is provisional and not the last word; empty where it is
 
 
 @dataclass
 class Outcome:
-    """What was concluded.
-
-    Args:
-        verdict: `no_effect`, `effect_found` or `unexplained`; `undecided` before what is left is tested.
-        declared: The declared physics, fitted.
-        final: The physics with everything that was added, fitted.
-        found: Effects, in the order in which they were added.
-        rounds: Every look at the catalogue.
-        declared_variables, variables: What the residuals without and with the effects may depend on.
-        before, after: What the residual depends on without and with the effects, all tests.
-        structured: The tests that are left over after correction for their number, what explains most first.
-        aside: Effects that joined what is declared because they are shorter than a step.
-        hidden: Effects that are not named because feedback may have made them.
-        test: What the data say of the loop that they were recorded in, by `final`.
-        hangs: How far parameters of `final` hang on the band up to which smoothed states were restored (k,).
-        printed: Estimates to print in place of those of `final`: by signals from outside the loop, or of largest
-            likelihood.
-        levels: Significance level of each stage (`recording.fault`).
-        doubted: Whether the guard speaks against the final physics, so that nothing that was found is sure.
-        decisions: What was decided by.
-        joint: What the joint likelihood selected; None where the regression did.
-        declared_optimum, optimum: Where the likelihood of the declared and of the final physics is largest; None where
-            it was not computed.
-    """
+    """What was concluded."""
 
     verdict: Verdict
-    declared: Base
-    final: Base
-    found: list[Found]
-    rounds: list[Round]
+    """`no_effect`, `effect_found` or `unexplained`; `undecided` before what is left is tested."""
+    declared: Base  # the declared physics, fitted
+    final: Base  # the physics with everything that was added, fitted
+    found: list[Found]  # effects, in the order in which they were added
+    rounds: list[Round]  # every look at the catalogue
     declared_variables: Regressors
     variables: Regressors
+    """declared_variables, variables: what the residuals without and with the effects may depend on."""
     before: list[Dependence]
     after: list[Dependence]
+    """before, after: what the residual depends on without and with the effects, all tests."""
     structured: list[Dependence] = field(default_factory=list)
-    aside: tuple[str, ...] = ()
-    hidden: tuple[Hidden, ...] = ()
+    """The tests that are left over after correction for their number, what explains most first."""
+    aside: tuple[str, ...] = ()  # effects that joined what is declared because they are shorter than a step
+    hidden: tuple[Hidden, ...] = ()  # effects that are not named because feedback may have made them
     test: LoopTest = field(default_factory=LoopTest)
+    """What the data say of the loop that they were recorded in, by `final`."""
     hangs: Array | None = None
+    """How far parameters of `final` hang on the band up to which smoothed states were restored (k,)."""
+    # estimates to print in place of those of `final`: by signals from outside the loop, or of largest likelihood
     printed: Identification | None = None
     levels: Mapping[str, float] = field(default_factory=dict)
-    decisions: Decisions = DECISIONS
+    """Significance level of each stage (`recording.fault`)."""
+    decisions: Decisions = DECISIONS  # what was decided by
     doubted: bool = False
-    joint: JointSelection | None = None
+    """Whether the guard speaks against the final physics, so that nothing that was found is sure."""
+    joint: JointSelection | None = None  # what the joint likelihood selected; None where the regression did
     declared_optimum: Optimum | None = None
+    # declared_optimum, optimum: where the likelihood of the declared and of the final physics is largest; None
+    # where it was not computed
     optimum: Optimum | None = None
 
     @cached_property

@@ -23,17 +23,11 @@ _NEAR: Array = np.linspace(-0.45, 0.45, 10)
 
 @dataclass(frozen=True)
 class Repeat:
-    """The period that helps most.
+    """The period that helps most."""
 
-    Args:
-        period: Of the variable, in its unit.
-        nats: Log-likelihood that sine and cosine bring.
-        columns: Orthonormal columns (N, 2) of them, whitened and free of what the parameters can do.
-    """
-
-    period: float
-    nats: float
-    columns: Array
+    period: float  # of the variable, in its unit
+    nats: float  # log-likelihood that sine and cosine bring
+    columns: Array  # orthonormal columns (N, 2) of them, whitened and free of what the parameters can do
 
 
 def best_repeat(regression: Regression, channel: int, v: Array, own: Array) -> Repeat | None:

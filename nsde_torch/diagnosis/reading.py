@@ -39,37 +39,25 @@ _CHECKED = 50  # rows of the data at which coordinates are checked
 
 @dataclass(frozen=True)
 class Log:
-    """A log that was read, its recording chain undone.
+    """A log that was read, its recording chain undone."""
 
-    Args:
-        system: Declared system, which reads the logged channels.
-        recorded: The recording chain, undone.
-        runs: Its runs, with the logged channels behind the inputs.
-        options: Settings.
-        decisions: What is decided by.
-        budgets: How much is tried.
-        say: Told stage, number done and number in all.
-        box_s: Over which steps are summed [s]; None for the usual length.
-        refused: What spoke against the search over the usual length, where another one is taken.
-        slowest: Speeds below which coordinates with dry friction stand, by column; rows in which one does are left out.
-        stages: Stages that may fail, and those that did.
-        so_far: Takes what is known after a stage (`not_done.SELECTION` and those after it; None: within the selection).
-        begun: What an earlier diagnosis had selected, which the selection starts from; None: the declared physics.
-    """
-
-    system: System
-    recorded: Recorded
-    runs: tuple[Run, ...]
-    options: Options
-    decisions: Decisions
-    budgets: Budgets
-    say: Callable[[str, int, int], None]
-    box_s: float | None = None
+    system: System  # declared system, which reads the logged channels
+    recorded: Recorded  # the recording chain, undone
+    runs: tuple[Run, ...]  # its runs, with the logged channels behind the inputs
+    options: Options  # settings
+    decisions: Decisions  # what is decided by
+    budgets: Budgets  # how much is tried
+    say: Callable[[str, int, int], None]  # told stage, number done and number in all
+    box_s: float | None = None  # over which steps are summed [s]; None for the usual length
     refused: Guarded | None = None
+    """What spoke against the search over the usual length, where another one is taken."""
+    # speeds below which coordinates with dry friction stand, by column; rows in which one does are left out
     slowest: Mapping[int, float] = field(default_factory=dict)
-    stages: OptionalStages = field(default_factory=OptionalStages)
+    stages: OptionalStages = field(default_factory=OptionalStages)  # stages that may fail, and those that did
+    # takes what is known after a stage (`not_done.SELECTION` and those after it; None: within the selection)
     so_far: "Callable[[str | None, Log, Outcome], None]" = lambda stage, log, outcome: None
     begun: Begun | None = None
+    """What an earlier diagnosis had selected, which the selection starts from; None: the declared physics."""
 
     def search(self, runs: Sequence[Run]) -> Search:
         """A search in runs of the log."""

@@ -104,24 +104,16 @@ def functions_of(v: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 @dataclass(frozen=True)
 class Regressors:
-    """All that the residuals of a regression may depend on, in the middle of each box.
+    """All that the residuals of a regression may depend on, in the middle of each box."""
 
-    Args:
-        columns: Variables by name (M,).
-        t: Time in the run (M,) [s].
-        functions: By variable; products, drifts, differences between runs, inputs before, `time` and `run` too:
-            functions (M, q), and which of them are odd (q,).
-        inputs: Whether the inputs are what acted.
-        decisions: What tests of them decide by.
-        budgets: How much they try.
-    """
-
-    columns: dict[str, Array]
-    t: Array
+    columns: dict[str, Array]  # variables by name (M,)
+    t: Array  # time in the run (M,) [s]
+    # by variable; products, drifts, differences between runs, inputs before, `time` and `run` too: functions (M,
+    # q), and which of them are odd (q,)
     functions: dict[str, tuple[Array, NDArray[np.bool_]]]
-    inputs: bool = True
-    decisions: Decisions = DECISIONS
-    budgets: Budgets = BUDGETS
+    inputs: bool = True  # whether the inputs are what acted
+    decisions: Decisions = DECISIONS  # what tests of them decide by
+    budgets: Budgets = BUDGETS  # how much they try
 
     def values(self, variable: str) -> Array:
         """A plain variable, or time (M,)."""

@@ -30,39 +30,24 @@ from nsde_torch.systems import System
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found.
+    """What was found."""
 
-    Args:
-        system: Declared system.
-        data: The data set.
-        runs: Names of its runs that were looked at.
-        recorded: Recording chain, undone.
-        outcome: Effects that were found, and the tests of what is left.
-        errors: Errors on runs left out.
-        explanation: What is left, and what may explain it.
-        options: Settings.
-        spec: What models of the system are made of.
-        seconds: Time that stages took.
-        feedback: What the data say of the loop that they were recorded in.
-        instrumented: Estimates with signals from outside the loop; None without any.
-        not_done: Stages that could not be computed or were left out.
-        so_far: That the diagnosis is not finished; None of one that is.
-    """
-
-    system: System
-    data: DataSet
-    runs: tuple[str, ...]
-    recorded: Recorded
-    outcome: Outcome
-    errors: HeldOut
-    explanation: Explanation
-    options: Options
-    spec: SysidSpec
-    seconds: dict[str, float] = field(default_factory=dict)
+    system: System  # declared system
+    data: DataSet  # the data set
+    runs: tuple[str, ...]  # names of its runs that were looked at
+    recorded: Recorded  # recording chain, undone
+    outcome: Outcome  # effects that were found, and the tests of what is left
+    errors: HeldOut  # errors on runs left out
+    explanation: Explanation  # what is left, and what may explain it
+    options: Options  # settings
+    spec: SysidSpec  # what models of the system are made of
+    seconds: dict[str, float] = field(default_factory=dict)  # time that stages took
     feedback: LoopTest = field(default_factory=LoopTest)
+    """What the data say of the loop that they were recorded in."""
     instrumented: Identification | None = None
-    not_done: tuple[NotDone, ...] = ()
-    so_far: SoFar | None = None
+    """Estimates with signals from outside the loop; None without any."""
+    not_done: tuple[NotDone, ...] = ()  # stages that could not be computed or were left out
+    so_far: SoFar | None = None  # that the diagnosis is not finished; None of one that is
 
     def finished(self) -> Diagnosis:
         """The diagnosis, for work that goes on with it.

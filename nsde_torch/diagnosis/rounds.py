@@ -24,23 +24,15 @@ from nsde_torch.systems.parameters import ParameterVector
 
 @dataclass
 class Round:
-    """One look at the catalogue.
+    """One look at the catalogue."""
 
-    Args:
-        base: The physics that candidates were put beside, concluded.
-        trials: Candidates that were iterated, best first.
-        screened: Log-likelihood difference of every candidate at its first step [nats].
-        errors: By candidate: standard errors of what is nothing without it, by label; infinite where no data show it.
-        failed: Candidates that could not be fitted, and why.
-        chosen: The one that was added, or None.
-    """
-
-    base: Base
-    trials: list[Trial]
-    screened: dict[str, float]
+    base: Base  # the physics that candidates were put beside, concluded
+    trials: list[Trial]  # candidates that were iterated, best first
+    screened: dict[str, float]  # log-likelihood difference of every candidate at its first step [nats]
     errors: dict[str, dict[str, float]] = field(default_factory=dict)
-    failed: dict[str, str] = field(default_factory=dict)
-    chosen: Trial | None = None
+    """By candidate: standard errors of what is nothing without it, by label; infinite where no data show it."""
+    failed: dict[str, str] = field(default_factory=dict)  # candidates that could not be fitted, and why
+    chosen: Trial | None = None  # the one that was added, or None
 
     @property
     def added(self) -> tuple[str, ...]:

@@ -35,20 +35,13 @@ _SHORTEST = 20  # steps of a stretch that is looked at
 
 @dataclass(frozen=True)
 class Base:
-    """Where a round starts.
+    """Where a round starts."""
 
-    Args:
-        system: Physics so far.
-        regression: At its optimum.
-        score: On runs left out.
-        fold, block: Labels of whitened rows.
-    """
-
-    system: System
-    regression: Regression
-    score: Score
+    system: System  # physics so far
+    regression: Regression  # at its optimum
+    score: Score  # on runs left out
     fold: NDArray[np.int64]
-    block: NDArray[np.int64]
+    block: NDArray[np.int64]  # fold, block: labels of whitened rows
 
     @cached_property
     def span(self) -> Array:

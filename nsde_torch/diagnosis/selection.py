@@ -28,23 +28,14 @@ from nsde_torch.systems.parameters import ParameterVector
 
 @dataclass(frozen=True)
 class Selection:
-    """Effects that were chosen one at a time.
+    """Effects that were chosen one at a time."""
 
-    Args:
-        declared: The declared physics, fitted, with what is shorter than a step.
-        final: The physics with everything that was chosen, fitted.
-        names: Effects that were chosen, in order.
-        rounds: Every look at the catalogue.
-        aside: Effects that joined what is declared because they are shorter than a step.
-        before: What an earlier diagnosis found, of which no round tells.
-    """
-
-    declared: Base
-    final: Base
-    names: list[str]
-    rounds: list[Round]
-    aside: tuple[str, ...]
-    before: tuple[Found, ...] = ()
+    declared: Base  # the declared physics, fitted, with what is shorter than a step
+    final: Base  # the physics with everything that was chosen, fitted
+    names: list[str]  # effects that were chosen, in order
+    rounds: list[Round]  # every look at the catalogue
+    aside: tuple[str, ...]  # effects that joined what is declared because they are shorter than a step
+    before: tuple[Found, ...] = ()  # what an earlier diagnosis found, of which no round tells
 
 
 def forward_selection(

@@ -38,29 +38,17 @@ _ENDS = {
 
 @dataclass(frozen=True)
 class Shape:
-    """How the residual of a channel depends on a variable.
+    """How the residual of a channel depends on a variable."""
 
-    Args:
-        channel: Name of the channel.
-        variable: Name of the variable, `a * b` for a product.
-        symmetry: `odd`, `even`, `mixed`, or empty where that means nothing (time, runs, products).
-        extent: `local` or `global`, empty where it cannot be an axis.
-        where: Range of the variable that a local one lies in.
-        period: Period, in the unit of the variable, or None.
-        only_run: Number of the run that it is confined to, or None.
-        sentence: All this in words.
-        note: The same without the names.
-    """
-
-    channel: str
-    variable: str
-    symmetry: str
-    extent: str
-    where: tuple[float, float] | None
-    period: float | None
-    only_run: int | None
-    sentence: str
-    note: str
+    channel: str  # name of the channel
+    variable: str  # name of the variable, `a * b` for a product
+    symmetry: str  # `odd`, `even`, `mixed`, or empty where that means nothing (time, runs, products)
+    extent: str  # `local` or `global`, empty where it cannot be an axis
+    where: tuple[float, float] | None  # range of the variable that a local one lies in
+    period: float | None  # period, in the unit of the variable, or None
+    only_run: int | None  # number of the run that it is confined to, or None
+    sentence: str  # all this in words
+    note: str  # the same without the names
 
 
 def symmetry(dependence: Dependence, wording: Wording) -> str:

@@ -163,19 +163,12 @@ def _of_variable(
 
 @dataclass(frozen=True)
 class _Group:
-    """Functions of one variable.
+    """Functions of one variable."""
 
-    Args:
-        functions: Per unit of time (M, q).
-        odd: Which of them are odd (q,).
-        own: What the parameters can do, whitened (N, r) (`own_space`).
-        whitened: The functions, whitened (N, q).
-    """
-
-    functions: Array
-    odd: NDArray[np.bool_]
-    own: Array
-    whitened: Array
+    functions: Array  # per unit of time (M, q)
+    odd: NDArray[np.bool_]  # which of them are odd (q,)
+    own: Array  # what the parameters can do, whitened (N, r) (`own_space`)
+    whitened: Array  # the functions, whitened (N, q)
 
 
 def _dependence(

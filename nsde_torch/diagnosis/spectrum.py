@@ -29,19 +29,12 @@ WHOLE = 0.5 * _BAND
 
 @dataclass(frozen=True)
 class Line:
-    """A high ordinate.
+    """A high ordinate."""
 
-    Args:
-        frequency: Where it is [Hz].
-        p: Chance of one as high anywhere in noise, in any channel.
-        row: Number of the channel, among the rows of the regression, in which it is highest.
-        height: Power over the level of the noise.
-    """
-
-    frequency: float
-    p: float
-    row: int
-    height: float
+    frequency: float  # where it is [Hz]
+    p: float  # chance of one as high anywhere in noise, in any channel
+    row: int  # number of the channel, among the rows of the regression, in which it is highest
+    height: float  # power over the level of the noise
 
 
 def periodogram(regression: Regression) -> tuple[Array, Array]:

@@ -23,35 +23,20 @@ from nsde_torch.systems import System
 
 @dataclass(frozen=True)
 class Trial:
-    """A candidate, fitted.
+    """A candidate, fitted."""
 
-    Args:
-        name: Of the effect.
-        regression: With it, as it was concluded: a search has dozens of them.
-        own: Columns of theta that are the effect's.
-        score: On runs left out.
-        nats: Held-out log-likelihood difference to the physics without the effect [nats].
-        nats_error: Its standard error [nats].
-        rank_score: What candidates are ranked by.
-        p: Chance of so large a difference if the effect did nothing, for one candidate.
-        p_corrected: The same corrected for all starts of all candidates of the round (`multiplicity`).
-        spread: Cluster-robust covariance from blocks of time, in the identifiable directions.
-        nothing: Whether it says nothing of its own (`adds_nothing`).
-        held: Labels of parameters that were held at nothing.
-    """
-
-    name: str
-    regression: Regression
-    own: slice
-    score: Score
-    nats: float
-    nats_error: float
-    rank_score: float
-    p: float
-    p_corrected: float
-    spread: Spread
-    nothing: bool
-    held: tuple[str, ...] = ()
+    name: str  # of the effect
+    regression: Regression  # with it, as it was concluded: a search has dozens of them
+    own: slice  # columns of theta that are the effect's
+    score: Score  # on runs left out
+    nats: float  # held-out log-likelihood difference to the physics without the effect [nats]
+    nats_error: float  # its standard error [nats]
+    rank_score: float  # what candidates are ranked by
+    p: float  # chance of so large a difference if the effect did nothing, for one candidate
+    p_corrected: float  # the same corrected for all starts of all candidates of the round (`multiplicity`)
+    spread: Spread  # cluster-robust covariance from blocks of time, in the identifiable directions
+    nothing: bool  # whether it says nothing of its own (`adds_nothing`)
+    held: tuple[str, ...] = ()  # labels of parameters that were held at nothing
 
 
 def simplest_first(trials: Sequence[Trial], decisions: Decisions = DECISIONS) -> list[Trial]:

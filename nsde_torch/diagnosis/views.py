@@ -29,39 +29,24 @@ _OTHERS = " times others"
 
 @dataclass(frozen=True)
 class Rates:
-    """Mean residual rates over the test function, wherever it fits.
-
-    Args:
-        names, units: Of the channels.
-        residual: Residual rates (M, channels).
-        values: By name of a variable: its mean over the same test function (M,).
-        value_units: Unit of each variable.
-        run: Number of the run (M,).
-        block: Block of time (M,).
-    """
+    """Mean residual rates over the test function, wherever it fits."""
 
     names: tuple[str, ...]
-    units: tuple[str, ...]
-    residual: Array
-    values: Mapping[str, Array]
-    value_units: Mapping[str, str]
-    run: Labels
-    block: Labels
+    units: tuple[str, ...]  # names, units: of the channels
+    residual: Array  # residual rates (M, channels)
+    values: Mapping[str, Array]  # by name of a variable: its mean over the same test function (M,)
+    value_units: Mapping[str, str]  # unit of each variable
+    run: Labels  # number of the run (M,)
+    block: Labels  # block of time (M,)
 
 
 @dataclass(frozen=True)
 class Bins:
-    """Means in bins of one variable.
+    """Means in bins of one variable."""
 
-    Args:
-        centre: Mean of the variable in each bin (B,).
-        mean: Mean of the residual (B,).
-        error: Standard error of it (B,).
-    """
-
-    centre: Array
-    mean: Array
-    error: Array
+    centre: Array  # mean of the variable in each bin (B,)
+    mean: Array  # mean of the residual (B,)
+    error: Array  # standard error of it (B,)
 
 
 def rates(regression: Regression, variables: Regressors) -> Rates:

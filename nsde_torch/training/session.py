@@ -84,7 +84,10 @@ class Training:
         self.instruments, self.kept = tuple(instruments), kept
         self.folder, self.about, self.other_sensors = Path(run_dir), about, other_sensors
         self.say, self.quiet = say or (lambda text: None), say is False
-        self.compile = options.compile != "off" and model_kind(spec.kind).compiles
+        compiles = model_kind(spec.kind).compiles
+        # a fit by innovations samples too little to pay for it: a minute of compiler for some seconds
+        compiles = compiles and (options.compile == "on" or loss.kind != "innovations")
+        self.compile = options.compile != "off" and compiles
         self.smoothing = smoothing_width(split.train, len(data.input_names))
         self.filter_reach = spec.input_filter_reach
 

@@ -36,7 +36,7 @@ from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.sysid.by_likelihood import by_likelihood
 from nsde_torch.sysid.guard import guarded
-from nsde_torch.sysid.identify import identification, regression_of, settled
+from nsde_torch.sysid.identify import Settled, identification, regression_of, settled
 from nsde_torch.sysid.inferred_rates import in_turn
 from nsde_torch.sysid.instrumented import MISSING, Instrumented
 from nsde_torch.sysid.instruments import between, instrumental, with_columns
@@ -63,6 +63,7 @@ def identify_in_loop(
     iterations: int = ITERATIONS,
     instruments: Sequence[str] = (),
     likelihood: bool = True,
+    begun: Settled | None = None,
 ) -> Identification:
     """Identify declared parameters, test the loop, and use signals from outside it.
 
@@ -75,6 +76,7 @@ def identify_in_loop(
         iterations: Largest number of steps.
         instruments: Names of logged columns (`Run.extra`) that nothing inside the loop moves: sticks, setpoints.
         likelihood: Whether values are those of largest likelihood, where that can be relied on.
+        begun: The regression of the same runs, where it has settled already.
 
     Returns:
         Estimates with `loop`, `instrumented`, `doubt` and `guard` filled in.
@@ -90,6 +92,8 @@ def identify_in_loop(
                 "future). Leave the instruments out."
             )
         system, runs = with_columns(system, runs, instruments)
+    if instruments or any(run.inferred for run in runs):
+        begun = None  # of other columns
 
     def over(width: float | None) -> Identification:
         return in_turn(
@@ -104,6 +108,7 @@ def identify_in_loop(
                 width=width,
                 iterations=iterations,
                 instruments=instruments,
+                begun=begun if width is None else None,
             ),
         )
 
@@ -127,12 +132,12 @@ def _over_boxes(
     width: float | None,
     iterations: int,
     instruments: Sequence[str],
+    begun: Settled | None,
 ) -> Identification:
     """As `identify_in_loop`, over boxes of one length, whatever the guard says of it."""
-    regression, runs, left_out = settled(
-        system, runs, clock=clock, method=method, width=width, iterations=iterations
-    )
-    found = identification(regression, method, standing=left_out)
+    at = begun or settled(system, runs, clock=clock, method=method, width=width, iterations=iterations)
+    regression, runs = at.regression, at.runs
+    found = identification(regression, method, standing=at.left_out)
     if method != "weak":
         why = "finite differences of smoothed states have no innovations"
         return replace(found, loop=LoopTest(why_not=why), guard=guarded(regression, runs, clock=clock))

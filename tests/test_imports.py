@@ -26,7 +26,7 @@ BASE = {
 }
 MACHINES = {*BASE, "systems", "effects"}
 LEARNED = {*MACHINES, "data", "recording", "sde", "models", "plots"}
-TRAINED = {"inference", "sysid", "innovations", "evaluation", "training"}
+TRAINED = {"inference", "sysid", "evaluation", "training"}
 MAY_IMPORT = {
     "errors": set(),
     "lazy": set(),
@@ -48,9 +48,8 @@ MAY_IMPORT = {
     "models": {*MACHINES, "data", "recording", "sde"},
     "inference": {*MACHINES, "data"},
     "sysid": {*LEARNED, "inference"},
-    "innovations": {*LEARNED, "inference", "sysid"},
-    "evaluation": {*LEARNED, "inference", "sysid", "innovations"},
-    "training": {*LEARNED, "inference", "sysid", "innovations", "evaluation"},
+    "evaluation": {*LEARNED, "inference", "sysid"},
+    "training": {*LEARNED, "inference", "sysid", "evaluation"},
     "control": LEARNED,
     "simulation": {*LEARNED, "control"},
     "policy": {*LEARNED, "simulation"},

@@ -3,7 +3,7 @@
     residual    root mean square of the residual rate, in means over a quarter of a second, beside the measured rate
     nats        Whittle log likelihood of the residuals under the model's own diffusion, disturbances and sensors, per
                 second of data and channel: what a stationary filter of the model would score (see
-                `innovations.disturbances`); only the difference of two models on the same runs means something
+                `evaluation.spectra`); only the difference of two models on the same runs means something
 
 Errors of predictions over many steps under the log's own inputs reward a model for knowing the pilot; these do not: a
 step's input and state come before what is new in it.
@@ -21,14 +21,13 @@ from numpy.typing import NDArray
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.evaluation.report import number, table
+from nsde_torch.evaluation.residuals import Residuals, disturbed_channels, residuals, with_networks
+from nsde_torch.evaluation.spectra import Disturbance, density, spectrum
 from nsde_torch.inference.steps import steps_of
-from nsde_torch.innovations.disturbances import Disturbance, density, spectrum
-from nsde_torch.innovations.inputs import as_applied
-from nsde_torch.innovations.laws import disturbed_channels
-from nsde_torch.innovations.residuals import Residuals, residuals, with_networks
 from nsde_torch.models.capabilities import is_equation
 from nsde_torch.models.model import Model
 from nsde_torch.models.neural_sde import NeuralSDE
+from nsde_torch.recording.smoothing import as_applied
 from nsde_torch.sysid.explained import bump, explained
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.systems.parameters import ParameterVector

@@ -336,6 +336,7 @@ def maximised(
     settled_at: float = _SETTLED,
     gain: float = _GAIN,
     nuisances: bool = True,
+    held: Levels | None = None,
 ) -> tuple[MaximumLikelihood, Optimum]:
     """Theta and noise levels of largest likelihood, from the first values of the physics.
 
@@ -344,31 +345,37 @@ def maximised(
         near: The optimum of physics close to these on the same rows, whose states and noise levels are begun with.
         settled_at, gain: Where the iteration ends: standard errors of a step of theta, nats that new levels bring.
         nuisances: Whether intervals allow for noise levels that are not known.
+        held: Noise levels that are known and stay; None finds them.
     """
     space, vector, start = problem.space, problem.vector, problem.start
     theta, everything = vector.inside(vector.start), range(len(vector))
     if near is None:
         first, about = problem.first(theta)
+        first = first if held is None else held
     else:
         space.use(theta)
         first, about = near.levels, linearised_about(space, near.about.x, start)
     levels = first
     about, at = problem.settled(levels, about, problem.filtered(levels, about), 1)
     known: Tensor | None = None
-    if near is None:
+    if near is None and held is None:
         levels, known = likeliest(space, first, first, about, start, rows=_FIRST_ROWS)
         at = problem.filtered(levels, about)
     settled = False
     for _ in range(_TURNS):
         check_time()
-        held = grams(space, levels, about, at, space.columns(about.x, everything))
-        theta, about, at, away = _step(problem, held, theta, levels, about, at)
+        here = grams(space, levels, about, at, space.columns(about.x, everything))
+        theta, about, at, away = _step(problem, here, theta, levels, about, at)
+        settled = away < settled_at
+        if held is not None:
+            if settled:
+                break
+            continue
         # theta first: levels that were fitted beside a wrong one would take its errors for noise
         trial, known = likeliest(space, levels, first, about, start, known)
         there, before = problem.filtered(trial, about), at.total
         if there.total > before:  # it was found from some of the chunks
             levels, at = trial, there
-        settled = away < settled_at
         if settled and at.total < before + gain:
             break
     columns = space.columns(about.x, everything)

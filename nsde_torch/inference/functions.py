@@ -15,7 +15,7 @@ nobody declared would else be learned as a function of the state.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations, pairwise
+from itertools import combinations, groupby, pairwise
 from math import log
 
 import numpy as np
@@ -170,6 +170,7 @@ def learned(
     ports: Sequence[int],
     *,
     most: int = MOST_GROUPS,
+    among: Sequence[BasisGroup] | None = None,
     say: Callable[[str], None] = lambda text: None,
 ) -> Functions:
     """Functions that explain what the physics of an optimum does not.
@@ -179,9 +180,10 @@ def learned(
         variables: What they may be of.
         ports: Numbers of the disturbances on which functions may act.
         most: Most groups of one row of a port.
+        among: Groups to choose from; None takes all that there are.
         say: Takes what is chosen.
     """
-    return _Choice(at, variables, ports, most, say).made()
+    return _Choice(at, variables, ports, most, say, among).made()
 
 
 @torch.no_grad()
@@ -231,34 +233,51 @@ class _View:
             self._passes.append((levels, known))
         return known
 
-    def columns(self, group: BasisGroup, scaled: Mapping[str, Scale]) -> torch.Tensor:
-        """What functions do to the steps (T, C, ne, q)."""
+    def force(self, group: BasisGroup, scaled: Mapping[str, Scale]) -> torch.Tensor:
+        """Values of functions at the steps (T, C, q)."""
         if group.kind == "past":
             values = self.past[group.variables[0]]
         else:
             values = functions(group.variables, group.kind, self.values, scaled)
-        force = torch.from_numpy(values).view(*self.about.x.shape[:2], -1)
-        return forced(self.space, self.about, group.port, force)
+        return torch.from_numpy(values).view(*self.about.x.shape[:2], -1)
 
     def blocks(
-        self, groups: Sequence[BasisGroup], levels: Levels, scaled: Mapping[str, Scale]
+        self,
+        groups: Sequence[BasisGroup],
+        levels: Levels,
+        scaled: Mapping[str, Scale],
+        apart: Sequence[BasisGroup] = (),
     ) -> tuple[Array, list[slice], list[Array]]:
         """Gram matrices by block of [e, theta, groups], columns of each group, and what these are of its functions.
+
+        Groups `apart` come after the others; products of one with another of them are 0.
 
         Directions of a group that the declared parameters can do already are left out: what is left of them is
         rounding, and weights of it could be anything.
         """
-        tables = [self.base, *(self.columns(g, scaled) for g in groups)]
-        ends = np.cumsum([1, *(t.shape[-1] for t in tables)])
-        held = grams(self.space, levels, self.about, self.at(levels), torch.cat(tables, -1))
-        total, theta = held.total, int(ends[1])
-        own = [slice(a, b) for a, b in pairwise(ends[1:])]
+        together, groups = len(groups), [*groups, *apart]
+        each = [self.force(g, scaled) for g in groups]
+        ends = np.cumsum([1, self.base.shape[-1], *(force.shape[-1] for force in each)])
+        forces = []
+        for port, some in groupby(zip(groups, each, strict=True), lambda pair: pair[0].port):
+            forces.append((port, torch.cat([force for _, force in some], -1)))
+        own, theta = [slice(a, b) for a, b in pairwise(ends[1:].tolist())], int(ends[1])
+        parted = own[together:]
+        held = grams(self.space, levels, self.about, self.at(levels), self.base, forces=forces, apart=parted)
+        total = held.total
         known = np.asarray(np.linalg.pinv(total[1:theta, 1:theta], rcond=_ROUNDING, hermitian=True))
         turns = [_new(total, known, theta, s) for s in own]
-        turn = block_diag(np.eye(theta), *turns)
         ends = np.cumsum([theta, *(t.shape[1] for t in turns)])
-        slices = [slice(a, b) for a, b in pairwise(ends)]
-        return np.asarray(turn.T @ held.blocks @ turn), slices, turns
+        slices = [slice(a, b) for a, b in pairwise(ends.tolist())]
+        turn = block_diag(np.eye(theta), *turns[:together])
+        before, after = (slice(0, n) for n in turn.shape)
+        out = np.zeros((len(held.blocks), ends[-1], ends[-1]))
+        out[:, after, after] = turn.T @ held.blocks[:, before, before] @ turn
+        for s, to, own_turn in zip(parted, slices[together:], turns[together:], strict=True):
+            out[:, after, to] = turn.T @ held.blocks[:, before, s] @ own_turn
+            out[:, to, after] = out[:, after, to].transpose(0, 2, 1)
+            out[:, to, to] = own_turn.T @ held.blocks[:, s, s] @ own_turn
+        return out, slices, turns
 
 
 @dataclass(frozen=True)
@@ -290,10 +309,12 @@ class _Choice:
         ports: Sequence[int],
         most: int,
         say: Callable[[str], None],
+        among: Sequence[BasisGroup] | None = None,
     ) -> None:
         self._optimum, self._ports, self._most, self._say = at, list(ports), most, say
         self._all = self._few = _View(at, variables)
-        if self._all.about.x.shape[:2].numel() > _SCREENED:
+        self._among = among
+        if among is None and self._all.about.x.shape[:2].numel() > _SCREENED:
             self._few = _View(at, variables, _SCREENED)
         counted = at.of.space.chunks.counted.flatten().numpy()
         self._scaled = {
@@ -329,13 +350,21 @@ class _Choice:
         kinds: tuple[Kind, ...] = ("polynomial", "signed", "smooth")
         singles = [BasisGroup(port, (name,), kind) for name in self._scaled for kind in kinds]
         singles += [BasisGroup(port, (name,), "past") for name in self._all.past]
+        if self._among is not None:
+            known = self._scaled.keys() | self._all.past.keys()
+            singles = [g for g in self._among if g.port == port and {*g.variables} <= known]
         while sum(g.port == port for g in chosen) < self._most:
             tried = [g for g in singles if g not in chosen]
+            if not tried:
+                break
             gains = self._gains(self._few, tried, chosen)
             ranked = sorted((g for g in gains if g.kind != "past"), key=lambda g: -gains[g][0])
             near = [v for g in chosen if g.port == port and g.kind != "past" for v in g.variables]
             near = list(dict.fromkeys([*near, *(g.variables[0] for g in ranked)]))[:_PAIRED]
-            gains |= self._gains(self._few, self._finer(port, near, chosen), chosen)
+            # what explains nothing alone is not looked at again
+            singles = [g for g in singles if g in chosen or gains[g][0] > 0.0]
+            if self._among is None:
+                gains |= self._gains(self._few, self._finer(port, near, chosen), chosen)
             among = len(gains)
             if self._few is not self._all:
                 best = sorted(gains, key=lambda g: -gains[g][0])[:_JUDGED]
@@ -374,7 +403,7 @@ class _Choice:
             while last < len(groups) and (total == 0 or total + widths[last] <= _AT_ONCE):
                 total, last = total + widths[last], last + 1
             some = groups[first:last]
-            blocks, slices, _ = view.blocks([*chosen, *some], self._levels, self._scaled)
+            blocks, slices, _ = view.blocks(chosen, self._levels, self._scaled, some)
             kept = slices[: len(chosen)]
             before, ridge = self._held_out(view, blocks, kept)
             for group, own in zip(some, slices[len(chosen) :], strict=True):
@@ -495,7 +524,8 @@ class _Choice:
         about = with_parameters(space, about)
         push = torch.zeros_like(about.missed)
         for group, weights in zip(found.groups, found.weights, strict=True):
-            push += (self._all.columns(group, self._scaled) @ torch.from_numpy(weights)[:, None])[..., 0]
+            force = self._all.force(group, self._scaled) @ torch.from_numpy(weights)
+            push += forced(space, about, group.port, force)
         push[-1] = 0.0
         about = replace(about, missed=about.missed + push)
         levels, _ = likeliest(space, self._levels, self._levels, about, self._optimum.of.start)

@@ -7,7 +7,7 @@ With gains held, predicted states move by S and innovations by -H S (Ljung, Syst
 so that parameters, effects of a catalogue and nuisances are columns of one linear recursion.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -80,6 +80,9 @@ def grams(
     at: Pass,
     columns: Tensor,
     nuisances: Tensor | None = None,
+    *,
+    forces: Sequence[tuple[int, Tensor]] = (),
+    apart: Sequence[slice] = (),
 ) -> Grams:
     """Gram matrices of a pass.
 
@@ -90,19 +93,32 @@ def grams(
         at: The pass.
         columns: What k parameters do to the steps (T, C, ne, k) from the states of `about`; single precision does.
         nuisances: Further columns of the whitened rows (T, C, m, p).
+        forces: Number of a disturbance, and forces (T, C, q) that act where it does: further columns behind `columns`.
+            What they do to the steps (`nsde_torch.inference.filtering.forced`) is as long as the log and as wide as
+            the state, and made row by row.
+        apart: Rows of the matrix, the last ones, of groups of columns whose products with one another are not asked
+            for: they are 0.
     """
     chunks = space.chunks
-    k, beside = columns.shape[-1], 0 if nuisances is None else nuisances.shape[-1]
-    size = 1 + k + beside
+    k = columns.shape[-1] + sum(force.shape[-1] for _, force in forces)
+    size = 1 + k + (0 if nuisances is None else nuisances.shape[-1])
     sums = at.gain.new_zeros(len(chunks.parts), chunks.count, size, size)
     most = max(1, _NUMBERS // (max(b - a for a, b in chunks.parts) * len(space.observed) * size))
+    longest = max(b - a for a, b in chunks.parts)
+    buffer = at.gain.new_empty(min(most, chunks.count), longest, len(space.observed), size)
     for some in torch.arange(chunks.count).split(most):
         extra = None if nuisances is None else nuisances[:, some]
+        pushed = [(j, force[:, some]) for j, force in forces]
+        near, here = about.of(some), at.of(some)
         for p, table in enumerate(
-            _tables(space, levels, about.of(some), at.of(some), columns[:, some], extra, some)
+            _tables(space, levels, near, here, columns[:, some], pushed, extra, some, buffer)
         ):
-            flat = table.transpose(0, 1).reshape(len(some), -1, size)
-            sums[p, some] = flat.transpose(1, 2) @ flat
+            flat = table.flatten(1, 2)
+            own, head = flat.transpose(1, 2), apart[0].start if apart else size
+            sums[p, some, :head] = own[:, :head] @ flat
+            sums[p, some, head:, :head] = sums[p, some, :head, head:].transpose(1, 2)
+            for s in apart:
+                sums[p, some, s, s] = own[:, s] @ flat[..., s]
     return Grams(chunks.blocks(sums), int(chunks.counted.sum()) * len(space.observed), k)
 
 
@@ -112,29 +128,36 @@ def _tables(
     about: Linearisation,
     at: Pass,
     columns: Tensor,
+    forces: Sequence[tuple[int, Tensor]],
     nuisances: Tensor | None,
     some: Tensor,
+    buffer: Tensor,
 ) -> Iterator[Tensor]:
-    """Whitened rows [e, J, nuisances] of each block of some chunks (rows, chunks, m, ...)."""
-    chunks, observed, k = space.chunks, space.observed, columns.shape[-1]
-    total = 1 + k + (0 if nuisances is None else nuisances.shape[-1])
-    white, whitening, gain = at.white, at.whitening, at.gain
+    """Whitened rows [e, J, nuisances] of each block of some chunks (chunks, rows, m, ...), 0 if not counted."""
+    chunks, observed = space.chunks, space.observed
+    ends = np.cumsum([columns.shape[-1], *(force.shape[-1] for _, force in forces)]).tolist()
+    k = ends[-1]
+    counted = chunks.counted[:, some, None].to(at.gain.dtype)
+    white, whitening, gain = at.white * counted, at.whitening * counted[..., None], at.gain
     moved = gain.new_zeros(len(some), space.n, k)
     for first, end in chunks.parts:
-        table = moved.new_zeros(end - first, len(some), len(observed), total)
+        table = buffer[: len(some), : end - first]  # new memory costs as much as what is done in it
         begun = max(first, 1)
+        table[:, : begun - first] = 0.0
         if end > begun:
             forward = transitions(space, levels, about.slopes[begun - 1 : end - 1])[0]
             inner = forward.clone()
             inner[..., observed] -= forward @ gain[begun - 1 : end - 1]
             for i in range(begun, end):
                 moved = inner[i - begun] @ moved
-                moved[:, : space.ne] += columns[i - 1]
-                table[i - first, ..., 1 : 1 + k] = whitening[i] @ moved[:, observed]
-        table[..., 0] = white[first:end]
+                moved[:, : space.ne, : ends[0]] += columns[i - 1]
+                for (j, force), a, b in zip(forces, ends[:-1], ends[1:], strict=True):
+                    push = about.slopes[i - 1, :, :, space.ne + j, None]
+                    moved[:, : space.ne, a:b].addcmul_(push, force[i - 1, :, None])
+                table[:, i - first, :, 1 : 1 + k] = whitening[i] @ moved[:, observed]
+        table[..., 0] = white[first:end].transpose(0, 1)
         if nuisances is not None:
-            table[..., 1 + k :] = nuisances[first:end]
-        table *= chunks.counted[first:end, some, None, None]
+            table[..., 1 + k :] = (nuisances[first:end] * counted[first:end, ..., None]).transpose(0, 1)
         yield table
 
 

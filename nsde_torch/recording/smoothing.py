@@ -111,6 +111,12 @@ def restored(run: Run, n_inputs: int, width: float) -> Run:
     return replace(run, u=u)
 
 
+def as_applied(runs: Sequence[Run], n_inputs: int) -> list[Run]:
+    """Runs with inputs as they acted, where a moving average is found in those logged."""
+    width = smoothing_width(runs, n_inputs)
+    return [restored(run, n_inputs, width) for run in runs] if width else list(runs)
+
+
 def _unaveraged(u: Array, steps: int) -> Array:
     n = len(u)
     if steps < 2 or n < 3 * steps:

@@ -13,6 +13,7 @@ import numpy as np
 from nsde_torch.data import Run
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.inference import LogLikelihood, MaximumLikelihood, Optimum, maximised
+from nsde_torch.inference.levels import Levels
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
 
@@ -26,31 +27,37 @@ def by_likelihood(
     runs: Sequence[Run],
     clock: float = 1.0,
     near: tuple[System, Optimum] | None = None,
+    held: Levels | None = None,
 ) -> Identification:
     """An identification, its values and intervals by the likelihood.
 
     Args:
         near: The same machine where a fit of it has ended, and the optimum there.
+        held: Noise levels that are known; None finds them.
 
     Returns:
         `found` with `likelihood`, and its values and intervals of all that the data show and that stands at no bound,
         unless something speaks against them.
     """
     objected = found.guard is not None and found.guard.objections
-    entries = sum(len(run) for run in runs) * len(system.error_names) ** 2
-    if objected or any(run.band for run in runs) or entries > MOST:
+    if objected or any(run.band for run in runs) or entries(system, runs) > MOST:
         return found
     machine = copy.deepcopy(system)
     found.vector.write(machine, found.values)
     try:
         if near is None:
-            best, at = maximised(LogLikelihood(machine, runs, clock))
+            best, at = maximised(LogLikelihood(machine, runs, clock), held=held, nuisances=held is None)
         else:
             best, at = maximised(near[1].of.of(near[0]), near[1])
     except (DataError, NonFiniteError, np.linalg.LinAlgError):
         return found
     found = replace(found, likelihood=best, optimum=at)
     return found if best.objections else _with(found, best)
+
+
+def entries(system: System, runs: Sequence[Run]) -> int:
+    """Entries of the covariances of all rows of some runs."""
+    return sum(len(run) for run in runs) * len(system.error_names) ** 2
 
 
 def _with(found: Identification, best: MaximumLikelihood) -> Identification:

@@ -1,7 +1,7 @@
 """Identify the declared parameters of a system in one call; the regression itself is `regression`."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,10 +48,23 @@ def identify(
         >>> found = identify(make_system("hexacopter"), data.runs)  # doctest: +SKIP
         >>> dict(zip(found.vector.labels, found.values))  # doctest: +SKIP
     """
-    regression, _, left_out = settled(
-        system, runs, clock=clock, method=method, width=width, iterations=iterations
-    )
-    return identification(regression, method, standing=left_out)
+    at = settled(system, runs, clock=clock, method=method, width=width, iterations=iterations)
+    return identification(at.regression, method, standing=at.left_out)
+
+
+@dataclass(frozen=True)
+class Settled:
+    """A regression after its last step.
+
+    Args:
+        regression: The regression.
+        runs: Its runs, without rows in which what has dry friction stands.
+        left_out: Share of the rows that were left out of them.
+    """
+
+    regression: Regression
+    runs: Sequence[Run]
+    left_out: float
 
 
 def settled(
@@ -62,8 +75,8 @@ def settled(
     method: str,
     width: float | None,
     iterations: int,
-) -> tuple[Regression, Sequence[Run], float]:
-    """The regression of some runs after its last step, its runs, and the share of rows that were left out of them.
+) -> Settled:
+    """The regression of some runs after its last step.
 
     Rows in which what has dry friction stands are left out, once the noise of its speed is known (`standing`).
     """
@@ -73,14 +86,14 @@ def settled(
     speeds = slowest(system, regression.physics.sensor_std, runs) if method == "weak" else {}
     some, share = moving(runs, speeds)
     if share < SHARE:
-        return regression, runs, 0.0
+        return Settled(regression, runs, 0.0)
     try:
         again = regression_of(system, some, clock=clock, method=method, width=width, start=regression.theta)
         again.run(iterations)
         again = narrower(again, iterations)
     except (DataError, NonFiniteError):  # too little is left
-        return regression, runs, 0.0
-    return again, some, share
+        return Settled(regression, runs, 0.0)
+    return Settled(again, some, share)
 
 
 def identification(regression: Regression, method: str, *, standing: float = 0.0) -> Identification:

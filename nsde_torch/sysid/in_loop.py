@@ -37,7 +37,7 @@ from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.sysid.by_likelihood import by_likelihood
 from nsde_torch.sysid.guard import guarded
-from nsde_torch.sysid.identify import identification, settled
+from nsde_torch.sysid.identify import Settled, identification, settled
 from nsde_torch.sysid.inferred_rates import in_turn
 from nsde_torch.sysid.instruments import Instrumented, adopted, between, instrumental, with_columns
 from nsde_torch.sysid.longer_boxes import LENGTHS_S, LONGER, asks_for_longer_boxes
@@ -62,6 +62,7 @@ def identify_in_loop(
     iterations: int = ITERATIONS,
     instruments: Sequence[str] = (),
     likelihood: bool = True,
+    begun: Settled | None = None,
 ) -> Identification:
     """Identify declared parameters, test the loop, and use signals from outside it.
 
@@ -73,6 +74,7 @@ def identify_in_loop(
         iterations: Largest number of steps.
         instruments: Names of logged columns (`Run.extra`) that nothing inside the loop moves: sticks, setpoints.
         likelihood: Whether values are those of largest likelihood, where that can be relied on.
+        begun: The regression of the same runs, where it has settled already.
 
     Returns:
         Estimates with `loop`, `instrumented`, `doubt` and `guard` filled in.
@@ -88,11 +90,14 @@ def identify_in_loop(
                 "future). Leave the instruments out."
             )
         system, runs = with_columns(system, runs, instruments)
+    if instruments or any(run.inferred for run in runs):
+        begun = None  # of other columns
 
     fit = partial(_over_boxes, clock=clock, method=method, iterations=iterations, instruments=instruments)
 
     def over(width: float | None) -> Identification:
-        return in_turn(system, runs, clock, partial(fit, width=width))
+        first = begun if width is None else None
+        return in_turn(system, runs, clock, partial(fit, width=width, begun=first))
 
     found = over(None)
     if method != "weak":
@@ -113,12 +118,12 @@ def _over_boxes(
     width: float | None,
     iterations: int,
     instruments: Sequence[str],
+    begun: Settled | None,
 ) -> Identification:
     """As `identify_in_loop`, over boxes of one length, whatever the guard says of it."""
-    regression, runs, left_out = settled(
-        system, runs, clock=clock, method=method, width=width, iterations=iterations
-    )
-    found = identification(regression, method, standing=left_out)
+    at = begun or settled(system, runs, clock=clock, method=method, width=width, iterations=iterations)
+    regression, runs = at.regression, at.runs
+    found = identification(regression, method, standing=at.left_out)
     if method != "weak":
         why = "finite differences of smoothed states have no innovations"
         return replace(found, loop=LoopTest(why_not=why), guard=guarded(regression, runs, clock=clock))

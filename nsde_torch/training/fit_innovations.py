@@ -1,76 +1,70 @@
 """A neural SDE fitted by what is new at each step of the log: physics, then networks, then what disturbs.
 
-1. Declared parameters, with their covariance, by the prediction-error identification of `sysid`, and a lag
-   of the inputs where the data show one that is not declared (`innovations.actuators`).
-2. Residual networks on the whitened residuals of that physics (`innovations.networks`).
+1. Declared parameters, with their covariance, by the identification of `sysid`, and a lag of the inputs where the data
+   show one that is not declared (`late_inputs`).
+2. Residual networks, fitted to the functions of the state that the likelihood chooses beside that physics
+   (`fit_functions`).
 3. The distance eta by its own losses.
-4. Diffusion, lasting disturbances and sensors from the spectrum of what is left (`innovations.disturbances`), and into
-   the diffusion what is not known of the drift: the covariance of the parameters, and the jackknife of the networks
-   over blocks of time. Their mean over the data is as found; far from the data sigma is at least the declared one.
+4. Diffusion, lasting disturbances and sensors from the spectrum of the residual (`evaluation.spectra`), and into the
+   diffusion the uncertainty of the drift: the covariance of the parameters and of the functions. Their mean over the
+   data is as found; far from the data sigma is at least the declared one.
 
 Every stage sees one step of the log at a time, given what came before it, so inputs that answer disturbances do not
-bend it. What it gives up: predictions of the pilot's own flights under the pilot's own inputs, which know what
+bias it. What it gives up: predictions of the pilot's own flights under the pilot's own inputs, which know what
 disturbed, are not the target; `loss=replay` is better at those. Assumed: the controller saw no more than the log holds.
 
-Where a port has no declared physics the network is all that is known of it. What is foreseen without it would be
-wrong; features are then those of smoothed states, and the noise is that of the sensors until the network is known.
+The fits that calibration makes of some of the runs (`Task.near`) begin where that of all runs ended: with its law of
+the inputs, its noise levels, and its functions to choose from. How sure they are is found from their own runs.
+
+A port without declared physics is all network: its disturbance follows what acts there until the functions are known,
+and declared parameters are then fitted again beside the network.
 """
 
+import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
-from math import isfinite
+from dataclasses import asdict, fields, replace
+from math import hypot, sqrt
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
-from tqdm.auto import tqdm
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.effects import Port
-from nsde_torch.errors import CheckpointError, DataError
+from nsde_torch.errors import CheckpointError, DataError, NonFiniteError
+from nsde_torch.evaluation.report import number
+from nsde_torch.evaluation.residuals import Residuals, residuals, with_networks
+from nsde_torch.evaluation.spectra import Disturbance
+from nsde_torch.inference import LogLikelihood, Optimum
+from nsde_torch.inference.estimate import nearly_maximised
+from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.steps import steps_of
-from nsde_torch.innovations.actuators import Identified, identified
-from nsde_torch.innovations.disturbances import Disturbance
-from nsde_torch.innovations.inputs import as_applied, fit_filter
-from nsde_torch.innovations.laws import channel_laws, set_laws, with_doubt
-from nsde_torch.innovations.networks import Learned, NetworkSettings, fit_networks
-from nsde_torch.innovations.residuals import (
-    Residuals,
-    input_history,
-    noise_models,
-    pushed,
-    residuals,
-    with_networks,
-)
-from nsde_torch.models.networks import MLP
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
-from nsde_torch.progress import no_bar
+from nsde_torch.recording.smoothing import as_applied
+from nsde_torch.sysid.by_likelihood import by_likelihood, entries
 from nsde_torch.sysid.identify import identification
 from nsde_torch.sysid.in_loop import identify_in_loop
-from nsde_torch.sysid.noise import Noise, white_noise
 from nsde_torch.sysid.physics import Physics
-from nsde_torch.sysid.regression import ITERATIONS, Regression, carry_limits
+from nsde_torch.sysid.regression import ITERATIONS, Regression
 from nsde_torch.sysid.result import Identification
+from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
+from nsde_torch.training.channel_laws import channel_laws, set_laws
 from nsde_torch.training.checkpoint import read_checkpoint, write_checkpoint
 from nsde_torch.training.fit_distance import fit_distance
-from nsde_torch.training.fit_functions import fit_functions
-from nsde_torch.training.innovations_summary import summary
+from nsde_torch.training.fit_functions import Distilled, fit_functions
+from nsde_torch.training.input_filter import fit_filter
+from nsde_torch.training.late_inputs import Identified, identified
 from nsde_torch.training.prepare import blind_to_places
 from nsde_torch.training.progress import Progress
 from nsde_torch.training.task import Fitted, Parameters, Task
 
 Array = NDArray[np.float64]
 
-_BLOCK_S = 4.0  # of time, left out in turn
-_FOLDS = (2, 5)
-_RATE = 0.3  # of trainer.lr: all data are one batch
-_BARE_RATE = 3.0  # faster where a network is all that is known
-_EVERY, _PATIENCE = 20, 5  # steps between looks at what is left out, looks without a better one
 _DISTANCE_STEPS = 600
 _ROWS = 20_000  # whose features the distance sees
+_MOST = 20_000_000  # entries of the covariances of all rows that functions are chosen on
 
 
 def fit_innovations(task: Task) -> Fitted:
@@ -81,8 +75,12 @@ def fit_innovations(task: Task) -> Fitted:
         DataError: a run is too short.
         NonFiniteError: the physics leaves the finite numbers.
     """
-    spec = task.spec
+    near, values = task.near, task.values
+    spec = task.spec if near is None else near.model.spec
     assert isinstance(spec, SDESpec)
+    if near is not None:  # a law of the inputs that was learned is declared
+        spec = replace(spec, learn_lag=False)
+        values = {name: value.tolist() for name, (value, _) in near.model.system.all_declared().items()}
     Windows(
         task.runs, spec.dt, spec.horizon
     )  # refuses steps that do not divide, and runs shorter than a window
@@ -91,9 +89,9 @@ def fit_innovations(task: Task) -> Fitted:
     found = None
     if not _bare_ports(spec):
         method = "weak" if spec.filter_reach == 0 else "differences"
-        found = identified(spec, runs, clock=task.clock, values=task.values, method=method)
+        found = identified(spec, runs, clock=task.clock, values=values, method=method)
     generator = torch.Generator().manual_seed(task.seed)
-    model = NeuralSDE(found.spec if found else spec, generator=generator, values=task.values)
+    model = NeuralSDE(found.spec if found else spec, generator=generator, values=values)
     about = _from_checkpoint(model, task)
     if about is None:
         about = _Fit(model, task, runs, found).run()
@@ -115,6 +113,7 @@ def fit_innovations(task: Task) -> Fitted:
         lambda: parameters,
         about["facts"],
         said=about["said"],
+        begin=about.get("begin", {}),
     )
 
 
@@ -144,232 +143,157 @@ class _Fit:
 
     Args:
         model: Changed in place.
-        task: NetworkSettings.
+        task: Settings.
         runs: Runs with inputs as they acted.
         found: Declared physics; None where it is not all that acts on some port.
     """
 
     def __init__(self, model: NeuralSDE, task: Task, runs: Sequence[Run], found: Identified | None) -> None:
         self.model, self.task, self.runs, self.found = model, task, runs, found
-        self.identification: Identification | None = None
-        self.variables: Mapping[Port, tuple[str, ...]] = {}  # what networks were found to depend on
-        self.size = 0.0  # mean log standard deviation of the innovations
+        self.known: Identification | None = None
+        self.near: Mapping[str, Any] = task.near.begin if task.near is not None else {}
+        self.begin: dict[str, Any] = {}
         model.clock_scale.fill_(task.clock)
         if found is not None:
             self.physics = found.regression.physics
-            self.theta = self._in_loop(found)
+            self.known = self._identified(found) if task.near is None else self._near(found)
+            self.theta = self.known.values
         else:
             vector = ParameterVector(model.system)
-            steps = steps_of(vector.system, runs, clock=task.clock, smooth=False, denoise=True)
-            self.physics = Physics(vector, steps, foresee=False)
+            self.physics = Physics(vector, steps_of(vector.system, runs, clock=task.clock, smooth=False))
             self.theta = vector.inside(vector.start)
+        self.physics.vector.write(model.system, self.theta)
 
     def run(self) -> dict[str, Any]:
-        """Fit everything; returns what the checkpoint tells."""
+        """Fit everything; returns what the checkpoint holds."""
         model, options = self.model, self.task.options
         left = residuals(self.physics, self.theta, model.residual_ports)
-        self._standardise(left)
-        learned = self._functions(left)
-        if learned is None:
-            learned = self._networks(left, first=self.found is None)
+        model.residual_inputs.fit(model.system.network_features(left.states.float()))
+        model.eta.standardise.fit(model.system.features(left.states.float()))
+        learned = self._networks(left)
+        self.physics = with_networks(self.physics, model)
         if self.found is None:
-            left = self._again(left)
-            learned = self._networks(left)
-            change = self._left(left)
-        else:
-            left = residuals(with_networks(self.physics, model), self.theta, model.residual_ports)
-            change = left.change
+            self._beside_networks()
+        left = residuals(self.physics, self.theta, model.residual_ports)
         features = model.system.features(left.states.float())
         features = features[torch.linspace(0, len(features) - 1, min(_ROWS, len(features))).round().long()]
         steps = min(_DISTANCE_STEPS, options.steps)
         fit_distance(model, features, loss=self.task.loss, steps=steps, rate=options.lr, seed=self.task.seed)
-        self.size = float(np.mean(np.log([noise.std for noise in self._noises(left, change)])))
-        laws = channel_laws(self.physics, left, change, model)
+        laws = channel_laws(self.physics, left, model)
         window = model.spec.horizon * model.spec.dt * self.task.clock
         for column, rate in zip(left.rows.tolist(), self._doubt(left, learned), strict=True):
             name = model.system.state_names[column]
-            laws[name] = with_doubt(laws[name], rate, window)
+            # a rate that is off by r moves the state by r T in a time T, and a diffusion of r sqrt(T) as far
+            diffusion = hypot(laws[name].diffusion, rate * sqrt(window))
+            laws[name] = replace(laws[name], diffusion=diffusion)
         if not model.step.deterministic:
             set_laws(model, laws, left, features)
         return self._about(left, learned, laws)
 
     # ---- stages ---------------------------------------------------------------------------------------
 
-    def _in_loop(self, found: Identified) -> Array:
+    def _identified(self, found: Identified) -> Identification:
         """Declared parameters, with what the loop and instruments say of them."""
-        self.identification = known = identify_in_loop(
+        return identify_in_loop(
             found.spec.make_system(self.task.values),
             self.runs,
             clock=self.task.clock,
             method=found.method,
             instruments=self.task.instruments,
+            begun=found.settled,
         )
-        known.vector.write(self.model.system, known.values)
-        return known.values
 
-    def _standardise(self, left: Residuals) -> None:
-        system, states = self.model.system, left.states.float()
-        self.model.residual_inputs.fit(system.network_features(states))
-        blind_to_places(self.model)
-        self.model.eta.standardise.fit(system.features(states))
+    def _near(self, found: Identified) -> Identification:
+        """Declared parameters, under noise levels that are known if the likelihood was relied on."""
+        at = found.settled
+        known = identification(at.regression, found.method, standing=at.left_out)
+        if not self.near.get("relied"):
+            return known
+        levels = Levels(**{k: torch.tensor(v, dtype=torch.float64) for k, v in self.near["levels"].items()})
+        system = copy.deepcopy(at.regression.vector.system)
+        return by_likelihood(known, system, self.runs, self.task.clock, held=levels)
 
-    def _functions(self, left: Residuals) -> Learned | None:
-        """Networks from functions that the likelihood chose; None where there is no likelihood to rely on."""
-        known = self.identification
-        if known is None or known.optimum is None or not left.ports:
+    def _networks(self, left: Residuals) -> Distilled | None:
+        """Networks of what the likelihood finds; silent ones where there is no likelihood."""
+        model = self.model
+        at = self._optimum() if left.ports else None
+        if at is None:
+            _silence(model)
+            blind_to_places(model)
             return None
-        made = fit_functions(self.model, known.optimum, left)
-        if not made.functions.groups and not known.likelihood_used:
-            self._standardise(left)
-            return None
-        self.variables = made.variables
-        self.theta = made.functions.theta
-        self.identification = replace(known, values=self.theta)
-        return made.learned
+        made = fit_functions(model, at, left, among=self.near.get("functions"))
+        relied = self.known is not None and self.known.likelihood_used
+        levels = {f.name: getattr(at.levels, f.name).tolist() for f in fields(at.levels)}
+        self.begin = {"relied": relied, "levels": levels, "functions": made.chosen}
+        if made.functions.groups or relied or self.found is None:
+            self.theta = made.functions.theta
+            self.physics.vector.write(model.system, self.theta)
+            if self.known is not None:
+                self.known = replace(self.known, values=self.theta)
+        return made
 
-    def _again(self, left: Residuals) -> Residuals:
-        """Declared parameters beside networks that are all that acts on a port, and what is left without them."""
-        known = np.zeros_like(left.change)
-        with torch.no_grad():
-            model = self.model
-            known[:, left.rows] = pushed(model, model.residuals, left).T.double().numpy()
-        self.physics.measured = self.physics.measured - known
+    def _optimum(self) -> Optimum | None:
+        """Where the likelihood of declared physics is largest, also where its values are not those to print."""
+        if self.known is not None and self.known.optimum is not None:
+            return self.known.optimum
+        machine = copy.deepcopy(self.physics.vector.system)
+        self.physics.vector.write(machine, self.theta)
         try:
-            regression = Regression(self.physics)
-            regression.run(ITERATIONS)
-            self.identification = identification(regression, "weak")
-            self.theta = regression.theta
-            regression.vector.write(self.model.system, self.theta)
-        except DataError:
-            pass  # no input: nothing that is declared moves anything
-        self.physics.measured = self.physics.measured + known
-        return residuals(self.physics, self.theta, self.model.residual_ports)
-
-    def _networks(self, left: Residuals, *, first: bool = False) -> Learned | None:
-        model, task = self.model, self.task
-        if not left.ports:
+            problem = LogLikelihood(machine, _shortened(machine, self.runs), self.task.clock)
+            return nearly_maximised(problem)[1]
+        except (DataError, NonFiniteError, np.linalg.LinAlgError):
             return None
-        bare = self.found is None
-        if first or not bare:
-            for network in model.residuals.values():
-                _silence(network)
-        change = left.change if first or not bare else self._left(left)
-        noises = self._noises(left, change, first=first)
-        y = model.residual_inputs(model.system.network_features(left.states.float()))
-        settings = NetworkSettings(
-            steps=task.options.steps,
-            rate=_RATE * task.options.lr * (_BARE_RATE if bare else 1.0),
-            every=_EVERY,
-            patience=_PATIENCE,
-            folds=int(np.clip(round(1.0 / task.validation), *_FOLDS)),
-            block=max(1, round(_BLOCK_S / left.dt)),
-            penalty=lambda networks: self._decay(networks),
-        )
-        inputs = self.physics.steps.u[:, : model.system.nu].numpy()
-        with tqdm(
-            total=settings.steps, desc=task.name, unit="step", disable=no_bar(task.quiet), leave=False
-        ) as bar:
-            learned = fit_networks(
-                model.residuals,
-                lambda networks: pushed(model, networks, left, y),
-                torch.from_numpy(left.change[:, left.rows].T).float().contiguous(),
-                noises,
-                left.series,
-                _moved(left),
-                settings,
-                nuisance=torch.zeros(len(change), 0) if bare else input_history(inputs, left.series),
-                keep=[port not in model.system.physics_ports for port, _ in left.ports],
-                generator=torch.Generator().manual_seed(task.seed),
-                on_step=lambda _: _advance(bar),
-            )
-        for group, (port, _) in enumerate(left.ports):
-            if not learned.kept[group]:
-                _silence(model.residuals[port.value])
-        return learned
 
-    def _noises(self, left: Residuals, change: Array, *, first: bool = False) -> list[Noise]:
-        """Noise models of what is left (N, nx); of smoothed states no more than its size is known."""
-        if self.found is not None and self.found.method != "weak":
-            return [white_noise(change[:, c], left.series) for c in left.rows]
-        return noise_models(left, change, carry_limits(self.physics, self.theta, 1), first=first)
+    def _beside_networks(self) -> None:
+        """Declared parameters beside networks that are all that acts on a port."""
+        try:
+            regression = Regression(self.physics, start=self.theta)
+            regression.run(ITERATIONS)
+            self.known = identification(regression, "weak")
+        except DataError:
+            return  # no input: nothing that is declared moves anything
+        self.theta = self.known.values
+        self.physics.vector.write(self.model.system, self.theta)
 
-    def _decay(self, networks: nn.Module) -> Tensor:
-        """A network beside declared physics is kept small; one that is all there is on its port is not."""
-        beside = self.model.system.physics_ports & set(self.model.residual_ports)
-        norms = [_network(networks, port).weight_norm() for port in sorted(beside)]
-        return self.task.loss.decay * torch.stack(norms).sum() if norms else torch.zeros(())
-
-    @torch.no_grad()
-    def _left(self, left: Residuals) -> Array:
-        """What is left of every channel with the networks (N, nx)."""
-        out, model = left.change.copy(), self.model
-        if left.ports:
-            out[:, left.rows] -= pushed(model, model.residuals, left).T.double().numpy()
-        return out
-
-    def _doubt(self, left: Residuals, learned: Learned | None) -> Array:
+    def _doubt(self, left: Residuals, learned: Distilled | None) -> Array:
         """Standard error of the drift of each channel (channels,), root mean square over the data [per second]."""
         variance = np.zeros(len(left.rows))
         if learned is not None:
-            variance += np.square(np.array(learned.spread) / left.dt)
-        if self.identification is not None:
+            variance += np.square(learned.spread / left.dt)
+        if self.known is not None:
             slopes = self.physics.slopes(self.theta)[:, left.rows] / left.dt
-            known = np.nan_to_num(self.identification.covariance)
+            known = np.nan_to_num(self.known.covariance)
             variance += np.einsum("nck,kl,ncl->nc", slopes, known, slopes, optimize=True).mean(0).clip(0.0)
         return np.sqrt(variance)
 
-    # ---- what is told ---------------------------------------------------------------------------------
+    # ---- what is reported -----------------------------------------------------------------------------
 
     def _about(
-        self, left: Residuals, learned: Learned | None, laws: dict[str, Disturbance]
+        self, left: Residuals, learned: Distilled | None, laws: dict[str, Disturbance]
     ) -> dict[str, Any]:
-        model, found = self.model, self.found
-        history = [
-            {"step": float(step), "validation": score} for step, score in (learned.history if learned else ())
-        ]
+        found, known = self.found, self.known
+        size = np.sqrt(np.square(left.change[:, left.rows]).mean(0)).clip(1e-300)
+        score = learned.score if learned else float(np.log(size).mean())
+        steps = learned.steps if learned else 0
         progress = Progress(
-            step=learned.tried if learned else 0,
-            best_step=learned.steps if learned else 0,
-            best_score=self.size + 0.5 * (learned.after if learned else 1.0),
-            history=history or [{"step": 0.0, "validation": 1.0}],
+            step=steps,
+            best_step=steps,
+            best_score=score,
+            history=[{"step": float(steps), "validation": score}],
             stopped=True,
         )
-        if self.identification is not None:
-            parameters = self.identification.parameters()
+        if known is not None:
+            parameters = known.parameters()
         else:
-            declared = model.system.all_declared().items()
+            declared = self.model.system.all_declared().items()
             parameters = {
                 n: {"value": v.tolist(), "half_width_90": [None] * v.numel(), "unit": u}
                 for n, (v, u) in declared
             }
-        networks = {
-            port.value: {
-                "nats": learned.gain[k],
-                "standard_error": learned.error[k] if isfinite(learned.error[k]) else None,
-                "kept": learned.kept[k],
-                **({"variables": list(self.variables[port])} if port in self.variables else {}),
-            }
-            for k, (port, _) in enumerate(left.ports)
-            if learned is not None
-        }
-        return {
-            "progress": asdict(progress),
-            "parameters": parameters,
-            "facts": {
-                "validation": {
-                    "score": progress.best_score,
-                    "unit": "nats a step and channel, on blocks of time left out",
-                },
-                **self._facts(networks, laws),
-            },
-            "said": summary(found, self.identification, networks, learned),
-        }
-
-    def _facts(self, networks: dict[str, Any], laws: dict[str, Disturbance]) -> dict[str, Any]:
-        """What `metrics.json` holds of the fit."""
-        found, known = self.found, self.identification
+        networks = learned.networks if learned else {}
         loop = {} if known is None or known.loop is None else {"feedback": known.loop.as_dict()}
-        return {
+        facts = {
+            "validation": {"score": score, "unit": "nats a step and channel, on blocks of time left out"},
             **loop,
             "innovations": {
                 "networks": networks,
@@ -387,35 +311,54 @@ class _Fit:
                 "not_shown": known.findings if known else [],
             },
         }
+        said = _summary(found, known, networks)
+        return {
+            "progress": asdict(progress),
+            "parameters": parameters,
+            "facts": facts,
+            "said": said,
+            "begin": self.begin,
+        }
 
 
-def _network(networks: nn.Module, port: Port) -> MLP:
-    """The network of a port."""
-    assert isinstance(networks, nn.ModuleDict)
-    network = networks[port.value]
-    assert isinstance(network, MLP)
-    return network
+def _shortened(system: System, runs: Sequence[Run]) -> list[Run]:
+    """Runs, of very long data the first part of each stretch."""
+    share = _MOST / entries(system, runs)
+    if share >= 1.0:
+        return list(runs)
+    return [
+        replace(run, segments=tuple((a, a + int(share * (b - a))) for a, b in run.segments)) for run in runs
+    ]
 
 
 @torch.no_grad()
-def _silence(network: nn.Module) -> None:
-    """Let a network say nothing."""
-    assert isinstance(network, MLP)
-    last = network.layers[-1]
-    for parameter in last.parameters():
-        parameter.zero_()
+def _silence(model: NeuralSDE) -> None:
+    """Let all residual networks say nothing."""
+    for network in model.residuals.values():
+        for parameter in network.layers[-1].parameters():  # type: ignore[union-attr, index]
+            parameter.zero_()
 
 
-def _advance(bar: tqdm) -> None:
-    bar.update()
-
-
-def _moved(left: Residuals) -> list[list[int]]:
-    """Columns of `Residuals.rows` that each port moves."""
-    groups, at = [], 0
-    largest = float(left.response.abs().max())
-    for _, width in left.ports:
-        size = left.response[:, :, at : at + width].abs().amax((0, 2))
-        groups.append(torch.nonzero(size > 1e-6 * largest)[:, 0].tolist())
-        at += width
-    return groups
+def _summary(
+    found: Identified | None, known: Identification | None, networks: Mapping[str, Mapping[str, Any]]
+) -> str:
+    """What a person reads of the fit."""
+    lines = []
+    if found is not None:
+        r = found.regression
+        lines.append(
+            f"fitted: declared physics by prediction errors ({r.iterations} iterations, "
+            f"{'settled' if r.converged else 'not settled'})"
+        )
+        if found.learned:
+            lines.append(
+                f"learned: inputs act late, as by {found.learned} ({number(found.evidence)} nats); it is not declared, "
+                "model.learn_lag=false leaves it out"
+            )
+    for port, n in networks.items():
+        of = f"of {', '.join(n['variables'])}" if n["kept"] else "none"
+        nats = f"{n['nats']:+.1f} +- {n['standard_error']:.1f} nats on blocks left out"
+        lines.append(f"network on {port}: {nats}: {of}")
+    lines += [f"warning: {sentence}" for sentence in (known.warnings if known else ())]
+    lines += [f"feedback: {sentence}" for sentence in (known.of_the_loop if known else ())]
+    return "\n".join(lines)

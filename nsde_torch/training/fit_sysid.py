@@ -3,10 +3,11 @@
 import torch
 
 from nsde_torch.evaluation.report import between_ends, number, table
-from nsde_torch.innovations.inputs import as_applied, fit_filter
 from nsde_torch.models.identified import IdentifiedModel, SysidSpec
+from nsde_torch.recording.smoothing import as_applied
 from nsde_torch.sysid.in_loop import identify_in_loop
 from nsde_torch.sysid.result import Identification
+from nsde_torch.training.input_filter import fit_filter
 from nsde_torch.training.progress import Progress
 from nsde_torch.training.task import Fitted, Task
 

@@ -65,7 +65,8 @@ class LossOptions:
 class TrainerOptions:
     """Optimisation with Adam (supplement: batch 512, rate 0.01 to 0.001 over 10,000 steps).
 
-    With loss="innovations" all data are one batch, and there is no polish.
+    With loss="innovations" steps and lr are those of the distance, the rest is least squares; the step is compiled with
+    compile="on" alone, because too little is sampled to pay for it.
     """
 
     steps: int = key(1000, "largest number of gradient steps", unit="steps", low=1)

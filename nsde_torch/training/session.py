@@ -84,7 +84,10 @@ class Training:
         self.instruments, self.kept = tuple(instruments), kept
         self.folder, self.about, self.other_sensors = Path(run_dir), about, other_sensors
         self.say, self.quiet = say or (lambda text: None), say is False
-        self.compile = options.compile != "off" and model_kind(spec.kind).compiles
+        compiles = model_kind(spec.kind).compiles
+        # a fit by innovations samples too little to pay for it: a minute of compiler for some seconds
+        compiles = compiles and (options.compile == "on" or loss.kind != "innovations")
+        self.compile = options.compile != "off" and compiles
         self.smoothing = smoothing_width(split.train, len(data.input_names))
         self.filter_reach = spec.input_filter_reach
 
@@ -113,7 +116,7 @@ class Training:
             + (f"; then {p.polished} steps on all windows" if p.polished else "")
         )
         save(model, self.folder, about={"calibrated": False, **(self.about or {})})
-        calibration = self._calibrate(model)
+        calibration = self._calibrate(fit)
         loop = {} if "feedback" in fit.facts else self._feedback(model)
         metrics: dict[str, Any] = {
             "system": self.spec.system,
@@ -153,7 +156,14 @@ class Training:
 
     # ---- stages ---------------------------------------------------------------------------------------
 
-    def _fit(self, runs: Sequence[Run], seed: int, name: str, options: TrainerOptions) -> Fitted:
+    def _fit(
+        self,
+        runs: Sequence[Run],
+        seed: int,
+        name: str,
+        options: TrainerOptions,
+        near: Fitted | None = None,
+    ) -> Fitted:
         clock = of_runs(self.data.summary.slopes, [r.name for r in runs], measured=self.data.clock_scale)
         task = Task(
             spec=self.spec,
@@ -171,6 +181,7 @@ class Training:
             log=self._scalars(name),
             instruments=self.instruments,
             quiet=self.quiet,
+            near=near,
         )
         fitted: Fitted = model_kind(self.spec.kind).fit(task)
         return fitted
@@ -192,7 +203,8 @@ class Training:
             self.say(f"feedback: {sentence}")
         return out
 
-    def _calibrate(self, model: Model) -> dict[str, Any]:
+    def _calibrate(self, fit: Fitted) -> dict[str, Any]:
+        model = fit.model
         if not self.options.calibrate or self.loss.kind == "paper" or not is_stochastic(model):
             return {"factor": 1.0}
         runs = self.split.train
@@ -206,7 +218,7 @@ class Training:
             others = [run for i, run in enumerate(runs) if i != k]
             name = f"calibrate {turn + 1} of {count}"
             try:
-                auxiliary = self._fit(others, self.seed + 1000 + turn, name, short).model
+                auxiliary = self._fit(others, self.seed + 1000 + turn, name, short, fit).model
                 assert is_stochastic(auxiliary)
                 coverage = Coverage(auxiliary, [runs[k]], seed=self.seed, compile=self.compile)
             except (DataError, NonFiniteError) as error:

@@ -37,6 +37,7 @@ class Task:
         log: Called with step and losses at each validation.
         instruments: Logged columns from outside the loop (see `identify_in_loop`).
         quiet: No progress bar.
+        near: A fit of the same model to these runs and others, near which this one begins.
     """
 
     spec: ModelSpec
@@ -54,6 +55,7 @@ class Task:
     log: Callable[[int, dict[str, float]], None]
     instruments: Sequence[str] = ()
     quiet: bool = False
+    near: "Fitted | None" = None
 
     @property
     def identity(self) -> str:
@@ -90,6 +92,7 @@ class Fitted:
         parameters: Makes the declared parameters with intervals: name -> `value`, `half_width_90`, `unit`.
         facts: Further plain values for `metrics.json`.
         said: What to say of the fit, beside the table of parameters; empty: the optimisation's usual line.
+        begin: Plain values with which a fit to some of the runs begins (`Task.near`).
     """
 
     model: Model
@@ -97,3 +100,4 @@ class Fitted:
     parameters: Callable[[], Parameters] = _none
     facts: dict[str, Any] = field(default_factory=dict)
     said: str = ""
+    begin: dict[str, Any] = field(default_factory=dict)

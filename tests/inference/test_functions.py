@@ -10,7 +10,7 @@ import pytest
 
 from nsde_torch.data import Run
 from nsde_torch.inference import LogLikelihood, maximised
-from nsde_torch.inference.functions import Functions, learned, seen_by_networks
+from nsde_torch.inference.functions import BasisGroup, Functions, learned, seen_by_networks
 from tests.inference.springs import SENSOR, TRUTH, B, G, K, rubbing, small_runs, spring
 
 
@@ -40,6 +40,15 @@ def test_a_drag_is_found_as_a_function_of_the_speed_with_what_the_damping_is_bes
 
 def spring_labels() -> list[str]:
     return list(LogLikelihood(spring(), small_runs(rubbing(0.0), 1, 3.0, seed=0)).vector.labels)
+
+
+def test_among_given_groups_only_those_that_explain_something_are_taken() -> None:
+    runs = small_runs(replace(rubbing(0.0), effects={"quadratic": {"size": 0.1}}), 4, 10.0, seed=3)
+    _, at = maximised(LogLikelihood(spring(), runs), nuisances=False)
+    of_place, of_speed = BasisGroup(0, ("q",), "smooth"), BasisGroup(0, ("q_dot",), "signed")
+    out = learned(at, seen_by_networks(spring()), [0], among=[of_place, of_speed])
+    assert out.groups == (of_speed,)
+    assert learned(at, seen_by_networks(spring()), [0], among=[]).groups == ()
 
 
 def test_nothing_is_found_where_nothing_is_missing() -> None:

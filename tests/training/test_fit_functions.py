@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.effects import Port
 from nsde_torch.models.neural_sde import NeuralSDE
+from nsde_torch.training.fit_functions import _signals, _slopes
 from tests.inference.springs import TRUTH, B, rubbing, small_runs
 
 
@@ -42,6 +44,20 @@ def test_the_network_sees_the_variable_of_the_law_and_fades_beyond_the_data(tmp_
         true = -TRUTH[B] * v - 0.1 * abs(v) * v
         assert force(0.0, v) - damping * v == pytest.approx(true, abs=0.08 * fastest)
     assert abs(force(0.0, 4.0 * fastest)) < abs(force(0.0, 0.9 * fastest))
+
+
+def test_slopes_of_a_network_are_those_of_autograd() -> None:
+    generator = torch.Generator().manual_seed(0)
+    widths = [3, 5, 4, 2]
+    size = sum(m * n + m for n, m in pairwise(widths))
+    phi = torch.randn(size, generator=generator, dtype=torch.float64)
+    y = torch.randn(7, 3, generator=generator, dtype=torch.float64)
+
+    def outputs(phi: torch.Tensor) -> torch.Tensor:
+        return _signals(phi, widths, y)[-1]
+
+    expected = torch.autograd.functional.jacobian(outputs, phi)
+    torch.testing.assert_close(_slopes(phi, widths, _signals(phi, widths, y)[:-1]), expected)
 
 
 def test_where_nothing_is_missing_the_network_is_silent(tmp_path: Path) -> None:

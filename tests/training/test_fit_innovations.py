@@ -58,7 +58,15 @@ def closed_loop(seed: int, *, lag: float, drag: float = 0.0) -> list[RawRun]:
     return runs
 
 
-def fitted(raw: list[RawRun], folder: Path, spec: SDESpec = SPEC, *, seed: int = 0, **options: int) -> Fitted:
+def fitted(
+    raw: list[RawRun],
+    folder: Path,
+    spec: SDESpec = SPEC,
+    *,
+    seed: int = 0,
+    near: Fitted | None = None,
+    **options: int,
+) -> Fitted:
     data = assemble(raw, make_system("mass_spring_damper"), kind="csv")
     task = Task(
         spec=spec,
@@ -74,6 +82,7 @@ def fitted(raw: list[RawRun], folder: Path, spec: SDESpec = SPEC, *, seed: int =
         dtype=torch.float32,
         checkpoint=folder / "train",
         log=lambda *_: None,
+        near=near,
     )
     return fit_innovations(task)
 
@@ -91,6 +100,27 @@ def test_a_controller_in_the_loop_bends_neither_gains_nor_the_lag(tmp_path: Path
         (value,), (half,) = p[name]["value"], p[name]["half_width_90"]  # type: ignore[misc]
         assert abs(value - truth) < max(2.0 * half, 0.02 * truth), (name, value, half)
     assert not any(n["kept"] for n in found.facts["innovations"]["networks"].values())
+
+
+def test_a_fit_to_some_of_the_runs_begins_where_that_of_all_ended_and_has_values_of_its_own(
+    tmp_path: Path,
+) -> None:
+    def runs() -> list[RawRun]:
+        return closed_loop(6, lag=0.08, drag=0.5)
+
+    whole = fitted(runs(), tmp_path / "whole")
+    assert whole.facts["innovations"]["networks"]["force"]["variables"] == ["q_dot"]
+    for k, near in enumerate(
+        (whole, fitted(runs(), tmp_path / "whole"))
+    ):  # as it was, and from its checkpoint
+        part = fitted(runs()[:1], tmp_path / f"part_{k}", near=near)
+        assert part.model.spec.effects == whole.model.spec.effects == ("actuator_lag",)
+        assert part.facts["innovations"]["networks"]["force"]["variables"] in (["q_dot"], [])
+        of_all, own = whole.parameters(), part.parameters()
+        for name, p in own.items():
+            (value,), (half,) = p["value"], p["half_width_90"]  # type: ignore[misc]
+            (other,) = of_all[name]["value"]  # type: ignore[misc]
+            assert 0.0 < abs(value - other) < 3.0 * half, name
 
 
 def test_a_lag_is_learned_only_where_there_is_one_and_it_may_be(tmp_path: Path) -> None:

@@ -3,8 +3,8 @@
 A network of the state cannot hold what an actuator remembers: in a closed loop it would learn the controller instead.
 So where the declared effects carry no memory of the inputs, each law of the catalogue that does is fitted beside the
 declared parameters, and the likeliest is taken if the log likelihood of the innovations rises by more than `EVIDENCE`
-and its time is not nothing by two half-widths of its interval. It is told as learned; to have it as declared physics,
-name it in system.effects.
+and its time is not nothing by two half-widths of its interval. It is reported as learned; to have it as declared
+physics, name it in system.effects.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,9 +16,8 @@ from nsde_torch.data import Run
 from nsde_torch.effects import Effect, Port
 from nsde_torch.errors import NsdeError
 from nsde_torch.models.neural_sde import SDESpec
-from nsde_torch.sysid.identify import identification, settled
+from nsde_torch.sysid.identify import Settled, identification, regression_of, settled
 from nsde_torch.sysid.regression import ITERATIONS, Regression
-from nsde_torch.systems import System
 
 LAWS = ("motor_lag", "actuator_lag", "input_delay")
 """Effects of the catalogue with which inputs act late, one time each."""
@@ -32,17 +31,22 @@ class Identified:
 
     Args:
         spec: Specification with the law that was learned, if any.
-        regression: At its optimum.
+        settled: The regression at its optimum, and its runs.
         learned: Name of the law; empty for none.
         evidence: Log likelihood that it won [nats].
         method: Of the identification.
     """
 
     spec: SDESpec
-    regression: Regression
+    settled: Settled
     learned: str = ""
     evidence: float = 0.0
     method: str = "weak"
+
+    @property
+    def regression(self) -> Regression:
+        """The regression at its optimum."""
+        return self.settled.regression
 
 
 def identified(
@@ -63,36 +67,39 @@ def identified(
         NonFiniteError: the physics leaves the finite numbers.
     """
     system = spec.make_system(values)
-    base = _settled(system, runs, clock, method)
+    base = settled(system, runs, clock=clock, method=method, width=None, iterations=ITERATIONS)
     remembers = any(isinstance(e, Effect) and e.port is Port.INPUT and e.n_memory for e in system.effects)
     found = Identified(spec, base, method=method)
     if not spec.learn_lag or remembers or method != "weak":
         return found
+    rows = len(base.regression.series)  # a memory takes some rows for itself
+    before = _log_likelihood(base.regression, rows)
     for name in LAWS:
         wider = replace(spec, effects=(*spec.effects, name))
         try:
-            regression = _settled(wider.make_system(values), runs, clock, method)
-            sure = identification(regression, method).parameters()
+            machine = wider.make_system(values)
+            base.regression.vector.write(machine, base.regression.theta)
+            regression = regression_of(machine, base.runs, clock=clock)
+            regression.run(ITERATIONS)
+            won = _log_likelihood(regression, rows) - before
+            if won > max(EVIDENCE, found.evidence) and _shown(regression, name):
+                found = Identified(wider, replace(base, regression=regression), name, won)
         except NsdeError:
             continue  # a law that does not fit the system, or cannot be followed at this step
-        won = log_likelihood(regression, len(base.series)) - log_likelihood(base, len(base.series))
-        times = [p for key, p in sure.items() if key.startswith(f"{name}.")]
-        shown = all(
-            half is not None and value > 2.0 * half
-            for p in times
-            for value, half in zip(p["value"], p["half_width_90"], strict=True)  # type: ignore[call-overload]
-        )
-        if shown and won > max(EVIDENCE, found.evidence):
-            found = Identified(wider, regression, name, won)
     return found
 
 
-def _settled(system: System, runs: Sequence[Run], clock: float, method: str) -> Regression:
-    """The regression after its last step, without rows in which what has dry friction stands."""
-    return settled(system, runs, clock=clock, method=method, width=None, iterations=ITERATIONS)[0]
+def _shown(regression: Regression, law: str) -> bool:
+    """Whether the times of a law are surely more than nothing."""
+    sure = identification(regression, "weak").parameters()
+    return all(
+        half is not None and value > 2.0 * half
+        for key, p in sure.items()
+        if key.startswith(f"{law}.")
+        for value, half in zip(p["value"], p["half_width_90"], strict=True)  # type: ignore[call-overload]
+    )
 
 
-def log_likelihood(regression: Regression, rows: int) -> float:
+def _log_likelihood(regression: Regression, rows: int) -> float:
     """Log likelihood of so many innovations [nats], up to a constant, less one for each parameter of the noise."""
-    noises = zip(regression.rows.tolist(), regression.noises, strict=True)
-    return sum(-rows * log(noise.std) - noise.parameters for _, noise in noises)
+    return sum(-rows * log(noise.std) - noise.parameters for noise in regression.noises)

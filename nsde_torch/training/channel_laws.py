@@ -1,34 +1,29 @@
 """From the laws of residuals to the diffusion, the disturbances and the sensors of a neural SDE."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from nsde_torch.innovations.disturbances import Disturbance, fit, spectrum
-from nsde_torch.innovations.residuals import Residuals
+from nsde_torch.evaluation.residuals import Residuals, disturbed_channels
+from nsde_torch.evaluation.spectra import Disturbance, fit, spectrum
 from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.rotation import rotation_between
 from nsde_torch.sysid.physics import Physics
 
-Array = NDArray[np.float64]
-
 _LEAST = 1e-7  # a diffusion or a sensor that is nothing, in the units of the state
 
 
-def channel_laws(physics: Physics, found: Residuals, left: Array, model: NeuralSDE) -> dict[str, Disturbance]:
+def channel_laws(physics: Physics, found: Residuals, model: NeuralSDE) -> dict[str, Disturbance]:
     """Laws of what is left of every channel, by the name of the state.
 
     Args:
         physics: Names and attitudes.
-        found: Residuals of physics alone.
-        left: Residuals of every channel with the networks (N, nx).
+        found: Residuals with the networks.
         model: Says which ports are disturbed, and the least correlation time.
     """
-    system, q = model.system, model.system.quaternion
+    system, q, left = model.system, model.system.quaternion, found.change
     lasting = {int(found.rows[c]) for c in disturbed_channels(model, found)}
     forced = set(found.rows.tolist())
     shortest = 2.0 * model.spec.dt * float(model.clock_scale)
@@ -55,30 +50,6 @@ def channel_laws(physics: Physics, found: Residuals, left: Array, model: NeuralS
             for part in ("sensor", "diffusion")
         )
         out.update({n: Disturbance(diffusion, out[n].std, out[n].tau, sensor) for n in names})
-    return out
-
-
-def with_doubt(law: Disturbance, rate: float, seconds: float) -> Disturbance:
-    """A law whose diffusion also holds what is not known of the drift.
-
-    A rate that is off by `rate` moves the state by rate T in a time T, and a diffusion of rate sqrt(T) as far.
-
-    Args:
-        law: Of what disturbs.
-        rate: Standard error of the drift [unit of the state per second].
-        seconds: T [s].
-    """
-    return replace(law, diffusion=math.hypot(law.diffusion, rate * math.sqrt(seconds)))
-
-
-def disturbed_channels(model: NeuralSDE, found: Residuals) -> list[int]:
-    """Column of `Residuals.rows` that each disturbance of a model moves most."""
-    out, at = [], 0
-    size = found.response.abs().mean(0)  # (channels, width)
-    for port, width in found.ports:
-        if port in model.disturbed_ports:
-            out += [int(size[:, at + j].argmax()) for j in range(width)]
-        at += width
     return out
 
 

@@ -11,15 +11,8 @@ from numpy.typing import NDArray
 
 from nsde_torch.data import Run
 from nsde_torch.models.input_filter import InputFilter
-from nsde_torch.recording.smoothing import restored, smoothing_width
 
 Array = NDArray[np.float64]
-
-
-def as_applied(runs: Sequence[Run], n_inputs: int) -> list[Run]:
-    """Runs with inputs as they acted, where a moving average is found in those logged."""
-    width = smoothing_width(runs, n_inputs)
-    return [restored(run, n_inputs, width) for run in runs] if width else list(runs)
 
 
 @torch.no_grad()

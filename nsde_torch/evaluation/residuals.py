@@ -13,21 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.signal import lfilter
-from torch import Tensor, nn
+from torch import Tensor
 
 from nsde_torch.effects import Port
 from nsde_torch.models.neural_sde import NeuralSDE
-from nsde_torch.sysid.noise import Noise, estimate, first_guess
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.series import Series
 
 Array = NDArray[np.float64]
 
-_FADING = (0.0, 0.5, 0.8, 0.9, 0.95)  # share of a memory that is left after a step
-_SPANNED = 1e-3  # of the largest singular value: directions that inputs hardly take
-_ROUNDING = 1e-9  # of the inputs: what is left of constant ones once their mean is taken off
-_ORDERS_S, _ORDERS = 0.4, 40  # longest autoregression [s], [steps]
 _MOVES = 1e-6  # of the largest slope: below that a port does not move a channel
 
 
@@ -92,59 +86,12 @@ def with_networks(physics: Physics, model: NeuralSDE) -> Physics:
     return physics.beside(lambda x: {port: f.double() for port, f in model.residual(x.float()).items()})
 
 
-def noise_models(found: Residuals, left: Array, limits: Array, *, first: bool = False) -> list[Noise]:
-    """ARMA noise models of the channels that forces move.
-
-    Args:
-        found: Says which channels.
-        left: What is left of every channel (N, nx).
-        limits: Largest moving average of every channel (nx,).
-        first: Take the noise for that of the sensors alone, while what is left is not noise.
-    """
-    orders = int(np.clip(round(_ORDERS_S / found.dt), 2, min(_ORDERS, max(len(found.series) // 50, 2))))
-    out = []
-    for c in found.rows.tolist():
-        if first:
-            out.append(first_guess(left[:, c], found.series, float(limits[c])))
-        else:
-            out.append(estimate(left[:, c], found.series, limit=float(limits[c]), orders=orders))
+def disturbed_channels(model: NeuralSDE, found: Residuals) -> list[int]:
+    """Column of `Residuals.rows` that each disturbance of a model moves most."""
+    out, at = [], 0
+    size = found.response.abs().mean(0)  # (channels, width)
+    for port, width in found.ports:
+        if port in model.disturbed_ports:
+            out += [int(size[:, at + j].argmax()) for j in range(width)]
+        at += width
     return out
-
-
-def pushed(model: NeuralSDE, networks: nn.Module, found: Residuals, y: Tensor | None = None) -> Tensor:
-    """Change over each step by residual networks (channels, N).
-
-    Args:
-        model: Says what networks see and how large their unit is.
-        networks: One by port; those of the model or others of the same form.
-        found: Residuals, whose ports the networks are of.
-        y: What the networks see (N, nr); None works it out.
-    """
-    assert isinstance(networks, nn.ModuleDict)
-    if y is None:
-        y = model.residual_inputs(model.system.network_features(found.states.float()))
-    parts = [model.residual_scale(port) * networks[port.value](y) for port, _ in found.ports]
-    return torch.einsum("ncw,nw->cn", found.response.float(), torch.cat(parts, 1))
-
-
-def input_history(u: Array, series: Series) -> Tensor:
-    """Inputs of each step and what several fading memories hold of those before it (N, p), in their own directions.
-
-    Args:
-        u: Inputs held over the steps (N, nu).
-        series: Stretches of the steps.
-    """
-    centred = u - u.mean(0)
-    _, values, directions = np.linalg.svd(centred, full_matrices=False)
-    if not len(values) or values[0] <= _ROUNDING * np.linalg.norm(u):  # of constant inputs rounding is left
-        return torch.zeros(len(u), 0)
-    own = centred @ directions[values > _SPANNED * values[0]].T
-    own = own / own.std(0)
-    parts = [own]
-    for keep in _FADING:
-        faded = np.zeros_like(own)
-        for a, b in series.edges:
-            faded[a + 1 : b] = lfilter([1.0 - keep], [1.0, -keep], own[a : b - 1] - own[a], axis=0) + own[a]
-            faded[a] = own[a]
-        parts.append(faded)
-    return torch.from_numpy(np.concatenate(parts, 1)).float()

@@ -35,17 +35,11 @@ REPLICATES = 2000
 
 @dataclass(frozen=True)
 class Blocks:
-    """What is resampled.
+    """What is resampled."""
 
-    Args:
-        of_start: Block of each start (S,).
-        count: Number of blocks.
-        unit: What they are, in words: "runs" or "blocks of 4 s".
-    """
-
-    of_start: NDArray[np.int64]
-    count: int
-    unit: str
+    of_start: NDArray[np.int64]  # block of each start (S,)
+    count: int  # number of blocks
+    unit: str  # what they are, in words: "runs" or "blocks of 4 s"
 
 
 def make_blocks(run: NDArray[np.int64], t: NDArray[np.float64], *, length: float) -> Blocks:
@@ -80,17 +74,11 @@ def make_blocks(run: NDArray[np.int64], t: NDArray[np.float64], *, length: float
 
 @dataclass(frozen=True)
 class Difference:
-    """Difference of the root mean square errors, other minus first, of K quantities.
+    """Difference of the root mean square errors, other minus first, of K quantities."""
 
-    Args:
-        value: The difference (K,).
-        low: Lower end of its interval (K,), NaN where there are too few blocks.
-        high: Upper end (K,).
-    """
-
-    value: Tensor
-    low: Tensor
-    high: Tensor
+    value: Tensor  # the difference (K,)
+    low: Tensor  # lower end of its interval (K,), NaN where there are too few blocks
+    high: Tensor  # upper end (K,)
 
     def words(self) -> list[str]:
         """Whether the other is "better" or "worse", or "no difference" is shown; "too few blocks" to say."""

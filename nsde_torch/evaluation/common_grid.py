@@ -41,44 +41,27 @@ def note(text: str, *, red: bool = False) -> Note:
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A model to evaluate.
+    """A model to evaluate."""
 
-    Args:
-        name: Name in tables and figures.
-        model: The model.
-        seen: Runs that it was trained on.
-        folder: Its run directory.
-        measurement_std: Noise of the sensors of the runs if it is not that of its training data (nx,).
-        reach: Reach of its input filter on each side [s].
-        smoothing: Width of the average that had smoothed the inputs of its training data [s].
-    """
-
-    name: str
-    model: Model
-    seen: SeenRuns
-    folder: str = ""
+    name: str  # name in tables and figures
+    model: Model  # the model
+    seen: SeenRuns  # runs that it was trained on
+    folder: str = ""  # its run directory
     measurement_std: Tensor | None = None
-    reach: float = 0.0
-    smoothing: float = 0.0
+    """Noise of the sensors of the runs if it is not that of its training data (nx,)."""
+    reach: float = 0.0  # reach of its input filter on each side [s]
+    smoothing: float = 0.0  # width of the average that had smoothed the inputs of its training data [s]
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Where a model is scored.
+    """Where a model is scored."""
 
-    Args:
-        runs: The runs with the input columns that the model reads.
-        windows: Windows of the model's step in them.
-        starts: Window numbers of the common starts (B,).
-        steps: Step of the model nearest to each horizon.
-        dt: Step on the clock of the training data [s].
-    """
-
-    runs: Sequence[Run]
-    windows: Windows
-    starts: Tensor
-    steps: Sequence[int]
-    dt: float
+    runs: Sequence[Run]  # the runs with the input columns that the model reads
+    windows: Windows  # windows of the model's step in them
+    starts: Tensor  # window numbers of the common starts (B,)
+    steps: Sequence[int]  # step of the model nearest to each horizon
+    dt: float  # step on the clock of the training data [s]
 
     @property
     def times(self) -> list[float]:

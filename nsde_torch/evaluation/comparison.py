@@ -65,19 +65,12 @@ _LEVEL = 0.95
 
 @dataclass(frozen=True)
 class Comparison:
-    """Scores of some models.
+    """Scores of some models."""
 
-    Args:
-        content: What `evaluation.json` holds.
-        candidates: The models.
-        grids: Where each was scored.
-        scores: Scores of each, start by start.
-    """
-
-    content: dict[str, Any]
-    candidates: Sequence[Candidate]
-    grids: Sequence[Grid]
-    scores: Sequence[Scores]
+    content: dict[str, Any]  # what `evaluation.json` holds
+    candidates: Sequence[Candidate]  # the models
+    grids: Sequence[Grid]  # where each was scored
+    scores: Sequence[Scores]  # scores of each, start by start
 
     @property
     def errors(self) -> dict[str, dict[str, float]]:

@@ -27,26 +27,18 @@ _MOVES = 1e-6  # of the largest slope: below that a port does not move a channel
 
 @dataclass(frozen=True)
 class Residuals:
-    """Residuals of the steps of some runs.
+    """Residuals of the steps of some runs."""
 
-    Args:
-        states: Foreseen states in the middle of each step (N, nx).
-        change: What physics leaves of the change over each step (N, nx); velocities of a machine with an attitude in
-            body axes.
-        response: Change over a step by a unit of each force (N, channels, width), on the channels `rows`.
-        ports: Ports in the order of the columns of `response`, with their widths.
-        rows: Numbers of the channels that a force moves.
-        series: Stretches of the steps.
-        dt: Length of a step [s], physical.
-    """
-
-    states: Tensor
+    states: Tensor  # foreseen states in the middle of each step (N, nx)
+    # what physics leaves of the change over each step (N, nx); velocities of a machine with an attitude in body
+    # axes
     change: Array
     response: Tensor
-    ports: tuple[tuple[Port, int], ...]
-    rows: NDArray[np.int64]
-    series: Series
-    dt: float
+    """Change over a step by a unit of each force (N, channels, width), on the channels `rows`."""
+    ports: tuple[tuple[Port, int], ...]  # ports in the order of the columns of `response`, with their widths
+    rows: NDArray[np.int64]  # numbers of the channels that a force moves
+    series: Series  # stretches of the steps
+    dt: float  # length of a step [s], physical
 
 
 def residuals(physics: Physics, theta: Array, ports: Sequence[Port]) -> Residuals:

@@ -111,27 +111,17 @@ def group_squares(system: System, errors: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Scores:
-    """Scores of the S starts from which a model stayed in the finite numbers.
+    """Scores of the S starts from which a model stayed in the finite numbers."""
 
-    Args:
-        system: The system, for groups and channels.
-        starts: Number of starts tried.
-        kept: Positions, among those tried, of the S starts (S,).
-        squares: Squared norms of the prediction's error, by "model" and baseline: (S, horizons, groups).
-        inside: Whether the intervals hold the measurement (S, horizons, levels, channels).
-        crps: Fair CRPS (S, horizons, channels).
-        spread: Standard deviation of the particles (S, horizons, channels).
-        nll: Gaussian negative log likelihood (S, horizons, channels), NaN where there is no spread.
-    """
-
-    system: System
-    starts: int
-    kept: Tensor
+    system: System  # the system, for groups and channels
+    starts: int  # number of starts tried
+    kept: Tensor  # positions, among those tried, of the S starts (S,)
     squares: Mapping[str, Tensor]
-    inside: Tensor
-    crps: Tensor
-    spread: Tensor
-    nll: Tensor
+    """Squared norms of the prediction's error, by "model" and baseline: (S, horizons, groups)."""
+    inside: Tensor  # whether the intervals hold the measurement (S, horizons, levels, channels)
+    crps: Tensor  # fair CRPS (S, horizons, channels)
+    spread: Tensor  # standard deviation of the particles (S, horizons, channels)
+    nll: Tensor  # Gaussian negative log likelihood (S, horizons, channels), NaN where there is no spread
 
     @property
     def diverged(self) -> int:

@@ -60,17 +60,11 @@ def record(runs: Iterable[Run]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class SeenRuns:
-    """The runs that a model was trained on.
+    """The runs that a model was trained on."""
 
-    Args:
-        names: Their names.
-        hashes: Content hash by name; None where the training did not write them.
-        rows: Sketch of the rows by name.
-    """
-
-    names: Sequence[str]
-    hashes: Mapping[str, str] | None
-    rows: Mapping[str, str]
+    names: Sequence[str]  # their names
+    hashes: Mapping[str, str] | None  # content hash by name; None where the training did not write them
+    rows: Mapping[str, str]  # sketch of the rows by name
 
     @classmethod
     def of(cls, metrics: Mapping[str, Any]) -> "SeenRuns":

@@ -30,19 +30,13 @@ _FEWEST = 16  # rows of a stretch whose periodogram counts
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Law of the residual of one channel.
+    """Law of the residual of one channel."""
 
-    Args:
-        diffusion: sigma [unit of the state per root second].
-        std: Standard deviation of the lasting force [unit of the state per second]; 0 where there is none.
-        tau: Its correlation time [s].
-        sensor: Standard deviation of the sensor [unit of the state].
-    """
-
-    diffusion: float
+    diffusion: float  # sigma [unit of the state per root second]
     std: float
-    tau: float
-    sensor: float
+    """Standard deviation of the lasting force [unit of the state per second]; 0 where there is none."""
+    tau: float  # its correlation time [s]
+    sensor: float  # standard deviation of the sensor [unit of the state]
 
     def without_memory(self, seconds: float) -> "Disturbance":
         """The law whose diffusion moves the state as far over some seconds as diffusion and force do here."""
@@ -55,19 +49,12 @@ class Disturbance:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Periodogram in bins of about equal width in log frequency.
+    """Periodogram in bins of about equal width in log frequency."""
 
-    Args:
-        power: Mean periodogram of each bin (bins,) [unit of the residual squared].
-        angle: Its frequency [rad a step].
-        count: Number of frequencies in it.
-        dt: Step [s].
-    """
-
-    power: Array
-    angle: Array
-    count: Array
-    dt: float
+    power: Array  # mean periodogram of each bin (bins,) [unit of the residual squared]
+    angle: Array  # its frequency [rad a step]
+    count: Array  # number of frequencies in it
+    dt: float  # step [s]
 
 
 def spectrum(columns: Array, series: Series, dt: float) -> Spectrum:

@@ -68,33 +68,21 @@ _AT_BOUND = 1e-5  # of a parameter's scale
 
 @dataclass(frozen=True)
 class MaximumLikelihood:
-    """Parameters and noise levels of largest likelihood.
+    """Parameters and noise levels of largest likelihood."""
 
-    Args:
-        vector: Names, units and bounds of the parameters.
-        theta: Their values (k,).
-        free: Numbers of those that stand at no bound and that the data show.
-        spread: Jackknife of these over blocks of time.
-        levels: Noise levels.
-        likelihood: Log likelihood [nats].
-        settled: Whether the last step was a twentieth of a standard error at most.
-        square: Mean square of the whitened innovations of each measured channel (m,): 1 where the model is right.
-        predictable: Share of their variance that those of the ten rows before predict (m,): 0 where the model is right.
-        channels: Names of the measured error channels.
-        disturbances: Ports that disturbances act on, and their columns.
-    """
-
-    vector: ParameterVector
-    theta: Array
-    free: Labels
-    spread: Spread
-    levels: Levels
-    likelihood: float
-    settled: bool
+    vector: ParameterVector  # names, units and bounds of the parameters
+    theta: Array  # their values (k,)
+    free: Labels  # numbers of those that stand at no bound and that the data show
+    spread: Spread  # Jackknife of these over blocks of time
+    levels: Levels  # noise levels
+    likelihood: float  # log likelihood [nats]
+    settled: bool  # whether the last step was a twentieth of a standard error at most
     square: Array
+    """Mean square of the whitened innovations of each measured channel (m,): 1 where the model is right."""
     predictable: Array
-    channels: tuple[str, ...]
-    disturbances: tuple[tuple[Port, int], ...]
+    """Share of their variance that those of the ten rows before predict (m,): 0 where the model is right."""
+    channels: tuple[str, ...]  # names of the measured error channels
+    disturbances: tuple[tuple[Port, int], ...]  # ports that disturbances act on, and their columns
 
     @property
     def standard_errors(self) -> Array:
@@ -278,19 +266,12 @@ def log_likelihood(system: System, runs: Sequence[Run], *, levels: Levels, clock
 
 @dataclass(frozen=True)
 class Optimum:
-    """Where the likelihood is largest, for those who go on from there.
+    """Where the likelihood is largest, for those who go on from there."""
 
-    Args:
-        of: The likelihood, with theta of the optimum in use.
-        levels: Noise levels.
-        about: What the last pass is linearised about.
-        at: The last pass.
-    """
-
-    of: LogLikelihood
-    levels: Levels
-    about: Linearisation
-    at: Pass
+    of: LogLikelihood  # the likelihood, with theta of the optimum in use
+    levels: Levels  # noise levels
+    about: Linearisation  # what the last pass is linearised about
+    at: Pass  # the last pass
 
     @property
     def blocks(self) -> Array:

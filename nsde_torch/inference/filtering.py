@@ -20,34 +20,22 @@ _SLAB = 20  # steps whose transitions are worked out at once
 
 @dataclass(frozen=True)
 class Start:
-    """Where the filter of each chunk starts.
+    """Where the filter of each chunk starts."""
 
-    Args:
-        x: States (C, nx).
-        std: What is not known of each error channel (ne,); of a measured one its sensor's noise is taken.
-    """
-
-    x: Tensor
+    x: Tensor  # states (C, nx)
     std: Tensor
+    """What is not known of each error channel (ne,); of a measured one its sensor's noise is taken."""
 
 
 @dataclass(frozen=True)
 class Linearisation:
-    """What the filter is linearised about: rows (T, C, ...).
+    """What the filter is linearised about: rows (T, C, ...)."""
 
-    Args:
-        x: States (nx).
-        slopes: Of the step from each in errors and disturbances (ne, n).
-        missed: c, by how much that step misses the next row's state (ne).
-        seen: What was measured less the state, in measured channels (m).
-        first: Error of each chunk's start (C, ne).
-    """
-
-    x: Tensor
-    slopes: Tensor
-    missed: Tensor
-    seen: Tensor
-    first: Tensor
+    x: Tensor  # states (nx)
+    slopes: Tensor  # of the step from each in errors and disturbances (ne, n)
+    missed: Tensor  # c, by how much that step misses the next row's state (ne)
+    seen: Tensor  # what was measured less the state, in measured channels (m)
+    first: Tensor  # error of each chunk's start (C, ne)
 
     def of(self, some: Tensor) -> "Linearisation":
         """That of some chunks."""
@@ -57,23 +45,14 @@ class Linearisation:
 
 @dataclass(frozen=True)
 class Pass:
-    """What a pass left, rows (T, C, ...).
+    """What a pass left, rows (T, C, ...)."""
 
-    Args:
-        errors: Innovations (m).
-        whitening: L^-1 of the covariance L L' of each (m, m); of the first row that of white noise.
-        gain: Kalman gain (n, m).
-        delta: Errors of the states of the linearisation that the rows until then tell (n).
-        rows: Log likelihood of each row, 0 of those that do not count.
-        covariance: Of delta (n, n), where it was asked for.
-    """
-
-    errors: Tensor
-    whitening: Tensor
-    gain: Tensor
-    delta: Tensor
-    rows: Tensor
-    covariance: Tensor | None = None
+    errors: Tensor  # innovations (m)
+    whitening: Tensor  # L^-1 of the covariance L L' of each (m, m); of the first row that of white noise
+    gain: Tensor  # Kalman gain (n, m)
+    delta: Tensor  # errors of the states of the linearisation that the rows until then tell (n)
+    rows: Tensor  # log likelihood of each row, 0 of those that do not count
+    covariance: Tensor | None = None  # of delta (n, n), where it was asked for
 
     def of(self, some: Tensor) -> "Pass":
         """That of some chunks."""

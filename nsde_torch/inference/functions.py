@@ -66,32 +66,23 @@ _PAST = (1, 2, 4, 8, 16)  # rows before, of an input
 
 @dataclass(frozen=True)
 class BasisGroup:
-    """Functions that are chosen together.
+    """Functions that are chosen together."""
 
-    Args:
-        port: Number of the disturbance of the likelihood on which they act.
-        variables: What they are functions of: one or two.
-        kind: See `nsde_torch.inference.smooth.functions`; `past`: an input some rows before, less what it is now.
-    """
-
-    port: int
-    variables: tuple[str, ...]
+    port: int  # number of the disturbance of the likelihood on which they act
+    variables: tuple[str, ...]  # what they are functions of: one or two
     kind: Kind
+    """See `nsde_torch.inference.smooth.functions`; `past`: an input some rows before, less what it is now."""
 
 
 @dataclass(frozen=True)
 class Variables:
-    """What functions may be of.
+    """What functions may be of."""
 
-    Args:
-        names: Names of the variables.
-        values: Their values (N, len(names)) at states (N, nx) and inputs (N, nu + n).
-        inputs: Inputs by name (N,), of inputs (N, nu + n), whose past is looked at.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # names of the variables
     values: Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
+    """Their values (N, len(names)) at states (N, nx) and inputs (N, nu + n)."""
     inputs: Callable[[torch.Tensor], Mapping[str, torch.Tensor]] = lambda _: {}
+    """Inputs by name (N,), of inputs (N, nu + n), whose past is looked at."""
 
 
 def seen_by_networks(system: System) -> Variables:
@@ -103,32 +94,21 @@ def seen_by_networks(system: System) -> Variables:
 
 @dataclass(frozen=True)
 class Functions:
-    """Functions that were chosen.
+    """Functions that were chosen."""
 
-    Args:
-        groups: The groups.
-        weights: Of the functions of each.
-        covariance: Of all weights, one after the other.
-        scaled: Scales of the variables.
-        theta: Declared parameters beside them.
-        nats: Held-out log likelihood that the groups of each port's row bring, by number of the disturbance, but for
-            those of the past of inputs.
-        error: Its standard error over blocks of time.
-        lost: Held-out log likelihood that is lost without each group, as the others are.
-        blocks: Log density of each block of time (B,) without and with the functions, each fitted to other blocks.
-        levels: Noise levels found beside the functions; None where there are none.
-    """
-
-    groups: tuple[BasisGroup, ...]
-    weights: tuple[Array, ...]
-    covariance: Array
-    scaled: Mapping[str, Scale]
-    theta: Array
+    groups: tuple[BasisGroup, ...]  # the groups
+    weights: tuple[Array, ...]  # of the functions of each
+    covariance: Array  # of all weights, one after the other
+    scaled: Mapping[str, Scale]  # scales of the variables
+    theta: Array  # declared parameters beside them
+    # held-out log likelihood that the groups of each port's row bring, by number of the disturbance, but for those
+    # of the past of inputs
     nats: Mapping[int, float] = field(default_factory=dict)
-    error: Mapping[int, float] = field(default_factory=dict)
-    lost: tuple[float, ...] = ()
+    error: Mapping[int, float] = field(default_factory=dict)  # its standard error over blocks of time
+    lost: tuple[float, ...] = ()  # held-out log likelihood that is lost without each group, as the others are
     blocks: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
-    levels: Levels | None = None
+    """Log density of each block of time (B,) without and with the functions, each fitted to other blocks."""
+    levels: Levels | None = None  # noise levels found beside the functions; None where there are none
 
     def importance(self, port: int) -> dict[str, float]:
         """Log likelihood that is lost without the functions of each variable on a row [nats], the most first."""
@@ -282,21 +262,14 @@ class _View:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Some groups fitted together.
+    """Some groups fitted together."""
 
-    Args:
-        groups: The groups.
-        blocks, slices, turns: See `_View.blocks`.
-        left: Half the squares left of each block by what was fitted without its fold (B,).
-        ridge: 1 / tau^2 of each group.
-    """
-
-    groups: tuple[BasisGroup, ...]
+    groups: tuple[BasisGroup, ...]  # the groups
     blocks: Array
     slices: list[slice]
-    turns: list[Array]
-    left: Array
-    ridge: list[float]
+    turns: list[Array]  # blocks, slices, turns: see `_View.blocks`
+    left: Array  # half the squares left of each block by what was fitted without its fold (B,)
+    ridge: list[float]  # 1 / tau^2 of each group
 
 
 class _Choice:

@@ -34,15 +34,11 @@ _KNOWN = 1e-3  # share of what all rows say of a parameter below which those of 
 
 @dataclass(frozen=True)
 class Folds:
-    """What is left out together, the rest being fitted.
+    """What is left out together, the rest being fitted."""
 
-    Args:
-        number: Fold of each run (R,), 0 and up.
-        begin: Time from which rows of each run are left out (R,) [s]; all folds are fitted to those before.
-    """
-
-    number: Labels
+    number: Labels  # fold of each run (R,), 0 and up
     begin: Array
+    """Time from which rows of each run are left out (R,) [s]; all folds are fitted to those before."""
 
     def of(self, run: Labels, t: Array) -> Labels:
         """Fold of rows from their runs and times [s]; -1 for those that all folds are fitted to."""
@@ -56,22 +52,14 @@ class Folds:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Physics on rows that it was not fitted to.
+    """Physics on rows that it was not fitted to."""
 
-    Args:
-        vector: Its parameters.
-        theta: Values fitted without each fold (F, k).
-        names: Of the states whose rates the physics gives.
-        density: Log density of each row given those before (N, names), less constants [nats].
-        run, t: Run and time [s] of each row (N,), in order of time within a run.
-    """
-
-    vector: ParameterVector
-    theta: Array
-    names: tuple[str, ...]
-    density: Array
+    vector: ParameterVector  # its parameters
+    theta: Array  # values fitted without each fold (F, k)
+    names: tuple[str, ...]  # of the states whose rates the physics gives
+    density: Array  # log density of each row given those before (N, names), less constants [nats]
     run: Labels
-    t: Array
+    t: Array  # run, t: run and time [s] of each row (N,), in order of time within a run
 
 
 @torch.no_grad()

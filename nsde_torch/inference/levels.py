@@ -14,19 +14,12 @@ _MOVES = 1e-3  # of what a disturbance moves most: what it moves less says nothi
 
 @dataclass(frozen=True)
 class Levels:
-    """Logarithms of the noise levels.
+    """Logarithms of the noise levels."""
 
-    Args:
-        sensor: Standard deviation of each measured error channel (m,).
-        white: Density of the white disturbance on each column of the ports (d,) [its unit, root second].
-        gust: Standard deviation of the Ornstein-Uhlenbeck one (d,) [its unit].
-        lasts: Its time constant (d,) [s].
-    """
-
-    sensor: Tensor
-    white: Tensor
-    gust: Tensor
-    lasts: Tensor
+    sensor: Tensor  # standard deviation of each measured error channel (m,)
+    white: Tensor  # density of the white disturbance on each column of the ports (d,) [its unit, root second]
+    gust: Tensor  # standard deviation of the Ornstein-Uhlenbeck one (d,) [its unit]
+    lasts: Tensor  # its time constant (d,) [s]
 
     def vector(self) -> Tensor:
         """All of them (m + 3 d,)."""

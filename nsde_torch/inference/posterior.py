@@ -35,40 +35,24 @@ _ROOM = 1e-10  # of the information: a parameter without any stays where it is
 
 @dataclass(frozen=True)
 class LogWithPrior:
-    """A log whose parameters are looked for.
+    """A log whose parameters are looked for."""
 
-    Args:
-        runs: Recordings, all on one step.
-        centre: Where the prior says that the parameters are (k,).
-        information: How surely (k, k).
-    """
-
-    runs: tuple[Run, ...]
-    centre: Array
-    information: Array
+    runs: tuple[Run, ...]  # recordings, all on one step
+    centre: Array  # where the prior says that the parameters are (k,)
+    information: Array  # how surely (k, k)
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """A posterior density about some parameters.
+    """A posterior density about some parameters."""
 
-    Args:
-        theta: The parameters (k,).
-        nats: Log likelihood with the quadratic of the prior [nats].
-        slope: Of that in the parameters (k,).
-        information: Of the log and of the prior (k, k).
-        half_square: Half the sum of squares of whitened innovations [nats].
-        excess: Mean square of these: 1 where noise is what it was taken for.
-        moved: How far the parameters are from the prior's [standard errors of these].
-    """
-
-    theta: Array
-    nats: float
-    slope: Array
-    information: Array
-    half_square: float
-    excess: float
-    moved: float
+    theta: Array  # the parameters (k,)
+    nats: float  # log likelihood with the quadratic of the prior [nats]
+    slope: Array  # of that in the parameters (k,)
+    information: Array  # of the log and of the prior (k, k)
+    half_square: float  # half the sum of squares of whitened innovations [nats]
+    excess: float  # mean square of these: 1 where noise is what it was taken for
+    moved: float  # how far the parameters are from the prior's [standard errors of these]
 
     @property
     def standard_errors(self) -> Array:

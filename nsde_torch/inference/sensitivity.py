@@ -30,17 +30,11 @@ _NUMBERS = 4_000_000  # of whitened rows that are held at once
 
 @dataclass(frozen=True)
 class Grams:
-    """Gram matrices of [e, J, nuisances] in whitened rows, by block of time.
+    """Gram matrices of [e, J, nuisances] in whitened rows, by block of time."""
 
-    Args:
-        blocks: (B, 1 + k + p, 1 + k + p).
-        rows: Number of whitened rows.
-        parameters: k.
-    """
-
-    blocks: Array
-    rows: int
-    parameters: int
+    blocks: Array  # (B, 1 + k + p, 1 + k + p)
+    rows: int  # number of whitened rows
+    parameters: int  # k
 
     @cached_property
     def total(self) -> Array:

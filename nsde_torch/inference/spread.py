@@ -18,17 +18,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Spread:
-    """How sure an estimate is.
+    """How sure an estimate is."""
 
-    Args:
-        covariance: Of the estimate (r, r).
-        parts: Change of the estimate by each block, against leaving it out (C, r).
-        weights: Variance that each block brings if noise is white and even, (C, r, r).
-    """
-
-    covariance: Array
-    parts: Array
-    weights: Array
+    covariance: Array  # of the estimate (r, r)
+    parts: Array  # change of the estimate by each block, against leaving it out (C, r)
+    weights: Array  # variance that each block brings if noise is white and even, (C, r, r)
 
     def degrees(self, directions: Array) -> Array:
         """Degrees of freedom of combinations (k, r) of the estimate, (k,)."""

@@ -22,19 +22,12 @@ _PASSES = 3  # until the states have settled
 
 @dataclass(frozen=True)
 class Filtered:
-    """A log under physics with their present values.
+    """A log under physics with their present values."""
 
-    Args:
-        of: The likelihood, with these values in use.
-        levels: Noise levels, from differences of what the physics leaves.
-        about: What the pass is linearised about.
-        at: The pass, with the covariances of the states.
-    """
-
-    of: LogLikelihood
-    levels: Levels
-    about: Linearisation
-    at: Pass
+    of: LogLikelihood  # the likelihood, with these values in use
+    levels: Levels  # noise levels, from differences of what the physics leaves
+    about: Linearisation  # what the pass is linearised about
+    at: Pass  # the pass, with the covariances of the states
 
     def states(self, runs: Sequence[Run]) -> list[Array]:
         """States of each run (n, nx); as they were read in rows that no stretch holds.

@@ -37,36 +37,24 @@ a third larger. Evidence is compared at the best ones."""
 
 @dataclass(frozen=True)
 class Steps:
-    """Steps of some runs, segment after segment (float64).
+    """Steps of some runs, segment after segment (float64)."""
 
-    Args:
-        t: Logged time of the start of each step (N,) [s].
-        x0, x1: States at both ends (N, nx), without white sensor noise if they were smoothed.
-        seen0, seen1: The same as measured.
-        u: Inputs and exogenous channels held over the step (N, nu + n).
-        logged_dt: Length of a step [s] on the clock of the log.
-        dt: The same in physical seconds.
-        segments: Ranges (first, last + 1) of steps without a gap.
-        runs: Number of the run of each segment.
-        run_in: The steps before each segment, for memory alone; None where no effect carries any.
-        inferred: Columns of rates that were inferred from positions, and what is not known of them (standard
-            deviation): `seen0`, `seen1` are then differences of the position over `rows` rows.
-        rows: Rows of these differences.
-    """
-
-    t: Tensor
+    t: Tensor  # logged time of the start of each step (N,) [s]
     x0: Tensor
-    x1: Tensor
+    x1: Tensor  # x0, x1: states at both ends (N, nx), without white sensor noise if they were smoothed
     seen0: Tensor
-    seen1: Tensor
-    u: Tensor
-    logged_dt: float
-    dt: float
-    segments: tuple[tuple[int, int], ...]
-    runs: tuple[int, ...]
+    seen1: Tensor  # seen0, seen1: the same as measured
+    u: Tensor  # inputs and exogenous channels held over the step (N, nu + n)
+    logged_dt: float  # length of a step [s] on the clock of the log
+    dt: float  # the same in physical seconds
+    segments: tuple[tuple[int, int], ...]  # ranges (first, last + 1) of steps without a gap
+    runs: tuple[int, ...]  # number of the run of each segment
     run_in: "Steps | None" = None
+    """The steps before each segment, for memory alone; None where no effect carries any."""
+    # columns of rates that were inferred from positions, and what is not known of them (standard deviation):
+    # `seen0`, `seen1` are then differences of the position over `rows` rows
     inferred: tuple[tuple[int, float], ...] = ()
-    rows: int = 1
+    rows: int = 1  # rows of these differences
 
     def __len__(self) -> int:
         return len(self.t)

@@ -54,17 +54,11 @@ def identify(
 
 @dataclass(frozen=True)
 class Settled:
-    """A regression after its last step.
+    """A regression after its last step."""
 
-    Args:
-        regression: The regression.
-        runs: Its runs, without rows in which what has dry friction stands.
-        left_out: Share of the rows that were left out of them.
-    """
-
-    regression: Regression
-    runs: Sequence[Run]
-    left_out: float
+    regression: Regression  # the regression
+    runs: Sequence[Run]  # its runs, without rows in which what has dry friction stands
+    left_out: float  # share of the rows that were left out of them
 
 
 def settled(

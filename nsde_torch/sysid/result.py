@@ -22,59 +22,38 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Identification:
-    """Declared parameters as the data show them.
+    """Declared parameters as the data show them."""
 
-    Args:
-        vector: Names, units, bounds.
-        method: "weak" or "differences".
-        values: Estimate (k,), inside the bounds.
-        covariance: Of the estimate (k, k); nothing along what the data do not show.
-        degrees: Degrees of freedom of each variance (k,).
-        shown: What the data show.
-        channels: One entry per channel that depends on a parameter.
-        sensor_std: White noise of each state (nx,).
-        unexplained: Root mean square of residuals over that of the rates, each block predicted without its own data.
-        width_s: Length of the test functions of `channels` [s].
-        box_s: Length of the boxes that the equations were integrated over [s].
-        iterations: Steps of the iteration.
-        converged: Whether its last step was a fiftieth of a standard error at most.
-        linear: Whether the drift is linear in the parameters.
-        blocks: Number of blocks of time that the covariance comes from.
-        loop: Test of the loop; None where it was not asked for.
-        instrumented: What instruments say; None without any.
-        doubt: What half-widths are widened by, because feedback may have bent the estimate (k,), nan for
-            anything; None for nothing.
-        guard: How the fit stands beside simple ones; None where it was not asked for.
-        finer: The fit over shorter boxes that the guard did not believe; None where these are the first ones.
-        standing: Share of the rows that were left out because what has dry friction stands in them.
-        likelihood: The fit of largest likelihood, whose values these are where nothing speaks against it; None where
-            there was none.
-        optimum: Where that is, for networks to begin at.
-    """
-
-    vector: ParameterVector
-    method: str
-    values: Array
-    covariance: Array
-    degrees: Array
-    shown: Shown
-    channels: tuple[Channel, ...]
-    sensor_std: Array
+    vector: ParameterVector  # names, units, bounds
+    method: str  # "weak" or "differences"
+    values: Array  # estimate (k,), inside the bounds
+    covariance: Array  # of the estimate (k, k); nothing along what the data do not show
+    degrees: Array  # degrees of freedom of each variance (k,)
+    shown: Shown  # what the data show
+    channels: tuple[Channel, ...]  # one entry per channel that depends on a parameter
+    sensor_std: Array  # white noise of each state (nx,)
     unexplained: float
-    width_s: float
-    box_s: float
-    iterations: int
-    converged: bool
-    linear: bool
-    blocks: int
-    loop: LoopTest | None = None
-    instrumented: Instrumented | None = None
+    """Root mean square of residuals over that of the rates, each block predicted without its own data."""
+    width_s: float  # length of the test functions of `channels` [s]
+    box_s: float  # length of the boxes that the equations were integrated over [s]
+    iterations: int  # steps of the iteration
+    converged: bool  # whether its last step was a fiftieth of a standard error at most
+    linear: bool  # whether the drift is linear in the parameters
+    blocks: int  # number of blocks of time that the covariance comes from
+    loop: LoopTest | None = None  # test of the loop; None where it was not asked for
+    instrumented: Instrumented | None = None  # what instruments say; None without any
+    # what half-widths are widened by, because feedback may have bent the estimate (k,), nan for anything; None for
+    # nothing
     doubt: Array | None = None
-    guard: Guarded | None = None
+    guard: Guarded | None = None  # how the fit stands beside simple ones; None where it was not asked for
     finer: "Identification | None" = None
-    standing: float = 0.0
+    """The fit over shorter boxes that the guard did not believe; None where these are the first ones."""
+    standing: float = 0.0  # share of the rows that were left out because what has dry friction stands in them
+    # the fit of largest likelihood, whose values these are where nothing speaks against it; None where there was
+    # none
     likelihood: MaximumLikelihood | None = None
     optimum: Optimum | None = field(default=None, repr=False, compare=False)
+    """Where that is, for networks to begin at."""
 
     @property
     def likelihood_used(self) -> bool:

@@ -27,15 +27,10 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Pairs:
-    """Standardised pairs.
+    """Standardised pairs."""
 
-    Args:
-        inputs: What the networks see (N, n_in).
-        changes: What they predict (N, n_change).
-    """
-
-    inputs: Tensor
-    changes: Tensor
+    inputs: Tensor  # what the networks see (N, n_in)
+    changes: Tensor  # what they predict (N, n_change)
 
 
 def nll(model: GaussianEnsemble, inputs: Tensor, changes: Tensor) -> Tensor:

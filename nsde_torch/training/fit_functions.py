@@ -41,24 +41,17 @@ _NEAR, _LESS = 0.1, 0.02  # weights of points beyond the data, inside the margin
 
 @dataclass(frozen=True)
 class Distilled:
-    """Networks that were fitted to functions.
+    """Networks that were fitted to functions."""
 
-    Args:
-        functions: The functions.
-        networks: By port, as plain values: what its network wins on blocks of time left out [nats], the standard error
-            of that over blocks, whether it is kept, and the variables that it sees.
-        spread: Standard error of the networks' change over a step, by channel that forces move (root mean square).
-        score: Minus the log density of a step and channel, on blocks of time left out [nats].
-        steps: Steps of the fits of the networks.
-        chosen: The groups of functions, as plain values: port, its row, variables, kind.
-    """
-
-    functions: Functions
+    functions: Functions  # the functions
+    # by port, as plain values: what its network wins on blocks of time left out [nats], the standard error of that
+    # over blocks, whether it is kept, and the variables that it sees
     networks: dict[str, dict[str, Any]]
     spread: Array
-    score: float
-    steps: int
-    chosen: list[dict[str, Any]]
+    """Standard error of the networks' change over a step, by channel that forces move (root mean square)."""
+    score: float  # minus the log density of a step and channel, on blocks of time left out [nats]
+    steps: int  # steps of the fits of the networks
+    chosen: list[dict[str, Any]]  # the groups of functions, as plain values: port, its row, variables, kind
 
 
 def fit_functions(

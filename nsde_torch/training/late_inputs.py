@@ -27,21 +27,13 @@ EVIDENCE = 10.0
 
 @dataclass(frozen=True)
 class Identified:
-    """Declared physics as it was identified.
+    """Declared physics as it was identified."""
 
-    Args:
-        spec: Specification with the law that was learned, if any.
-        settled: The regression at its optimum, and its runs.
-        learned: Name of the law; empty for none.
-        evidence: Log likelihood that it won [nats].
-        method: Of the identification.
-    """
-
-    spec: SDESpec
-    settled: Settled
-    learned: str = ""
-    evidence: float = 0.0
-    method: str = "weak"
+    spec: SDESpec  # specification with the law that was learned, if any
+    settled: Settled  # the regression at its optimum, and its runs
+    learned: str = ""  # name of the law; empty for none
+    evidence: float = 0.0  # log likelihood that it won [nats]
+    method: str = "weak"  # of the identification
 
     @property
     def regression(self) -> Regression:

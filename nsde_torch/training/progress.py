@@ -6,20 +6,11 @@ from dataclasses import dataclass, field
 
 @dataclass
 class Progress:
-    """Where an optimisation stands.
+    """Where an optimisation stands."""
 
-    Args:
-        step: Gradient steps done.
-        best_step: Step of the kept weights.
-        best_score: Validation score of the kept weights.
-        polished: Steps done on all windows after that.
-        history: One row per validation.
-        stopped: Whether early stopping ended it.
-    """
-
-    step: int = 0
-    best_step: int = 0
-    best_score: float = math.inf
-    history: list[dict[str, float]] = field(default_factory=list)
-    stopped: bool = False
-    polished: int = 0
+    step: int = 0  # gradient steps done
+    best_step: int = 0  # step of the kept weights
+    best_score: float = math.inf  # validation score of the kept weights
+    history: list[dict[str, float]] = field(default_factory=list)  # one row per validation
+    stopped: bool = False  # whether early stopping ended it
+    polished: int = 0  # steps done on all windows after that

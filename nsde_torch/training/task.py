@@ -19,43 +19,25 @@ Parameters = dict[str, dict[str, object]]
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """One fit of one model to some runs.
+    """One fit of one model to some runs."""
 
-    Args:
-        spec: What to build.
-        runs: Runs to fit to.
-        seed: Seed of weights, batches and noise.
-        name: Name of the fit, for the progress bar and the checkpoint.
-        loss: Weights of the losses.
-        options: Settings of the optimisation.
-        validation: Share of the runs' time that early stopping looks at.
-        clock: Physical seconds per logged second.
-        values: Initial values of declared parameters.
-        device: Where tensors live.
-        dtype: Precision.
-        checkpoint: File (without suffix) to write to and to resume from.
-        log: Called with step and losses at each validation.
-        instruments: Logged columns from outside the loop (see `identify_in_loop`).
-        quiet: No progress bar.
-        near: A fit of the same model to these runs and others, near which this one begins.
-    """
-
-    spec: ModelSpec
-    runs: Sequence[Run]
-    seed: int
-    name: str
-    loss: LossOptions
-    options: TrainerOptions
-    validation: float
-    clock: float
-    values: Mapping[str, Any]
-    device: torch.device
-    dtype: torch.dtype
-    checkpoint: Path
-    log: Callable[[int, dict[str, float]], None]
-    instruments: Sequence[str] = ()
-    quiet: bool = False
+    spec: ModelSpec  # what to build
+    runs: Sequence[Run]  # runs to fit to
+    seed: int  # seed of weights, batches and noise
+    name: str  # name of the fit, for the progress bar and the checkpoint
+    loss: LossOptions  # weights of the losses
+    options: TrainerOptions  # settings of the optimisation
+    validation: float  # share of the runs' time that early stopping looks at
+    clock: float  # physical seconds per logged second
+    values: Mapping[str, Any]  # initial values of declared parameters
+    device: torch.device  # where tensors live
+    dtype: torch.dtype  # precision
+    checkpoint: Path  # file (without suffix) to write to and to resume from
+    log: Callable[[int, dict[str, float]], None]  # called with step and losses at each validation
+    instruments: Sequence[str] = ()  # logged columns from outside the loop (see `identify_in_loop`)
+    quiet: bool = False  # no progress bar
     near: "Fitted | None" = None
+    """A fit of the same model to these runs and others, near which this one begins."""
 
     @property
     def identity(self) -> str:
@@ -84,20 +66,14 @@ def _none() -> Parameters:
 
 @dataclass
 class Fitted:
-    """A fitted model.
+    """A fitted model."""
 
-    Args:
-        model: The model.
-        progress: How the optimisation went.
-        parameters: Makes the declared parameters with intervals: name -> `value`, `half_width_90`, `unit`.
-        facts: Further plain values for `metrics.json`.
-        said: What to say of the fit, beside the table of parameters; empty: the optimisation's usual line.
-        begin: Plain values with which a fit to some of the runs begins (`Task.near`).
-    """
-
-    model: Model
-    progress: Progress
+    model: Model  # the model
+    progress: Progress  # how the optimisation went
     parameters: Callable[[], Parameters] = _none
-    facts: dict[str, Any] = field(default_factory=dict)
+    """Makes the declared parameters with intervals: name -> `value`, `half_width_90`, `unit`."""
+    facts: dict[str, Any] = field(default_factory=dict)  # further plain values for `metrics.json`
     said: str = ""
+    """What to say of the fit, beside the table of parameters; empty: the optimisation's usual line."""
     begin: dict[str, Any] = field(default_factory=dict)
+    """Plain values with which a fit to some of the runs begins (`Task.near`)."""

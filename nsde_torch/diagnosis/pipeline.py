@@ -2,11 +2,13 @@
 
 read            runs and logged channels, and options that fit the machine      reading
 undo            faults of the recording chain                                   chain, recording
-fit             the declared physics, by a regression with ARMA noise models    search
-select          effects of the catalogue, one at a time; then each one again    selection, elimination
+fit             the declared physics: a regression, then the joint likelihood   search, inference
+select          effects of the catalogue, one at a time; then each one again    joint_selection
+                the same by the regression, where states were smoothed, inputs
+                averaged, or innovations are not what they should be            selection, elimination
 set aside       what feedback may have made                                     decision, hidden
 test, decide    what is left against all that was measured; the verdict         specification, decision
-beyond          laws that no catalogue has, where structure is left             beyond_catalogue, laws
+beyond          laws that no catalogue has, where functions explain more        beyond_catalogue
 cross-validate  the physics without and with effects on runs left out           cross_validation
 ceiling         what functions of all that was measured could still explain     ceiling, learned_functions
 explain         what is left, as far as it can be                               explanation

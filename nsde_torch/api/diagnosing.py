@@ -10,7 +10,6 @@ from nsde_torch.api.reading import Data, read, split_runs
 from nsde_torch.data import DataSet
 from nsde_torch.diagnosis.begun import read_begun
 from nsde_torch.diagnosis.candidates import check_candidates
-from nsde_torch.diagnosis.decisions import BUDGETS
 from nsde_torch.diagnosis.not_done import StoppedError
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.pipeline import diagnose as diagnose_runs
@@ -109,7 +108,7 @@ def diagnose(
     check_candidates(machine, options.candidates or ())
 
     def rows_of(source: Data) -> DataSet:
-        return no_finer(read(source, system=machine), machine, BUDGETS.finest_step)
+        return no_finer(read(source, system=machine), machine)
 
     runs = rows_of(data)
     looked_at = list(runs.runs)

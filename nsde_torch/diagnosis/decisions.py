@@ -184,8 +184,6 @@ class Decisions:
 class Budgets:
     """How much is tried. More takes longer; a verdict that it changes is a fault."""
 
-    # at 1 kHz a log of 80 s had found nothing after 10 minutes
-    finest_step: float = key(0.005, "time into which several rows become one", unit="s", above=0)
     iterations: int = key(20, "most iterations of a regression from its first values", low=1)
     refinements: int = key(8, "most iterations of a regression that starts near its optimum", low=1)
     screened_starts: int = key(

@@ -32,6 +32,10 @@ JITTER = 0.05
 """Share of a step by which a row may lie off the uniform grid before the segment is resampled."""
 LONGER = 1.5
 """Times the step of the log from which a step holds several rows."""
+FINEST_S = 0.005
+"""Time into which rows of fast logs are taken together [s]: at 1 kHz a diagnosis had found nothing in 10 minutes."""
+_ENOUGH = 1000
+"""Rows that such a log keeps: a short one has no time to win (tests/diagnosis/test_cuts.py, 60 rows at 2 kHz)."""
 _WHOLE_RATE = 5e-4
 _ROUNDED = 0.4
 """Share of a step by which the time between two rows may be off a whole number of steps, for the mean step."""
@@ -305,9 +309,10 @@ def on_longer_step(data: DataSet, system: SystemInfo, dt: float, *, late: Sequen
     return replace(data, runs=runs, dt=dt, summary=summary, fingerprint=mark)
 
 
-def no_finer(data: DataSet, system: SystemInfo, step: float) -> DataSet:
-    """The data set with as many rows of the log in one as fit into `step` [s], which is then one of its findings."""
-    every = int(step / (data.dt * data.clock_scale) + _ROUNDED)
+def no_finer(data: DataSet, system: SystemInfo) -> DataSet:
+    """The data set with as many rows of a long log in one as fit into 5 ms, which is then one of its findings."""
+    fit = int(FINEST_S / (data.dt * data.clock_scale) + _ROUNDED)
+    every = min(fit, sum(len(run) for run in data.runs) // _ENOUGH)
     if every < LONGER:
         return data
     text = f"rows {data.dt * 1e3:.4g} ms apart are closer than is needed: {every} of them are one"

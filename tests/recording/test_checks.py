@@ -326,10 +326,16 @@ def test_a_velocity_of_another_run_is_refused_by_name() -> None:
         assemble(runs, HEXACOPTER, kind="test")
 
 
-@pytest.mark.parametrize(("dt", "rows"), [(0.001, 5), (0.002, 2), (0.004, 1), (0.01, 1)])
-def test_rows_that_are_closer_than_needed_become_one(dt: float, rows: int) -> None:
-    t, x, u = flight(8.0)
-    data = no_finer(one(t * dt / 0.01, x, u, clock="trust"), HEXACOPTER, 0.005)
+@pytest.mark.parametrize(
+    ("dt", "seconds", "rows"),
+    [(0.001, 60.0, 5), (0.001, 8.0, 1), (0.002, 60.0, 2), (0.004, 60.0, 1), (0.01, 60.0, 1)],
+)
+def test_rows_of_a_long_log_that_are_closer_than_needed_become_one(
+    dt: float, seconds: float, rows: int
+) -> None:
+    t, x, u = flight(seconds)
+    x[:, [3, 4, 5, 10, 11, 12]] *= 0.01 / dt  # the same path, flown faster
+    data = no_finer(one(t * dt / 0.01, x, u, clock="trust"), HEXACOPTER)
     assert data.dt == pytest.approx(rows * dt)
     told = [f.values for f in data.summary.findings if f.kind == "short_step"]
     assert told == ([] if rows == 1 else [{"step_s": pytest.approx(dt), "rows": rows}])

@@ -140,10 +140,11 @@ class _LawSearch:
         of_effects = {n: e for n in replaced if isinstance(e := effect_of(place.system, n), Law)}
         for name in replaced:
             place = search.without(place, name)
-        added = 0
-        while added < search.search.budgets.laws and (
-            better := self._with_a_law(place, list(of_effects.values()))
-        ):
+        added, most = 0, search.search.decisions.most_effects
+        while added < search.search.budgets.laws and len(search.added(place.system)) < most:
+            better = self._with_a_law(place, list(of_effects.values()))
+            if better is None:
+                break
             place, added = better, added + 1
         if not added:
             return None
@@ -259,10 +260,11 @@ class _LawSearch:
         search = self._search
         for name in filter(is_law, list(found.selected)):
             place = search.of(found)
-            effect = same_effect(place.at.of.space.steps, place.system, name)
-            if effect is None:
+            same = same_effect(place.at.of.space.steps, place.system, name)
+            if same is None:
                 continue
-            there = search.fitted(joined(search.without(place, name).system, effect, {}), place)
+            effect, shapes = same
+            there = search.fitted(joined(search.without(place, name).system, effect, shapes), place)
             again = search.concluded(there)
             if effect in again.selected:
                 found = again

@@ -8,9 +8,10 @@ and inputs of the data both are worked out; where one is a multiple of the other
 import numpy as np
 import torch
 
-from nsde_torch.diagnosis.candidates import candidate_names, make_candidate
-from nsde_torch.diagnosis.fitted import effect_of
+from nsde_torch.diagnosis.candidates import Start, candidate_names, make_candidate
+from nsde_torch.diagnosis.fitted import effect_of, values_of
 from nsde_torch.effects import Effect, Parameter, Port, effect_class
+from nsde_torch.errors import ConfigError
 from nsde_torch.inference.steps import Steps
 from nsde_torch.systems import System
 from nsde_torch.systems.vocabulary import seen_by
@@ -19,8 +20,8 @@ _SAME = 1e-6  # of its length: what a multiple may be away; both are worked out 
 _ROWS = 5000  # of the data, evenly chosen
 
 
-def same_effect(steps: Steps, system: System, law: str) -> str | None:
-    """Name of an effect of the catalogue that is a multiple of a law at the states of the data.
+def same_effect(steps: Steps, system: System, law: str) -> tuple[str, Start] | None:
+    """An effect of the catalogue that is a multiple of a law at the states of the data: its name, and its shapes.
 
     Args:
         steps: The data.
@@ -31,11 +32,19 @@ def same_effect(steps: Steps, system: System, law: str) -> str | None:
     if own.port is Port.INPUT:
         return None
     mine = _pushes(steps, system, own)
+    found: list[tuple[str, Start]] = []  # a friction of two sizes is one too, where both are alike
+    shapes = [value for name, value in values_of(own).items() if name.startswith("k")]
     for name in candidate_names(system):
         cls = effect_class(name)
         if cls.port is not own.port or cls.exogenous:
             continue
-        other = make_candidate(name, system, {k: _size(cls.PARAMETERS[k]) for k in cls.amplitudes})
+        # a sign of the speed with its width is a dry friction (tests/diagnosis/test_law_names.py)
+        shaped = dict(zip(cls.shapes, shapes, strict=True)) if len(cls.shapes) == len(shapes) else {}
+        try:
+            sizes = {k: _size(cls.PARAMETERS[k]) for k in cls.amplitudes}
+            other = make_candidate(name, system, {**sizes, **shaped})
+        except ConfigError:  # beyond the bounds of its shapes
+            continue
         if other.n_memory:
             continue
         theirs = _pushes(steps, system, other)
@@ -43,8 +52,8 @@ def same_effect(steps: Steps, system: System, law: str) -> str | None:
             continue
         off = theirs - mine * float(theirs @ mine) / float(mine @ mine)
         if float(off @ off) <= _SAME**2 * float(theirs @ theirs):
-            return name
-    return None
+            found.append((name, shaped))
+    return min(found, key=lambda one: len(effect_class(one[0]).PARAMETERS), default=None)
 
 
 def _size(parameter: Parameter) -> float:

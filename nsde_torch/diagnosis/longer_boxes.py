@@ -18,6 +18,7 @@ from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.effects import effect_class
+from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.sysid.guard import Guarded, guarded
 from nsde_torch.sysid.in_loop import identify_in_loop
@@ -86,8 +87,13 @@ def _refused_over_shorter(log: Log, outcome: Outcome) -> Guarded | None:
 
 
 def guard_of(log: Log, outcome: Outcome) -> Guarded:
-    """The final physics held against simple fits."""
+    """The final physics held against simple fits; the declared physics, where the columns are read in another way."""
     regression = outcome.final.regression
     basis = regression.shown.basis
     covariance = basis @ outcome.spread.covariance @ basis.T
-    return guarded(regression, log.runs, clock=log.recorded.clock, covariance=covariance)
+    found = guarded(regression, log.runs, clock=log.recorded.clock, covariance=covariance)
+    if found.objections or not any(is_law(f.name) for f in outcome.found):
+        return found
+    # laws make up for an angle that is counted from the other side (tests/diagnosis/test_declared.py)
+    without = guarded(outcome.declared.regression, log.runs, clock=log.recorded.clock)
+    return without if any(o.kind == "reading" for o in without.objections) else found

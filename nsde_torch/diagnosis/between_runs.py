@@ -42,7 +42,7 @@ class RunZeros:
     """A position whose zero differs between runs."""
 
     state: str  # the position
-    unit: str  # its unit
+    unit: str
     # what it reads too much against the middle of the runs, with its standard error, by run that stands apart
     values: dict[str, tuple[float, float]]
     p: float

@@ -43,7 +43,6 @@ from nsde_torch.inference.levels import Levels
 
 Array = NDArray[np.float64]
 
-_NEW = 0.03  # of the length of a term: less of it is nothing that the parameters cannot do already
 _CLOSE = 0.3  # share of the nats of the best term below which no further one is fitted
 
 
@@ -62,7 +61,7 @@ def with_laws(
         conclude: What is concluded of another selection.
     """
     settings = search.search
-    if settings.candidates is not None or not settings.budgets.laws:  # the user says what may be tried
+    if not search.tries_laws:
         return outcome
     laws, names = _LawSearch(search), list(joint.selected)
     near = [(name,) for name in names if joint.selected[name].law]
@@ -104,7 +103,7 @@ def sound(search: JointSearch, joint: JointSelection) -> JointSelection | None:
     joint = laws.checked(joint)  # laws that took the place of effects
     if not joint.best.misfit:
         return joint
-    if search.search.candidates is not None or not search.search.budgets.laws:
+    if not search.tries_laws:
         return None
     found = laws.selected(joint, ())
     return None if found is None or found.best.misfit else found
@@ -206,7 +205,7 @@ class _LawSearch:
             first = 1 + len(place.best.vector)
             table = GramTable(held, 1 + place.best.free, folds)
             for column, term in enumerate(some, start=first):
-                if table.left(column) > _NEW:
+                if table.is_new(column):
                     blocks, _, step = table.gain([(0, column)])
                     found.append(
                         (float(blocks.sum()) - table.price(1 + len(term.start)), term, float(step[0]))
@@ -249,7 +248,7 @@ class _LawSearch:
         for some, held in tables(without.system, without.at, library, found.at.levels):
             table = GramTable(held, 1 + without.best.free, fold)
             first = 1 + len(without.best.vector)
-            power[:, at : at + len(some)] = table.gains_on(halves, range(first, first + len(some)), _NEW)
+            power[:, at : at + len(some)] = table.gains_on(halves, range(first, first + len(some)))
             at += len(some)
         mine = [j for j, term in enumerate(library) if term.law == name]
         again = power[:, mine].max(1) > power.max(1) - decisions.alike_nats

@@ -17,6 +17,8 @@ from nsde_torch.inference.sensitivity import Grams, half_squares, solved
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
+# without it a law linear in the speed was fitted beside a viscous damping, whose rounding it explained
+_NEW = 0.03  # share of a column that must be left: less is nothing that the physics cannot do already
 _SEEN = 1e-9  # share of a column that must be left beside the others for it to be seen
 _SHOWN = 1e-9  # of the square of a column: less of it in some blocks is rounding
 _ROUNDING = 1e-10  # of the largest eigenvalue: directions that columns hardly have
@@ -53,15 +55,14 @@ class GramTable:
         after, fitted, step = self._left_out(blocks)
         return self._before - after, self._fitted - fitted, step[len(base) :]
 
-    def gains_on(self, parts: Sequence[NDArray[np.bool_]], columns: Sequence[int], new: float) -> Array:
+    def gains_on(self, parts: Sequence[NDArray[np.bool_]], columns: Sequence[int]) -> Array:
         """Nats (parts, columns) that each column alone brings to some blocks, fitted to these; 0 of what is not new.
 
         Args:
             parts: Flags of blocks (B,).
             columns: Numbers of the columns.
-            new: Share of a column that must be left beside the physics.
         """
-        at, known = np.array(columns), np.array([self.left(c) > new for c in columns])
+        at, known = np.array(columns), np.array([self.is_new(c) for c in columns])
         out = np.zeros((len(parts), len(at)))
         for row, part in zip(out, parts, strict=True):
             total = self._held.blocks[part].sum(0)
@@ -77,12 +78,12 @@ class GramTable:
             row[live] = 0.5 * np.square(pull[live]) / left[live]
         return out
 
-    def left(self, column: int) -> float:
-        """Share of the length of a column that the parameters of the physics cannot do already."""
+    def is_new(self, column: int) -> bool:
+        """Whether the parameters of the physics cannot do already what a column does."""
         total = self._held.total
         across = total[self._base, column]
         whole = max(float(total[column, column]), 1e-300)
-        return float(np.sqrt(max(1.0 - across @ self._others @ across / whole, 0.0)))
+        return float(np.sqrt(max(1.0 - across @ self._others @ across / whole, 0.0))) > _NEW
 
     def errors(self, own: Labels) -> Array:
         """Standard errors of the parameters of a candidate (q,), all others free; infinite of what moves nothing."""

@@ -53,8 +53,6 @@ _RIVALS = 3  # candidates that are fitted in the place of an effect
 _LAWS = 2  # laws that are fitted in the place of an effect
 _FAR = 4.0  # standard errors of a difference beyond which a rival is not fitted: a linearised step is rough
 _PAIRED = 6  # best candidates among which pairs are looked at
-# without it a law linear in the speed was fitted beside a viscous damping, whose rounding it explained
-_NEW = 0.03  # share of the length of a law's column that must be left beside the physics
 
 
 @dataclass(frozen=True)
@@ -170,6 +168,11 @@ class JointSearch:
         self.libraries: dict[str, tuple[Term, ...]] = {}
         self._instead: dict[str, tuple[Term, ...]] = {}
         self._first = self.fitted(system, None)
+
+    @property
+    def tries_laws(self) -> bool:
+        """Whether laws may be tried: not where the user says what may be."""
+        return self.search.candidates is None and self.search.budgets.laws > 0
 
     @property
     def declared(self) -> Optimum:
@@ -392,7 +395,7 @@ class JointSearch:
             table = GramTable(held, 1 + without.best.free, folds)
             for j, term in enumerate(some):
                 column = 1 + len(without.best.vector) + j
-                nats = float(table.gain([(0, column)])[0].sum()) if table.left(column) > _NEW else -np.inf
+                nats = float(table.gain([(0, column)])[0].sum()) if table.is_new(column) else -np.inf
                 rivals += [(nats, term)] if nats > own else []
         for _, term in sorted(rivals, key=lambda r: -r[0])[:_LAWS]:
             there = self.fitted(joined(without.system, term.law, term.start), without)
@@ -401,8 +404,7 @@ class JointSearch:
             gained = float(difference.sum()) + 0.5 * fewer * log(len(difference))
             sure = log(len(terms)) + _sure(self.search, difference)
             if gained > (0.0 if fewer > 0 else sure):
-                may = self.search.candidates is None and self.search.budgets.laws > 0
-                if may and float(difference.sum()) > sure:
+                if self.tries_laws and float(difference.sum()) > sure:
                     self.chosen(term.law, [term], terms)
                     return term.law, there
                 return term.law, None

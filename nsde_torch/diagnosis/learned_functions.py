@@ -48,7 +48,7 @@ class FunctionGain:
     """Functions beside physics."""
 
     at: Optimum  # the optimum of the physics
-    functions: Functions  # the functions
+    functions: Functions
     rows: tuple[RowGain, ...]
     """What they explain beyond what feedback may hide, by row of a port, the most first."""
 

@@ -242,7 +242,7 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
     at = before.declared_optimum if before is not None else None if made is None else made.declared
     if joint is not None:
         outcome = _concluded(log, search, joint)
-        if made is not None and before is None:
+        if made is not None:
             outcome = log.stages.attempt(
                 LAWS, lambda: with_laws(made, joint, outcome, partial(_concluded, log, search)), outcome
             )

@@ -44,7 +44,7 @@ class Candidate:
     """A model to evaluate."""
 
     name: str  # name in tables and figures
-    model: Model  # the model
+    model: Model
     seen: SeenRuns  # runs that it was trained on
     folder: str = ""  # its run directory
     measurement_std: Tensor | None = None

@@ -96,7 +96,7 @@ def seen_by_networks(system: System) -> Variables:
 class Functions:
     """Functions that were chosen."""
 
-    groups: tuple[BasisGroup, ...]  # the groups
+    groups: tuple[BasisGroup, ...]
     weights: tuple[Array, ...]  # of the functions of each
     covariance: Array  # of all weights, one after the other
     scaled: Mapping[str, Scale]  # scales of the variables
@@ -264,7 +264,7 @@ class _View:
 class _Fit:
     """Some groups fitted together."""
 
-    groups: tuple[BasisGroup, ...]  # the groups
+    groups: tuple[BasisGroup, ...]
     blocks: Array
     slices: list[slice]
     turns: list[Array]  # blocks, slices, turns: see `_View.blocks`

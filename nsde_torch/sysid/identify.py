@@ -56,7 +56,7 @@ def identify(
 class Settled:
     """A regression after its last step."""
 
-    regression: Regression  # the regression
+    regression: Regression
     runs: Sequence[Run]  # its runs, without rows in which what has dry friction stands
     left_out: float  # share of the rows that were left out of them
 

@@ -43,7 +43,7 @@ _NEAR, _LESS = 0.1, 0.02  # weights of points beyond the data, inside the margin
 class Distilled:
     """Networks that were fitted to functions."""
 
-    functions: Functions  # the functions
+    functions: Functions
     # by port, as plain values: what its network wins on blocks of time left out [nats], the standard error of that
     # over blocks, whether it is kept, and the variables that it sees
     networks: dict[str, dict[str, Any]]

@@ -68,7 +68,7 @@ def _none() -> Parameters:
 class Fitted:
     """A fitted model."""
 
-    model: Model  # the model
+    model: Model
     progress: Progress  # how the optimisation went
     parameters: Callable[[], Parameters] = _none
     """Makes the declared parameters with intervals: name -> `value`, `half_width_90`, `unit`."""

@@ -11,8 +11,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
-from math import inf
-from types import SimpleNamespace
 from typing import Any
 
 Function = Callable[..., Any]
@@ -85,26 +83,14 @@ def _names(found: Sequence[Any]) -> list[str]:
 # ---- rules whose neutral form takes more than a constant ------------------------------------------------
 
 
-def _usual_boxes(original: Function, log: Any, search: Any, outcome: Any, searched: Function) -> Any:
-    return log, search, outcome, import_module("nsde_torch.diagnosis.longer_boxes")._guard_of(log, outcome)
+def _nothing_set_aside(original: Function, search: Any, chosen: Any, feedback: Any) -> Any:
+    return replace(chosen, feedback=feedback.test(chosen.final.regression))
 
 
-def _nothing_set_aside(original: Function, search: Any, chosen: Any, kept: Any, feedback: Any) -> Any:
-    return replace(kept, feedback=feedback.test(kept.final.regression))
-
-
-def _no_second_look(original: Function, search: Any, chosen: Any, **also: Any) -> Any:
-    kept = original(search, chosen, **also)
-    if _names(kept.found) == chosen.names:
-        return kept
-    trials = {one.chosen.name: one.chosen for one in chosen.rounds if one.chosen is not None}
-    found_class = import_module("nsde_torch.diagnosis.outcome").Found
-    found = [found_class(name, trials[name], ()) for name in chosen.names if name in trials]
-    return replace(kept, found=found, final=chosen.final)
-
-
-def _as_it_was(original: Function, search: Any, chosen: Any, **also: Any) -> Any:
-    return SimpleNamespace(found=[SimpleNamespace(name=name) for name in chosen.names])
+def _no_second_look(original: Function, search: Any, place: Any) -> Any:
+    selected = import_module("nsde_torch.diagnosis.joint_selection").Selected
+    added = [n for n in place.system.effect_names if n in search.added(place.system)]
+    return place, {name: selected(search.without(place, name), ()) for name in added}
 
 
 def _all_that_counts(original: Function, search: Any, *rest: Any) -> Any:
@@ -116,92 +102,17 @@ def _all_that_counts(original: Function, search: Any, *rest: Any) -> Any:
         search.decisions = there
 
 
-def _chosen(search: Any, trials: Sequence[Any], added: Sequence[str], *, simpler: bool, wider: bool) -> Any:
-    """`selection.choice` with one of its two preferences."""
-    module = import_module("nsde_torch.diagnosis.selection")
-    if not module.something_is_missing(search, trials):
-        return None
-    accepted = [t for t in trials if module.accept(search, t)]
-    best = accepted[0]
-    parts = [t for t in accepted if simpler and t.name in module.effect_class(best.name).includes]
-    if parts:
-        return parts[0]
-    price = search.decisions.wider_nats
-    whole = [
-        t
-        for t in accepted
-        if wider and set(module.effect_class(t.name).includes) & set(added) and best.nats < t.nats + price
-    ]
-    return whole[0] if whole else best
-
-
-def _choice_without(**kept: bool) -> tuple[Function, Function]:
-    def off(original: Function, *args: Any) -> Any:
-        return _chosen(*args, **kept)
-
-    def fires(result: Any, *args: Any) -> bool:
-        other = _chosen(*args, **kept)
-        return (None if result is None else result.name) != (None if other is None else other.name)
-
-    return off, fires
-
-
-def _noise_as_it_is(
-    original: Function,
-    search: Any,
-    regression: Any,
-    system: Any,
-    fold: Any,
-    block: Any,
-    held: Any,
-    best: Any = None,
-) -> Any:
-    module = import_module("nsde_torch.diagnosis.search")
-    still = module.nonlinear(regression, smooth=False)
-    return regression, best or module.score(regression, fold, block, still=still)
-
-
-def _kinds_kept(original: Function, search: Any, system: Any, like: Any) -> Any:
-    there = search.decisions
-    search.decisions = replace(there, noise_kind_nats=inf)
-    try:
-        return original(search, system, like)
-    finally:
-        search.decisions = there
-
-
-def _other_kinds(result: Any, search: Any, system: Any, like: Any) -> bool:
-    def kinds(regression: Any) -> list[tuple[int, bool]]:
-        return [(len(noise.reflection), noise.carry > 0) for noise in regression.noises]
-
-    return kinds(result) != kinds(like)
-
-
-def _other_order(result: Any, trials: Sequence[Any], *rest: Any) -> bool:
-    return _names(result) != _names(trials)
-
-
-def _dropped(result: Any, search: Any, chosen: Any, **also: Any) -> bool:
-    return _names(result.found) != chosen.names
-
-
 def _fewer(number: int) -> Function:
     return lambda result, *args, **kwargs: _names(result.found) != _names(args[number].found)
 
 
-def _declared_again(result: Any, search: Any, chosen: Any, kept: Any, feedback: Any) -> bool:
-    return bool(kept.found) and not result.found
-
-
-def _other_trial(result: Any, found: Any, before: Any) -> bool:
-    return bool(result.ties != found.ties or result.trial is not found.trial)
+def _declared_again(result: Any, search: Any, chosen: Any, feedback: Any) -> bool:
+    return bool(chosen.found) and not result.found
 
 
 def _other_chances(result: Any, tests: Sequence[Any]) -> bool:
     return any(a.p != b.p for a, b in zip(result, tests, strict=True))
 
-
-_WIDER, _SIMPLER = _choice_without(simpler=True, wider=False), _choice_without(simpler=False, wider=True)
 
 RULES = (
     # ---- of the whole log
@@ -232,27 +143,6 @@ RULES = (
         ("standing._held",),
         argument(0),
         marked(0),
-    ),
-    Rule(
-        "standing: ties of all rows",
-        "what explained all rows as well stays tied, and dry friction keeps its trial",
-        ("standing._as_before",),
-        argument(0),
-        _other_trial,
-    ),
-    Rule(
-        "over_longer_boxes",
-        "the search over longer boxes, where the guard believes only these",
-        ("pipeline.over_longer_boxes",),
-        _usual_boxes,
-        other_outcome(2),
-    ),
-    Rule(
-        "longer boxes: nothing lost",
-        "a search over longer boxes that lost an effect is not taken",
-        ("longer_boxes._lost",),
-        constant(False),
-        anything,
     ),
     Rule(
         "valued",
@@ -335,7 +225,7 @@ RULES = (
     Rule(
         "negligible beside what is left",
         "effects that bring next to nothing of what is left are none",
-        ("pipeline.decide", "beyond_catalogue.decide"),
+        ("pipeline.decide",),
         _all_that_counts,
         _declared_again,
     ),
@@ -350,92 +240,52 @@ RULES = (
     Rule(
         "set_aside",
         "effects that explain no more than feedback may hide are not named",
-        ("pipeline.set_aside", "beyond_catalogue.set_aside"),
+        ("pipeline.set_aside",),
         _nothing_set_aside,
-        _fewer(2),
-    ),
-    Rule(
-        "set_aside: looked at again",
-        "what was set aside is looked at again in the place of what stayed",
-        ("decision.eliminate",),
-        _as_it_was,
-        _dropped,
-    ),
-    Rule(
-        "select (gone)",
-        "selection from first values of gains that went to nothing",
-        ("gone._from_first_values",),
-        constant(None),
-        anything,
+        _fewer(1),
     ),
     # ---- selection
     Rule(
-        "eliminate",
+        "looked_at_again",
         "each effect is looked at again beside the others: dropped or exchanged",
-        ("pipeline.eliminate", "beyond_catalogue.eliminate"),
+        ("joint_selection.JointSearch.looked_at_again",),
         _no_second_look,
-        _dropped,
+        lambda result, search, place: set(result[1]) != search.added(place.system),
+    ),
+    Rule(
+        "_nearer_law",
+        "a law of one term that is likelier than an effect stands beside it or takes its place",
+        ("joint_selection.JointSearch._nearer_law",),
+        constant(("", None)),
+        lambda result, *args, **kwargs: bool(result[0]),
     ),
     Rule(
         "_learned_by_noise",
-        "an effect stays that the noise model without it has learned",
-        ("elimination._learned_by_noise",),
+        "a candidate that noise levels have learned is fitted to the end",
+        ("joint_selection.JointSearch._learned_by_noise",),
+        constant(None),
+        lambda result, *args, **kwargs: result is not None,
+    ),
+    Rule(
+        "below_a_step",
+        "a time shorter than half a step joins what is declared",
+        ("joint_selection.JointSearch._below_a_step",),
         constant(False),
         anything,
     ),
     Rule(
-        "below_a_step",
-        "a time shorter than a step joins what is declared",
-        ("selection.below_a_step",),
+        "pairs",
+        "of a pair that explains more than the best alone, the better one is added first",
+        ("joint_selection._best_pair",),
         constant(None),
         anything,
     ),
     Rule(
-        "shorter than a step",
-        "a time shorter than half a step is not named",
-        ("trials._shorter_than_a_step",),
-        constant(False),
-        anything,
-    ),
-    Rule(
-        "adds_nothing",
-        "an effect that is nearly a simpler one is not named",
-        ("trials.adds_nothing",),
-        constant(False),
-        anything,
-    ),
-    Rule(
-        "simplest_first",
-        "what contains a simpler effect stands behind it unless surely better",
-        ("rounds.simplest_first",),
-        lambda original, trials, *rest: list(trials),
-        _other_order,
-    ),
-    Rule(
-        "choice: the simpler",
-        "of a candidate and one that it contains, the simpler is chosen",
-        ("selection.choice", "gone.choice"),
-        *_SIMPLER,
-    ),
-    Rule(
-        "choice: price for wider",
-        "one effect in the place of another goes before a second effect",
-        ("selection.choice", "gone.choice"),
-        *_WIDER,
-    ),
-    Rule(
-        "_in_part",
-        "effects that explain as much beside a part of what was found are ties",
-        ("elimination._in_part",),
-        constant([]),
-        anything,
-    ),
-    Rule(
-        "_by_two",
-        "pairs that explain as much as a wider effect are ties",
-        ("elimination._by_two",),
-        constant([]),
-        anything,
+        "order of candidates",
+        "simpler candidates and pairs come before what is likeliest",
+        ("joint_selection._in_order",),
+        lambda original, search, look, added: list(look.accepted),
+        lambda result, search, look, added: _names(result) != _names(look.accepted),
     ),
     Rule(
         "narrower",
@@ -445,27 +295,6 @@ RULES = (
         other_than(0),
     ),
     # ---- noise models
-    Rule(
-        "best_noise",
-        "noise models of the kind that suits the residuals",
-        ("search.Search.best_noise",),
-        _noise_as_it_is,
-        lambda result, search, regression, *rest: result[0] is not regression,
-    ),
-    Rule(
-        "finished",
-        "the best candidates get noise models of their own",
-        ("rounds.finished",),
-        argument(2),
-        other_than(2),
-    ),
-    Rule(
-        "beside",
-        "on runs left out a channel gets another kind of noise where it needs one",
-        ("search.Search.beside",),
-        _kinds_kept,
-        _other_kinds,
-    ),
     Rule(
         "NoiseModels.without",
         "tests look under a noise model that has not learned the dependence",

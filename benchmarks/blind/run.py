@@ -34,11 +34,10 @@ def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
     from outside import OUTSIDE
 
     import nsde_torch
-    from nsde_torch.diagnosis.cross_validation import held_out
+    from nsde_torch.diagnosis.cross_validation import by_likelihood, held_out
     from nsde_torch.diagnosis.options import Options
     from nsde_torch.diagnosis.pipeline import diagnose
     from nsde_torch.diagnosis.reading import with_channels
-    from nsde_torch.diagnosis.search import search_in
     from nsde_torch.models.identified import SysidSpec
     from nsde_torch.systems import make_system
 
@@ -64,7 +63,8 @@ def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
     }
     classes = {cls.name: f"outside:{cls.__name__}" for every in OUTSIDE.values() for cls in every}
     effects = {classes.get(key, key): held["parameters"] for key, held in truth["effects"].items()}
-    if effects:
+    joint = found.outcome.joint
+    if effects and joint is not None:
         made = [system.make_effect(key, values) for key, values in effects.items()]
         runs = with_channels(system, found.recorded.runs)
         told = found.system.with_effects(*made)
@@ -72,7 +72,8 @@ def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
             (found.outcome.declared_system, told),
             spec,
             runs,
-            search=search_in(system, runs, found.recorded.clock, Options()),
+            fitted=by_likelihood([joint.declared, joint.final]),
+            steps=joint.final.at.of.space.steps,
             clock=found.recorded.clock,
             seed=0,
         )

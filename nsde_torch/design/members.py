@@ -11,7 +11,6 @@ what is drawn comes from all of them, and an experiment is fitted from each. The
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain, product
@@ -21,10 +20,9 @@ from numpy.typing import NDArray
 
 from nsde_torch.data import Run
 from nsde_torch.design.rollout import ModelNoise, Rollouts
-from nsde_torch.diagnosis.candidates import alone, make_candidate
+from nsde_torch.diagnosis.candidates import alone, make_candidate, starts
 from nsde_torch.diagnosis.fitted import fitted_system
 from nsde_torch.diagnosis.options import Options
-from nsde_torch.diagnosis.screening import starts
 from nsde_torch.diagnosis.search import Search, search_in
 from nsde_torch.effects import Effect
 from nsde_torch.effects.law import Law
@@ -212,11 +210,7 @@ def _fit(search: Search, system: System, like: Regression | None, held: Sequence
     system = system.with_effects()
     vector = ParameterVector(system)
     vector.write(system, np.where(np.isin(vector.labels, held), vector.low, vector.start))
-    if like is None:
-        own = copy.copy(search)
-        own.held = search.held | set(held)
-        return own.base(system).regression
-    out = search.regression(system, like, held=held)
+    out = search.regression(system, search.base(system).regression if like is None else like, held=held)
     out.run(search.budgets.iterations)
     return out
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from nsde_torch.data import DataSet
+from nsde_torch.diagnosis.candidates import joined
 from nsde_torch.diagnosis.files import EFFECTS, RESULT
-from nsde_torch.diagnosis.screening import joined
 from nsde_torch.effects import effect_class
 from nsde_torch.effects import files as effects_files
 from nsde_torch.effects.expression_grammar import is_law

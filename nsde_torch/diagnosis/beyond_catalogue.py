@@ -26,6 +26,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.diagnosis.candidates import joined
 from nsde_torch.diagnosis.decision import of_one_variable
 from nsde_torch.diagnosis.fitted import bent_shape, effect_of, values_of
 from nsde_torch.diagnosis.gram_table import GramTable, folds_of
@@ -34,7 +35,6 @@ from nsde_torch.diagnosis.law_columns import Term, tables, terms_on, with_places
 from nsde_torch.diagnosis.law_names import same_effect
 from nsde_torch.diagnosis.learned_functions import functions_beside
 from nsde_torch.diagnosis.outcome import Outcome
-from nsde_torch.diagnosis.screening import joined
 from nsde_torch.effects import Law
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import AND
@@ -63,7 +63,11 @@ def with_laws(
     settings = search.search
     if not search.tries_laws:
         return outcome
-    laws, names = _LawSearch(search), list(joint.selected)
+    laws, before = _LawSearch(search), set(joint.selected)
+    joint = laws.checked(joint)  # laws that took the place of effects
+    if joint.selected.keys() != before:
+        outcome = conclude(joint)
+    names = list(joint.selected)
     near = [(name,) for name in names if joint.selected[name].law]
     bent = [
         (f.name,)
@@ -80,33 +84,14 @@ def with_laws(
         other = laws.selected(joint, replaced)
         if other is None or len(other.selected) > len(names) - len(replaced) + 1:
             continue
-        if other.best.likelihood > joint.best.likelihood + least:
+        if other.final.best.likelihood > joint.final.best.likelihood + least:
             return conclude(other)
     settings.say("functions of what was measured", 0, 1)
-    joint = replace(joint, functions=laws.functions(search.of(joint)))
+    joint = replace(joint, functions=laws.functions(joint.final))
     more = laws.selected(joint, ()) if joint.functions is not None and joint.functions.nats else None
     if more is not None:
         return conclude(more)
-    return replace(outcome, joint=joint if outcome.joint is not None else None)
-
-
-def sound(search: JointSearch, joint: JointSelection) -> JointSelection | None:
-    """A selection whose innovations are what they should be: the given one, or one with laws; else None.
-
-    What a law does that the physics lacks is no noise, and may show as a misfit of the noise model.
-
-    Args:
-        search: The search by the joint likelihood.
-        joint: What it selected of the catalogue.
-    """
-    laws = _LawSearch(search)
-    joint = laws.checked(joint)  # laws that took the place of effects
-    if not joint.best.misfit:
-        return joint
-    if not search.tries_laws:
-        return None
-    found = laws.selected(joint, ())
-    return None if found is None or found.best.misfit else found
+    return replace(outcome, joint=joint)
 
 
 class _LawSearch:
@@ -135,7 +120,7 @@ class _LawSearch:
             replaced: Effects that laws are tried in the place of.
         """
         search = self._search
-        place = search.of(joint)
+        place = joint.final
         of_effects = {n: e for n in replaced if isinstance(e := effect_of(place.system, n), Law)}
         for name in replaced:
             place = search.without(place, name)
@@ -150,13 +135,13 @@ class _LawSearch:
         found = self.checked(search.concluded(place))
         if not any(map(is_law, found.selected)):
             return None
-        return replace(found, functions=self.functions(search.of(found)))
+        return replace(found, functions=self.functions(found.final))
 
     def checked(self, found: JointSelection) -> JointSelection:
         """The same without laws that are not chosen again, laws that the catalogue has under its names."""
         search = self._search
         while unstable := self._not_chosen_again(found):
-            found = search.concluded(search.without(search.of(found), unstable))
+            found = search.concluded(search.without(found.final, unstable))
         return self._named_by_the_catalogue(found)
 
     def _with_a_law(self, place: FittedPhysics, effects: Sequence[Law]) -> FittedPhysics | None:
@@ -229,8 +214,8 @@ class _LawSearch:
     def _share(self, found: JointSelection, name: str) -> float:
         """Share of random halves of the runs in which a law is about as good as the best of its library."""
         search, decisions = self._search, self._search.search.decisions
-        without = search.without(search.of(found), name)
-        values = values_of(effect_of(found.system, name))
+        without = search.without(found.final, name)
+        values = values_of(effect_of(found.final.system, name))
         shapes = {k: v for k, v in values.items() if k != "c1"}
         terms = search.libraries[name]
         library = (Term(name, shapes, next(t.port for t in terms if t.law == name)), *terms)
@@ -245,7 +230,7 @@ class _LawSearch:
         power = np.full((len(halves), len(library)), -np.inf)
         at = 0
         # the noise of the physics without the law may have learned it
-        for some, held in tables(without.system, without.at, library, found.at.levels):
+        for some, held in tables(without.system, without.at, library, found.final.at.levels):
             table = GramTable(held, 1 + without.best.free, fold)
             first = 1 + len(without.best.vector)
             power[:, at : at + len(some)] = table.gains_on(halves, range(first, first + len(some)))
@@ -258,7 +243,7 @@ class _LawSearch:
         """The same, laws that the catalogue has under its names."""
         search = self._search
         for name in filter(is_law, list(found.selected)):
-            place = search.of(found)
+            place = found.final
             same = same_effect(place.at.of.space.steps, place.system, name)
             if same is None:
                 continue

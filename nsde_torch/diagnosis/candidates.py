@@ -1,7 +1,8 @@
 """Effects of the catalogue as candidates: which a system may have, and where their fits start."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
+from nsde_torch.diagnosis.fitted import values_of
 from nsde_torch.effects import EFFECTS, Effect, Law, Port, effect_class, effects_of
 from nsde_torch.effects.law import joined_name, split_name
 from nsde_torch.errors import ConfigError
@@ -95,6 +96,36 @@ def on_coordinates(system: System, names: Sequence[str]) -> list[str]:
 def make_candidate(name: str, system: System, start: Start) -> Effect:
     """An effect with these values, for a copy of the system."""
     return system.make_effect(name, start)
+
+
+def starts(
+    system: System, name: str, scales: Mapping[str, float], frequencies: Sequence[float]
+) -> list[Start]:
+    """Values that fits of a candidate start from.
+
+    What it contains and is there lends it the shapes that both have, and a start at which it is that effect: from there
+    it explains no less.
+    """
+    cls = effect_class(name)
+    found = cls.starts(scales, frequencies)
+    for effect in system.effects:
+        assert isinstance(effect, Effect)
+        if effect.name not in cls.includes:
+            continue
+        theirs = values_of(effect)
+        alike = {own: theirs[key] for own, key in cls.shared(type(effect)).items()}
+        lent = {own: value for own, value in alike.items() if own in cls.shapes}
+        for start in [{**start, **more} for more in (lent, alike) for start in found]:
+            found += [] if start in found else [start]
+    return found
+
+
+def joined(system: System, name: str, start: Start) -> System:
+    """The system with a candidate, without what the candidate contains."""
+    contained = set(effect_class(name).includes) & set(system.effect_names)
+    if contained:
+        system = system.without_effects(*contained)
+    return system.with_effects(make_candidate(name, system, start))
 
 
 def alone(name: str, labels: Sequence[str]) -> list[tuple[str, ...]]:

@@ -107,7 +107,7 @@ def _why_not(log: Log, outcome: Outcome) -> str:
 
 def _declared(outcome: Outcome, at: Optimum) -> Array:
     """Held-out log density of each block of time (B,) by the declared physics."""
-    near = outcome.declared_optimum
+    near = None if outcome.joint is None else outcome.joint.declared.at
     # rows that bring up memory first are not counted, which shifts blocks
     if near is None or not torch.equal(near.of.space.chunks.counted, at.of.space.chunks.counted):
         near = at

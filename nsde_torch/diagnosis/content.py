@@ -12,8 +12,8 @@ from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.declared import declared
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.detectability import NotShown, not_shown
-from nsde_torch.diagnosis.estimates import Estimate, estimates
-from nsde_torch.diagnosis.fitted import effect_of
+from nsde_torch.diagnosis.estimates import Estimate
+from nsde_torch.diagnosis.fitted import effect_of, values_of
 from nsde_torch.diagnosis.multiplicity import bonferroni
 from nsde_torch.diagnosis.outcome import Found, Outcome
 from nsde_torch.diagnosis.shape import Shape, called, symmetry
@@ -22,7 +22,6 @@ from nsde_torch.effects.expression import Expression
 from nsde_torch.effects.expression_forms import latex, sympy_text, valued
 from nsde_torch.effects.expression_grammar import Call, Node, Power, Variable, Written, is_law, nodes
 from nsde_torch.effects.law import joined_name, split_name
-from nsde_torch.sysid.longer_boxes import in_words
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import own_name
 
@@ -195,9 +194,6 @@ def named(first: Sequence[str], told: Told) -> str:
 
 def _warnings(found: Diagnosis) -> list[dict[str, Any]]:
     guards = [one.as_dict() for one in found.explanation.guard.objections]
-    if (refused := found.explanation.refused) is not None:
-        box = found.outcome.final.regression.dt
-        guards.append({"kind": "longer_boxes", **in_words(box, refused)})
     return [*({"parameter": None, **one} for one in guards), *map(asdict, found.explanation.warned)]
 
 
@@ -212,9 +208,9 @@ def _findings(found: Diagnosis) -> list[dict[str, Any]]:
         {
             "name": f.name,
             "kind": "formula" if is_law(f.name) else "effect",
-            "sentence": sentence(found.outcome, f.name, f.trial.held),
-            "p": f.trial.p_corrected,
-            "evidence_nats": f.trial.nats,
+            "sentence": sentence(found.outcome, f.name),
+            "p": f.evidence.p,
+            "evidence_nats": f.evidence.nats,
             "lead": bool(f.provisional),
             "lead_reason": f.provisional or None,
             "moves": list(f.moves),
@@ -234,7 +230,7 @@ def _size(outcome: Outcome, f: Found) -> str:
     by_unit: dict[str, list[str]] = {}
     for e in outcome.estimates(f.name):
         if own_name(e.name) in effect_of(outcome.system, f.name).null:
-            by_unit.setdefault(e.unit, []).append(f"{0.0 if e.name in f.trial.held else e.value:.3g}")
+            by_unit.setdefault(e.unit, []).append(f"{e.value:.3g}")
     return "; ".join(", ".join(v) + ("" if unit == "1" else f" {unit}") for unit, v in by_unit.items())
 
 
@@ -270,20 +266,22 @@ def _in_run(found: Diagnosis) -> dict[str, Any] | None:
     f = found.explanation.in_run
     if f is None:
         return None
-    means = meaning(found.outcome.declared_system, f.effect, f.estimates, f.held)
+    means = meaning(found.outcome.declared_system, f.effect, f.values)
     return {
         "run": found.runs[f.run],
         "effect": f.effect,
         "p": f.p,
-        "parameters": {e.name: {"value": e.value, "unit": e.unit} for e in f.estimates},
+        "parameters": {e.name: {"value": e.value, "unit": e.unit} for e in f.values},
         "sentence": f"In {called(found.runs[f.run])} alone, {f.effect} would explain it: {means}",
         "verified": False,
     }
 
 
 def _not_shown(o: Outcome) -> list[NotShown]:
+    if o.joint is None:
+        return []
     names, alpha = [f.name for f in o.found], o.levels["effects"]
-    return not_shown(o.rounds, found=names, alpha=alpha, decisions=o.decisions, system=o.declared_system)
+    return not_shown(o.joint, found=names, alpha=alpha, decisions=o.decisions, system=o.declared_system)
 
 
 def parameters(found: Diagnosis) -> dict[str, Any]:
@@ -298,8 +296,7 @@ def parameters(found: Diagnosis) -> dict[str, Any]:
             out[f"{fault.name}.{name}"] = {"value": value, "interval_90": ends, "bound": None, "unit": unit}
     for f in found.outcome.found:
         for e in found.outcome.estimates(f.name):
-            value = 0.0 if e.name in f.trial.held else e.value
-            out[e.name] = {"value": value, **_interval(found, e), "unit": e.unit}
+            out[e.name] = {"value": e.value, **_interval(found, e), "unit": e.unit}
     return out
 
 
@@ -314,18 +311,18 @@ def _interval(found: Diagnosis, e: Estimate) -> dict[str, Any]:
     return {"interval_90": None if e.low is None else [e.low, e.high], "bound": e.bound, **widened}
 
 
-def sentence(outcome: Outcome, effect: str, held: Sequence[str] = ()) -> str:
-    """What an effect means, with its values; parameters that were held at nothing are nothing."""
-    return meaning(outcome.declared_system, effect, outcome.estimates(effect), held)
+def sentence(outcome: Outcome, effect: str) -> str:
+    """What an effect means, with its values."""
+    return meaning(outcome.declared_system, effect, outcome.estimates(effect))
 
 
-def meaning(system: System, effect: str, parameters: Sequence[Estimate], held: Sequence[str] = ()) -> str:
+def meaning(system: System, effect: str, parameters: Sequence[Estimate]) -> str:
     """The sentence of an effect with these values."""
     values: dict[str, list[str]] = {}
     units: dict[str, str] = {}
     for e in parameters:
         name = own_name(e.name)
-        values.setdefault(name, []).append(f"{0.0 if e.name in held else e.value:.3g}")
+        values.setdefault(name, []).append(f"{e.value:.3g}")
         units[name] = "" if e.unit == "1" else f" {e.unit}"
     words = {name: ", ".join(values[name]) + units[name] for name in values}
     cls = system.effect_class(effect)
@@ -337,29 +334,20 @@ def meaning(system: System, effect: str, parameters: Sequence[Estimate], held: S
 
 
 def ranking(outcome: Outcome) -> list[dict[str, Any]]:
-    """Every candidate of the first look, the likeliest first, and later looks where they added one."""
-    out: list[dict[str, Any]] = []
-    for number, look in enumerate(outcome.rounds):
-        out += [
-            {
-                "round": number,
-                "effect": t.name,
-                "evidence_nats": t.nats,
-                "evidence_error": t.nats_error,
-                "p": t.p_corrected,
-                "parameters": {e.name: e.value for e in estimates(t.regression, t.spread, t.name)},
-                "chosen": look.chosen is not None and t.name == look.chosen.name,
-            }
-            for t in look.trials
-        ]
-        # `screening` is the likelihood ratio, twice the nats
-        seen = {t.name for t in look.trials}
-        out += [
-            {"round": number, "effect": n, "screening": 2.0 * nats, "p": None, "chosen": False}
-            for n, nats in sorted(look.screened.items(), key=lambda item: -item[1])
-            if n not in seen
-        ]
-    return out
+    """What every look at the catalogue says of every candidate, the likeliest first."""
+    return [
+        {
+            "round": number,
+            "effect": p.name,
+            "evidence_nats": p.nats,
+            "evidence_error": p.error,
+            "p": p.p,
+            "parameters": {f"{p.name}.{k}": v for k, v in values_of(effect_of(p.system, p.name)).items()},
+            "chosen": p.name == round.chosen,
+        }
+        for number, round in enumerate(outcome.joint.rounds if outcome.joint is not None else ())
+        for p in round.look.proposals
+    ]
 
 
 def _dependences(tests: Sequence[Dependence], found: Diagnosis) -> list[dict[str, Any]]:

@@ -152,7 +152,6 @@ class DiagnosisCourse:
                 Explanation(
                     channels,
                     guard=guard or Guarded(),
-                    refused=log.refused,
                     ceiling=most or Ceiling(NOT_YET),
                 ),
                 self.options,

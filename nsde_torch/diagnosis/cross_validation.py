@@ -1,9 +1,8 @@
 """The declared physics, with and without effects, on runs that it was not fitted to.
 
 Every run is left out in turn (at most five groups of runs); all parameters, those of the effects too, are fitted to the
-others: a step of Gauss and Newton from the optimum of all runs, that of the likelihood (`inference.left_out`) where it
-selected one effect or none, else that of the regression. On what was left out three things are measured, with intervals
-from resampling blocks of time (evaluation.bootstrap):
+others: a step of Gauss and Newton from the optimum of all runs (`inference.left_out`). On what was left out three
+things are measured, with intervals from resampling blocks of time (evaluation.bootstrap):
 
 - the log-likelihood of each step given the past, and the residual force and moment in the band where they act
   (`innovations`): they mean the same whether inputs answer disturbances or not, and they judge. Each effect is left
@@ -24,9 +23,10 @@ from torch import Tensor
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.diagnosis.decisions import DECISIONS, INTERVAL_LEVEL, Decisions
-from nsde_torch.diagnosis.evidence import free_basis
 from nsde_torch.diagnosis.fitted import nonlinear
 from nsde_torch.diagnosis.innovations import Own, band, finite, one_step, own, scored
+from nsde_torch.diagnosis.joint_selection import FittedPhysics
+from nsde_torch.diagnosis.learned_functions import optimum_of
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import Search
@@ -36,8 +36,8 @@ from nsde_torch.evaluation.bootstrap import make_blocks, paired_bootstrap
 from nsde_torch.evaluation.metrics import horizons_of, start_grid, thinned
 from nsde_torch.evaluation.open_loop import squares_by_fold
 from nsde_torch.inference.left_out import Folds, LeftOut, left_out
+from nsde_torch.inference.steps import Steps
 from nsde_torch.models.identified import IdentifiedModel, SysidSpec
-from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 
 REPLAYED = "replayed"
@@ -87,53 +87,19 @@ def split(runs: Sequence[Run], decisions: Decisions = DECISIONS) -> tuple[Folds,
         return Folds(number, first.t[-1:]), []
 
 
-def by_regression(search: Search, whole: System) -> Fitted:
-    """Physics as regressions of a search leave it, with noise models of the kinds of those of `whole`."""
-    first = search.quick(whole, warm=True)
-    return lambda system, folds: _left_out(
-        first if system is whole else search.beside(system, first), system, folds
-    )
+def by_likelihood(places: Sequence[FittedPhysics]) -> Fitted:
+    """Physics where the likelihood is largest: those that were fitted, others from the last of these.
 
-
-def by_likelihood(outcome: Outcome) -> Fitted | None:
-    """Physics where the likelihood that selected it is largest; None where that does not count, or is not known.
-
-    Beside further effects each one would be fitted anew without it, for 2 s on a spring and 6 s on a flight, where the
-    regression takes a quarter of a second.
+    Args:
+        places: Fitted physics of the same rows.
     """
-    at, declared, printed = outcome.optimum, outcome.declared_optimum, outcome.printed
-    counts = outcome.joint is not None and printed is not None and printed.likelihood_used
-    if not counts or at is None or len(outcome.found) > 1:
-        return None
-    if outcome.found and (declared is None or declared.of.space.chunks is not at.of.space.chunks):
-        return None
+    known = {frozenset(one.system.effect_names): one.at for one in places}
 
-    def fitted(system: System, folds: Folds) -> LeftOut:
-        there = at if system is outcome.system or declared is None else declared
-        return left_out(there, folds, still=nonlinear(there.of.vector, smooth=False))
+    def left(system: System, folds: Folds) -> LeftOut:
+        at = known.get(frozenset(system.effect_names)) or optimum_of(system, places[-1].at)
+        return left_out(at, folds, still=nonlinear(at.of.vector, smooth=False))
 
-    return fitted
-
-
-def _left_out(regression: Regression, system: System, folds: Folds) -> LeftOut:
-    """As `inference.left_out`, of a regression at its optimum; its shapes and noise models are those of all runs."""
-    r, single = regression, regression.single
-    place = r.whitened_rows(np.arange(len(r.series)))
-    run, t = r.owners[place], single.summed(r.physics.steps.t.numpy()[:, None], r.box)[place, 0] / r.box
-    fold, basis = folds.of(run, t), free_basis(r, nonlinear(r.vector, smooth=False))
-    slopes, size = r.slopes @ basis, np.sqrt(np.square(r.white).mean(1))
-    theta, density = [], np.zeros((len(t), len(r.rows)))
-    for f in range(folds.count):
-        rest, tested = fold != f, fold == f
-        x = slopes[:, rest].reshape(-1, basis.shape[1])
-        step = np.linalg.lstsq(x, r.white[:, rest].reshape(-1), rcond=1e-5)[0]
-        theta.append(r.vector.inside(r.theta + basis @ step))
-        boxed = single.summed(r.physics.residual(theta[-1]), r.box)
-        for i, (c, noise, s) in enumerate(zip(r.rows, r.noises, size, strict=True)):
-            white = r.whitened(noise, boxed[:, [c]])[:, 0] / s
-            density[tested, i] = noise.log_density(white, r.series)[tested] - np.log(s)
-    names, live = tuple(system.state_names[c] for c in r.rows), fold >= 0
-    return LeftOut(r.vector, np.array(theta), names, density[live], run[live], t[live])
+    return left
 
 
 def held_out(
@@ -141,10 +107,10 @@ def held_out(
     spec: SysidSpec,
     runs: Sequence[Run],
     *,
-    search: Search,
+    fitted: Fitted,
+    steps: Steps,
     clock: float,
     seed: int,
-    fitted: Fitted | None = None,
     without: Mapping[str, System] | None = None,
     moved: Mapping[str, Sequence[str]] | None = None,
     decisions: Decisions = DECISIONS,
@@ -155,10 +121,10 @@ def held_out(
         systems: Without and with the effects, their values near the optimum.
         spec: What models of the system are made of.
         runs: All runs.
-        search: The search in them.
+        fitted: How physics is fitted to the others.
+        steps: Their steps.
         clock: Physical seconds per logged second.
         seed: Seed of the resamples.
-        fitted: How physics is fitted to the others; None: by the regression of the search.
         without: By effect: the physics with all others.
         moved: By effect: names of the channels that it moves.
         decisions: Folds, and blocks of time.
@@ -168,12 +134,11 @@ def held_out(
     content, brought = dict(_NOTHING), dict[str, Own]()
     if not tests:
         return HeldOut(content, False, (), brought)
-    fitted = fitted or by_regression(search, after)
     full = fitted(after, folds)
     rest = full if before is after else fitted(before, folds)
     content |= _replayed(rest, full, spec, tests, folds, clock, seed, decisions)
     if len(full.density):
-        score = partial(scored, steps=search.steps, folds=folds)
+        score = partial(scored, steps=steps, folds=folds)
         one, other = score(rest), score(full)
         content["one_step"] = one_step(one, other, before, seed=seed, decisions=decisions)
         content["residual"] = band(one, other, seed=seed, decisions=decisions)
@@ -196,14 +161,20 @@ def cross_validated(
         spec: What models of the system are made of.
         closed_loop: Whether inputs answer the state; None: not known.
     """
+    joint = outcome.joint
+    if joint is None:
+        return none_held_out(log, closed_loop)
+    places = [joint.declared, *(one.without for one in joint.selected.values()), joint.final]
+    if outcome.optimum is not None:
+        places[-1] = replace(joint.final, at=outcome.optimum)
     found = held_out(
         (outcome.declared_system, outcome.system),
         spec,
         log.runs,
-        search=search,
+        fitted=by_likelihood(places),
+        steps=search.steps,
         clock=log.recorded.clock,
         seed=log.options.seed,
-        fitted=by_likelihood(outcome),
         without={f.name: outcome.without(f.name) for f in outcome.found},
         moved={f.name: f.moves for f in outcome.found},
         decisions=log.decisions,

@@ -6,13 +6,12 @@ in noise, which is taken off first.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.cross_validation import HeldOut
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.dependence import Dependence
-from nsde_torch.diagnosis.elimination import Retained, eliminate
 from nsde_torch.diagnosis.evidence import nats_by_channel
 from nsde_torch.diagnosis.fitted import bent_shape, fitted_system, moved_channels
 from nsde_torch.diagnosis.hidden import (
@@ -24,50 +23,62 @@ from nsde_torch.diagnosis.hidden import (
     lengths_of_parameters,
     likelihood_ratios,
 )
+from nsde_torch.diagnosis.joint_selection import JointSelection
 from nsde_torch.diagnosis.left_over import beyond_chance, variables_of
-from nsde_torch.diagnosis.outcome import Found, Outcome, Verdict, base_without
+from nsde_torch.diagnosis.outcome import Found, Outcome, Verdict, base_without, found_by
+from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import Base, Search
-from nsde_torch.diagnosis.selection import Selection
 from nsde_torch.diagnosis.specification import dependences
 from nsde_torch.effects import Effect, Port, effect_class
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import split_name
-from nsde_torch.sysid.guard import Guarded, doubts_the_fit
+from nsde_torch.sysid.guard import Guarded, doubts_the_fit, guarded
 from nsde_torch.sysid.loop_test import LoopTest
+from nsde_torch.systems import System
 
 
-def set_aside(search: Search, chosen: Selection, kept: Retained, feedback: Feedback) -> Retained:
-    """Effects that explain more than feedback may hide, and those that do not (`hidden`), the weakest first.
+@dataclass(frozen=True)
+class Selection:
+    """Effects that were selected, and the regressions that test what they leave."""
 
-    Of two that stand in for each other the weaker one brings little beside the other. What is left is therefore looked
-    at again, with what was set aside among the candidates for its place.
+    declared: Base  # the declared physics, fitted, with what is shorter than a step
+    final: Base  # the physics with the effects, fitted
+    found: list[Found]  # the effects, in the order in which they were added
+    joint: JointSelection | None  # what the joint likelihood selected; None where it could not be computed
+    hidden: tuple[Hidden, ...] = ()  # effects that are not named because feedback may have made them
+    feedback: LoopTest = field(default_factory=LoopTest)
+    """What the data say of the loop that they were recorded in, by `final`."""
+
+
+def selection(search: Search, joint: JointSelection | None, system: System) -> Selection:
+    """What the joint likelihood selected, with regressions of the declared and of the final physics.
 
     Args:
         search: Data and settings.
-        chosen: What forward selection added.
-        kept: Effects that elimination kept.
+        joint: What was selected; None where that could not be computed: nothing.
+        system: The declared physics with first values.
+    """
+    if joint is not None and joint.aside:
+        system = joint.declared.system
+    declared = search.base(system)
+    if joint is None or not joint.selected:
+        return Selection(declared, declared, [], joint)
+    final = search.narrower(search.base(joint.final.system, warm=True, like=declared.regression))
+    return Selection(declared, final, found_by(search, joint), joint)
+
+
+def set_aside(search: Search, chosen: Selection, feedback: Feedback) -> Selection:
+    """Effects that explain more than feedback may hide; the others are set aside, the weakest first (`hidden`).
+
+    Args:
+        search: Data and settings.
+        chosen: What was selected.
         feedback: What is asked of the loop.
     """
-    kept = _beyond_feedback(search, chosen, kept, feedback)
-    for _ in range(search.budgets.set_aside_again):
-        if not (kept.hidden and kept.found):
-            break
-        names = [f.name for f in kept.found]
-        rest = replace(chosen, final=kept.final, names=names)
-        again = eliminate(search, rest, also=[h.name for h in kept.hidden])
-        if [f.name for f in again.found] == names:
-            break
-        hidden = tuple(h for h in kept.hidden if h.name not in {f.name for f in again.found})
-        kept = _beyond_feedback(search, chosen, replace(again, hidden=hidden), feedback)
-    return kept
-
-
-def _beyond_feedback(search: Search, chosen: Selection, kept: Retained, feedback: Feedback) -> Retained:
-    """Effects without the weakest ones that feedback may hide; these are added to the hidden ones."""
-    found, base, hidden = kept.found, kept.final, list(kept.hidden)
+    found, base, joint, hidden = chosen.found, chosen.final, chosen.joint, list(chosen.hidden)
     tested = feedback.test(base.regression)
-    among = max(len(chosen.rounds[0].screened), 1) if chosen.rounds else 1
-    while found:
+    among = max(len(joint.rounds[0].look.proposals), 1) if joint is not None else 1
+    while found and joint is not None:
         lengths = lengths_of_parameters(tested, base.regression)
         weakest: tuple[float, Found, Base, tuple[str, ...]] | None = None
         for f in found if lengths else ():
@@ -85,21 +96,27 @@ def _beyond_feedback(search: Search, chosen: Selection, kept: Retained, feedback
             break
         _, f, base, channels = weakest
         hidden.append(Hidden(f.name, channels))
-        found = [g for g in found if g is not f]
+        joint = joint.less(f.name)
+        found = found_by(search, joint)
         tested = feedback.test(base.regression)
-    return Retained(found, base, tuple(hidden), tested)
+    return replace(chosen, final=base, found=found, joint=joint, hidden=tuple(hidden), feedback=tested)
 
 
-def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback) -> Outcome:
+def decide(search: Search, chosen: Selection, feedback: Feedback) -> Outcome:
     """Test what is left with and without the effects, and conclude.
 
     Args:
         search: Data and settings.
-        chosen: What forward selection added.
-        kept: Effects that count.
+        chosen: Effects that count.
         feedback: What is asked of the loop.
     """
-    declared, base, found, tested = chosen.declared, kept.final, kept.found, kept.feedback
+    declared, base, found, tested, joint = (
+        chosen.declared,
+        chosen.final,
+        chosen.found,
+        chosen.feedback,
+        chosen.joint,
+    )
     declared_variables = variables_of(search, declared)
     before = dependences(declared.regression, declared_variables, overview=bool(found))
     variables, after = declared_variables, before
@@ -108,12 +125,13 @@ def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback
         after = dependences(base.regression, variables)
     levels = search.levels(*(["effects"] if found else []))
     left = _left(base, after, tested, levels["structure"])
-    explained = base.score.fitted - declared.score.fitted
+    explained = base.nats - declared.nats
     rest = max((d.excess for d in left), default=0.0)
     if found and explained < search.decisions.negligible_share * rest:
         # what is missing bends the physics, and any term straightens it a little
         before = after = dependences(declared.regression, declared_variables)
         found, base, variables = [], declared, declared_variables
+        joint = None if joint is None else joint.nothing()
         tested = feedback.test(base.regression)
         levels = search.levels()
         left = _left(base, before, tested, levels["structure"])
@@ -132,14 +150,13 @@ def decide(search: Search, chosen: Selection, kept: Retained, feedback: Feedback
             )
             for f in found
         ],
-        rounds=chosen.rounds,
+        joint=joint,
         declared_variables=declared_variables,
         variables=variables,
         before=before,
         after=after,
         structured=left,
-        aside=chosen.aside,
-        hidden=kept.hidden,
+        hidden=chosen.hidden,
         test=tested,
         hangs=feedback.hangs(base.regression),
         levels=levels,
@@ -239,6 +256,19 @@ def _variable(effect: type[Effect]) -> tuple[str, Port, str]:
     return effect.along, effect.port, split_name(effect.name)[1]
 
 
+def guard_of(log: Log, outcome: Outcome) -> Guarded:
+    """The final physics held against simple fits; the declared physics, where the columns are read in another way."""
+    regression = outcome.final.regression
+    basis = regression.shown.basis
+    covariance = basis @ outcome.spread.covariance @ basis.T
+    found = guarded(regression, log.runs, clock=log.recorded.clock, covariance=covariance)
+    if found.objections or not any(is_law(f.name) for f in outcome.found):
+        return found
+    # laws make up for an angle that is counted from the other side (tests/diagnosis/test_declared.py)
+    without = guarded(outcome.declared.regression, log.runs, clock=log.recorded.clock)
+    return without if any(o.kind == "reading" for o in without.objections) else found
+
+
 def doubted(outcome: Outcome, guard: Guarded) -> Outcome:
     """The outcome; where the guard speaks against the final physics, or it explains nothing, nothing found is sure."""
     if not guard.objections:
@@ -265,7 +295,7 @@ def _may_be_nothing(outcome: Outcome, found: Found) -> bool:
     sizes = [
         (e, nothing[name])
         for e in outcome.estimates(found.name)
-        if (name := e.name.rpartition(".")[2].partition("[")[0]) in nothing and e.name not in found.trial.held
+        if (name := e.name.rpartition(".")[2].partition("[")[0]) in nothing
     ]
     return bool(sizes) and all(
         e.bound == "below" or (e.low is not None and e.high is not None and e.low <= null <= e.high)

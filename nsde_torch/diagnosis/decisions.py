@@ -75,21 +75,11 @@ class Decisions:
     wider_nats: float = key(
         2.0, "nats by which two effects must be better than one that contains one of them", unit="nat"
     )
-    part_share: float = key(
-        0.01,
-        "share of the push of an effect below which what it has beside a simpler one is nothing",
-        high=1,
-    )
     most_effects: int = key(8, "most effects to add", low=0)
 
     # ---- noise models -----------------------------------------------------------------------------------
     noise_memory: float = key(
         1.0, "longest memory of a noise model; what lasts longer is structure", unit="s", above=0
-    )
-    noise_kind_nats: float = key(
-        10.0,
-        "nats by which another kind of noise model must be likelier to be needed on runs left out",
-        unit="nat",
     )
     noise_blind_nats: float = key(
         30.0,
@@ -103,11 +93,6 @@ class Decisions:
     )
     least_periods: float = key(
         1.5, "fewest periods of a sinusoid in the longest stretch; slower is a drift", unit="periods"
-    )
-    taken_over_share: float = key(
-        0.5,
-        "share of its size that a part of an effect keeps beside another one that has not taken it over",
-        high=1,
     )
 
     # ---- folds and blocks of time -----------------------------------------------------------------------
@@ -186,20 +171,8 @@ class Budgets:
 
     iterations: int = key(20, "most iterations of a regression from its first values", low=1)
     refinements: int = key(8, "most iterations of a regression that starts near its optimum", low=1)
-    screened_starts: int = key(
-        3, "most starts of a candidate that already move the residual, screened", low=1
-    )
-    worth_nats: float = key(3.0, "first step below which a candidate is not iterated", unit="nat", low=0)
-    close_share: float = key(
-        0.3, "share of the best candidate's nats below which no further one is iterated", low=0
-    )
-    helping_fewest: int = key(3, "candidates that help, before none is left out for this", low=0)
-    iterated_most: int = key(9, "most candidates that are iterated in a round", low=1)
-    finished_fewest: int = key(2, "candidates that get noise models of their own in any case", low=0)
-    finished_share: float = key(0.5, "share of the best's nats from which others get them too", low=0)
     noise_nats: float = key(1.0, "nats by which another noise model must be likelier to be tried", low=0)
     exchanges: int = key(12, "looks at the catalogue beyond which no effect is exchanged any more", low=1)
-    set_aside_again: int = key(3, "looks again at what is left where feedback may hide an effect", low=0)
     spectral_lines: int = key(3, "lines of the spectrum that fits of a sinusoid start from", low=1)
     noise_turns: int = key(4, "most turns between parameters and noise model in a test", low=1)
     closer_chance: float = key(0.05, "chance above which one run alone gets no closer look", above=0, high=1)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from math import inf, isfinite
 
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
-from nsde_torch.diagnosis.rounds import Round
+from nsde_torch.diagnosis.joint_selection import JointSelection
 from nsde_torch.effects import effect_class
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import own_name
@@ -30,7 +30,7 @@ class NotShown:
 
 
 def not_shown(
-    rounds: Sequence[Round],
+    joint: JointSelection,
     *,
     found: Sequence[str],
     alpha: float,
@@ -40,20 +40,18 @@ def not_shown(
     """Effects that were not significant and could not have been.
 
     Args:
-        rounds: Every look at the catalogue; the smallest standard error over them counts.
+        joint: What was selected.
         found: Names of the effects that were added.
         alpha: Chance below which a candidate is significant.
         decisions: What size is noticed, and what is a good part of the usual one.
         system: Declared system, which knows units; None: those of the simplest machine.
     """
-    significant = {t.name for look in rounds for t in look.trials if t.p_corrected < alpha} | set(found)
+    significant = {p.name for r in joint.rounds for p in r.look.proposals if p.p < alpha} | set(found)
     contained = {simple for name in significant for simple in effect_class(name).includes}
     smallest: dict[tuple[str, str], float] = {}
-    for look in rounds:
-        for name, errors in look.errors.items():
-            if name not in significant | contained:
-                for label, error in errors.items():
-                    smallest[name, label] = min(error, smallest.get((name, label), inf))
+    for name, errors in joint.errors.items():
+        if name not in significant | contained:
+            smallest |= {(name, label): error for label, error in errors.items()}
     out = []
     for (name, label), error in smallest.items():
         cls = effect_class(name) if system is None else system.effect_class(name)

@@ -5,22 +5,22 @@ is looked at once.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from nsde_torch.diagnosis.between_runs import RunZeros, between_runs
 from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.channels import ChannelResidual, channel_residuals
 from nsde_torch.diagnosis.declared import Warned, warnings
 from nsde_torch.diagnosis.dependence import Dependence
-from nsde_torch.diagnosis.estimates import Estimate, estimates
+from nsde_torch.diagnosis.estimates import Estimate
+from nsde_torch.diagnosis.joint_selection import JointSearch
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log
-from nsde_torch.diagnosis.rounds import look
 from nsde_torch.diagnosis.search import Search
-from nsde_torch.diagnosis.selection import choice
 from nsde_torch.diagnosis.shape import Shape, shape
 from nsde_torch.diagnosis.views import rates
 from nsde_torch.errors import DataError
+from nsde_torch.inference import LogLikelihood
 from nsde_torch.sysid.guard import Guarded
 from nsde_torch.sysid.standing import moving
 from nsde_torch.systems import System
@@ -32,8 +32,7 @@ class InRun:
 
     run: int  # number of the run
     effect: str  # name of the effect
-    estimates: tuple[Estimate, ...]  # its parameters, fitted to that run
-    held: tuple[str, ...]  # names of those that were held at nothing
+    values: tuple[Estimate, ...]  # its parameters, fitted to that run
     p: float  # chance of it in that run, corrected for the number of candidates
 
 
@@ -50,8 +49,6 @@ class Explanation:
     warned: tuple[Warned, ...] = ()  # declared parameters that tell of a fault of the columns
     guard: Guarded = field(default_factory=Guarded)
     """How the final physics stands beside simple fits, and what speaks against it."""
-    refused: Guarded | None = None
-    """What spoke against it over shorter boxes; None where these are the usual ones."""
     standing: float = 0.0  # share of the rows that were left out because what has dry friction stands in them
     ceiling: Ceiling = field(default_factory=Ceiling)  # what functions could still explain
 
@@ -86,7 +83,7 @@ def explained(
 
     def alone() -> InRun | None:
         odd = odd_run(left, shapes)
-        return None if odd is None else in_run(log.again(search, [log.runs[odd]]), outcome.system, odd)
+        return None if odd is None else in_run(log, outcome.system, odd)
 
     shapes = attempt("the shape of what is left", shaped, ())
     return Explanation(
@@ -96,7 +93,6 @@ def explained(
         in_run=attempt("what is special about one run", alone, None),
         warned=attempt("odd declared values", lambda: tuple(warnings(outcome, log.system)), ()),
         guard=guard,
-        refused=log.refused,
         standing=moving(log.runs, log.slowest)[1] if log.slowest else 0.0,
         ceiling=most,
     )
@@ -113,20 +109,29 @@ def odd_run(left: Sequence[Dependence], shapes: Sequence[Shape]) -> int | None:
     return next((s.only_run for d, s in pairs if d.moment is None), None)
 
 
-def in_run(search: Search, system: System, run: int) -> InRun | None:
+def in_run(log: Log, system: System, run: int) -> InRun | None:
     """The effect that would explain a run, or None where none does.
 
     Args:
-        search: In that run alone.
+        log: The log.
         system: Physics with everything that was found.
         run: Number of the run.
     """
+    alone = [log.runs[run]]
+    search = log.search(alone)
+    search.decisions = replace(search.decisions, most_effects=1)
     try:
-        trials = look(search, search.base(system)).trials
+        joint = JointSearch(
+            search, LogLikelihood(system, alone, log.recorded.clock, run_in=True), system
+        ).selected()
     except DataError:  # it moves too little to be fitted by itself
         return None
-    found = choice(search, trials, ())
-    if found is None:
-        return None
-    values = tuple(estimates(found.regression, found.spread, found.name))
-    return InRun(run, found.name, values, tuple(found.held), found.p_corrected)
+    for name in joint.selected:
+        best = joint.final.best
+        own = best.vector.of(name)
+        values = tuple(
+            Estimate(best.vector.labels[j], float(best.theta[j]), None, None, best.vector.units[j])
+            for j in own
+        )
+        return InRun(run, name, values, joint.evidence(search, name).p)
+    return None

@@ -67,49 +67,6 @@ def nonlinear(vector: ParameterVector, *, smooth: bool = True) -> NDArray[np.boo
     return out
 
 
-def adds_nothing(regression: Regression, effect: str, *, share: float) -> bool:
-    """Whether an effect says nothing of its own: its sizes are at nothing, or it is nearly a simpler effect.
-
-    Physics is never exact to a small share of a push: what an effect has beside a simpler one is there for sure as soon
-    as the data are many, and says nothing where it pushes so little.
-
-    Args:
-        regression: With it.
-        effect: Its name.
-        share: Of the push of the effect (rms, each step in its noise), below which what a simpler one lacks is nothing.
-    """
-    cls, v, gone = effect_class(effect), regression.vector, at_bounds(regression)
-    sizes = [j for j in v.of(effect) if own_name(v.labels[j]) in cls.amplitudes]
-    lowest = {name for name in cls.amplitudes if cls.PARAMETERS[name].low == cls.null.get(name)}
-    if sizes and all(gone[j] and own_name(v.labels[j]) in lowest for j in sizes):
-        return True
-    nothing = np.array([cls.null.get(own_name(v.labels[j]), 0.0) for j in sizes])
-    whole = regression.theta[sizes] - nothing
-    for simple in cls.includes:
-        beyond = _beyond(cls, effect_class(simple), [own_name(v.labels[j]) for j in sizes], whole)
-        if beyond is not None and _push(regression, sizes, beyond) <= share * _push(regression, sizes, whole):
-            return True
-    return False
-
-
-def _beyond(cls: type[Effect], simple: type[Effect], names: list[str], values: Array) -> Array | None:
-    """What the sizes of an effect have that a simpler one lacks: those of its own, and how far apart the others are.
-
-    None where it has all sizes of the simpler one, each once, and no more: what it has beside it is no size.
-    """
-    shared = cls.shared(simple)
-    theirs = [shared.get(name, "") for name in names]
-    if "" not in theirs and len(set(theirs)) == len(theirs):
-        return None
-    means = {name: values[[t == name for t in theirs]].mean() for name in theirs if name}
-    return values - np.array([means.get(name, 0.0) for name in theirs])
-
-
-def _push(regression: Regression, columns: list[int], values: Array) -> float:
-    """Norm of what these sizes push, over all steps, each in its noise."""
-    return float(np.linalg.norm(regression.slopes[:, :, columns] @ values))
-
-
 def at_bounds(regression: Regression) -> NDArray[np.bool_]:
     """Parameters that stand at a bound (k,)."""
     v = regression.vector

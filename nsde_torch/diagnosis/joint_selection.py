@@ -11,8 +11,8 @@ far as it should.
 Selected effects are then looked at again, each without itself: another one that is likelier in its place replaces
 it, and one that cannot be distinguished from it is a tie.
 
-It is right where its noise model is: where innovations are not white, or larger or smaller than predicted
-(`MaximumLikelihood.misfit`), the regression (`selection`) decides.
+A time shorter than a step of the log (inputs that act a millisecond late) is nothing that data can name: below one,
+how inputs are held between samples decides. Left out, it makes other effects look likely. So it joins what is declared.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -25,15 +25,13 @@ import torch
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from nsde_torch.diagnosis.candidates import alone, candidate_names
+from nsde_torch.diagnosis.candidates import alone, candidate_names, joined, starts
 from nsde_torch.diagnosis.evidence import sum_error
 from nsde_torch.diagnosis.fitted import effect_of, without_effect
 from nsde_torch.diagnosis.gram_table import GramTable, folds_of
 from nsde_torch.diagnosis.law_columns import Term, tables, terms_on
 from nsde_torch.diagnosis.multiplicity import bonferroni, starts_of
-from nsde_torch.diagnosis.screening import joined, starts
 from nsde_torch.diagnosis.search import Search
-from nsde_torch.diagnosis.trials import Trial
 from nsde_torch.effects import Effect, Law, effect_class
 from nsde_torch.errors import NsdeError
 from nsde_torch.inference import LogLikelihood, MaximumLikelihood, Optimum, nearly_maximised
@@ -41,7 +39,7 @@ from nsde_torch.inference.functions import Functions
 from nsde_torch.inference.sensitivity import grams
 from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.systems import System
-from nsde_torch.systems.parameters import own_name
+from nsde_torch.systems.parameters import ParameterVector, own_name
 from nsde_torch.time_limit import check_time
 
 Array = NDArray[np.float64]
@@ -83,64 +81,91 @@ class Look:
 
 
 @dataclass(frozen=True)
-class Selected:
-    """The log likelihood without an effect that was selected, and what cannot be distinguished from it."""
-
-    likelihood: float  # of the physics without it, fitted [nats]
-    blocks: Array  # the same by block of time (B,)
-    ties: tuple[str, ...]  # effects that explain the data as well in its place
-    law: str = ""  # a law of one term that is likelier in its place; empty where none is
-    tried: int = 0  # number of the terms that a law was chosen from
-
-
-@dataclass(frozen=True)
-class JointSelection:
-    """What the joint likelihood selected."""
-
-    best: MaximumLikelihood  # the physics with the effects, at its optimum
-    system: System  # the same, with its values
-    at: Optimum  # where that is
-    selected: dict[str, Selected]  # the effects
-    screened: dict[str, float]  # nats of every candidate of the first look
-    errors: dict[str, dict[str, float]]
-    """Smallest standard errors of its sizes over all looks, by candidate and label."""
-    functions: Functions | None = None
-    """Functions that explain more beside the physics, as far as they were looked for."""
-
-    def evidence(self, search: Search, trial: Trial) -> Trial:
-        """A trial of an effect with the evidence of the joint likelihood.
-
-        Args:
-            search: Settings.
-            trial: The effect, fitted by the regression.
-        """
-        without = self.selected[trial.name]
-        count = max(trial.own.stop - trial.own.start - len(trial.held), 1)
-        difference = self.at.blocks - without.blocks
-        risen = self.best.likelihood - without.likelihood
-        nats = risen - count  # what is expected of rows left out (Akaike)
-        p = float(chdtrc(count, max(2.0 * risen, 0.0)))
-        labels = [label for label in self.best.vector.labels if label.startswith(f"{trial.name}.")]
-        among = max(len(self.screened), 1) * starts_of(trial.name, labels, search.longest)
-        among += without.tried
-        return replace(
-            trial,
-            nats=nats,
-            nats_error=sum_error(difference),
-            rank_score=nats - 0.5 * count * log(len(difference)),
-            p=p,
-            p_corrected=bonferroni(p, among),
-            nothing=False,
-        )
-
-
-@dataclass(frozen=True)
 class FittedPhysics:
     """Physics at its optimum."""
 
     system: System  # with its values
     best: MaximumLikelihood  # parameters and noise levels
     at: Optimum  # the likelihood there
+
+
+@dataclass(frozen=True)
+class Round:
+    """A look at the catalogue while effects are added."""
+
+    look: Look
+    chosen: str  # the effect that was added; empty where none was
+
+
+@dataclass(frozen=True)
+class Selected:
+    """The physics without an effect that was selected, and what cannot be distinguished from it."""
+
+    without: FittedPhysics  # all others, fitted
+    ties: tuple[str, ...]  # effects that explain the data as well in its place
+    law: str = ""  # a law of one term that is likelier in its place; empty where none is
+    tried: int = 0  # number of the terms that a law was chosen from
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """How sure an effect is."""
+
+    nats: float  # log likelihood that it brings beside the others, as expected of rows left out [nats]
+    error: float  # its standard error [nats]
+    p: float  # chance of as much if it did nothing, corrected for the number of comparisons (`multiplicity`)
+
+
+@dataclass(frozen=True)
+class JointSelection:
+    """What the joint likelihood selected."""
+
+    declared: FittedPhysics  # the declared physics, with what is shorter than a step
+    final: FittedPhysics  # the physics with the effects
+    selected: dict[str, Selected]  # the effects
+    rounds: tuple[Round, ...]  # looks at the catalogue, in order
+    errors: dict[str, dict[str, float]]
+    """Smallest standard errors of its sizes over all looks, by candidate and label."""
+    aside: tuple[str, ...] = ()  # effects that joined what is declared because they are shorter than a step
+    functions: Functions | None = None
+    """Functions that explain more beside the physics, as far as they were looked for."""
+    suspected: tuple[str, ...] = ()
+    """Effects that were no candidates behind a smoother and would explain more (`behind_smoothers`)."""
+
+    def evidence(self, search: Search, name: str) -> Evidence:
+        """How sure an effect is.
+
+        Args:
+            search: Settings.
+            name: The effect.
+        """
+        one, best = self.selected[name], self.final.best
+        labels = [label for label in best.vector.labels if label.startswith(f"{name}.")]
+        count = max(len(labels), 1)
+        risen = best.likelihood - one.without.best.likelihood
+        among = max(len(self.rounds[0].look.proposals), 1) * starts_of(name, labels, search.longest)
+        p = bonferroni(float(chdtrc(count, max(2.0 * risen, 0.0))), among + one.tried)
+        error = sum_error(self.final.at.blocks - one.without.at.blocks)
+        return Evidence(risen - count, error, p)  # less a nat a parameter: of rows left out (Akaike)
+
+    def less(self, name: str) -> "JointSelection":
+        """The same without one effect.
+
+        Args:
+            name: The effect.
+        """
+        rest = self.selected[name].without
+        others = {}
+        for other, one in self.selected.items():
+            if other != name:
+                system = without_effect(rest.system, self.declared.system, other)
+                there = self.declared if len(self.selected) == 2 else fitted(system, rest)
+                others[other] = replace(one, without=there)
+        return replace(self, final=rest, selected=others, functions=None)
+
+    def nothing(self) -> "JointSelection":
+        """The same without any effect."""
+        return replace(self, final=self.declared, selected={}, functions=None)
 
 
 @final
@@ -163,6 +188,8 @@ class JointSearch:
     ) -> None:
         self.search, self._problem, self._frequencies = search, problem, frequencies
         self._declared = set(system.effect_names)
+        self._rounds: list[Round] = []
+        self._aside: list[str] = []
         self._places: dict[frozenset[str], FittedPhysics] = {}
         self._looks: dict[frozenset[str], Look] = {}
         self.libraries: dict[str, tuple[Term, ...]] = {}
@@ -173,11 +200,6 @@ class JointSearch:
     def tries_laws(self) -> bool:
         """Whether laws may be tried: not where the user says what may be."""
         return self.search.candidates is None and self.search.budgets.laws > 0
-
-    @property
-    def declared(self) -> Optimum:
-        """The declared physics at its optimum."""
-        return self._first.at
 
     def selected(
         self,
@@ -200,9 +222,13 @@ class JointSearch:
             count_of = f"{len(names)} effect{'s' if len(names) > 1 else ''}"
             self.search.say(f"round {count + 1}: trying {count_of}", count, most)
             better = self._next(place)
+            name = "" if better is None else next(iter(self.added(better.system) - self.added(place.system)))
+            self._rounds.append(Round(self.look(place), name))
             if better is None:
                 break
-            (name,) = self.added(better.system) - self.added(place.system)
+            if self._below_a_step(better.system, name):
+                place = self._declare(better, name)
+                continue
             brought[name] = better.best.likelihood - place.best.likelihood
             place = better
             so_far(place.system, brought)
@@ -211,18 +237,13 @@ class JointSearch:
     def concluded(self, place: FittedPhysics) -> JointSelection:
         """The effects of some physics, each looked at again beside the others."""
         place, selected = self.looked_at_again(place)
-        first = self.look(self._first).proposals
-        screened = {p.name: p.nats for p in first}
+        rounds = tuple(self._rounds) or (Round(self.look(self._first), ""),)
         # what is missing passes for noise in the first look
         errors: dict[str, dict[str, float]] = {}
         for p in (p for look in self._looks.values() for p in look.proposals):
             own = errors.setdefault(p.name, {})
             own |= {label: min(error, own.get(label, error)) for label, error in p.errors.items()}
-        return JointSelection(place.best, place.system, place.at, selected, screened, errors)
-
-    def of(self, selection: JointSelection) -> FittedPhysics:
-        """The physics of a selection at its optimum."""
-        return FittedPhysics(selection.system, selection.best, selection.at)
+        return JointSelection(self._first, place, selected, rounds, errors, tuple(self._aside))
 
     def chosen(self, law: str, fitted: Sequence[Term], library: Sequence[Term]) -> None:
         """A law was chosen: it is held against the other terms that were fitted when it is looked at again.
@@ -245,10 +266,8 @@ class JointSearch:
 
     def fitted(self, system: System, like: FittedPhysics | None) -> FittedPhysics:
         """Physics fitted from its present values, with noise levels near those of other physics; the best so far."""
-        best, at = nearly_maximised(self._problem.of(system), None if like is None else like.at)
-        out = system.with_effects()
-        best.vector.write(out, best.theta)
-        made, added = FittedPhysics(out, best, at), frozenset(out.effect_names)
+        made = fitted_at(self._problem.of(system), system, None if like is None else like.at)
+        added = frozenset(system.effect_names)
         known = self._places.get(added)
         if known is None or made.best.likelihood > known.best.likelihood:
             self._places[added] = made
@@ -258,11 +277,23 @@ class JointSearch:
         """What the catalogue would explain beside some physics."""
         names = frozenset(place.system.effect_names)
         if names not in self._looks:
-            proposals, table = _catalogue(self.search, place, self._frequencies)
-            accepted = tuple(p for p in proposals if _accepted(self.search, p))
-            # the table is as large as the catalogue squared: none is kept
-            self._looks[names] = Look(tuple(proposals), accepted, _best_pair(table, accepted[:_PAIRED]))
+            self._looks[names] = looked(self.search, place, self._frequencies)
         return self._looks[names]
+
+    def _below_a_step(self, system: System, name: str) -> bool:
+        """Whether an effect is a time that is a mere fraction of a step."""
+        vector = ParameterVector(system)
+        own = [j for j in vector.of(name) if vector.moves_memory[j] and vector.units[j] == "s"]
+        shortest = self.search.decisions.resolution * self.search.steps.dt
+        return any(vector.start[j] < shortest for j in own)
+
+    def _declare(self, place: FittedPhysics, name: str) -> FittedPhysics:
+        """An effect joins what is declared."""
+        with_it = self._first.system.with_effects(effect_of(place.system, name))
+        self._declared.add(name)
+        self._aside.append(name)
+        self._first = place if not self.added(place.system) else self.fitted(with_it, self._first)
+        return place
 
     def _next(self, place: FittedPhysics) -> FittedPhysics | None:
         """The physics with the best candidate that holds what it promises once it is fitted."""
@@ -328,7 +359,7 @@ class JointSearch:
                 place, out, exchanged = there, {}, exchanged + 1
                 continue
             tried = len(self.libraries.get(name, ()))
-            out[name] = Selected(without.best.likelihood, without.at.blocks, tuple(alike), law, tried)
+            out[name] = Selected(without, tuple(alike), law, tried)
         return place, out
 
     def needed(self, name: str, place: FittedPhysics, without: FittedPhysics) -> bool:
@@ -409,6 +440,27 @@ class JointSearch:
                     return term.law, there
                 return term.law, None
         return "", None
+
+
+def looked(search: Search, place: FittedPhysics, frequencies: Sequence[float] = ()) -> Look:
+    """What the candidates of a search would explain beside some physics."""
+    proposals, table = _catalogue(search, place, frequencies)
+    accepted = tuple(p for p in proposals if _accepted(search, p))
+    # the table is as large as the catalogue squared: none is kept
+    return Look(tuple(proposals), accepted, _best_pair(table, accepted[:_PAIRED]))
+
+
+def fitted_at(problem: LogLikelihood, system: System, near: Optimum | None) -> FittedPhysics:
+    """A machine at the optimum of its likelihood."""
+    best, at = nearly_maximised(problem, near)
+    out = system.with_effects()
+    best.vector.write(out, best.theta)
+    return FittedPhysics(out, best, at)
+
+
+def fitted(system: System, like: FittedPhysics) -> FittedPhysics:
+    """A machine at the optimum of its likelihood, from its values and those of other physics on the same rows."""
+    return fitted_at(like.at.of.of(system), system, like.at)
 
 
 def coordinate_of(system: System, effect: Law) -> list[str]:
@@ -535,8 +587,7 @@ def _columns(place: FittedPhysics, name: str, system: System, at: int) -> tuple[
     space.use(theta)
     mine = vector.of(name)
     moved = space.columns(about.x, mine)
-    error = vector.system.error(space.after(about.x)[:-1], about.x[1:]) - about.missed[:-1]
-    shift = torch.cat((error, torch.zeros_like(error[:1])))[..., None]
+    shift = (space.missed(about.x, space.after(about.x)) - about.missed)[..., None]
     missing = [j for j, label in enumerate(place.best.vector.labels) if label not in vector.labels]
     entry = _Entry(
         name,

@@ -3,11 +3,9 @@
 from collections.abc import Mapping, Sequence
 
 from nsde_torch.diagnosis.dependence import Dependence
-from nsde_torch.diagnosis.fitted import moved_channels
 from nsde_torch.diagnosis.multiplicity import bonferroni
 from nsde_torch.diagnosis.regressors import Regressors, regressors
 from nsde_torch.diagnosis.search import Base, Search
-from nsde_torch.diagnosis.specification import dependences
 
 
 def variables_of(search: Search, base: Base) -> Regressors:
@@ -42,27 +40,3 @@ def beyond_chance(
         if bonferroni(d.p, len(tests)) < alpha and d.excess > 0.5 * allowed.get(d.channel, 0.0)
     )
     return sorted(found, key=lambda d: -d.excess)
-
-
-def structure_returns(search: Search, base: Base, without: Base, effect: str) -> bool:
-    """Whether the channels that an effect moves depend surely more on what was measured when it is left out.
-
-    The noise model without a strong effect learns it, and the log-likelihood then hardly knows the effect. The tests of
-    structure look under a noise model that has not learned it too.
-
-    Args:
-        search: Data and settings.
-        base: The physics with the effect.
-        without: The physics without it.
-        effect: Name.
-    """
-    moved, level = moved_channels(base.regression, effect), search.levels("effects")["structure"]
-
-    def most(one: Base) -> float:
-        tests = dependences(one.regression, variables_of(search, one), overview=True)
-        return max(
-            (d.excess for d in beyond_chance(tests, {}, alpha=level) if d.channel in moved), default=0.0
-        )
-
-    left = most(without)
-    return left > search.decisions.alike_nats and left - most(base) > search.decisions.alike_nats

@@ -13,11 +13,9 @@ from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.estimates import Estimate, estimated, of_identification
 from nsde_torch.diagnosis.fitted import fitted_system, without_effect
 from nsde_torch.diagnosis.hidden import Hidden, lengths_of_parameters
-from nsde_torch.diagnosis.joint_selection import JointSelection
+from nsde_torch.diagnosis.joint_selection import Evidence, JointSelection
 from nsde_torch.diagnosis.regressors import Regressors
-from nsde_torch.diagnosis.rounds import Round
 from nsde_torch.diagnosis.search import Base, Search
-from nsde_torch.diagnosis.trials import Trial
 from nsde_torch.inference import Optimum
 from nsde_torch.inference.spread import Spread
 from nsde_torch.sysid.in_loop import hidden_bias, largest_bias
@@ -34,7 +32,7 @@ class Found:
     """An effect that was added."""
 
     name: str  # of the effect
-    trial: Trial  # its fit, with all other effects that were added present
+    evidence: Evidence  # beside all other effects that were added
     ties: tuple[str, ...]  # effects that explain the data as well in its place
     moves: tuple[str, ...] = ()  # names of the channels that its parameters move
     provisional: str = ""  # why it is provisional and not the last word; empty where it is
@@ -49,7 +47,7 @@ class Outcome:
     declared: Base  # the declared physics, fitted
     final: Base  # the physics with everything that was added, fitted
     found: list[Found]  # effects, in the order in which they were added
-    rounds: list[Round]  # every look at the catalogue
+    joint: JointSelection | None  # what the joint likelihood selected; None where it could not be computed
     declared_variables: Regressors
     variables: Regressors
     """declared_variables, variables: what the residuals without and with the effects may depend on."""
@@ -58,7 +56,6 @@ class Outcome:
     """before, after: what the residual depends on without and with the effects, all tests."""
     structured: list[Dependence] = field(default_factory=list)
     """The tests that are left over after correction for their number, what explains most first."""
-    aside: tuple[str, ...] = ()  # effects that joined what is declared because they are shorter than a step
     hidden: tuple[Hidden, ...] = ()  # effects that are not named because feedback may have made them
     test: LoopTest = field(default_factory=LoopTest)
     """What the data say of the loop that they were recorded in, by `final`."""
@@ -71,11 +68,13 @@ class Outcome:
     decisions: Decisions = DECISIONS  # what was decided by
     doubted: bool = False
     """Whether the guard speaks against the final physics, so that nothing that was found is sure."""
-    joint: JointSelection | None = None  # what the joint likelihood selected; None where the regression did
-    declared_optimum: Optimum | None = None
-    # declared_optimum, optimum: where the likelihood of the declared and of the final physics is largest; None
-    # where it was not computed
     optimum: Optimum | None = None
+    """Where the likelihood of the final physics is largest; None where it was not computed."""
+
+    @property
+    def aside(self) -> tuple[str, ...]:
+        """Effects that joined what is declared because they are shorter than a step."""
+        return () if self.joint is None else self.joint.aside
 
     @cached_property
     def system(self) -> System:
@@ -147,13 +146,20 @@ class Outcome:
         return self.final.regression.spread()
 
 
+def found_by(search: Search, joint: JointSelection) -> list[Found]:
+    """The effects of a selection, in the order in which they were added."""
+    return [
+        Found(name, joint.evidence(search, name), (*one.ties, *([one.law] if one.law else [])))
+        for name, one in joint.selected.items()
+    ]
+
+
 def undecided(
     search: Search,
     declared: Base,
     final: Base,
     found: Sequence[Found] = (),
-    rounds: Sequence[Round] = (),
-    aside: tuple[str, ...] = (),
+    joint: JointSelection | None = None,
 ) -> Outcome:
     """What is known before what is left is tested.
 
@@ -162,8 +168,7 @@ def undecided(
         declared: The declared physics, fitted.
         final: The physics with what was added so far, fitted.
         found: Effects so far.
-        rounds: Looks at the catalogue so far.
-        aside: Effects that joined what is declared so far.
+        joint: What the joint likelihood selected.
     """
     nothing = Regressors({}, np.zeros(0), {})
     return Outcome(
@@ -171,12 +176,11 @@ def undecided(
         declared=declared,
         final=final,
         found=list(found),
-        rounds=list(rounds),
+        joint=joint,
         declared_variables=nothing,
         variables=nothing,
         before=[],
         after=[],
-        aside=aside,
         test=LoopTest(why_not="not done yet"),
         levels=search.levels(),
         decisions=search.decisions,

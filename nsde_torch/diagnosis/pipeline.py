@@ -3,9 +3,7 @@
 read            runs and logged channels, and options that fit the machine      reading
 undo            faults of the recording chain                                   chain, recording
 fit             the declared physics: a regression, then the joint likelihood   search, inference
-select          effects of the catalogue, one at a time; then each one again    joint_selection
-                the same by the regression, where states were smoothed, inputs
-                averaged, or innovations are not what they should be            selection, elimination
+select          effects of the catalogue, one at a time; then each one again    joint_selection, behind_smoothers
 set aside       what feedback may have made                                     decision, hidden
 test, decide    what is left against all that was measured; the verdict         specification, decision
 beyond          laws that no catalogue has, where functions explain more        beyond_catalogue
@@ -25,7 +23,12 @@ from functools import partial
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.at_nothing import beside_gains_at_nothing
 from nsde_torch.diagnosis.begun import Begun
-from nsde_torch.diagnosis.beyond_catalogue import sound, with_laws
+from nsde_torch.diagnosis.behind_smoothers import (
+    behind_smoothers,
+    not_sure_behind_smoothers,
+    with_suspects,
+)
+from nsde_torch.diagnosis.beyond_catalogue import with_laws
 from nsde_torch.diagnosis.ceiling import Ceiling, ceiling
 from nsde_torch.diagnosis.chain import explains_more, undone, with_a_late_sensor
 from nsde_torch.diagnosis.course import DiagnosisCourse
@@ -33,19 +36,18 @@ from nsde_torch.diagnosis.cross_validation import cross_validated, none_held_out
 from nsde_torch.diagnosis.decision import (
     decide,
     doubted,
+    guard_of,
     judged_by_the_ceiling,
     judged_on_runs_left_out,
+    selection,
     set_aside,
     sized,
 )
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
-from nsde_torch.diagnosis.elimination import Retained, as_selected, eliminate
 from nsde_torch.diagnosis.explanation import explained
-from nsde_torch.diagnosis.fitted import fitted_system
-from nsde_torch.diagnosis.gone import select
+from nsde_torch.diagnosis.fitted import fitted_system, moved_channels
 from nsde_torch.diagnosis.inferred import at_declared, at_found, not_sure
-from nsde_torch.diagnosis.joint_selection import JointSearch, JointSelection
-from nsde_torch.diagnosis.longer_boxes import guard_of, over_longer_boxes
+from nsde_torch.diagnosis.joint_selection import Evidence, JointSearch, JointSelection
 from nsde_torch.diagnosis.not_done import (
     CEILING,
     ERRORS,
@@ -62,14 +64,12 @@ from nsde_torch.diagnosis.not_done import (
     needed,
 )
 from nsde_torch.diagnosis.options import Options
-from nsde_torch.diagnosis.outcome import Outcome, undecided
+from nsde_torch.diagnosis.outcome import Found, Outcome, undecided
 from nsde_torch.diagnosis.reading import Log, read_effects, read_log
 from nsde_torch.diagnosis.result import Diagnosis
-from nsde_torch.diagnosis.search import Search
-from nsde_torch.diagnosis.selection import Selection, added_so_far, begun_selection
-from nsde_torch.diagnosis.selection import so_far as chosen_so_far
+from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.diagnosis.spectrum import lines
-from nsde_torch.diagnosis.standing import selected_again, tied, without_standing
+from nsde_torch.diagnosis.standing import without_standing
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording.chain import Recorded
@@ -80,6 +80,8 @@ from nsde_torch.sysid.instruments import adopted
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
 from nsde_torch.time_limit import TimeUpError
+
+_APART_S = 0.05  # of rows that are looked at where innovations of all rows are not what they should be
 
 
 def diagnose(
@@ -174,19 +176,13 @@ def _diagnosed(
         partial(without_standing, log, search, outcome, searched),
         (log, search, outcome),
     )
-    if outcome.joint is None:
-        log, search, outcome, guard = stages.attempt(
-            "the search over longer boxes",
-            partial(over_longer_boxes, log, search, outcome, searched),
-            (log, search, outcome, Guarded()),
-        )
-    else:
-        guard = stages.attempt("the comparison with simple fits", partial(guard_of, log, outcome), Guarded())
+    guard = stages.attempt("the comparison with simple fits", partial(guard_of, log, outcome), Guarded())
     course.lap("search")
     course.known(OTHER_ROWS, log, outcome, guard=guard)
     looked = outcome.final
     final = stages.attempt("values at rougher states", partial(search.valued, looked), looked)
     outcome = beside_gains_at_nothing(doubted(outcome.fitted_again(final), guard))
+    outcome = not_sure_behind_smoothers(outcome)
     outcome, instrumented = stages.attempt(ESTIMATES, partial(_identified, log, outcome), (outcome, None))
     outcome = sized(outcome)
     feedback = outcome.test
@@ -235,85 +231,86 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
     Args:
         log: The log.
         search: The search in its runs.
-        before: What was concluded from other rows of them, to start from; None starts from the declared physics.
+        before: What was concluded from other rows of them, whose effects are held against these; None selects.
     """
     search.say("fitting the declared physics", 0, 1)
-    made, joint = _jointly(log, search) if before is None else (None, before.joint)
-    at = before.declared_optimum if before is not None else None if made is None else made.declared
-    if joint is not None:
-        outcome = _concluded(log, search, joint)
-        if made is not None:
-            outcome = log.stages.attempt(
-                LAWS, lambda: with_laws(made, joint, outcome, partial(_concluded, log, search)), outcome
-            )
-    else:
-        if before is not None:
-            chosen = selected_again(search, before)
-        elif log.begun is not None:
-            chosen = begun_selection(search, log.system, log.begun)
-        else:
-            chosen = select(search, log.system)
-        log.so_far(SELECTION, log, chosen_so_far(search, chosen))
-        kept = eliminate(search, chosen, also=() if before is None else tied(before))
-        outcome = _tested(log, search, chosen, kept)
-    return replace(outcome, declared_optimum=at)
-
-
-def _concluded(log: Log, search: Search, joint: JointSelection) -> Outcome:
-    """What is concluded of a selection by the joint likelihood."""
-    chosen, kept = as_selected(search, joint, log.system)
-    log.so_far(SELECTION, log, chosen_so_far(search, chosen))
-    outcome = _tested(log, search, chosen, kept)
-    same = {f.name for f in outcome.found} == joint.selected.keys()
-    return replace(outcome, joint=joint if same else None)
-
-
-def _tested(log: Log, search: Search, chosen: Selection, kept: Retained) -> Outcome:
-    """What feedback may have made is set aside, what is left is tested, and the verdict."""
-    log.so_far(
-        SECOND_LOOK,
-        log,
-        undecided(search, chosen.declared, kept.final, kept.found, chosen.rounds, chosen.aside),
+    if before is not None:
+        return _concluded(log, search, before.joint)
+    made = log.stages.attempt(SELECTION, partial(_selected, log, search), None)
+    if made is None:
+        return _concluded(log, search, None)
+    outcome = _concluded(log, search, made[1])
+    return log.stages.attempt(
+        LAWS, lambda: with_laws(*made, outcome, partial(_concluded, log, search)), outcome
     )
-    search.say("what feedback may have made", 0, 1)
-    kept = set_aside(search, chosen, kept, log.feedback)
-    search.say("testing what is left", 0, 1)
-    outcome = decide(search, chosen, kept, log.feedback)
-    log.so_far(TESTS, log, outcome)
-    return outcome
 
 
-def _jointly(log: Log, search: Search) -> tuple[JointSearch | None, JointSelection | None]:
+def _selected(log: Log, search: Search) -> tuple[JointSearch, JointSelection]:
     """The search by the joint likelihood, and what it selects.
 
-    Both are None where states were smoothed or inputs averaged, the latter where innovations are not what they should
-    be under its effects and under laws beside them: then the regression decides.
+    Of rows further apart, where only these are as predicted: what a differentiated encoder or a friction that gives way
+    does within a few rows is no noise of this model, and noise levels then learn the physics (of a Dahl friction of
+    0.3 m/s2 nothing was found, and 114 nats so).
     """
-    if log.recorded.inputs_restored or any(run.band for run in log.runs):
-        return None, None
+    declared, begun = search.base(log.system), log.begun
+    smoothed, whole = any(run.band for run in log.runs), search
+    if smoothed and not log.feedback.test(declared.regression).open:
+        search = behind_smoothers(whole, log.system)
+    frequencies = [line.frequency for line in lines(declared.regression, decisions=search.decisions)]
+    # of first values that are far off, what is left would pass for noise
+    system = fitted_system(declared.regression)
 
-    def selected() -> tuple[JointSearch, JointSelection | None]:
-        declared, begun = search.base(log.system), log.begun
-        frequencies = [line.frequency for line in lines(declared.regression, decisions=search.decisions)]
-        # of first values that are far off, what is left would pass for noise
-        system = fitted_system(declared.regression)
-        made = JointSearch(
-            search, LogLikelihood(system, log.runs, log.recorded.clock, run_in=True), system, frequencies
-        )
+    def known(physics: System, brought: Mapping[str, float]) -> None:
+        search.so_far(_so_far(search, declared, physics, brought))
 
-        def known(physics: System, brought: Mapping[str, float]) -> None:
-            search.so_far(added_so_far(search, declared, physics, brought))
-
+    def of(apart: float) -> tuple[JointSearch, JointSelection]:
+        problem = LogLikelihood(system, log.runs, log.recorded.clock, run_in=True, apart=apart)
+        made = JointSearch(search, problem, system, frequencies)
         if begun is None:
-            search.so_far(undecided(search, declared, declared))
-            found = made.selected(so_far=known)
-        else:
-            physics = begun.beside(system)
-            known(physics, begun.nats)
-            found = made.selected(physics, begun.nats, known)
-        return made, sound(made, found)
+            return made, made.selected(so_far=known)
+        return made, made.selected(begun.beside(system), begun.nats, known)
 
-    return log.stages.attempt("the selection by the joint likelihood", selected, (None, None))
+    if begun is None:
+        search.so_far(undecided(search, declared, declared))
+    else:
+        known(begun.beside(system), begun.nats)
+    made, found = of(0.0)
+    if found.final.best.misfit and not smoothed and search.steps.dt < 0.5 * _APART_S:
+        search.say(f"rows {_APART_S:g} s apart", 0, 1)
+        other = of(_APART_S)
+        if not other[1].final.best.misfit:
+            return other
+    return made, found if search is whole else with_suspects(found, whole, log.system)
+
+
+def _so_far(search: Search, declared: Base, system: System, brought: Mapping[str, float]) -> Outcome:
+    """What is known of effects before each is looked at again beside the others.
+
+    Args:
+        search: Data and settings.
+        declared: The declared physics, fitted.
+        system: The physics with the effects, its values near their optimum.
+        brought: Log likelihood that each brought when it was added [nats]; of effects that it no longer has, too.
+    """
+    final = search.base(system, warm=True, like=declared.regression)
+    found = [
+        Found(name, Evidence(nats, 0.0, 0.0), (), moved_channels(final.regression, name))
+        for name, nats in brought.items()
+        if name in system.effect_names
+    ]
+    return undecided(search, declared, final, found)
+
+
+def _concluded(log: Log, search: Search, joint: JointSelection | None) -> Outcome:
+    """What feedback may have made is set aside, what is left is tested, and the verdict."""
+    chosen = selection(search, joint, log.system)
+    log.so_far(SECOND_LOOK, log, undecided(search, chosen.declared, chosen.final, chosen.found, joint))
+    search.say("what feedback may have made", 0, 1)
+    chosen = set_aside(search, chosen, log.feedback)
+    search.say("testing what is left", 0, 1)
+    outcome = decide(search, chosen, log.feedback)
+    log.so_far(TESTS, log, outcome)
+    return outcome
 
 
 def _read_again(log: Log, search: Search, outcome: Outcome) -> tuple[Log, Search, Outcome]:
@@ -340,9 +337,8 @@ def _identified(log: Log, outcome: Outcome) -> tuple[Outcome, Identification | N
         return outcome, None
     log.say("estimates of largest likelihood", 0, 1)
     regressed = replace(identification(outcome.final.regression, "weak"), doubt=outcome.doubt)
-    joint, near = outcome.joint, None
-    if joint is not None and joint.system.effect_names == outcome.system.effect_names:
-        near = joint.system, joint.at
+    final = None if outcome.joint is None else outcome.joint.final
+    near = None if final is None else (final.system, final.at)
     likeliest = by_likelihood(regressed, outcome.system, log.runs, log.recorded.clock, near)
     outcome = replace(outcome, optimum=likeliest.optimum)
     return (replace(outcome, printed=likeliest) if likeliest.likelihood_used else outcome), None

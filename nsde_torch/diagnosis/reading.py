@@ -21,8 +21,7 @@ from nsde_torch.effects import effect_class, effects_of, register
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording.chain import Recorded
 from nsde_torch.recording.fault import level
-from nsde_torch.sysid.guard import Guarded
-from nsde_torch.sysid.in_loop import hangs_on_band, hangs_on_boxes, identify_in_loop
+from nsde_torch.sysid.in_loop import hangs_on_band, identify_in_loop
 from nsde_torch.sysid.instruments import with_columns
 from nsde_torch.sysid.loop_test import LoopTest, tested
 from nsde_torch.sysid.regression import Regression
@@ -48,9 +47,6 @@ class Log:
     decisions: Decisions  # what is decided by
     budgets: Budgets  # how much is tried
     say: Callable[[str, int, int], None]  # told stage, number done and number in all
-    box_s: float | None = None  # over which steps are summed [s]; None for the usual length
-    refused: Guarded | None = None
-    """What spoke against the search over the usual length, where another one is taken."""
     # speeds below which coordinates with dry friction stand, by column; rows in which one does are left out
     slowest: Mapping[int, float] = field(default_factory=dict)
     stages: OptionalStages = field(default_factory=OptionalStages)  # stages that may fail, and those that did
@@ -62,27 +58,17 @@ class Log:
     def search(self, runs: Sequence[Run]) -> Search:
         """A search in runs of the log."""
         r = self.recorded
-        moved, acted = bool(r.delays or r.lags), not r.inputs_restored
-        return self._search(runs, inputs=acted, moved=moved)
-
-    def again(self, search: Search, runs: Sequence[Run]) -> Search:
-        """A search in some of the runs, with what another one holds at nothing."""
-        made = self._search(runs, inputs=True, moved=False)
-        made.held = set(search.held)
-        return made
-
-    def _search(self, runs: Sequence[Run], *, inputs: bool, moved: bool) -> Search:
         return search_in(
             self.system,
             moving(runs, self.slowest)[0] if self.slowest else runs,
-            self.recorded.clock,
+            r.clock,
             self.options,
-            inputs=inputs,
-            stages=self.recorded.stages,
-            moved=moved,
+            inputs=not r.inputs_restored,
+            stages=r.stages,
+            moved=bool(r.delays or r.lags),
             decisions=self.decisions,
-            budgets=self.budgets,
-            box_s=self.box_s,
+            # what a smoother did to states looks like laws (`ceiling`)
+            budgets=replace(self.budgets, laws=0) if any(run.band for run in runs) else self.budgets,
             say=self.say,
             so_far=partial(self.so_far, None, self),
         )
@@ -99,9 +85,7 @@ class Log:
         )
 
     def _hangs(self, regression: Regression) -> NDArray[np.float64]:
-        clock = self.recorded.clock
-        hangs = hangs_on_band(regression, self.runs, clock=clock, width=self.box_s)
-        return hangs if self.box_s is None else hangs + hangs_on_boxes(regression, self.runs, clock=clock)
+        return hangs_on_band(regression, self.runs, clock=self.recorded.clock)
 
     def _loop_test(self, regression: Regression) -> LoopTest:
         if self.recorded.inputs_restored:

@@ -125,7 +125,7 @@ class Diagnosis:
     @property
     def in_short(self) -> str:
         """Names of everything that was found, effects with the evidence for them: `motor_lag (+812 nats)`."""
-        brought = {f.name: f" ({f.trial.nats:+.0f} nats)" for f in self.outcome.found}
+        brought = {f.name: f" ({f.evidence.nats:+.0f} nats)" for f in self.outcome.found}
         return ", ".join(f"{name}{brought.get(name, '')}" for name in self.added)
 
     @property

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from nsde_torch.data import Run
 from nsde_torch.diagnosis.candidates import on_coordinates
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
-from nsde_torch.diagnosis.evidence import Score, folds, score
-from nsde_torch.diagnosis.fitted import carried, dynamic_rows, fitted_system, nonlinear
+from nsde_torch.diagnosis.evidence import fitted_nats
+from nsde_torch.diagnosis.fitted import carried, dynamic_rows, fitted_system
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.effects import register
 from nsde_torch.inference.steps import UNDERSMOOTHED, Steps, steps_of
@@ -35,32 +35,15 @@ _SHORTEST = 20  # steps of a stretch that is looked at
 
 @dataclass(frozen=True)
 class Base:
-    """Where a round starts."""
+    """Physics and its regression."""
 
-    system: System  # physics so far
+    system: System  # the physics
     regression: Regression  # at its optimum
-    score: Score  # on runs left out
-    fold: NDArray[np.int64]
-    block: NDArray[np.int64]  # fold, block: labels of whitened rows
 
     @cached_property
-    def span(self) -> Array:
-        """Orthonormal columns (channels * N, r) of what the parameters can do to the whitened residuals."""
-        slopes = self.regression.slopes.reshape(-1, len(self.regression.vector))
-        return np.asarray(np.linalg.qr(slopes @ self.regression.shown.basis)[0])
-
-    def forget(self) -> None:
-        """Let go of what a look at the catalogue needs and what is made again where it is asked for."""
-        vars(self).pop("span", None)
-        self.regression.physics.forget()
-
-    def concluded(self) -> "Base":
-        """What was found, without anything as long as the data: a look at the catalogue keeps one of each round."""
-        return replace(self, regression=self.regression.concluded(past=True))
-
-    def restored(self) -> "Base":
-        """The same as it was before it was concluded."""
-        return replace(self, regression=self.regression.restored())
+    def nats(self) -> float:
+        """Log likelihood, less a nat for each parameter of the noise [nats]."""
+        return fitted_nats(self.regression)
 
 
 @final
@@ -82,9 +65,6 @@ class Search:
         rough: Makes the data with states that are smoothed less, at which values are fitted; None for the same.
         say: Told what is going on: stage, number done, number in all.
         so_far: Takes what is known after each round.
-
-    Attributes:
-        held: Labels of parameters that stay at their first values.
     """
 
     def __init__(
@@ -109,7 +89,6 @@ class Search:
         self._rough = rough
         self.decisions, self.budgets = replace(decisions, alpha=alpha), budgets
         self.candidates, self.say, self.so_far = candidates, say, so_far
-        self.held: set[str] = set()
         self.feedback, self.channels, self.inputs, self.moved = feedback, channels, inputs, moved
         self._stages = frozenset(stages)
 
@@ -134,24 +113,16 @@ class Search:
             warm: Whether its values are near their optimum.
             like: A regression of physics close to it, whose noise models may be better than those found from nothing.
         """
-        regression = self.quick(system, warm=warm)
-        fold, block = folds(regression, self.decisions), regression.whitened_rows(regression.blocks)
-        regression, own = self.best_noise(regression, system, fold, block, self.held)
-        if like is not None:
-            other = self.regression(system, like)
-            other.run(self.budgets.refinements)
-            other, this = self.best_noise(other, system, fold, block, self.held)
-            if this.fitted > own.fitted:
-                regression, own = other, this
-        return Base(system, regression, own, fold, block)
-
-    def grown(self, regression: Regression) -> Base:
-        """The physics of a regression with a candidate, for the next round."""
-        return self.base(fitted_system(regression), warm=True, like=regression)
+        best = self._best_noise(Base(system, self.quick(system, warm=warm)))
+        if like is None:
+            return best
+        other = self.regression(system, like)
+        other.run(self.budgets.refinements)
+        return max(best, self._best_noise(Base(system, other)), key=lambda b: b.nats)
 
     def narrower(self, base: Base) -> Base:
         """The same physics, with shapes as narrow as the data have them where they stand at bounds of the search."""
-        return self._fitted_again(base, narrower(base.regression, self.budgets.iterations))
+        return Base(base.system, narrower(base.regression, self.budgets.iterations))
 
     def valued(self, base: Base) -> Base:
         """The same physics fitted at states that are smoothed less, which bend its values less."""
@@ -160,14 +131,7 @@ class Search:
         regression = self.regression(fitted_system(base.regression), base.regression, steps=self._rough())
         regression.run(self.budgets.iterations)
         regression = narrower(regression, self.budgets.iterations)
-        return self._fitted_again(base, regression) if regression.converged else base
-
-    def _fitted_again(self, base: Base, regression: Regression) -> Base:
-        """A base with another fit of the same physics to the same rows."""
-        if regression is base.regression:
-            return base
-        own = score(regression, base.fold, base.block, still=nonlinear(regression.vector, smooth=False))
-        return Base(base.system, regression, own, base.fold, base.block)
+        return Base(base.system, regression) if regression.converged else base
 
     def quick(self, system: System, *, warm: bool = False) -> Regression:
         """The regression of a system alone, without what candidates are compared by."""
@@ -175,63 +139,18 @@ class Search:
         regression.run(self.budgets.iterations)
         return regression
 
-    def beside(self, system: System, like: Regression) -> Regression:
-        """The regression of physics that is compared with another one, with noise models of the same kind.
-
-        Where each had a kind of its own, chosen by chance where there is nothing to choose, that chance would decide
-        the comparison. A channel gets another kind where it needs one: to stand in for an effect that is not there.
-
-        Args:
-            system: Physics, its values near their optimum.
-            like: The regression of the other.
-        """
-        regression = self.regression(system, like, ParameterVector(system).start)
-        regression.run(self.budgets.iterations)
-        rows = len(regression.series)
-        pairs = list(zip(regression.noises, regression.own_noises(), strict=True))
-        needed = [
-            model.likelihood(rows) > kept.likelihood(rows) + self.decisions.noise_kind_nats
-            for kept, model in pairs
-        ]
-        if any(needed):
-            models = [pair[n] for pair, n in zip(pairs, needed, strict=True)]
-            regression = self.regression(system, regression, regression.theta, models)
-            regression.run(self.budgets.refinements)
-        return regression
-
-    def best_noise(
-        self,
-        regression: Regression,
-        system: System,
-        fold: NDArray[np.int64],
-        block: NDArray[np.int64],
-        held: Collection[str],
-        best: Score | None = None,
-    ) -> tuple[Regression, Score]:
-        """The regression, or one with noise models of a kind that suits its residuals better; and its score.
-
-        Args:
-            regression: At its optimum.
-            system: Its physics.
-            fold, block: Labels of whitened rows.
-            held: Labels of parameters that stay at their first values.
-            best: Its score; None works it out.
-        """
-        still = nonlinear(regression.vector, smooth=False)
-        best = best or score(regression, fold, block, still=still)
+    def _best_noise(self, base: Base) -> Base:
+        """Physics, with noise models of a kind that suits its residuals better where they make them likelier."""
+        rows = len(base.regression.series)
         for orders in (None, 0):
-            models = regression.own_noises(orders)
-            if (
-                _likelihood(models, len(regression.series))
-                < _likelihood(regression.noises, len(regression.series)) + self.budgets.noise_nats
-            ):
+            models = base.regression.own_noises(orders)
+            known = _likelihood(base.regression.noises, rows)
+            if _likelihood(models, rows) < known + self.budgets.noise_nats:
                 continue
-            other = self.regression(system, regression, regression.theta, models, held)
+            other = self.regression(base.system, base.regression, base.regression.theta, models)
             other.run(self.budgets.refinements)
-            this = score(other, fold, block, still=still)
-            if this.fitted > best.fitted:
-                regression, best = other, this
-        return regression, best
+            base = max(base, Base(base.system, other), key=lambda b: b.nats)
+        return base
 
     def regression(
         self,
@@ -256,14 +175,14 @@ class Search:
         """
         vector = ParameterVector(system)
         physics = Physics(vector, self.steps if steps is None else steps)
-        rows, still = dynamic_rows(system), {*held, *self.held}
+        rows = dynamic_rows(system)
         if before is None:
             return Regression(
                 physics,
                 box=self.box,
                 rows=rows,
                 origin=system,
-                held=still,
+                held=held,
                 feedback=self.feedback,
                 channels=self.channels,
                 warm=warm,
@@ -279,7 +198,7 @@ class Search:
             start=first,
             noises=models,
             origin=system,
-            held=still,
+            held=held,
             feedback=self.feedback,
             channels=self.channels,
             memory_s=self.decisions.noise_memory,
@@ -303,7 +222,6 @@ def search_in(
     moved: bool = False,
     decisions: Decisions | None = None,
     budgets: Budgets = BUDGETS,
-    box_s: float | None = None,
     say: Callable[[str, int, int], None] = lambda stage, done, total: None,
     so_far: "Callable[[Outcome], None]" = lambda outcome: None,
 ) -> Search:
@@ -320,11 +238,10 @@ def search_in(
         moved: Whether channels that were late have been moved.
         decisions: What it decides by; None takes the options'.
         budgets: How much it tries.
-        box_s: Over which steps are summed [s]; None takes the usual length.
         say: Told stage, number done and number in all.
         so_far: Takes what is known after each round.
     """
-    box = max(1, int((box_s or _BOX_S) / (runs[0].dt * clock) + 1e-6))
+    box = max(1, int(_BOX_S / (runs[0].dt * clock) + 1e-6))
 
     def steps(share: float) -> Steps:
         return steps_of(

@@ -4,14 +4,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from nsde_torch.diagnosis.candidates import candidate_names
-from nsde_torch.diagnosis.fitted import fitted_system
-from nsde_torch.diagnosis.outcome import Found, Outcome
+from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import Search
-from nsde_torch.diagnosis.selection import Selection, forward_selection
 from nsde_torch.effects import effect_class
-from nsde_torch.effects.expression_grammar import is_law
-from nsde_torch.effects.law import AND, Law
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.sysid.standing import SHARE, moving, slowest
 
@@ -55,9 +51,7 @@ def without_standing(
     there = _where_it_moves(log, search, outcome, speeds, searched)
     if there is None or not _dry(there[2], log).keys() >= speeds.keys():
         return log, search, outcome
-    log, search, other = there
-    found = [_as_before(f, outcome) for f in other.found]
-    return log, search, replace(other, rounds=[*outcome.rounds, *other.rounds], found=found)
+    return there
 
 
 def _where_it_moves(
@@ -73,7 +67,6 @@ def _where_it_moves(
     moved = replace(log, slowest=speeds)
     try:
         again = moved.search(log.runs)
-        again.held = set(search.held)
         return moved, again, searched(moved, again, before)
     except (DataError, NonFiniteError):
         return None
@@ -88,38 +81,3 @@ def _held(outcome: Outcome, there: tuple[Log, Search, Outcome] | None) -> Outcom
     """The outcome of a machine that mostly stands: what is not found where it moves is no last word."""
     names = set() if there is None else {f.name for f in there[2].found}
     return outcome.provisional(lambda f: "" if f.name in names else _STANDS)
-
-
-def selected_again(search: Search, before: Outcome) -> Selection:
-    """What was found in other rows, and what is selected beside it; laws beyond the catalogue are looked for anew.
-
-    Args:
-        search: Data and settings.
-        before: What was concluded from the other rows.
-    """
-    declared = search.base(fitted_system(before.declared.regression), warm=True)
-    laws = [f.name for f in before.found if is_law(f.name)]
-    final = search.base(fitted_system(before.final.regression).without_effects(*laws), warm=True)
-    names = [f.name for f in before.found if f.name not in laws]
-    start = Selection(declared, final, names, [], before.aside)
-    return forward_selection(search, declared, after=start)
-
-
-def tied(before: Outcome) -> set[str]:
-    """Names of what explained the other rows as well as an effect that was found."""
-    return {name for f in before.found for tie in f.ties for name in tie.split(AND)}
-
-
-def _as_before(found: Found, before: Outcome) -> Found:
-    """An effect with what all rows said of it.
-
-    What explained them as well stays tied: a part of it is not looked for again. And what tells a dry friction best is
-    how it changes at a turn, which was left out: between turns it is a constant, which noise may be too.
-    """
-    for f in before.found:
-        if f.name == found.name:
-            ties = tuple(dict.fromkeys([*found.ties, *f.ties]))
-            law = effect_class(f.name)
-            dry = issubclass(law, Law) and law.dry
-            return replace(found, ties=ties, trial=f.trial if dry else found.trial)
-    return found

@@ -31,6 +31,7 @@ class Chunks:
         steps: Steps of the runs, in one or more stretches.
         late: Rows after the start of a stretch that are not counted either: there, a state that no sensor measures is
             known from what came later.
+        every: Rows from one measurement of the slowest sensor to the next.
 
     Attributes:
         y: Measured states (T, C, nx).
@@ -39,12 +40,14 @@ class Chunks:
         counted: Whether the innovation of a row is part of the likelihood (T, C).
         stretch: Number of the stretch of each chunk (C,).
         row: Number of the step that starts at each row (T, C); of a last row, that of the one before.
+        since: Rows since the start of the stretch (T, C).
         parts: Ranges of rows of a chunk that are one block of time each.
     """
 
-    def __init__(self, steps: Steps, *, late: int = 0) -> None:
+    def __init__(self, steps: Steps, *, late: int = 0, every: int = 1) -> None:
         h = steps.dt
-        slower = 2.0 if late else 1.0  # with states that no sensor measures, a filter remembers for longer
+        # with states that no sensor measures, or not in each row, a filter remembers for longer
+        slower = 2.0 if late or every > 1 else 1.0
         burn, length = (
             int(slower * np.clip(round(seconds / h), *rows))
             for seconds, rows in ((_BURN_S, _BURN), (_LENGTH_S, _LENGTH))
@@ -68,6 +71,7 @@ class Chunks:
         ended = rows >= end_of[None, :]
         step = np.where(ended, end_of[None, :] - 1, rows)
         self.row = torch.from_numpy(step)
+        self.since = torch.from_numpy(rows - np.array([steps.segments[s][0] for s in stretch]))
         self.y = torch.where(torch.from_numpy(ended)[..., None], steps.seen1[self.row], steps.seen0[self.row])
         self.u, self.t = steps.u[self.row], steps.t[self.row]
         self.counted = torch.from_numpy(np.array(counted).T.copy())
@@ -82,8 +86,8 @@ class Chunks:
     def some(self, which: Tensor) -> "Chunks":
         """Some of the chunks, by number."""
         out = copy.copy(self)
-        out.row, out.y, out.u, out.t, out.counted = (
-            part[:, which] for part in (self.row, self.y, self.u, self.t, self.counted)
+        out.row, out.since, out.y, out.u, out.t, out.counted = (
+            part[:, which] for part in (self.row, self.since, self.y, self.u, self.t, self.counted)
         )
         out._owners, out._first, out.stretch = (
             part[which] for part in (self._owners, self._first, self.stretch)

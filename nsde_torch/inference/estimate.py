@@ -31,6 +31,7 @@ from nsde_torch.inference.filtering import (
     with_parameters,
 )
 from nsde_torch.inference.levels import Levels, first_levels
+from nsde_torch.inference.low_pass import band_of, rows_between
 from nsde_torch.inference.maximum import level_columns, likeliest
 from nsde_torch.inference.sensitivity import Grams, grams
 from nsde_torch.inference.sizes import data_sizes
@@ -157,6 +158,7 @@ class LogLikelihood:
         run_in: Whether the first rows of each stretch only bring up memory; None: where an effect has any. Physics that
             are compared need the same.
         states: Whether states alone are asked for (`states`): short logs do, and rates start as they were inferred.
+        apart: Least time from one measurement to the next [s]; rows between bring their inputs alone.
 
     Raises:
         DataError: no run, no stretch that is long enough, or nothing moves.
@@ -170,6 +172,7 @@ class LogLikelihood:
         *,
         run_in: bool | None = None,
         states: bool = False,
+        apart: float = 0.0,
     ) -> None:
         self._unknown = inferred_columns(system, runs)
         shortest, fewest = (_SHORTEST_OF_STATES, 1) if states else (_SHORTEST, _FEWEST)
@@ -181,8 +184,13 @@ class LogLikelihood:
             shortest=shortest,
             run_in=run_in,
             differences=int(not states),
+            low_passed=True,
         )
-        chunks = Chunks(steps, late=_LATE if self._unknown else 0)
+        self._band = band_of(runs)
+        self._least = max(1, round(apart / steps.dt))
+        slowest = max((rows_between(self._band, name, steps.dt) for name in self._band), default=1)
+        slowest = max(slowest, self._least)
+        chunks = Chunks(steps, late=_LATE if self._unknown else 0, every=slowest)
         if int(chunks.counted.sum()) < fewest:
             raise DataError(
                 f"{int(chunks.counted.sum())} rows are too few for a likelihood of physics and noise; give {fewest} "
@@ -207,7 +215,12 @@ class LogLikelihood:
         hidden = [inner.state_names[j] for j in unknown]
         self.channels = tuple(name for name in inner.error_names if name not in hidden)
         observed = [i for i, name in enumerate(inner.error_names) if name not in hidden]
-        self.space = StateSpace(self.vector, steps, chunks, observed)
+        # an attitude's errors stand where the first three columns of its quaternion do
+        after = len(inner.state_names) if inner.quaternion is None else inner.quaternion.stop - 1
+        names = [inner.state_names[i if i < after else i + 1] for i in range(len(inner.error_names))]
+        every = [max(self._least, rows_between(self._band, names[i], steps.dt)) for i in observed]
+        band = {i: self._band[name] for i, name in enumerate(names) if name in self._band}
+        self.space = StateSpace(self.vector, steps, chunks, observed, every, band)
         std = torch.ones(self.space.ne, dtype=torch.float64)
         for j, value in unknown.items():
             std[inner.error_names.index(inner.state_names[j])] = _UNKNOWN * value
@@ -219,15 +232,21 @@ class LogLikelihood:
         space.use(theta)
         y = space.chunks.y
         about = linearised_about(space, y, self.start)
-        fourth = system.error(y[1:], y[:-1])[..., space.observed]
-        for _ in range(_DIFFERENCES - 1):
-            fourth = fourth[1:] - fourth[:-1]
+        fourth = torch.stack([self._fourth(j, rows) for j, rows in enumerate(space.every)], -1)
         over = min(_OVER, len(y) - 2)
         expected = space.after(y)
         moved = system.error(y[over:], y[:-over]) - over * system.error(expected[:-over], y[:-over])
         pushed = about.slopes[..., space.ne :].reshape(-1, space.ne, space.nd)
-        flat = fourth.reshape(-1, len(space.observed)), moved.reshape(-1, space.ne)
-        return first_levels(*flat, pushed, space.h), about
+        return first_levels(fourth, moved.reshape(-1, space.ne), pushed, space.h), about
+
+    def _fourth(self, channel: int, rows: int) -> Tensor:
+        """Mean square of the fourth differences of a measured channel, over rows from one measurement to the next."""
+        y = self.space.chunks.y
+        rows = max(1, min(rows, (len(y) - 1) // _DIFFERENCES))
+        out = self.vector.system.error(y[rows:], y[:-rows])[..., self.space.observed[channel]]
+        for _ in range(_DIFFERENCES - 1):
+            out = out[rows:] - out[:-rows]
+        return out.square().mean()
 
     def filtered(self, levels: Levels, about: Linearisation) -> Pass:
         """A pass over the log with the parameters in use."""
@@ -363,7 +382,7 @@ def maximised(
     beside = level_columns(space, levels, about, start) if nuisances else None
     final = grams(space, levels, about, at, columns, beside)
     free = _free(vector, theta, final)
-    square, predictable = _whiteness(at.white, space.chunks.counted)
+    square, predictable = _whiteness(at.white, space)
     best = MaximumLikelihood(
         vector,
         theta,
@@ -431,14 +450,19 @@ def _free(vector: ParameterVector, theta: Array, held: Grams) -> Labels:
     return np.flatnonzero(shown & ~pressed)
 
 
-def _whiteness(white: Tensor, live: Tensor) -> tuple[Array, Array]:
-    """Mean square of whitened innovations (m,), and share that the rows before predict (m,), beyond chance."""
-    white, rows = torch.where(live[..., None], white, 0.0), float(live.sum())
-    square = white.square().sum((0, 1)) / rows
-    share = torch.zeros_like(square)
-    for lag in range(1, _LAGS + 1):
-        both = (live[lag:] & live[:-lag])[..., None]
-        pairs = both.sum((0, 1)).clamp_min(1)
-        moment = torch.where(both, white[lag:] * white[:-lag], 0.0).sum((0, 1)) / pairs
-        share += (moment / square).square() - 1.0 / pairs
-    return square.numpy(), share.clamp(0.0, 1.0).numpy()
+def _whiteness(white: Tensor, space: StateSpace) -> tuple[Array, Array]:
+    """Mean square of whitened innovations (m,), and share that the ten before predict (m,), beyond chance."""
+    squares, shares = [], []
+    for j, every in enumerate(space.every):
+        live = (
+            space.chunks.counted if space.measured is None else space.chunks.counted & space.measured[..., j]
+        )
+        own = torch.where(live, white[..., j], 0.0)
+        square = own.square().sum() / live.sum().clamp_min(1)
+        share = torch.zeros_like(square)
+        for lag in range(every, every * _LAGS + 1, every):
+            pairs = (live[lag:] & live[:-lag]).sum().clamp_min(1)
+            share += ((own[lag:] * own[:-lag]).sum() / pairs / square).square() - 1.0 / pairs
+        squares.append(square)
+        shares.append(share)
+    return torch.stack(squares).numpy(), torch.stack(shares).clamp(0.0, 1.0).numpy()

@@ -36,11 +36,14 @@ class Linearisation:
     missed: Tensor  # c, by how much that step misses the next row's state (ne)
     seen: Tensor  # what was measured less the state, in measured channels (m)
     first: Tensor  # error of each chunk's start (C, ne)
+    measured: Tensor | None = None
+    """Whether a row measures each of these channels (m); None where all do."""
 
     def of(self, some: Tensor) -> "Linearisation":
         """That of some chunks."""
         x, slopes, missed, seen = (part[:, some] for part in (self.x, self.slopes, self.missed, self.seen))
-        return Linearisation(x, slopes, missed, seen, self.first[some])
+        measured = None if self.measured is None else self.measured[:, some]
+        return Linearisation(x, slopes, missed, seen, self.first[some], measured)
 
 
 @dataclass(frozen=True)
@@ -80,17 +83,18 @@ def linearised_about(space: StateSpace, x: Tensor, start: Start) -> Linearisatio
     return Linearisation(
         x,
         slopes,
-        _missed(space, x, after),
+        space.missed(x, after),
         system.error(space.chunks.y, x)[..., space.observed],
         system.error(start.x, x[0]),
+        space.measured,
     )
 
 
 @torch.no_grad()
 def with_parameters(space: StateSpace, about: Linearisation) -> Linearisation:
     """The same states and slopes with other parameters in use."""
-    missed = _missed(space, about.x, space.after(about.x))
-    return Linearisation(about.x, about.slopes, missed, about.seen, about.first)
+    missed = space.missed(about.x, space.after(about.x))
+    return replace(about, missed=missed)
 
 
 def forced(space: StateSpace, about: Linearisation, disturbance: int, force: Tensor) -> Tensor:
@@ -104,12 +108,7 @@ def forced(space: StateSpace, about: Linearisation, disturbance: int, force: Ten
             (`StateSpace.midway`): a force of the state or the input after it would explain what was just measured.
     """
     slopes = about.slopes[..., space.ne + disturbance]
-    return slopes.view(*slopes.shape, *(1,) * (force.dim() - 2)) * force[:, :, None]
-
-
-def _missed(space: StateSpace, x: Tensor, after: Tensor) -> Tensor:
-    gap = space.vector.system.error(after[:-1], x[1:])
-    return torch.cat((gap, torch.zeros_like(gap[:1])))
+    return space.passed(slopes.view(*slopes.shape, *(1,) * (force.dim() - 2)) * force[:, :, None])
 
 
 def transitions(space: StateSpace, levels: Levels, slopes: Tensor) -> tuple[Tensor, Tensor]:
@@ -155,6 +154,7 @@ def filtered(
     variance[observed] = sensor
     covariance = torch.diag(torch.cat((variance, torch.exp(2.0 * levels.gust)))).expand(count, -1, -1)
     eye = torch.eye(m, dtype=covariance.dtype).expand(count, -1, -1)
+    measured = None if about.measured is None else about.measured.to(covariance.dtype)
     inverses, gains, kept = [eye], [covariance.new_zeros(count, space.n, m)], [covariance]
     for k in range(1, rows):
         if k % _SLAB == 1:
@@ -165,8 +165,14 @@ def filtered(
         seen = covariance[..., observed]
         innovation = seen[..., observed, :].clone()
         innovation.diagonal(dim1=-2, dim2=-1).add_(sensor)
+        if measured is not None:  # a channel that the row does not measure is white noise of its own
+            seen_here = measured[k]
+            innovation = innovation * (seen_here[:, :, None] * seen_here[:, None])
+            innovation.diagonal(dim1=-2, dim2=-1).add_(1.0 - seen_here)
         triangle, _ = torch.linalg.cholesky_ex(innovation)
         inverse = torch.linalg.solve_triangular(triangle, eye, upper=False)
+        if measured is not None:
+            inverse = inverse * seen_here[..., None]  # and neither moves the state nor counts
         half = seen @ inverse.transpose(-1, -2)
         covariance = covariance - half @ half.transpose(-1, -2)
         inverses.append(inverse)
@@ -204,7 +210,10 @@ def with_gains(
     predicted = torch.stack(means)
     errors = about.seen - predicted[..., observed]
     white = (whitening @ errors[..., None])[..., 0]
-    each = torch.log(torch.diagonal(whitening, dim1=-2, dim2=-1)).sum(-1) - 0.5 * white.square().sum(-1)
+    scale = torch.diagonal(whitening, dim1=-2, dim2=-1)
+    if about.measured is not None:
+        scale = torch.where(about.measured, scale, 1.0)
+    each = torch.log(scale).sum(-1) - 0.5 * white.square().sum(-1)
     delta = predicted + (gain @ errors[..., None])[..., 0]
     return Pass(errors, whitening, gain, delta, torch.where(live, each, 0.0))
 

@@ -105,8 +105,13 @@ def left_out(optimum: Optimum, folds: Folds, still: NDArray[np.bool_] | None = N
 def _densities(space: StateSpace, about: Linearisation, at: Pass) -> tuple[tuple[str, ...], Tensor]:
     """States whose rates the physics gives, and log densities (T, C, names): of each, and of what its rate moves."""
     system = space.vector.system
-    triangle = torch.linalg.inv(at.whitening)
+    whitening = at.whitening
+    if about.measured is not None:  # what a row does not measure has no density
+        whitening = whitening + torch.diag_embed(1.0 - about.measured.to(whitening.dtype))
+    triangle = torch.linalg.inv(whitening)
     errors = at.errors[..., None]
+    if about.measured is not None:
+        errors = errors * about.measured[..., None]
     for group in _in_the_world(system):
         if set(group) <= set(space.observed):
             rows = [space.observed.index(i) for i in group]

@@ -39,12 +39,12 @@ def first_levels(fourth: Tensor, moved: Tensor, pushed: Tensor, h: float) -> Lev
     """Levels to start from.
 
     Args:
-        fourth: Fourth differences of what the physics leaves of the measured channels (N, m).
+        fourth: Mean square of the fourth differences of the measured channels (m,).
         moved: What the physics leaves over ten steps (N, channels).
         pushed: What a unit of each disturbance does to these over one step (N, channels, d).
         h: The step [s].
     """
-    sensor = fourth.square().mean(0).div(_FOURTH).sqrt().clamp_min(_LEAST)
+    sensor = fourth.div(_FOURTH).sqrt().clamp_min(_LEAST)
     # no disturbance is larger than what is left of any channel that it moves
     push, left = pushed.square().mean(0).sqrt(), moved.square().mean(0).sqrt()[:, None]
     most = torch.where(push > _MOVES * push.amax(0), left / push, torch.inf).amin(0)

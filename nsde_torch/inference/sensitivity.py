@@ -113,7 +113,7 @@ def grams(
             sums[p, some, head:, :head] = sums[p, some, :head, head:].transpose(1, 2)
             for s in apart:
                 sums[p, some, s, s] = own[:, s] @ flat[..., s]
-    return Grams(chunks.blocks(sums), int(chunks.counted.sum()) * len(space.observed), k)
+    return Grams(chunks.blocks(sums), space.measurements, k)
 
 
 def _tables(

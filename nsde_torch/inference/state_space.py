@@ -6,7 +6,7 @@ states (`memory_along`), and no state of the filter.
 """
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import final
 
 import numpy as np
@@ -16,6 +16,7 @@ from torch import Tensor
 
 from nsde_torch.effects import Port
 from nsde_torch.inference.chunks import Chunks
+from nsde_torch.inference.low_pass import low_passed
 from nsde_torch.inference.memory import memory_along
 from nsde_torch.inference.steps import Steps
 from nsde_torch.rotation import turned
@@ -90,13 +91,22 @@ class StateSpace:
         steps: The log.
         chunks: The same in chunks.
         observed: Numbers of the measured error channels.
+        every: Rows from one measurement of each of these to the next.
+        band: Frequencies above which states were smoothed away [Hz], by error channel.
 
     Attributes:
         ne, nd, n: Number of errors of the state, of disturbances, and of both.
+        measured: Whether a row measures each observed channel (T, C, m); None where all do.
     """
 
     def __init__(
-        self, vector: ParameterVector, steps: Steps, chunks: Chunks, observed: Sequence[int]
+        self,
+        vector: ParameterVector,
+        steps: Steps,
+        chunks: Chunks,
+        observed: Sequence[int],
+        every: Sequence[int],
+        band: Mapping[int, float],
     ) -> None:
         self.vector, self.steps, self.chunks, self.observed = vector, steps, chunks, list(observed)
         self.h, self.logged_h = steps.dt, steps.logged_dt
@@ -106,12 +116,24 @@ class StateSpace:
         self.nx, self.ne = system.nx, len(system.error_names)
         self.nd = len(self.disturbances)
         self.n = self.ne + self.nd
+        self.every, self.band = list(every), dict(band)
+        rows = chunks.since[..., None] % torch.tensor(self.every) == 0
+        self.measured = None if max(self.every) == 1 else rows
 
     def some(self, which: Tensor) -> "StateSpace":
         """The same machine, with the values in use, over some of the chunks."""
         out = copy.copy(self)
         out.chunks, out.memory = self.chunks.some(which), self.memory[:, which]
+        out.measured = None if self.measured is None else self.measured[:, which]
         return out
+
+    @property
+    def measurements(self) -> int:
+        """Number of measured values in the rows that count."""
+        counted = self.chunks.counted
+        if self.measured is None:
+            return int(counted.sum()) * len(self.observed)
+        return int((self.measured & counted[..., None]).sum())
 
     def use(self, theta: Array) -> None:
         """Take these values (k,) for what follows, or those of each stretch of the log (S, k)."""
@@ -212,4 +234,28 @@ class StateSpace:
             held = _rows(self._memory()) if remembers else memory
             out[..., i] = system.error(self.step(t, flat, held, u, still), base) / by
         self._take(self.theta)
-        return out.view(*x.shape[:2], self.ne, len(which))
+        return self.passed(out.view(*x.shape[:2], self.ne, len(which)))
+
+    def missed(self, x: Tensor, after: Tensor) -> Tensor:
+        """By how much steps from states (T, C, nx) to others, undisturbed, miss the next rows (T, C, ne)."""
+        gap = self.vector.system.error(after[:-1], x[1:])
+        gap = torch.cat((gap, torch.zeros_like(gap[:1])))
+        if not self.band:
+            return gap
+        y = self.chunks.y
+        moved = self.vector.system.error(self.after(y).flatten(0, 1), y.flatten(0, 1)).view_as(gap)
+        return gap - (moved - self.passed(moved))
+
+    def passed(self, steps: Tensor) -> Tensor:
+        """What is done to steps (T, C, ne, ...), as it is seen in states that were smoothed."""
+        if not self.band:
+            return steps
+        out, row = steps.clone(), self.chunks.row
+        for hz in set(self.band.values()):
+            which = [i for i, own in self.band.items() if own == hz]
+            series = steps.new_zeros(len(self.steps), len(which), *steps.shape[3:])
+            series[row] = steps[:, :, which]
+            for a, b in self.steps.segments:
+                series[a:b] = low_passed(series[a:b], hz, self.h)
+            out[:, :, which] = series[row]
+        return out

@@ -17,6 +17,7 @@ from nsde_torch.columns import by_column
 from nsde_torch.data import Run
 from nsde_torch.data.denoise import denoised
 from nsde_torch.errors import DataError
+from nsde_torch.inference.low_pass import low_passed_states
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
@@ -93,6 +94,7 @@ def steps_of(
     denoise: bool = False,
     share: float = 1.0,
     differences: int = 1,
+    low_passed: bool = False,
 ) -> Steps:
     """Cut runs into steps.
 
@@ -107,6 +109,7 @@ def steps_of(
         differences: Rows over which positions are differenced where their rates were inferred; 0 takes these as
             inferred.
         run_in: Whether to keep the first steps of each segment for memory alone; None: where an effect has any.
+        low_passed: Whether states that were smoothed come without what stands above the band that was restored.
 
     Raises:
         DataError: no run, no segment that is long enough, or nothing moves.
@@ -118,7 +121,10 @@ def steps_of(
             f"nothing moves: {', '.join(system.state_names)} never change. If these columns are no measurements, write "
             "what the sensors measured. Record runs in which the machine moves."
         )
-    seen = [np.asarray(run.x) for run in runs]
+    seen = [
+        low_passed_states(system, run, clock) if low_passed and run.low_pass else np.asarray(run.x)
+        for run in runs
+    ]
     clean = list(denoised(runs, share=share)[0]) if smooth or denoise else seen
     unknown = inferred_columns(system, runs) if differences else {}
     if unknown:

@@ -40,7 +40,9 @@ def by_likelihood(
         unless something speaks against them.
     """
     objected = found.guard is not None and found.guard.objections
-    if objected or any(run.band for run in runs) or entries(system, runs) > MOST:
+    # inputs that answer the states know of noise what a smoother took out of them (`diagnosis.behind_smoothers`)
+    answered = found.loop is not None and not found.loop.open and any(run.band for run in runs)
+    if objected or answered or entries(system, runs) > MOST:
         return found
     machine = copy.deepcopy(system)
     found.vector.write(machine, found.values)

@@ -217,11 +217,6 @@ def hangs_on_band(
     return 2.0 * _changed(regression, half, clock, width)
 
 
-def hangs_on_boxes(regression: Regression, runs: Sequence[Run], *, clock: float = 1.0) -> Array:
-    """What parameters (k,) change by with the longest boxes (`longer_boxes`); nan where nothing settles there."""
-    return _changed(regression, runs, clock, LENGTHS_S[1])
-
-
 def _changed(regression: Regression, runs: Sequence[Run], clock: float, width: float | None) -> Array:
     """What parameters (k,) change by in other runs or boxes; nan where nothing settles there."""
     system = copy.deepcopy(regression.physics.vector.system)

@@ -122,18 +122,6 @@ class Physics:
         """What was measured to change over each step (N, nx)."""
         return np.asarray(self.turn(self.steps.seen1 - self.steps.seen0, self.attitude))
 
-    def bare(self) -> "Physics":
-        """The same without anything as long as the data."""
-        out = copy.copy(self)
-        out.forget()
-        return out
-
-    def forget(self) -> None:
-        """Let go of what is as long as the data, which is made again where it is asked for."""
-        self._remembered = self._foreseen = None
-        for made in ("attitude", "measured"):
-            vars(self).pop(made, None)
-
     @torch.no_grad()
     def residual(self, theta: Array) -> Array:
         """Measured minus predicted change over each step (N, nx)."""
@@ -166,17 +154,6 @@ class Physics:
     def middle(self, theta: Array) -> Tensor:
         """State and memory in the middle of each step, as foreseen from some steps earlier (N, nz)."""
         return self._middle(torch.as_tensor(theta))
-
-    @torch.no_grad()
-    def foresee_like(self, other: "Physics", theta: Array, there: Array) -> None:
-        """Take over the states that `other` foresees at `there`, where the physics at `theta` moves them as it does."""
-        if self.vector.system.nz != other.vector.system.nz or self._lead != other._lead:
-            return
-        at = torch.as_tensor(theta)
-        middle = other.middle(there)
-        theirs = other._forecast(torch.as_tensor(there), middle)
-        if torch.equal(self._forecast(at, middle), theirs):
-            self._foreseen = (at.clone(), middle)
 
     def in_channels(self, change: Tensor, states: Tensor) -> Tensor:
         """Changes of states (N, nx) in the channels of the residuals, at the attitude of some states (N, nz)."""

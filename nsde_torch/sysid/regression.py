@@ -319,33 +319,6 @@ class Regression:
         out._whiten()
         return out
 
-    def concluded(self, *, past: bool = False) -> "Regression":
-        """What was found: theta, noise models and what the data show of theta, without anything as long as the data.
-
-        With `past` it keeps the columns of the past, without which it cannot be `restored`.
-        """
-        out = copy.copy(self)
-        out.physics = self.physics.bare()
-        out.residual = out.jacobian = out.white = out.slopes = np.zeros((0, 0))
-        out._past = self._past if past else out.residual
-        return out
-
-    def with_residuals(self) -> "Regression":
-        """The same as it was before it was concluded, as far as noise models need it."""
-        out = copy.copy(self)
-        out.residual = out._residual(self.theta)
-        return out
-
-    def restored(self) -> "Regression":
-        """The same as it was before it was concluded with its past."""
-        out = self.with_residuals()
-        out.physics = self.physics.bare()
-        out.theta = self._linear_at  # the last steps may not have made slopes anew
-        out._relinearise()
-        out.theta = self.theta
-        out._in_noise_units()
-        return out
-
     def fitted_columns(self, row: int) -> Array:
         """Columns that the whitened residual of channel `row` of `rows` was fitted with: theta, its law, its past."""
         own = self.noises[row].own_slopes(self.residual[:, self.rows[row]], self.series)

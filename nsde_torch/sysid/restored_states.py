@@ -132,18 +132,28 @@ def _restored(runs: Sequence[Run], found: Sequence[Smoothed], dt: float) -> list
     pairs = [(one.smoother, k) for one in found for k in one.behind]
     ends = [_ENDS / smoother.falls_to(0.7) for smoother, k in pairs if k.restored]
     out_of_use = int(np.ceil(max(ends, default=0.0) / dt))
-    band = {name: k.reach for _, k in pairs if k.reach < 0.5 / dt for name in k.sensor.names}
+    held = [k for _, k in pairs if k.reach < 0.5 / dt]  # else these rows hold nothing of where it falls
+    band = {name: k.reach for k in held for name in k.sensor.names}
+    low_pass = {name: k.reach for k in held if _louder_above(k) for name in k.sensor.names}
     out = []
     for run in runs:
         x = np.array(run.x)
         for a, b in run.segments:
             for smoother, k in pairs:
-                if k.restored or k.reach < 0.5 / dt:  # else these rows hold nothing of where it falls
+                if k.restored or k.reach < 0.5 / dt:
                     _restore_stretch(x[a:b], smoother, k, dt, rng)
         inner = [(a + out_of_use, b - out_of_use) for a, b in run.segments]
         kept = tuple((a, b) for a, b in inner if b - a >= _FEWEST)
-        out.append(replace(run, x=x, segments=kept or run.segments, band=band))
+        whole = run.unbroken or run.segments
+        segments = kept or run.segments
+        out.append(replace(run, x=x, segments=segments, band=band, low_pass=low_pass, unbroken=whole))
     return out
+
+
+def _louder_above(one: SmoothedSensor) -> bool:
+    """Whether the noise that stands above the band of a sensor is surely louder than its own below."""
+    at = int(np.argmin(np.abs(one.seen.f - one.reach)))
+    return not one.restored or bool((ABOVE * one.fit.motion[:, at] > one.fit.noise[:, at]).any())
 
 
 def _restore_stretch(

@@ -68,7 +68,7 @@ NATS = 20.0
 """By which the declared physics must be likelier behind a smoother."""
 LAGS_S, LATEST_S = (0.0, 0.02, 0.05, 0.1), 0.05
 """Lags of actuators that the declared physics may lack, and the longest delay [s], by halves of a step."""
-DEPTH, BEGINS = 1e-3, 0.9
+DEPTH, BEGINS = 1e-2, 0.9
 """|S| down to which is restored; and at which noise is added instead."""
 _NEAR, _FAR = 0.5, 1.0
 """Steps of the log by which a lateness may miss what smoothers make, and by which it must to speak against one."""

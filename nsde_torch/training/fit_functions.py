@@ -90,7 +90,7 @@ def fit_functions(
             doubt = np.sqrt(found.force(values, k)[1])
             variance += np.square(left.response[:, :, column + j].numpy() * doubt[:, None]).mean(0)
         column += width
-    rows_of_all = int(space.chunks.counted.sum()) * len(space.observed)
+    rows_of_all = space.measurements
     score = -float(found.blocks[1].sum()) / rows_of_all
     chosen = [
         {"port": port.value, "row": j, "variables": list(g.variables), "kind": g.kind}

@@ -91,7 +91,7 @@ def test_an_effect_that_is_named_explains_all_that_functions_can(
     assert own["left"] is False
     assert own["explained"] > 0.9
     outcome = friction[0].outcome
-    evidence = outcome.found[0].trial.nats
+    evidence = outcome.found[0].evidence.nats
     assert evidence > 20.0
     assert own["effects_nats"] == pytest.approx(evidence, rel=0.3)
     assert "all that functions of what was measured can" in own["sentence"]

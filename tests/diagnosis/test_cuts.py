@@ -6,8 +6,7 @@ import json
 import warnings
 from collections.abc import Callable, Mapping
 from functools import cache
-from types import SimpleNamespace
-from typing import Any, cast, final
+from typing import final
 
 import numpy as np
 import pytest
@@ -16,10 +15,8 @@ from torch import Tensor
 
 import nsde_torch
 from nsde_torch.data import RawRun
-from nsde_torch.diagnosis import longer_boxes
 from nsde_torch.effects import Parameter, Port
-from nsde_torch.errors import DataError, NsdeError
-from nsde_torch.sysid.guard import Guarded
+from nsde_torch.errors import NsdeError
 from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
 
 ANSWER = "answer"
@@ -145,30 +142,6 @@ def diagnosed(runs: list[RawRun], system: str | type[System]) -> str:
 def test_every_cut_ends_in_an_answer_or_a_remedy(name: str) -> None:
     runs, expected = CUTS[name]
     assert expected in diagnosed(runs(), "mass_spring_damper")
-
-
-@pytest.mark.parametrize("dt", [0.02, 0.5])
-def test_steps_as_long_as_longer_boxes_are_not_searched_again(
-    dt: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    longer: list[float] = []
-
-    def refuse(runs: Any) -> None:
-        raise DataError("runs that are too short for them")
-
-    def with_length(log: Any, *, box_s: float) -> Any:
-        longer.append(box_s)
-        return SimpleNamespace(runs=(), search=refuse)
-
-    monkeypatch.setattr(longer_boxes, "guard_of", lambda log, outcome: Guarded())
-    monkeypatch.setattr(longer_boxes, "replace", with_length)
-    left = SimpleNamespace(
-        structured=["a test"], found=[], final=SimpleNamespace(regression=SimpleNamespace(dt=dt))
-    )
-    log: Any = SimpleNamespace()
-    kept = longer_boxes.over_longer_boxes(log, log, cast(Any, left), cast(Any, None))
-    assert kept[2] is left
-    assert longer == ([] if dt > 0.05 else [0.05])
 
 
 @pytest.mark.slow

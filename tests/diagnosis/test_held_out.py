@@ -14,12 +14,12 @@ from nsde_torch.diagnosis.decision import provisional_reason
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.fitted import moved_channels
 from nsde_torch.diagnosis.innovations import Own, Scored, band, one_step, own
+from nsde_torch.diagnosis.joint_selection import Evidence
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Found
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.diagnosis.text import lines
-from nsde_torch.diagnosis.trials import Trial
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
@@ -169,7 +169,7 @@ def test_structure_that_is_left_where_an_effect_does_not_act_does_not_make_it_a_
     def left(channel: str) -> list[Dependence]:
         return [Dependence(channel, "time", 1e-9, 0.2, 0.5, gain=200.0, functions=3)]
 
-    drag = Found("linear_drag", cast(Trial, None), (), moves=("v_x (body)", "v_y (body)"))
+    drag = Found("linear_drag", Evidence(100.0, 5.0, 1e-9), (), moves=("v_x (body)", "v_y (body)"))
     gained = {"v_x (body)": 100.0, "v_y (body)": 50.0, "w_z": 5000.0}
     assert provisional_reason(drag, [drag], left("w_z"), gained) == ""
     assert provisional_reason(drag, [drag], left("v_x (body)"), gained) == "something else is there too"

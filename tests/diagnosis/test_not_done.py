@@ -14,9 +14,8 @@ from nsde_torch.errors import ConfigError, DataError
 
 OPTIONAL = (
     "undone",
-    "JointSearch",
     "without_standing",
-    "over_longer_boxes",
+    "guard_of",
     "cross_validated",
     "ceiling",
 )
@@ -45,6 +44,21 @@ def test_stages_that_fail_are_told_and_cost_themselves(
     said = f"{ceiling['stage']}: {ceiling['why']}."
     assert f"not done: {said}" in lines(content)
     assert said in found.save(tmp_path).read_text(encoding="utf-8")
+
+
+def test_a_selection_that_fails_leaves_the_tests_of_the_declared_physics(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(pipeline, "JointSearch", fails)
+    made = nsde_torch.simulate(
+        "mass_spring_damper", effects=[{"coulomb_friction": {"size": 0.3}}], durations=[3.0] * 3, seed=1
+    )
+    found = nsde_torch.diagnose(made, system="mass_spring_damper", candidates=["coulomb_friction"])
+    assert (found.added, found.verdict) == ([], "unexplained")
+    assert pipeline.SELECTION in [n["stage"] for n in found.content()["not_done"]]
 
 
 def test_laws_that_fail_leave_what_the_catalogue_found(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,7 @@ import pytest
 
 import nsde_torch
 from nsde_torch import time_limit
-from nsde_torch.diagnosis import course, files, pipeline
+from nsde_torch.diagnosis import course, files
 from nsde_torch.diagnosis.files import EFFECTS, REPORT, RESULT, DiagnosisFiles
 from nsde_torch.diagnosis.not_done import CEILING, ERRORS, NO_TIME, NOT_YET, SELECTION, STOPPED, TESTS
 from nsde_torch.diagnosis.result import Diagnosis
@@ -126,12 +126,7 @@ def test_a_stage_that_would_not_end_in_time_is_left_out(
     assert lines(content)[0].startswith(f"stopped after 60 min as asked: not done: {CEILING};")
 
 
-@pytest.mark.parametrize("joint", [True, False])
-def test_a_resumed_diagnosis_goes_on_from_what_was_selected(
-    made: Simulation, tmp_path: Path, joint: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if not joint:
-        monkeypatch.setattr(pipeline, "_jointly", lambda log, search: (None, None))
+def test_a_resumed_diagnosis_goes_on_from_what_was_selected(made: Simulation, tmp_path: Path) -> None:
     _stopped(made, "testing what is left").save(tmp_path)
     told: list[tuple[str, list[str]]] = []
     rounds: list[str] = []

@@ -106,16 +106,18 @@ def test_longer_boxes_are_refused_where_they_are_not_believed_either_or_do_not_f
 
 
 @pytest.mark.slow
-def test_a_diagnosis_searches_again_over_longer_boxes_where_only_these_are_believed() -> None:
+def test_a_diagnosis_looks_at_rows_further_apart_where_only_these_are_as_predicted() -> None:
     names = ("coulomb_friction", "constant_force", "asymmetric_friction", "cubic_stiffness")
     found = nsde_torch.diagnose(
         axis(14.0, slip=5e-4, seed=3), system=PositioningDrive, candidates=list(names)
     )
-    assert "coulomb_friction" in found.added
+    assert found.added == ["coulomb_friction", "constant_force"]
+    joint = found.outcome.joint
+    assert joint is not None
+    assert joint.final.at.of.space.every == [50, 50]  # rows of 1 ms
+    assert not joint.final.best.misfit
     content = found.content()
-    (warning,) = (w for w in content["warnings"] if w["kind"] == "longer_boxes")
-    assert "means over 0.05 s" in warning["sentence"]
     assert content["guard"]["objections"] == []
-    size = content["parameters"]["coulomb_friction.size"]
-    assert size["value"] == pytest.approx(DRY, rel=0.15)
-    assert size["interval_90"] is not None
+    # a friction that gives way is no function of the speed: its size is rough, and a lead
+    assert content["parameters"]["coulomb_friction.size"]["value"] == pytest.approx(DRY, rel=0.5)
+    assert all(f["lead"] for f in content["findings"])

@@ -78,6 +78,7 @@ from nsde_torch.sysid.guard import Guarded
 from nsde_torch.sysid.identify import identification
 from nsde_torch.sysid.instruments import adopted
 from nsde_torch.sysid.result import Identification
+from nsde_torch.sysid.standing import moving
 from nsde_torch.systems import System
 from nsde_torch.time_limit import TimeUpError
 
@@ -231,28 +232,38 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
     Args:
         log: The log.
         search: The search in its runs.
-        before: What was concluded from other rows of them, whose effects are held against these; None selects.
+        before: What was concluded from other rows of them, whose effects are begun with; None: the declared physics.
     """
     search.say("fitting the declared physics", 0, 1)
-    if before is not None:
-        return _concluded(log, search, before.joint)
-    made = log.stages.attempt(SELECTION, partial(_selected, log, search), None)
+    joint = None if before is None else before.joint
+    made = log.stages.attempt(SELECTION, partial(_selected, log, search, joint), None)
     if made is None:
-        return _concluded(log, search, None)
+        return _concluded(log, search, joint)
     outcome = _concluded(log, search, made[1])
+    if joint is not None:
+        return outcome
     return log.stages.attempt(
         LAWS, lambda: with_laws(*made, outcome, partial(_concluded, log, search)), outcome
     )
 
 
-def _selected(log: Log, search: Search) -> tuple[JointSearch, JointSelection]:
+def _selected(
+    log: Log, search: Search, before: JointSelection | None = None
+) -> tuple[JointSearch, JointSelection]:
     """The search by the joint likelihood, and what it selects.
 
     Of rows further apart, where only these are as predicted: what a differentiated encoder or a friction that gives way
     does within a few rows is no noise of this model, and noise levels then learn the physics (of a Dahl friction of
     0.3 m/s2 nothing was found, and 114 nats so).
+
+    Args:
+        log: The log.
+        search: The search in its runs.
+        before: What was selected from other rows of these, which is begun with.
     """
-    declared, begun = search.base(log.system), log.begun
+    runs = moving(log.runs, log.slowest)[0] if log.slowest else log.runs
+    declared = search.base(log.system)
+    physics, brought = _begun_with(log, search, fitted_system(declared.regression), before)
     smoothed, whole = any(run.band for run in log.runs), search
     if smoothed and not log.feedback.test(declared.regression).open:
         search = behind_smoothers(whole, log.system)
@@ -264,16 +275,14 @@ def _selected(log: Log, search: Search) -> tuple[JointSearch, JointSelection]:
         search.so_far(_so_far(search, declared, physics, brought))
 
     def of(apart: float) -> tuple[JointSearch, JointSelection]:
-        problem = LogLikelihood(system, log.runs, log.recorded.clock, run_in=True, apart=apart)
+        problem = LogLikelihood(system, runs, log.recorded.clock, run_in=True, apart=apart)
         made = JointSearch(search, problem, system, frequencies)
-        if begun is None:
-            return made, made.selected(so_far=known)
-        return made, made.selected(begun.beside(system), begun.nats, known)
+        return made, made.selected(physics, brought, known)
 
-    if begun is None:
+    if physics is None:
         search.so_far(undecided(search, declared, declared))
     else:
-        known(begun.beside(system), begun.nats)
+        known(physics, brought)
     made, found = of(0.0)
     if found.final.best.misfit and not smoothed and search.steps.dt < 0.5 * _APART_S:
         search.say(f"rows {_APART_S:g} s apart", 0, 1)
@@ -281,6 +290,17 @@ def _selected(log: Log, search: Search) -> tuple[JointSearch, JointSelection]:
         if not other[1].final.best.misfit:
             return other
     return made, found if search is whole else with_suspects(found, whole, log.system)
+
+
+def _begun_with(
+    log: Log, search: Search, declared: System, before: JointSelection | None
+) -> tuple[System | None, Mapping[str, float]]:
+    """The physics that a selection begins with, and what each of its effects brought; None: the declared physics."""
+    if before is not None and before.selected:
+        return before.final.system, {name: before.evidence(search, name).nats for name in before.selected}
+    if log.begun is None:
+        return None, {}
+    return log.begun.beside(declared), log.begun.nats
 
 
 def _so_far(search: Search, declared: Base, system: System, brought: Mapping[str, float]) -> Outcome:
@@ -336,7 +356,8 @@ def _identified(log: Log, outcome: Outcome) -> tuple[Outcome, Identification | N
     if outcome.doubted or not outcome.final.regression.converged:
         return outcome, None
     log.say("estimates of largest likelihood", 0, 1)
-    regressed = replace(identification(outcome.final.regression, "weak"), doubt=outcome.doubt)
+    regressed = identification(outcome.final.regression, "weak")
+    regressed = replace(regressed, doubt=outcome.doubt, loop=outcome.test)
     final = None if outcome.joint is None else outcome.joint.final
     near = None if final is None else (final.system, final.at)
     likeliest = by_likelihood(regressed, outcome.system, log.runs, log.recorded.clock, near)

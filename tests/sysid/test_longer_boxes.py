@@ -114,7 +114,7 @@ def test_a_diagnosis_looks_at_rows_further_apart_where_only_these_are_as_predict
     assert found.added == ["coulomb_friction", "constant_force"]
     joint = found.outcome.joint
     assert joint is not None
-    assert joint.final.at.of.space.every == [50, 50]  # rows of 1 ms
+    assert joint.final.at.of.space.every == [10, 10]  # rows of 5 ms, as taken together
     assert not joint.final.best.misfit
     content = found.content()
     assert content["guard"]["objections"] == []

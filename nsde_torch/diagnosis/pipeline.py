@@ -239,7 +239,9 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
     made = log.stages.attempt(SELECTION, partial(_selected, log, search, joint), None)
     if made is None:
         return _concluded(log, search, joint)
-    outcome = _concluded(log, search, made[1])
+    # what tells a dry friction best is how it changes at a turn, which was left out of these rows
+    same = joint is not None and joint.selected.keys() == made[1].selected.keys()
+    outcome = _concluded(log, search, joint if same else made[1])
     if joint is not None:
         return outcome
     return log.stages.attempt(

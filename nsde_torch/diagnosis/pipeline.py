@@ -267,7 +267,7 @@ def _selected(
     declared = search.base(log.system)
     physics, brought = _begun_with(log, search, fitted_system(declared.regression), before)
     smoothed, whole = any(run.band for run in log.runs), search
-    if smoothed and not log.feedback.test(declared.regression).open:
+    if smoothed and log.feedback.test(declared.regression).closed_loop:
         search = behind_smoothers(whole, log.system)
     frequencies = [line.frequency for line in lines(declared.regression, decisions=search.decisions)]
     # of first values that are far off, what is left would pass for noise

@@ -41,7 +41,7 @@ def by_likelihood(
     """
     objected = found.guard is not None and found.guard.objections
     # inputs that answer the states know of noise what a smoother took out of them (`diagnosis.behind_smoothers`)
-    answered = found.loop is not None and not found.loop.open and any(run.band for run in runs)
+    answered = found.loop is not None and bool(found.loop.closed_loop) and any(run.band for run in runs)
     if objected or answered or entries(system, runs) > MOST:
         return found
     machine = copy.deepcopy(system)

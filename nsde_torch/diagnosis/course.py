@@ -2,7 +2,7 @@
 
 After the fit of the declared physics, each round of the selection and each later stage, what is known is given to
 whoever listens, and kept for the case that the diagnosis is stopped. It is never less than before: a search that is
-repeated (in other rows, over longer boxes) is known once it has come to an end.
+repeated (in other rows) is known once it has come to an end.
 
 How long all will yet take is rough: one more round of the selection, and later stages as so many rounds, as they took
 on springs and flights.

@@ -265,13 +265,13 @@ def _selected(
     """
     runs = moving(log.runs, log.slowest)[0] if log.slowest else log.runs
     declared = search.base(log.system)
-    physics, brought = _begun_with(log, search, fitted_system(declared.regression), before)
+    # of first values that are far off, what is left would pass for noise
+    system = fitted_system(declared.regression)
+    physics, brought = _begun_with(log, search, system, before)
     smoothed, whole = any(run.band for run in log.runs), search
     if smoothed and log.feedback.test(declared.regression).closed_loop:
         search = behind_smoothers(whole, log.system)
     frequencies = [line.frequency for line in lines(declared.regression, decisions=search.decisions)]
-    # of first values that are far off, what is left would pass for noise
-    system = fitted_system(declared.regression)
 
     def known(physics: System, brought: Mapping[str, float]) -> None:
         search.so_far(_so_far(search, declared, physics, brought))

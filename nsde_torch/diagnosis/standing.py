@@ -41,14 +41,14 @@ def without_standing(
         stands = max((moving(log.runs, {j: v})[1] for j, v in speeds.items()), default=0.0)
         if stands < MUCH and (outcome.found or not outcome.structured):
             return log, search, outcome
-        there = _where_it_moves(log, search, None, speeds, searched)
+        there = _where_it_moves(log, None, speeds, searched)
         if there is None or not _dry(there[2], log):
             return log, search, outcome if stands < MUCH else _held(outcome, there)
         log, search, outcome = there
         speeds = _dry(outcome, log)
         if speeds.keys() == log.slowest.keys():
             return log, search, outcome
-    there = _where_it_moves(log, search, outcome, speeds, searched)
+    there = _where_it_moves(log, outcome, speeds, searched)
     if there is None or not _dry(there[2], log).keys() >= speeds.keys():
         return log, search, outcome
     return there
@@ -56,7 +56,6 @@ def without_standing(
 
 def _where_it_moves(
     log: Log,
-    search: Search,
     before: Outcome | None,
     speeds: Mapping[int, float],
     searched: Callable[[Log, Search, Outcome | None], Outcome],

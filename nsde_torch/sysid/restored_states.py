@@ -2,7 +2,7 @@
 
     x = S^-1 x_log below f_r,        white noise above,
 
-where f_r is the frequency at which S has fallen to a thousandth, or to what rounding left, or to which smoothers that
+where f_r is the frequency at which S has fallen to a hundredth, or to what rounding left, or to which smoothers that
 fit about as well agree. The noise is as large as the sensor's, and much larger than what moves at f_r: what moves above
 it is gone, and must not weigh. Where S fits none of the families (`recording.smoothers`), or only roughly, nothing is
 restored; white noise is added from where S begins to fall. Noise is drawn from a fixed seed.

@@ -15,6 +15,7 @@ BASE = {
     "errors",
     "columns",
     "rotation",
+    "jit",
     "lookup",
     "options",
     "lazy",
@@ -29,6 +30,7 @@ LEARNED = {*MACHINES, "data", "recording", "sde", "models", "plots"}
 TRAINED = {"inference", "sysid", "evaluation", "training"}
 MAY_IMPORT = {
     "errors": set(),
+    "jit": set(),
     "lazy": set(),
     "cache": set(),
     "progress": set(),

@@ -8,14 +8,16 @@ the machine inside the loop over rows.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.inference import kernels
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.state_space import StateSpace
-
-_SLAB = 20  # steps whose transitions are worked out at once
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,7 @@ class Pass:
     """What a pass left, rows (T, C, ...)."""
 
     errors: Tensor  # innovations (m)
+    white: Tensor  # the same in standard deviations (m)
     whitening: Tensor  # L^-1 of the covariance L L' of each (m, m); of the first row that of white noise
     gain: Tensor  # Kalman gain (n, m)
     delta: Tensor  # errors of the states of the linearisation that the rows until then tell (n)
@@ -59,20 +62,15 @@ class Pass:
 
     def of(self, some: Tensor) -> "Pass":
         """That of some chunks."""
-        parts = (self.errors, self.whitening, self.gain, self.delta, self.rows)
-        errors, whitening, gain, delta, rows = (part[:, some] for part in parts)
+        parts = (self.errors, self.white, self.whitening, self.gain, self.delta, self.rows)
+        errors, white, whitening, gain, delta, rows = (part[:, some] for part in parts)
         covariance = None if self.covariance is None else self.covariance[:, some]
-        return Pass(errors, whitening, gain, delta, rows, covariance)
+        return Pass(errors, white, whitening, gain, delta, rows, covariance)
 
     @property
     def total(self) -> float:
         """Log likelihood [nats]; minus infinity where the filter diverged."""
         return float(self.rows.sum().nan_to_num(-torch.inf, -torch.inf, -torch.inf))
-
-    @property
-    def white(self) -> Tensor:
-        """Innovations in standard deviations (T, C, m)."""
-        return (self.whitening @ self.errors[..., None])[..., 0]
 
 
 @torch.no_grad()
@@ -111,20 +109,9 @@ def forced(space: StateSpace, about: Linearisation, disturbance: int, force: Ten
     return space.passed(slopes.view(*slopes.shape, *(1,) * (force.dim() - 2)) * force[:, :, None])
 
 
-def transitions(space: StateSpace, levels: Levels, slopes: Tensor) -> tuple[Tensor, Tensor]:
-    """Transition (..., n, n) of errors over steps with slopes (..., ne, n), and the covariance of what strikes."""
-    ne, n, h = space.ne, space.n, space.h
-    keep = levels.keep(h)
-    push = slopes[..., ne:]
-    shape = slopes.shape[:-2]
-    forward = slopes.new_zeros(*shape, n, n)
-    forward[..., :ne, :] = slopes
-    at = torch.arange(ne, n)
-    forward[..., at, at] = keep
-    noise = slopes.new_zeros(*shape, n, n)
-    noise[..., :ne, :ne] = (push * (torch.exp(2.0 * levels.white) / h)) @ push.transpose(-1, -2)
-    noise[..., at, at] = torch.exp(2.0 * levels.gust) * (1.0 - keep.square())
-    return forward, noise
+def array(values: Tensor) -> NDArray[Any]:
+    """The same numbers for a kernel."""
+    return np.asarray(values.contiguous().numpy())
 
 
 @torch.no_grad()
@@ -147,85 +134,60 @@ def filtered(
         live: Whether a row counts (T, C).
         covariances: Whether to keep those of the states, for `nsde_torch.inference.level_slopes`.
     """
-    observed = space.observed
     rows, count, m = about.seen.shape
-    sensor = torch.exp(2.0 * levels.sensor)
-    variance = start.std.square().clone()
-    variance[observed] = sensor
-    covariance = torch.diag(torch.cat((variance, torch.exp(2.0 * levels.gust)))).expand(count, -1, -1)
-    eye = torch.eye(m, dtype=covariance.dtype).expand(count, -1, -1)
-    measured = None if about.measured is None else about.measured.to(covariance.dtype)
-    inverses, gains, kept = [eye], [covariance.new_zeros(count, space.n, m)], [covariance]
-    for k in range(1, rows):
-        if k % _SLAB == 1:
-            forwards, noises = transitions(space, levels, about.slopes[k - 1 : k - 1 + _SLAB])
-            backwards = forwards.transpose(-1, -2)
-        at = (k - 1) % _SLAB
-        covariance = forwards[at] @ covariance @ backwards[at] + noises[at]
-        seen = covariance[..., observed]
-        innovation = seen[..., observed, :].clone()
-        innovation.diagonal(dim1=-2, dim2=-1).add_(sensor)
-        if measured is not None:  # a channel that the row does not measure is white noise of its own
-            seen_here = measured[k]
-            innovation = innovation * (seen_here[:, :, None] * seen_here[:, None])
-            innovation.diagonal(dim1=-2, dim2=-1).add_(1.0 - seen_here)
-        triangle, _ = torch.linalg.cholesky_ex(innovation)
-        inverse = torch.linalg.solve_triangular(triangle, eye, upper=False)
-        if measured is not None:
-            inverse = inverse * seen_here[..., None]  # and neither moves the state nor counts
-        half = seen @ inverse.transpose(-1, -2)
-        covariance = covariance - half @ half.transpose(-1, -2)
-        inverses.append(inverse)
-        gains.append(half @ inverse)
-        if covariances:
-            kept.append(covariance)
-    out = with_gains(space, levels, about, torch.stack(inverses), torch.stack(gains), live)
-    return replace(out, covariance=torch.stack(kept)) if covariances else out
+    n, h = space.n, space.h
+    sensor, gust, keep = torch.exp(2.0 * levels.sensor), torch.exp(2.0 * levels.gust), levels.keep(h)
+    begun = torch.cat((start.std.square(), gust))
+    begun[space.observed] = sensor
+    new = about.seen.new_empty
+    whitening, gain, left = new(rows, count, m, m), new(rows, count, n, m), new(0, 0, 0, 0)
+    if covariances:
+        left = new(rows, count, n, n)
+    measured = torch.zeros(0, 0, 0, dtype=torch.bool) if about.measured is None else about.measured
+    kernels.covariances(
+        array(about.slopes),
+        array(keep),
+        array(torch.exp(2.0 * levels.white) / h),
+        array(gust * (1.0 - keep.square())),
+        array(sensor),
+        array(begun),
+        np.array(space.observed),
+        array(measured),
+        array(whitening),
+        array(gain),
+        array(left),
+    )
+    out = with_gains(space, levels, about, whitening, gain, live)
+    return replace(out, covariance=left) if covariances else out
 
 
 @torch.no_grad()
 def with_gains(
     space: StateSpace, levels: Levels, about: Linearisation, whitening: Tensor, gain: Tensor, live: Tensor
 ) -> Pass:
-    """The means of a pass, p_{k+1} = F (I - K H) p_k + F K (y - x)_k + c_k, whose covariances are known.
+    """The means of a pass whose covariances are known.
 
-    They depend on the slopes and the noise alone, and not on what steps miss: not on a parameter that is tried.
+    These depend on the slopes and the noise alone, and not on what steps miss: not on a parameter that is tried.
 
     Args:
         space, levels, about, live: See `filtered`.
         whitening, gain: Of the pass (T, C, m, m) and (T, C, n, m).
     """
-    observed, ne = space.observed, space.ne
-    mean = gain.new_zeros(*gain.shape[1:-1])
-    mean[..., :ne] = about.first
-    means = [mean]
-    for k in range(1, len(gain)):
-        if k % _SLAB == 1:
-            inner, pushed = _closed(
-                space, levels, about, gain, slice(k - 1, min(k - 1 + _SLAB, len(gain) - 1))
-            )
-        at = (k - 1) % _SLAB
-        mean = (inner[at] @ mean[..., None])[..., 0] + pushed[at]
-        means.append(mean)
-    predicted = torch.stack(means)
-    errors = about.seen - predicted[..., observed]
-    white = (whitening @ errors[..., None])[..., 0]
-    scale = torch.diagonal(whitening, dim1=-2, dim2=-1)
-    if about.measured is not None:
-        scale = torch.where(about.measured, scale, 1.0)
-    each = torch.log(scale).sum(-1) - 0.5 * white.square().sum(-1)
-    delta = predicted + (gain @ errors[..., None])[..., 0]
-    return Pass(errors, whitening, gain, delta, torch.where(live, each, 0.0))
-
-
-def _closed(
-    space: StateSpace, levels: Levels, about: Linearisation, gain: Tensor, rows: slice
-) -> tuple[Tensor, Tensor]:
-    """F (I - K H) (..., n, n) and F K (y - x) + c (..., n) of some rows."""
-    forward = transitions(space, levels, about.slopes[rows])[0]
-    back = forward @ gain[rows]
-    inner = forward.clone()
-    inner[..., space.observed] -= back
-    pushed = (back @ about.seen[rows, ..., None])[..., 0]
-    pushed[..., : space.ne] += about.missed[rows]
-    return inner, pushed
+    errors, white = torch.empty_like(about.seen), torch.empty_like(about.seen)
+    delta, nats = gain.new_empty(gain.shape[:-1]), gain.new_empty(gain.shape[:2])
+    kernels.means(
+        array(about.slopes),
+        array(levels.keep(space.h)),
+        array(about.first),
+        array(about.missed),
+        array(about.seen),
+        np.array(space.observed),
+        array(live),
+        array(whitening),
+        array(gain),
+        array(errors),
+        array(white),
+        array(delta),
+        array(nats),
+    )
+    return Pass(errors, white, whitening, gain, delta, nats)

@@ -16,7 +16,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nsde_torch.inference.filtering import Linearisation, Pass, transitions
+from nsde_torch.inference import kernels
+from nsde_torch.inference.filtering import Linearisation, Pass, array
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.spread import Spread
 from nsde_torch.inference.state_space import StateSpace
@@ -128,30 +129,36 @@ def _tables(
     buffer: Tensor,
 ) -> Iterator[Tensor]:
     """Whitened rows [e, J, nuisances] of each block of some chunks (chunks, rows, m, ...), 0 if not counted."""
-    chunks, observed = space.chunks, space.observed
-    ends = np.cumsum([columns.shape[-1], *(force.shape[-1] for _, force in forces)]).tolist()
-    k = ends[-1]
-    counted = chunks.counted[:, some, None].to(at.gain.dtype)
-    white, whitening, gain = at.white * counted, at.whitening * counted[..., None], at.gain
-    moved = gain.new_zeros(len(some), space.n, k)
-    for first, end in chunks.parts:
-        table = buffer[: len(some), : end - first]  # new memory costs as much as what is done in it
+    k = columns.shape[-1] + sum(force.shape[-1] for _, force in forces)
+    acts = np.array([j for j, force in forces for _ in range(force.shape[-1])], dtype=np.int64)
+    counted = space.chunks.counted[:, some]
+    keep, observed = array(levels.keep(space.h)), np.array(space.observed)
+    moved = at.gain.new_zeros(len(some), space.n, k)
+    for first, end in space.chunks.parts:
         begun = max(first, 1)
+        table = buffer[: len(some), : end - first]  # new memory costs as much as what is done in it
         table[:, : begun - first] = 0.0
-        if end > begun:
-            forward = transitions(space, levels, about.slopes[begun - 1 : end - 1])[0]
-            inner = forward.clone()
-            inner[..., observed] -= forward @ gain[begun - 1 : end - 1]
-            for i in range(begun, end):
-                moved = inner[i - begun] @ moved
-                moved[:, : space.ne, : ends[0]] += columns[i - 1]
-                for (j, force), a, b in zip(forces, ends[:-1], ends[1:], strict=True):
-                    push = about.slopes[i - 1, :, :, space.ne + j, None]
-                    moved[:, : space.ne, a:b].addcmul_(push, force[i - 1, :, None])
-                table[:, i - first, :, 1 : 1 + k] = whitening[i] @ moved[:, observed]
-        table[..., 0] = white[first:end].transpose(0, 1)
+        rows, before = slice(begun, end), slice(begun - 1, end - 1)
+        pushed = [force[before] for _, force in forces] or [moved.new_zeros(end - begun, len(some), 0)]
+        filled = moved.new_empty(len(some), end - begun, len(observed), k)
+        kernels.sensitivities(
+            array(about.slopes[before]),
+            keep,
+            observed,
+            array(at.gain[before]),
+            array(at.whitening[rows]),
+            array(counted[rows]),
+            array(columns[before].double()),
+            array(torch.cat(pushed, -1).double()),
+            acts,
+            array(moved),
+            array(filled),
+        )
+        table[:, begun - first :, :, 1 : 1 + k] = filled
+        shown = counted[first:end, :, None]
+        table[..., 0] = (at.white[first:end] * shown).transpose(0, 1)
         if nuisances is not None:
-            table[..., 1 + k :] = (nuisances[first:end] * counted[first:end, ..., None]).transpose(0, 1)
+            table[..., 1 + k :] = (nuisances[first:end] * shown[..., None]).transpose(0, 1)
         yield table
 
 

@@ -30,14 +30,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from nsde_torch.jit import compiled
 from nsde_torch.sysid.series import Series
 
 Array = NDArray[np.float64]
+Labels = NDArray[np.int64]
 
 _GRID = 1.0 - np.array([1, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.08, 0.05, 0.03, 0.02, 0.012, 0.008, 0.005])
 _AKAIKE = 2.0
-_FADED = -40.0  # log of what is nothing
-_DIGITS = 1e-7  # share of the variance below which sums of products have lost too many digits
+_FADED = 4e-18  # what is nothing
 _ROUNDING = 1e-10  # SI units a step: what double precision leaves of states of everyday size
 
 
@@ -207,85 +208,60 @@ def _carry(c: float, values: Array, series: Series, times: int) -> Array:
     """Columns (N, k) over (1 - c B)^times, with the error before each stretch estimated and put in front."""
     for _ in range(times - 1):
         values = np.delete(_carry(c, values, series, 1), [a + i for i, (a, _) in enumerate(series.edges)], 0)
-    out = np.empty((len(values) + len(series.edges), values.shape[1]), order="F")
-    for i, (a, b) in enumerate(series.edges):
-        at, n = a + i, b - a
-        if c == 0:
-            out[at], out[at + 1 : at + 1 + n] = 0.0, values[a:b]
-            continue
-        summed = lfilter([1.0], [1.0, -c], values[a:b], axis=0)
-        live = min(
-            n, int(_FADED / np.log(c)) + 1
-        )  # rows after which the error before the first no longer counts
-        fading = c ** np.arange(1, live + 1)
-        before = fading @ summed[:live] / (1.0 + fading @ fading)
-        out[at], out[at + 1 : at + 1 + n] = -before, summed
-        out[at + 1 : at + 1 + live] -= np.outer(fading, before)
-    return out
+    out = np.empty((values.shape[1], len(values) + len(series.edges)))
+    _sum_up(c, np.ascontiguousarray(values.T), np.array(series.edges), out)
+    return out.T
+
+
+@compiled
+def _sum_up(c: float, values: Array, edges: Labels, out: Array) -> None:
+    """`_carry` of rows (k, N), into (k, N + stretches)."""
+    for column in range(len(values)):
+        for i in range(len(edges)):
+            first, count = edges[i, 0], edges[i, 1] - edges[i, 0]
+            row = out[column, first + i : first + i + count + 1]
+            total, before, size, fading = 0.0, 0.0, 1.0, 1.0
+            for k in range(count):
+                total = values[column, first + k] + c * total
+                row[k + 1] = total
+                if fading > _FADED:
+                    fading *= c
+                    before += fading * total
+                    size += fading * fading
+            row[0] = -before / size
+            fading = c
+            for k in range(1, count + 1):
+                if not fading > _FADED:
+                    break
+                row[k] += fading * row[0]
+                fading *= c
 
 
 def _burg(values: Array, series: Series, orders: int) -> tuple[Array, Array]:
-    """Reflection coefficients (orders,) and the variance left after each order (orders + 1,).
-
-    Errors of prediction are quadratic forms of the autoregression's coefficients in sums of lagged products, which are
-    made once (Vos, A fast implementation of Burg's method, 2013). Where next to nothing is left, these sums do not hold
-    enough digits, and the errors themselves are filtered.
-    """
-    left = [max(float(np.square(values).mean()), 1e-300)]
-    reflection: list[float] = []
-    a = np.ones(1)
-    for products in _lagged_products(values, series, orders):
-        forward = np.append(a, 0.0)
-        backward = forward[::-1]
-        of_forward, of_backward = products @ forward, products @ backward
-        size = float(forward @ of_forward + backward @ of_backward)
-        k = float(-2.0 * (backward @ of_forward) / size) if size > 0 else 0.0
-        reflection.append(k)
-        left.append(max(left[-1] * (1.0 - k * k), 1e-300))
-        a = forward + k * backward
-    if left[-1] < _DIGITS * left[0]:
-        return _burg_filtered(values, series, orders)
-    return np.array(reflection), np.array(left)
+    """Reflection coefficients (orders,) and the variance left after each order (orders + 1,)."""
+    reflection, left = np.empty(orders), np.empty(orders + 1)
+    _predict(values.copy(), values.copy(), np.array(series.edges), reflection, left)
+    return reflection, left
 
 
-def _lagged_products(values: Array, series: Series, orders: int) -> list[Array]:
-    """For m = 1 ... orders: sums over k >= m of r_{k-i} r_{k-j} in each stretch, i, j = 0 ... m (m + 1, m + 1)."""
-    stretches = [values[a:b] for a, b in series.edges]
-    lags = np.zeros(orders + 1)
-    ends = np.zeros((orders + 1, orders + 1))
-    for r in stretches:
-        if len(r) > orders > 0:
-            lags += np.correlate(r, r[orders:], "valid")[::-1]
-            first, last = r[orders - 1 :: -1], r[: -orders - 1 : -1]
-            ends[1:, 1:] += np.outer(first, first) - np.outer(last, last)
-    # element (i, j) is element (i - 1, j - 1) and what comes in and goes out at the ends: sums along diagonals
-    i, j = np.indices(ends.shape)
-    skewed = np.where(i + j <= orders, ends[i, np.minimum(i + j, orders)], 0.0).cumsum(0)
-    total = lags[np.abs(i - j)] + skewed[np.minimum(i, j), np.abs(i - j)]
-    out = [total]
-    heads = np.zeros((len(stretches), orders + 1))
-    lengths = np.array([len(r) for r in stretches])
-    for row, r in zip(heads, stretches, strict=True):
-        row[: min(len(r), orders + 1)] = r[: orders + 1]
-    for m in range(orders - 1, 0, -1):
-        head = heads[lengths > m, m::-1]
-        out.append(out[-1][: m + 1, : m + 1] + head.T @ head)
-    return out[::-1] if orders else []
-
-
-def _burg_filtered(values: Array, series: Series, orders: int) -> tuple[Array, Array]:
-    """The same from errors of prediction of every order."""
-    left = [max(float(np.square(values).mean()), 1e-300)]
-    reflection = []
-    pairs = [(values[a:b], values[a:b]) for a, b in series.edges]
-    for _ in range(orders):
-        pairs = [(f[1:], g[:-1]) for f, g in pairs if len(f) > 1]
-        size = sum(float(f @ f + g @ g) for f, g in pairs)
-        k = -2.0 * sum(float(f @ g) for f, g in pairs) / size if size > 0 else 0.0
-        reflection.append(k)
-        left.append(max(left[-1] * (1.0 - k * k), 1e-300))
-        pairs = [(f + k * g, g + k * f) for f, g in pairs]
-    return np.array(reflection), np.array(left)
+@compiled
+def _predict(forward: Array, backward: Array, edges: Labels, reflection: Array, left: Array) -> None:
+    """`_burg`, from errors of prediction (N,) forwards and backwards, which are lost."""
+    left[0] = max(np.square(forward).mean(), 1e-300)
+    for m in range(len(reflection)):
+        size, both = 0.0, 0.0
+        for i in range(len(edges)):
+            for k in range(edges[i, 0] + m + 1, edges[i, 1]):
+                size += forward[k] * forward[k] + backward[k - 1] * backward[k - 1]
+                both += forward[k] * backward[k - 1]
+        share = -2.0 * both / size if size > 0.0 else 0.0
+        reflection[m] = share
+        left[m + 1] = max(left[m] * (1.0 - share * share), 1e-300)
+        for i in range(len(edges)):
+            for k in range(edges[i, 1] - 1, edges[i, 0] + m, -1):
+                one, other = forward[k], backward[k - 1]
+                forward[k] = one + share * other
+                backward[k] = other + share * one
 
 
 def _polynomial(reflection: Sequence[float] | Array) -> Array:
@@ -302,26 +278,27 @@ def _filtered(reflection: Sequence[float] | Array, values: Array, series: Series
     p = len(reflection)
     if not p:
         return values
-    a, out, starts = _polynomial(reflection), np.empty_like(values), []
-    for first, end in series.edges:
-        for column in range(values.shape[1]):  # what lfilter does, which takes as long to get there
-            out[first:end, column] = np.convolve(a, values[first:end, column])[: end - first]
-        starts.append(np.arange(first, min(first + p, end)))
-    ends = np.cumsum([len(rows) for rows in starts]).tolist()
-    short = Series(tuple(zip([0, *ends[:-1]], ends, strict=True)))
-    near = np.concatenate(starts)
-    out[near] = _lattice(reflection, values[near], short)
-    return out
-
-
-def _lattice(reflection: Sequence[float] | Array, values: Array, series: Series) -> Array:
-    """The same order by order, as rows near a start need it."""
-    place = series.place
-    forward, backward = values, values
-    for m, k in enumerate(reflection, 1):
-        live = (place >= m)[:, None]
-        delayed = np.concatenate((np.zeros_like(backward[:1]), backward[:-1]))
-        forward, backward = np.where(live, forward + k * delayed, forward), delayed + k * forward
+    lower = np.zeros((p + 1, p + 1))
+    for m in range(p + 1):
+        lower[m, : m + 1] = _polynomial(reflection[:m])
     kept = np.cumprod(np.concatenate(([1.0], 1.0 - np.square(reflection))))
-    scale = np.sqrt(kept[-1] / kept[np.minimum(place, len(reflection))])
-    return np.asarray(forward * scale[:, None])
+    lower *= np.sqrt(kept[-1] / kept)[:, None]
+    out = np.zeros((values.shape[1], len(values)))
+    _convolve(lower, np.ascontiguousarray(values.T), np.array(series.edges), out)
+    return out.T
+
+
+@compiled
+def _convolve(lower: Array, values: Array, edges: Labels, out: Array) -> None:
+    """Rows (k, N) through the last of some polynomials (p + 1, p + 1), those near a start through lower ones."""
+    p = len(lower) - 1
+    for column in range(len(values)):
+        for i in range(len(edges)):
+            first, end = edges[i, 0], edges[i, 1]
+            for k in range(first, min(first + p, end)):
+                for j in range(k - first + 1):
+                    out[column, k] += lower[k - first, j] * values[column, k - j]
+            for j in range(p + 1):
+                share = lower[p, j]
+                for k in range(first + p, end):
+                    out[column, k] += share * values[column, k - j]

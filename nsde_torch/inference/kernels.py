@@ -1,0 +1,561 @@
+"""The recursions of a filter over the rows of chunks, compiled.
+
+They are loops over matrices of a few rows: called one by one from Python, the calls alone take ten times as long as
+what is done in them. A step x -> A x of the errors of n = ne + d states, of which the last d are Ornstein-Uhlenbeck
+disturbances that keep a share, has the transition
+
+    F = | A (ne, n)    |
+        | 0   keep (d) |
+
+Arrays are (rows T, chunks C, ...) as in `nsde_torch.inference.filtering`, contiguous and in double precision.
+"""
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nsde_torch.jit import compiled
+
+Array: TypeAlias = NDArray[np.float64]
+Labels: TypeAlias = NDArray[np.int64]
+
+
+@compiled
+def _dot(a: Array, b: Array) -> float:
+    """Of two rows: the form of a product that is fastest, as sums stay in registers."""
+    total = 0.0
+    for o in range(len(a)):
+        total += a[o] * b[o]
+    return total
+
+
+@compiled
+def covariances(
+    slopes: Array,
+    keep: Array,
+    white: Array,
+    gust: Array,
+    sensor: Array,
+    start: Array,
+    observed: Labels,
+    measured: NDArray[np.bool_],
+    whitening: Array,
+    gain: Array,
+    left: Array,
+) -> None:
+    """Kalman gains, and what whitens the innovations.
+
+    Args:
+        slopes: A of the step from each row (T, C, ne, n).
+        keep: Share of each disturbance that is left after a step (d,).
+        white, gust: Variance that a step adds to the ports and to the disturbances (d,).
+        sensor: Variance of the sensors (m,).
+        start: Variance of the errors that a chunk starts with (n,).
+        observed: Numbers of the measured errors (m,).
+        measured: Whether a row measures each of these (T, C, m); (0, 0, 0) where all do.
+        whitening, gain: Are filled (T, C, m, m) and (T, C, n, m).
+        left: Is filled with the covariance after each row (T, C, n, n); not if empty.
+    """
+    rows, count, ne, n = slopes.shape
+    m = len(observed)
+    each = np.zeros((count, n, n))
+    moved, half = np.empty((ne, n)), np.empty((n, m))
+    seen, inverse, across, here = np.empty((m, m)), np.empty((m, m)), np.empty((m, m)), np.empty(m)
+    for c in range(count):
+        for i in range(n):
+            each[c, i, i] = start[i]
+        whitening[0, c] = 0.0
+        for i in range(m):
+            whitening[0, c, i, i] = 1.0
+        gain[0, c] = 0.0
+        if len(left):
+            left[0, c] = each[c]
+    for k in range(1, rows):
+        for c in range(count):  # chunks inside: memory is read in its order
+            p = each[c]
+            _predicted(slopes[k - 1, c], keep, white, gust, p, moved)
+            for i in range(m):
+                for j in range(i + 1):
+                    seen[i, j] = p[observed[i], observed[j]]
+                seen[i, i] += sensor[i]
+            if len(measured):  # a channel that the row does not measure is white noise of its own
+                for i in range(m):
+                    for j in range(i + 1):
+                        if not (measured[k, c, i] and measured[k, c, j]):
+                            seen[i, j] = 1.0 if i == j else 0.0
+            _inverse_triangle(seen, inverse)
+            if len(measured):  # and neither moves the state nor counts
+                for i in range(m):
+                    if not measured[k, c, i]:
+                        inverse[i] = 0.0
+            across[:] = inverse.T
+            for i in range(n):
+                for j in range(m):
+                    here[j] = p[i, observed[j]]
+                for j in range(m):
+                    half[i, j] = _dot(here, inverse[j])
+                for j in range(m):
+                    gain[k, c, i, j] = _dot(half[i], across[j])
+            whitening[k, c] = inverse
+            for i in range(n):
+                for j in range(i + 1):
+                    p[i, j] -= _dot(half[i], half[j])
+                    p[j, i] = p[i, j]
+            if len(left):
+                left[k, c] = p
+
+
+@compiled
+def _predicted(a: Array, keep: Array, white: Array, gust: Array, p: Array, moved: Array) -> None:
+    """F P F' and what a step adds, in place; `moved` (ne, n) is room to work in."""
+    ne, n = a.shape
+    d = n - ne
+    for i in range(ne):
+        for j in range(n):
+            moved[i, j] = _dot(a[i], p[j])
+    for e in range(d):
+        for i in range(ne):
+            crossed = moved[i, ne + e] * keep[e]
+            p[i, ne + e] = crossed
+            p[ne + e, i] = crossed
+            moved[i, ne + e] += a[i, ne + e] * white[e]
+        for f in range(d):
+            p[ne + e, ne + f] *= keep[e] * keep[f]
+        p[ne + e, ne + e] += gust[e]
+    for i in range(ne):
+        for j in range(i + 1):
+            p[i, j] = _dot(moved[i], a[j])
+            p[j, i] = p[i, j]
+
+
+@compiled
+def _inverse_triangle(s: Array, inverse: Array) -> None:
+    """L^-1 of s = L L', of which the lower triangle is read and lost."""
+    m = len(s)
+    for i in range(m):
+        for j in range(i):
+            total = s[i, j]
+            for o in range(j):
+                total -= s[i, o] * s[j, o]
+            s[i, j] = total / s[j, j]
+        total = s[i, i]
+        for o in range(i):
+            total -= s[i, o] * s[i, o]
+        s[i, i] = np.sqrt(total)
+    inverse[:] = 0.0
+    for i in range(m):
+        inverse[i, i] = 1.0 / s[i, i]
+        for j in range(i):
+            total = 0.0
+            for o in range(j, i):
+                total -= s[i, o] * inverse[o, j]
+            inverse[i, j] = total * inverse[i, i]
+
+
+@compiled
+def means(
+    slopes: Array,
+    keep: Array,
+    first: Array,
+    missed: Array,
+    seen: Array,
+    observed: Labels,
+    live: NDArray[np.bool_],
+    whitening: Array,
+    gain: Array,
+    errors: Array,
+    white: Array,
+    left: Array,
+    nats: Array,
+) -> None:
+    """The means of a pass, p_{k+1} = F (p + G e)_k + c_k with e = seen - H p.
+
+    Args:
+        slopes, keep, observed, whitening, gain: As in `covariances`.
+        first: Errors that each chunk starts with (C, ne).
+        missed: c (T, C, ne).
+        seen: What was measured less the state of the linearisation (T, C, m).
+        live: Whether a row counts (T, C).
+        errors, white: Are filled with e, and with what it is whitened (T, C, m).
+        left: Is filled with p + G e (T, C, n).
+        nats: Is filled with the log likelihood of each row (T, C).
+    """
+    rows, count, ne, n = slopes.shape
+    m = len(observed)
+    p = np.empty(n)
+    for k in range(rows):
+        for c in range(count):
+            if k:
+                for i in range(ne):
+                    p[i] = missed[k - 1, c, i] + _dot(slopes[k - 1, c, i], left[k - 1, c])
+                for i in range(ne, n):
+                    p[i] = keep[i - ne] * left[k - 1, c, i]
+            else:
+                p[:] = 0.0
+                p[:ne] = first[c]
+            for j in range(m):
+                errors[k, c, j] = seen[k, c, j] - p[observed[j]]
+            for i in range(n):
+                left[k, c, i] = p[i] + _dot(gain[k, c, i], errors[k, c])
+            total = 0.0
+            for j in range(m):
+                scale = whitening[k, c, j, j]
+                white[k, c, j] = _dot(whitening[k, c, j], errors[k, c])
+                if scale != 0.0:  # 0 of what the row does not measure
+                    total += np.log(scale) - 0.5 * white[k, c, j] * white[k, c, j]
+            nats[k, c] = total if live[k, c] else 0.0
+
+
+@compiled
+def adjoints(
+    slopes: Array,
+    keep: Array,
+    observed: Labels,
+    whitening: Array,
+    gain: Array,
+    errors: Array,
+    left_mean: Array,
+    left: Array,
+    live: NDArray[np.bool_],
+    sensors: Array,
+    struck: Array,
+    gusts: Array,
+    begun: Array,
+    kept: Array,
+) -> None:
+    """One pass backwards: what the log likelihood does with each source of noise (`nsde_torch.inference.level_slopes`).
+
+    Args:
+        slopes, keep, observed, whitening, gain, errors: Of the pass.
+        left_mean, left: Mean (T, C, n) and covariance (T, C, n, n) after each row.
+        live: Whether a row counts (T, C).
+        sensors: Is filled with the slope in the variance of each sensor (C, m).
+        struck, gusts, begun: Those in the variance that a step adds to each port and to each disturbance, and that a
+            disturbance starts with (C, d).
+        kept: That in the share that is left of a disturbance after a step (C, d).
+    """
+    rows, count, ne, n = slopes.shape
+    m, d = len(observed), n - ne
+    each_mean, each_spread = np.zeros((count, n)), np.zeros((count, n, n))
+    moved, turned = np.empty(n), np.empty((n, n))
+    v, pulled = np.empty(m), np.empty(m)
+    own, twice, of_gain = np.empty((m, m)), np.empty((m, m)), np.empty((n, m))
+    passed = np.empty((n, m))
+    for part in (sensors, struck, gusts, kept):
+        part[:] = 0.0
+    for k in range(rows - 1, 0, -1):
+        for c in range(count):
+            mean, spread = each_mean[c], each_spread[c]
+            w, g, a = whitening[k, c], gain[k, c], slopes[k - 1, c]
+            weight = 0.5 if live[k, c] else 0.0
+            v[:] = 0.0
+            for o in range(m):
+                white = 0.0
+                for j in range(o + 1):
+                    white += w[o, j] * errors[k, c, j]
+                for j in range(o + 1):
+                    v[j] += w[o, j] * white
+            for i in range(m):
+                for j in range(i + 1):
+                    total = v[i] * v[j]
+                    for o in range(i, m):
+                        total -= w[o, i] * w[o, j]
+                    own[i, j] = weight * total
+                    own[j, i] = own[i, j]
+            pulled[:] = 0.0
+            for i in range(n):
+                of_gain[i] = 0.0
+                for o in range(n):
+                    share = spread[i, o]
+                    for j in range(m):
+                        of_gain[i, j] += share * g[o, j]
+                for j in range(m):
+                    pulled[j] += g[i, j] * mean[i]
+            for j in range(m):
+                total = own[j, j] - pulled[j] * v[j]
+                for i in range(n):
+                    total += g[i, j] * of_gain[i, j]
+                sensors[c, j] += total
+            # before the update: (I - G H)' a and (I - G H)' A (I - G H). I - G H is made first: A - A G H would be
+            # the difference of two large numbers where a sensor is much better than what is predicted
+            for i in range(n):
+                for j in range(m):
+                    passed[i, j] = -g[i, j]
+            for j in range(m):
+                passed[observed[j], j] += 1.0
+            for i in range(n):
+                of_gain[i] = 0.0
+                for o in range(n):
+                    share = spread[i, o]
+                    for j in range(m):
+                        of_gain[i, j] += share * passed[o, j]
+            twice[:] = 0.0
+            pulled[:] = 0.0
+            for o in range(n):
+                for i in range(m):
+                    share = passed[o, i]
+                    pulled[i] += share * mean[o]
+                    for j in range(m):
+                        twice[i, j] += share * of_gain[o, j]
+            for j in range(m):
+                for i in range(n):
+                    spread[i, observed[j]] = of_gain[i, j]
+                    spread[observed[j], i] = of_gain[i, j]
+            for i in range(m):
+                mean[observed[i]] = pulled[i]
+                for j in range(m):
+                    spread[observed[i], observed[j]] = twice[i, j] + own[i, j]
+            for i in range(n):
+                for j in range(m):
+                    crossed = 0.5 * mean[i] * v[j]
+                    spread[i, observed[j]] += crossed
+                    spread[observed[j], i] += crossed
+            for i in range(m):
+                mean[observed[i]] += 2.0 * weight * v[i]
+            # of the row before: F' a and F' A F
+            for i in range(n):
+                turned[i] = 0.0
+                for o in range(ne):
+                    share = spread[i, o]
+                    for j in range(n):
+                        turned[i, j] += share * a[o, j]
+            for e in range(d):
+                total = 0.0
+                for i in range(ne):
+                    total += a[i, ne + e] * turned[i, ne + e]
+                struck[c, e] += total
+                gusts[c, e] += spread[ne + e, ne + e]
+            for i in range(n):
+                for e in range(d):
+                    turned[i, ne + e] += spread[i, ne + e] * keep[e]
+            for e in range(d):
+                total = 0.0
+                for o in range(n):
+                    total += turned[ne + e, o] * left[k - 1, c, o, ne + e]
+                kept[c, e] += 2.0 * total + mean[ne + e] * left_mean[k - 1, c, ne + e]
+            moved[:] = 0.0
+            for o in range(ne):
+                for i in range(n):
+                    moved[i] += a[o, i] * mean[o]
+            for e in range(d):
+                moved[ne + e] += keep[e] * mean[ne + e]
+            mean[:] = moved
+            spread[:] = 0.0
+            for o in range(ne):
+                for i in range(n):
+                    share = a[o, i]
+                    for j in range(n):
+                        spread[i, j] += share * turned[o, j]
+            for e in range(d):
+                for j in range(n):
+                    spread[ne + e, j] += keep[e] * turned[ne + e, j]
+    for c in range(count):
+        spread = each_spread[c]
+        for j in range(m):  # a chunk starts as uncertain as its sensors and disturbances
+            sensors[c, j] += spread[observed[j], observed[j]]
+        for e in range(d):
+            begun[c, e] = spread[ne + e, ne + e]
+
+
+@compiled
+def slopes_in_levels(
+    slopes: Array,
+    keep: Array,
+    kept: Array,
+    white: Array,
+    gust: Array,
+    sensor: Array,
+    observed: Labels,
+    whitening: Array,
+    gain: Array,
+    errors: Array,
+    left_mean: Array,
+    left: Array,
+    z: Array,
+    turned: Array,
+) -> None:
+    """One pass forwards: slopes of the whitened innovations in each level (`nsde_torch.inference.level_slopes`).
+
+    Args:
+        slopes, keep, observed, whitening, gain, errors: Of the pass.
+        kept: Slope of `keep` in the logarithm of the time constant (d,).
+        white: Variance that a step adds to the ports (d,).
+        gust, sensor: Variance of the disturbances (d,) and of the sensors (m,).
+        left_mean, left: Mean (T, C, n) and covariance (T, C, n, n) after each row.
+        z: Is filled with the slopes of the whitened innovations (T, C, m, p).
+        turned: Is filled with those of their covariances (T, C, p, m, m); not if empty.
+    """
+    rows, count, ne, n = slopes.shape
+    m, d = len(observed), n - ne
+    p = m + 3 * d
+    spread, mean = np.empty((p, n, n)), np.empty((p, n))
+    closed, back, carried = np.empty((n, n)), np.empty((n, m)), np.empty((n, d))
+    room, answered, v = np.empty((n, n)), np.empty(n), np.empty(m)
+    half = np.empty((m, m))
+    for c in range(count):
+        spread[:] = 0.0
+        mean[:] = 0.0
+        z[0, c] = 0.0
+        for j in range(m):
+            spread[j, observed[j], observed[j]] = 2.0 * sensor[j]
+        for e in range(d):
+            spread[m + d + e, ne + e, ne + e] = 2.0 * gust[e]
+        if len(turned):
+            turned[0, c] = 0.0
+        for k in range(rows - 1):
+            a, g, w = slopes[k, c], gain[k, c], whitening[k, c]
+            for i in range(n):
+                if i < ne:
+                    back[i] = 0.0
+                    for o in range(n):
+                        for j in range(m):
+                            back[i, j] += a[i, o] * g[o, j]
+                    closed[i] = a[i]
+                else:
+                    back[i] = keep[i - ne] * g[i]
+                    closed[i] = 0.0
+                    closed[i, i] = keep[i - ne]
+                for j in range(m):
+                    closed[i, observed[j]] -= back[i, j]
+                for e in range(d):
+                    total = 0.0
+                    if i < ne:
+                        for o in range(n):
+                            total += a[i, o] * left[k, c, o, ne + e]
+                    else:
+                        total = keep[i - ne] * left[k, c, i, ne + e]
+                    carried[i, e] = kept[e] * total
+            v[:] = 0.0
+            if k:  # no innovation where a chunk starts
+                for o in range(m):
+                    own = 0.0
+                    for j in range(o + 1):
+                        own += w[o, j] * errors[k, c, j]
+                    for j in range(o + 1):
+                        v[j] += w[o, j] * own
+            for q in range(p):
+                part = spread[q]
+                for i in range(n):
+                    total = mean[q, i]
+                    for j in range(m):
+                        total += part[i, observed[j]] * v[j]
+                    answered[i] = total
+                for i in range(n):
+                    total = 0.0
+                    for o in range(n):
+                        total += closed[i, o] * answered[o]
+                    mean[q, i] = total
+                    room[i] = 0.0
+                    for o in range(n):
+                        share = closed[i, o]
+                        for j in range(n):
+                            room[i, j] += share * part[o, j]
+                for i in range(n):
+                    for j in range(i + 1):
+                        total = 0.0
+                        for o in range(n):
+                            total += room[i, o] * closed[j, o]
+                        part[i, j] = total
+                        part[j, i] = total
+            for q in range(m):
+                for i in range(n):
+                    mean[q, i] -= 2.0 * sensor[q] * back[i, q] * v[q]
+                    for j in range(n):
+                        spread[q, i, j] += 2.0 * sensor[q] * back[i, q] * back[j, q]
+            for e in range(d):
+                port = ne + e
+                for i in range(ne):
+                    for j in range(ne):
+                        spread[m + e, i, j] += 2.0 * white[e] * a[i, port] * a[j, port]
+                spread[m + d + e, port, port] += 2.0 * gust[e] * (1.0 - keep[e] * keep[e])
+                lasts = spread[m + 2 * d + e]
+                for i in range(n):
+                    lasts[i, port] += carried[i, e]
+                    lasts[port, i] += carried[i, e]
+                lasts[port, port] -= 2.0 * keep[e] * kept[e] * gust[e]
+                mean[m + 2 * d + e, port] += kept[e] * left_mean[k, c, port]
+            after = whitening[k + 1, c]
+            for q in range(p):
+                for i in range(m):
+                    total = 0.0
+                    for o in range(i + 1):
+                        total -= after[i, o] * mean[q, observed[o]]
+                    z[k + 1, c, i, q] = total
+                if len(turned):
+                    for i in range(m):
+                        for j in range(m):
+                            total = 0.0
+                            for o in range(i + 1):
+                                total += after[i, o] * spread[q, observed[o], observed[j]]
+                            half[i, j] = total
+                    if q < m:
+                        for i in range(m):
+                            half[i, q] += 2.0 * sensor[q] * after[i, q]
+                    for i in range(m):
+                        for j in range(m):
+                            total = 0.0
+                            for o in range(j + 1):
+                                total += half[i, o] * after[j, o]
+                            turned[k + 1, c, q, i, j] = total
+
+
+@compiled
+def sensitivities(
+    slopes: Array,
+    keep: Array,
+    observed: Labels,
+    gain: Array,
+    whitening: Array,
+    counted: NDArray[np.bool_],
+    columns: Array,
+    forces: Array,
+    acts: Labels,
+    moved: Array,
+    table: Array,
+) -> None:
+    """What unknowns do to the whitened innovations of some rows (`nsde_torch.inference.sensitivity`).
+
+    Args:
+        slopes, gain: Of the rows before these, from which steps lead to these (T, C, ne, n), (T, C, n, m).
+        keep, observed: As in `covariances`.
+        whitening: Of these rows (T, C, m, m).
+        counted: Whether a row counts (T, C).
+        columns: What k parameters do to the steps (T, C, ne, k).
+        forces: Forces of q others on disturbances (T, C, q).
+        acts: Numbers of these disturbances (q,).
+        moved: What they do to the predicted states of the row before; is left with that of the last row (C, n, k + q).
+        table: Is filled (C, T, m, k + q).
+    """
+    rows, count, ne, n = slopes.shape
+    m, k, more = len(observed), columns.shape[3], len(acts)
+    closed, after = np.empty((n, n)), np.empty((n, k + more))
+    seen, white = np.empty((m, k + more)), np.empty((m, k + more))
+    for r in range(rows):
+        for c in range(count):
+            a, g, now = slopes[r, c], gain[r, c], moved[c]
+            for i in range(n):
+                if i < ne:
+                    closed[i] = a[i]
+                    for o in range(n):
+                        for j in range(m):
+                            closed[i, observed[j]] -= a[i, o] * g[o, j]
+                else:
+                    closed[i] = 0.0
+                    closed[i, i] = keep[i - ne]
+                    for j in range(m):
+                        closed[i, observed[j]] -= keep[i - ne] * g[i, j]
+            np.dot(closed, now, after)
+            for i in range(ne):
+                for q in range(k):
+                    after[i, q] += columns[r, c, i, q]
+                for q in range(more):
+                    after[i, k + q] += a[i, ne + acts[q]] * forces[r, c, q]
+            now[:] = after
+            if counted[r, c]:
+                for j in range(m):
+                    seen[j] = after[observed[j]]
+                np.dot(whitening[r, c], seen, white)
+                table[c, r] = white
+            else:
+                table[c, r] = 0.0

@@ -586,8 +586,9 @@ def _columns(place: FittedPhysics, name: str, system: System, at: int) -> tuple[
     theta = vector.inside(first)
     space.use(theta)
     mine = vector.of(name)
-    moved = space.columns(about.x, mine)
-    shift = (space.missed(about.x, space.after(about.x)) - about.missed)[..., None]
+    after = space.after(about.x)
+    moved = space.columns(about.x, mine, after)
+    shift = (space.missed(about.x, after) - about.missed)[..., None]
     missing = [j for j, label in enumerate(place.best.vector.labels) if label not in vector.labels]
     entry = _Entry(
         name,

@@ -10,6 +10,7 @@ against the estimate (`MaximumLikelihood.objections`).
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import inf
 from typing import Any, final
 
 import numpy as np
@@ -27,6 +28,7 @@ from nsde_torch.inference.filtering import (
     Start,
     filtered,
     linearised_about,
+    moved_to,
     with_gains,
     with_parameters,
 )
@@ -52,6 +54,7 @@ _SETTLED, _GAIN = (
     0.5,
 )  # standard errors that theta may still move by, nats that new noise levels may bring
 _NEAR, _NEAR_GAIN = 0.3, 1.0  # the same, where physics are compared
+_CLOSE = 1.0  # those of a step beyond which slopes of the physics are made anew: they take most of the time
 _STUCK = 0.5  # those below which a step that is no better is rounding
 _DAMPINGS = (0.0, 0.01, 0.1, 1.0, 10.0, 100.0)  # of steps (Marquardt), in units of the information
 _PASSES = 4  # until the states that a filter is linearised about have settled
@@ -257,6 +260,12 @@ class LogLikelihood:
         there = with_parameters(self.space, about)
         return with_gains(self.space, levels, there, held.whitening, held.gain, self.space.chunks.counted)
 
+    def followed(self, levels: Levels, about: Linearisation, at: Pass) -> tuple[Linearisation, Pass]:
+        """The linearisation with the same slopes about the states that a pass found, and the pass about it."""
+        x = self.space.shifted(about.x, at.delta[..., : self.space.ne])
+        about = moved_to(self.space, about, x, self.start)
+        return about, with_gains(self.space, levels, about, at.whitening, at.gain, self.space.chunks.counted)
+
     def settled(
         self, levels: Levels, about: Linearisation, at: Pass, passes: int
     ) -> tuple[Linearisation, Pass]:
@@ -355,17 +364,21 @@ def maximised(
     else:
         space.use(theta)
         first, about = near.levels, linearised_about(space, near.about.x, start)
-    levels = first
-    about, at = problem.settled(levels, about, problem.filtered(levels, about), 1)
+    levels, at = first, problem.filtered(first, about)
     known: Tensor | None = None
-    if near is None and held is None:
-        levels, known = likeliest(space, first, first, about, start, rows=_FIRST_ROWS)
-        at = problem.filtered(levels, about)
-    settled = False
+    if near is None:
+        about, at = problem.settled(levels, about, at, 1)
+        if held is None:
+            levels, known = likeliest(space, first, first, about, start, rows=_FIRST_ROWS)
+            at = problem.filtered(levels, about)
+    settled, away, columns = False, inf, torch.zeros(0)
     for _ in range(_TURNS):
         check_time()
-        here = grams(space, levels, about, at, space.columns(about.x, everything))
-        theta, about, at, away = _step(problem, here, theta, levels, about, at)
+        if away > _CLOSE:
+            columns = space.columns(about.x, everything)
+        theta, about, at, away = _step(
+            problem, grams(space, levels, about, at, columns), theta, levels, about, at
+        )
         settled = away < settled_at
         if held is not None:
             if settled:
@@ -378,7 +391,8 @@ def maximised(
             levels, at = trial, there
         if settled and at.total < before + gain:
             break
-    columns = space.columns(about.x, everything)
+    about = linearised_about(space, about.x, start)
+    at, columns = problem.filtered(levels, about), space.columns(about.x, everything)
     beside = level_columns(space, levels, about, start) if nuisances else None
     final = grams(space, levels, about, at, columns, beside)
     free = _free(vector, theta, final)
@@ -418,11 +432,14 @@ def _step(
         space.use(theta + change)
         moved = problem.tried(levels, about, at)
         if moved.total >= at.total:
-            near, after = problem.settled(levels, about, moved, 1)
+            if away > _CLOSE:
+                near, after = problem.settled(levels, about, moved, 1)
+            else:
+                near, after = problem.followed(levels, about, moved)
             if after.total >= at.total - (_LOST if away > _STUCK else 0.0):
                 return theta + change, near, after, away
     space.use(theta)
-    return theta, *problem.settled(levels, about, at, 1), away if away > _STUCK else 0.0
+    return theta, *problem.followed(levels, about, at), away if away > _STUCK else 0.0
 
 
 def bounded_change(vector: ParameterVector, held: Grams, theta: Array, damping: float = 0.0) -> Array:

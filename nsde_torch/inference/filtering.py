@@ -89,6 +89,19 @@ def linearised_about(space: StateSpace, x: Tensor, start: Start) -> Linearisatio
 
 
 @torch.no_grad()
+def moved_to(space: StateSpace, about: Linearisation, x: Tensor, start: Start) -> Linearisation:
+    """The linearisation about other states (T, C, nx), its slopes those that it had."""
+    error = space.vector.system.error
+    return replace(
+        about,
+        x=x,
+        missed=space.missed(x, space.after(x)),
+        seen=error(space.chunks.y, x)[..., space.observed],
+        first=error(start.x, x[0]),
+    )
+
+
+@torch.no_grad()
 def with_parameters(space: StateSpace, about: Linearisation) -> Linearisation:
     """The same states and slopes with other parameters in use."""
     missed = space.missed(about.x, space.after(about.x))

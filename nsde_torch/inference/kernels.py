@@ -391,8 +391,14 @@ def slopes_in_levels(
     p = m + 3 * d
     spread, mean = np.empty((p, n, n)), np.empty((p, n))
     closed, back, carried = np.empty((n, n)), np.empty((n, m)), np.empty((n, d))
-    room, answered, v = np.empty((n, n)), np.empty(n), np.empty(m)
-    half = np.empty((m, m))
+    flat, room, across = spread.reshape(p * n, n), np.empty((p * n, n)), np.empty((n, n))
+    answered, v, seen, half, after_t = (
+        np.empty(n),
+        np.empty(m),
+        np.empty((m, m)),
+        np.empty((m, m)),
+        np.empty((m, m)),
+    )
     for c in range(count):
         spread[:] = 0.0
         mean[:] = 0.0
@@ -442,22 +448,14 @@ def slopes_in_levels(
                         total += part[i, observed[j]] * v[j]
                     answered[i] = total
                 for i in range(n):
-                    total = 0.0
-                    for o in range(n):
-                        total += closed[i, o] * answered[o]
-                    mean[q, i] = total
-                    room[i] = 0.0
-                    for o in range(n):
-                        share = closed[i, o]
+                    mean[q, i] = _dot(closed[i], answered)
+            across[:] = closed.T
+            for _ in range(2):  # B 'P B^T, as symmetric 'P: 'P B^T turned is B 'P
+                np.dot(flat, across, room)
+                for q in range(p):
+                    for i in range(n):
                         for j in range(n):
-                            room[i, j] += share * part[o, j]
-                for i in range(n):
-                    for j in range(i + 1):
-                        total = 0.0
-                        for o in range(n):
-                            total += room[i, o] * closed[j, o]
-                        part[i, j] = total
-                        part[j, i] = total
+                            spread[q, j, i] = room[q * n + i, j]
             for q in range(m):
                 for i in range(n):
                     mean[q, i] -= 2.0 * sensor[q] * back[i, q] * v[q]
@@ -476,6 +474,7 @@ def slopes_in_levels(
                 lasts[port, port] -= 2.0 * keep[e] * kept[e] * gust[e]
                 mean[m + 2 * d + e, port] += kept[e] * left_mean[k, c, port]
             after = whitening[k + 1, c]
+            after_t[:] = after.T
             for q in range(p):
                 for i in range(m):
                     total = 0.0
@@ -485,19 +484,11 @@ def slopes_in_levels(
                 if len(turned):
                     for i in range(m):
                         for j in range(m):
-                            total = 0.0
-                            for o in range(i + 1):
-                                total += after[i, o] * spread[q, observed[o], observed[j]]
-                            half[i, j] = total
+                            seen[i, j] = spread[q, observed[i], observed[j]]
                     if q < m:
-                        for i in range(m):
-                            half[i, q] += 2.0 * sensor[q] * after[i, q]
-                    for i in range(m):
-                        for j in range(m):
-                            total = 0.0
-                            for o in range(j + 1):
-                                total += half[i, o] * after[j, o]
-                            turned[k + 1, c, q, i, j] = total
+                        seen[q, q] += 2.0 * sensor[q]
+                    np.dot(after, seen, half)
+                    np.dot(half, after_t, turned[k + 1, c, q])
 
 
 @compiled

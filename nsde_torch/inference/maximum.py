@@ -20,6 +20,7 @@ _DOWN, _UP = 8.0, 6.0  # how far logarithms may go from there
 _LONGEST_STEP = 3.0
 _TURNS = 12
 _GAIN = 0.5  # nats for which another turn is taken
+_MOVED = 0.2  # of a logarithm, beyond which the information is made anew: it takes as long as ten filters
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e4
 _INFORMING = 500  # rows that the information is made from
 _ENTRIES = (
@@ -72,13 +73,14 @@ def likeliest(
         return enough * found + _PRIOR * torch.eye(len(values), dtype=values.dtype)
 
     here, best = tried(phi)
-    damping = _FIRST_DAMPING
+    damping, known_at, fresh = _FIRST_DAMPING, phi, False
     for _ in range(_TURNS):
         check_time()
         gradient = slope(phi, here)
         if known is not None and float(gradient @ torch.linalg.solve(known, gradient)) < _GAIN:
             break
-        known = information(phi, here)
+        if fresh or known is None or float((phi - known_at).abs().max()) > _MOVED:
+            known, known_at, fresh = information(phi, here), phi, True
         gained = 0.0
         while damping <= _MOST_DAMPING:
             damped = known + damping * torch.diag(torch.diagonal(known))
@@ -96,7 +98,11 @@ def likeliest(
             damping *= 10.0
         damping = max(damping / 10.0, _LEAST_DAMPING)
         if not gained > _GAIN:
-            break
+            if fresh:
+                break
+            fresh = True  # a step by information from elsewhere that brings little says nothing
+        else:
+            fresh = False
     assert known is not None
     return levels.like(phi), known
 

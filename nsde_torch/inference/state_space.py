@@ -218,12 +218,18 @@ class StateSpace:
             )
         return slopes.view(*x.shape[:2], self.ne, self.n), after.view(x.shape)
 
-    def columns(self, x: Tensor, which: Sequence[int]) -> Tensor:
-        """What some parameters do to a step (T, C, ne, k) at states (T, C, nx)."""
+    def columns(self, x: Tensor, which: Sequence[int], after: Tensor | None = None) -> Tensor:
+        """What some parameters do to a step (T, C, ne, k) at states (T, C, nx).
+
+        Args:
+            x: The states.
+            which: Numbers of the parameters.
+            after: States after the undisturbed step, where they are known.
+        """
         system, v = self.vector.system, self.vector
         t, flat, memory, u = map(_rows, (self.chunks.t, x, self.memory, self.chunks.u))
         still = flat.new_zeros(1, self.nd)
-        base = self.step(t, flat, memory, u, still)
+        base = _rows(self.after(x) if after is None else after)
         out = base.new_empty(len(flat), self.ne, len(which))
         for i, j in enumerate(which):
             remembers = v.moves_memory[j] and system.nz > system.nx

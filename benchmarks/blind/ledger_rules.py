@@ -260,9 +260,9 @@ RULES = (
         lambda result, *args, **kwargs: bool(result[0]),
     ),
     Rule(
-        "_learned_by_noise",
+        "_more_once_fitted",
         "a candidate that noise levels have learned is fitted to the end",
-        ("joint_selection.JointSearch._learned_by_noise",),
+        ("joint_selection.JointSearch._more_once_fitted",),
         constant(None),
         lambda result, *args, **kwargs: result is not None,
     ),

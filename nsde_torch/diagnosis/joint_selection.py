@@ -33,6 +33,7 @@ from nsde_torch.diagnosis.law_columns import Term, tables, terms_on
 from nsde_torch.diagnosis.multiplicity import bonferroni, starts_of
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.effects import Effect, Law, effect_class
+from nsde_torch.effects.law import AND
 from nsde_torch.errors import NsdeError
 from nsde_torch.inference import LogLikelihood, MaximumLikelihood, Optimum, nearly_maximised
 from nsde_torch.inference.functions import Functions
@@ -216,7 +217,7 @@ class JointSearch:
         """
         brought = dict(brought or {})
         most = self.search.decisions.most_effects
-        place = self._first if begun is None else self.fitted(begun, self._first)
+        place = self._first if begun is None else self._declared_if_short(self.fitted(begun, self._first))
         for count in range(len(self.added(place.system)), most):
             names = candidate_names(place.system, self.search.candidates)
             count_of = f"{len(names)} effect{'s' if len(names) > 1 else ''}"
@@ -226,12 +227,9 @@ class JointSearch:
             self._rounds.append(Round(self.look(place), name))
             if better is None:
                 break
-            if self._below_a_step(better.system, name):
-                place = self._declare(better, name)
-                continue
-            brought[name] = better.best.likelihood - place.best.likelihood
-            place = better
-            so_far(place.system, brought)
+            brought[name], place = better.best.likelihood - place.best.likelihood, better
+            place = self._declared_if_short(place)
+            so_far(place.system, {n: nats for n, nats in brought.items() if n in self.added(place.system)})
         return self.concluded(place)
 
     def concluded(self, place: FittedPhysics) -> JointSelection:
@@ -287,12 +285,17 @@ class JointSearch:
         shortest = self.search.decisions.resolution * self.search.steps.dt
         return any(vector.start[j] < shortest for j in own)
 
-    def _declare(self, place: FittedPhysics, name: str) -> FittedPhysics:
-        """An effect joins what is declared."""
-        with_it = self._first.system.with_effects(effect_of(place.system, name))
-        self._declared.add(name)
-        self._aside.append(name)
-        self._first = place if not self.added(place.system) else self.fitted(with_it, self._first)
+    def _declared_if_short(self, place: FittedPhysics) -> FittedPhysics:
+        """The physics; effects that are a time of a fraction of a step join what is declared.
+
+        One may be seen to be so short only beside what was added after it.
+        """
+        for name in sorted(self.added(place.system)):
+            if self._below_a_step(place.system, name):
+                with_it = self._first.system.with_effects(effect_of(place.system, name))
+                self._declared.add(name)
+                self._aside.append(name)
+                self._first = place if not self.added(place.system) else self.fitted(with_it, self._first)
         return place
 
     def _next(self, place: FittedPhysics) -> FittedPhysics | None:
@@ -310,18 +313,24 @@ class JointSearch:
             if risen >= proposal.nats:
                 break
             # it is not what its step promised: a lag in the place of a delay (carts of seed 9002, case 11)
-        return best or self._learned_by_noise(
-            place, [p for p in look.proposals if p.nats > 0 and not _accepted(self.search, p)]
-        )
+        level = self.search.level("effects")
+        doubtful = [
+            p for p in look.proposals if (p.nats > 0 or p.p < level) and not _accepted(self.search, p)
+        ]
+        return best or self._more_once_fitted(place, doubtful)
 
-    def _learned_by_noise(self, place: FittedPhysics, proposals: Sequence[Explained]) -> FittedPhysics | None:
-        """The physics with a candidate that explains much more once noise levels are found beside it.
+    def _more_once_fitted(self, place: FittedPhysics, proposals: Sequence[Explained]) -> FittedPhysics | None:
+        """The physics with a candidate that explains much more once it is fitted than its linearised step promises.
 
         Gusts that last have learned a steady push: what a step gains at their level is no measure of what a fit gains
-        (2.7 and 27 nats, tests/diagnosis/test_buys.py).
+        (2.7 and 27 nats, tests/diagnosis/test_buys.py). And where what is missing bends the physics far, as a motor's
+        lag does a gain that one flight shows best, steps from there disagree between runs
+        (tests/diagnosis/test_turned_axes.py).
         """
         there = [self.fitted(p.system, place) for p in proposals[:_TRIED]]
         best = max(there, key=lambda p: p.best.likelihood, default=place)
+        if best.best.likelihood - place.best.likelihood <= self.search.decisions.least_nats:
+            return None
         added = self.added(best.system) - self.added(place.system)
         return best if any(self.needed(name, best, place) for name in added) else None
 
@@ -358,6 +367,7 @@ class JointSearch:
             if there is not None and exchanged < self.search.budgets.exchanges:
                 place, out, exchanged = there, {}, exchanged + 1
                 continue
+            alike += self._in_parts(name, place, without)
             tried = len(self.libraries.get(name, ()))
             out[name] = Selected(without, tuple(alike), law, tried)
         return place, out
@@ -399,6 +409,22 @@ class JointSearch:
             elif not gained:
                 alike.append(rival)
         return alike, None if best is None else best[1]
+
+    def _in_parts(self, name: str, place: FittedPhysics, without: FittedPhysics) -> list[str]:
+        """What is as likely as an effect and a sum: a simpler effect that it contains, and another that does the rest.
+
+        Air that moves is drag and a steady push where all flights point the same way (tests/diagnosis/test_in_part.py).
+        """
+        simpler, out = effect_class(name).includes, []
+        for part in (p for p in self.look(without).proposals if p.name in simpler):
+            half = self.fitted(part.system, without)
+            others = (p for p in self.look(half).proposals if p.nats > 0 and p.name != name)
+            rest = next((p for p in others if part.name not in effect_class(p.name).includes), None)
+            if rest is not None:
+                there = self.fitted(rest.system, half)
+                if _compared(self.search, name, rest.name, place, there) >= 0:
+                    out.append(part.name + AND + rest.name)
+        return out
 
     def _nearer_law(
         self, name: str, place: FittedPhysics, without: FittedPhysics

@@ -76,10 +76,11 @@ def _twice(budgets: Budgets) -> Budgets:
 def test_twice_the_budget_finds_the_same(effects: list[Any]) -> None:
     once, twice = (diagnosed(_SPRING, *effects, budgets=b, **_SHORT)[1] for b in (BUDGETS, _twice(BUDGETS)))
     assert (once["verdict"], once["added"]) == (twice["verdict"], twice["added"])
-    shown = {name: was["interval_90"] for name, was in once["parameters"].items() if was["interval_90"]}
+    known, again = ({**c["declared_parameters"], **c["parameters"]} for c in (once, twice))
+    shown = {name: was["interval_90"] for name, was in known.items() if was["interval_90"]}
     assert shown
     for name, (low, high) in shown.items():
-        assert low <= twice["parameters"][name]["value"] <= high
+        assert low <= again[name]["value"] <= high
 
 
 @pytest.mark.slow

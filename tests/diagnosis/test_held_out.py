@@ -9,17 +9,18 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.cross_validation import HeldOut, held_out
+from nsde_torch.diagnosis.cross_validation import HeldOut, by_likelihood, held_out
 from nsde_torch.diagnosis.decision import provisional_reason
 from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.fitted import moved_channels
 from nsde_torch.diagnosis.innovations import Own, Scored, band, one_step, own
-from nsde_torch.diagnosis.joint_selection import Evidence
+from nsde_torch.diagnosis.joint_selection import Evidence, fitted_at
 from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Found
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.diagnosis.text import lines
+from nsde_torch.inference import LogLikelihood
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
@@ -40,7 +41,8 @@ def effect_on_runs_left_out(name: str, *, seed: int, values: Mapping[str, float]
         (system, system.with_effects(effect)),
         spec,
         made.runs,
-        search=search_in(system, made.runs, 1.0, Options()),
+        fitted=by_likelihood([fitted_at(LogLikelihood(system, made.runs, run_in=True), system, None)]),
+        steps=search_in(system, made.runs, 1.0, Options()).steps,
         clock=1.0,
         seed=0,
         without={name: system},

@@ -70,7 +70,7 @@ def terms_on(system: System, at: Optimum, port: int, names: Sequence[str]) -> li
     on = dict(words.ports)[where.value].written(where.value)[column]
     counted = space.chunks.counted
     some = slice(None, None, max(1, int(counted.sum()) // _MOST_VALUES))
-    x, u = at.about.x[counted][some], space.chunks.u[counted][some]
+    x, u = at.x[counted][some], space.chunks.u[counted][some]
     table = machine_variables(system, x, u, inputs=True)
     table |= dict(zip(system.state_names, x[:, : system.nx].T, strict=True))
     known = [*(name for name, _, _ in words.variables), *system.exogenous]  # a product has one spelling
@@ -113,7 +113,7 @@ def tables(
 @torch.no_grad()
 def _column(system: System, at: Optimum, term: Term) -> Tensor:
     """What a term of size 1 does to the steps (T, C, ne)."""
-    space, x = at.of.space, at.of.space.midway(at.about.x)
+    space, x = at.of.space, at.of.space.midway(at.x)
     effect = system.make_effect(term.law, {"c1": 1.0, **term.start}).double()
     flat, u, t = (part.flatten(0, 1) for part in (x, space.chunks.u, space.chunks.t[..., None]))
     seen = seen_by(system, effect, t[:, 0], torch.cat((flat, space.memory.flatten(0, 1)), 1), u)

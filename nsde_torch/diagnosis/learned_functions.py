@@ -84,7 +84,7 @@ def function_gain(at: Optimum, found: Functions, tested: LoopTest) -> FunctionGa
     """
     space, system, variables = at.of.space, at.of.vector.system, _variables(at)
     counted = space.chunks.counted
-    table = variables.values(at.about.x[counted], space.chunks.u[counted]).numpy()
+    table = variables.values(at.x[counted], space.chunks.u[counted]).numpy()
     values = {name: table[:, k] for k, name in enumerate(variables.names)}
     moved, allowed = _moved(at), allowances_of_tests(tested)
     rows = []
@@ -108,7 +108,7 @@ def optimum_of(system: System, near: Optimum) -> Optimum:
 def _variables(at: Optimum) -> Variables:
     """All that the machine measures; an angle whose sine and cosine are there is not one of them."""
     system, chunks = at.of.vector.system, at.of.space.chunks
-    some = machine_variables(system, at.about.x[0], chunks.u[0], inputs=True)
+    some = machine_variables(system, at.x[0], chunks.u[0], inputs=True)
     names = [n for n in some if not {f"sin_{n}", f"cos_{n}"} <= some.keys()]
 
     def values(x: torch.Tensor, u: torch.Tensor) -> torch.Tensor:

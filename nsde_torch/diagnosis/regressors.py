@@ -5,8 +5,10 @@ each variable stand its products with the others, itself times the time in the r
 drifts or differs between runs), inputs as they were before (something with a memory), the time and the run.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,15 +104,31 @@ def functions_of(v: Array) -> tuple[Array, NDArray[np.bool_]]:
     return np.stack(columns, 1), np.array(odd)
 
 
+@final
+class FunctionsByName(Mapping[str, tuple[Array, NDArray[np.bool_]]]):
+    """Functions (M, q), and which of them are odd (q,), by name; made where they are asked for, as all take 100 MB."""
+
+    def __init__(self, made: Mapping[str, Callable[[], tuple[Array, NDArray[np.bool_]]]]) -> None:
+        self._made = made
+
+    def __getitem__(self, name: str) -> tuple[Array, NDArray[np.bool_]]:
+        return self._made[name]()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._made)
+
+    def __len__(self) -> int:
+        return len(self._made)
+
+
 @dataclass(frozen=True)
 class Regressors:
     """All that the residuals of a regression may depend on, in the middle of each box."""
 
     columns: dict[str, Array]  # variables by name (M,)
     t: Array  # time in the run (M,) [s]
-    # by variable; products, drifts, differences between runs, inputs before, `time` and `run` too: functions (M,
-    # q), and which of them are odd (q,)
-    functions: dict[str, tuple[Array, NDArray[np.bool_]]]
+    functions: Mapping[str, tuple[Array, NDArray[np.bool_]]]
+    """Of each variable, product, drift, difference between runs, input before, time and run (M, q); which are odd."""
     inputs: bool = True  # whether the inputs are what acted
     decisions: Decisions = DECISIONS  # what tests of them decide by
     budgets: Budgets = BUDGETS  # how much they try
@@ -141,42 +159,53 @@ def regressors(
     """
     columns, t = _columns(regression, inputs=inputs)
     before = _BEFORE_BOXES[1:] if moved else _BEFORE_BOXES
-    functions = {name: (z, odd) for name, z, odd in _groups(regression, columns, t, before)}
-    return Regressors(columns, t, functions, inputs, decisions, budgets)
+    functions = dict(_groups(regression, columns, t, before))
+    return Regressors(columns, t, FunctionsByName(functions), inputs, decisions, budgets)
 
 
 def _groups(
     regression: Regression, columns: dict[str, Array], t: Array, before: Sequence[int]
-) -> Iterator[tuple[str, Array, NDArray[np.bool_]]]:
+) -> Iterator[tuple[str, Callable[[], tuple[Array, NDArray[np.bool_]]]]]:
+    """Names of groups, and what makes their functions."""
     for name, v in columns.items():
-        functions, odd = functions_of(v)
-        yield name, functions, odd
+        yield name, partial(functions_of, v)
     names = list(columns)
     scaled = {k: (v - v.mean()) / max(float(v.std()), 1e-12) for k, v in columns.items()}
-    for i, first in enumerate(names):
-        others = [np.clip(scaled[first] * scaled[second], -6, 6) for second in names[i + 1 :]]
-        if others:
-            yield f"{first} times others", np.stack(others, 1), np.zeros(len(others), dtype=bool)
+    for i, first in enumerate(names[:-1]):
+        others = [scaled[second] for second in names[i + 1 :]]
+        yield (
+            f"{first} times others",
+            _even(lambda v, others: [np.clip(v * w, -6, 6) for w in others], scaled[first], others),
+        )
     owners, runs = regression.owners, np.unique(regression.owners)
     phase = np.empty(len(t))
     for run in runs:
         own = owners == run
         phase[own] = (t[own] - t[own].min()) / max(float(np.ptp(t[own])), 1e-9)
+    drift = [2.0 * phase - 1.0, (2.0 * phase - 1.0) ** 2]
+    few = 1 < len(runs) <= _MOST_RUNS
     for name, v in scaled.items():
-        s = np.clip(v, -_FAR, _FAR)
-        yield _named(name + OVER_TIME, [s * (2.0 * phase - 1.0), s * (2.0 * phase - 1.0) ** 2])
-        if 1 < len(runs) <= _MOST_RUNS:
-            yield _named(name + BY_RUN, [s * (owners == run) for run in runs])
+        yield name + OVER_TIME, _even(lambda v: [np.clip(v, -_FAR, _FAR) * d for d in drift], v)
+        if few:
+            yield name + BY_RUN, _even(lambda v: [np.clip(v, -_FAR, _FAR) * (owners == r) for r in runs], v)
     for name in _inputs_of(regression, columns):
-        yield _named(name + BEFORE, [_before(columns[name], regression.series, k) for k in before])
-    waves = [phase - 0.5, *(np.cos(np.pi * k * phase) for k in range(1, _WAVES + 1))]
-    yield _named("time", waves)
-    if 1 < len(runs) <= _MOST_RUNS:
-        yield _named("run", [(owners == run) * 1.0 for run in runs])
+        yield (
+            name + BEFORE,
+            _even(lambda v: [_before(v, regression.series, k) for k in before], columns[name]),
+        )
+    yield "time", _even(lambda: [phase - 0.5, *(np.cos(np.pi * k * phase) for k in range(1, _WAVES + 1))])
+    if few:
+        yield "run", _even(lambda: [(owners == r) * 1.0 for r in runs])
 
 
-def _named(name: str, functions: Sequence[Array]) -> tuple[str, Array, NDArray[np.bool_]]:
-    return name, np.stack(functions, 1), np.zeros(len(functions), dtype=bool)
+def _even(made: Callable[..., Sequence[Array]], *given: Any) -> Callable[[], tuple[Array, NDArray[np.bool_]]]:
+    """What makes functions side by side, none of which is odd."""
+
+    def both() -> tuple[Array, NDArray[np.bool_]]:
+        functions = np.stack(made(*given), 1)
+        return functions, np.zeros(functions.shape[1], dtype=bool)
+
+    return both
 
 
 def _inputs_of(regression: Regression, columns: Mapping[str, Array]) -> list[str]:

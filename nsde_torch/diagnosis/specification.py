@@ -52,20 +52,24 @@ def dependences(regression: Regression, variables: Regressors, *, overview: bool
     of_white = regression.whitened_rows(regression.blocks)
     decisions, budgets = variables.decisions, variables.budgets
     fold = folds(regression, decisions)
-    out = []
+    out: list[Dependence] = []
     spans, moments = bumps(regression)
     places, limits = _places(regression.vector.system, variables), regression.carry_limits()
     of_channel = [
         NoiseModels(regression, i, float(limits[c]), decisions=decisions, budgets=budgets)
         for i, c in enumerate(regression.rows)
     ]
-    for i, channel in enumerate(regression.rows):
-        white, models, own = regression.white[i], of_channel[i], of_channel[i].own
-        for name in variables.functions:
+    of_functions: list[list[Dependence]] = [[] for _ in regression.rows]
+    for name in variables.functions:
+        if overview and not _is_overview(name, variables):
+            continue
+        made = variables.functions[name]
+        for i, models in enumerate(of_channel):
             check_time()
-            if overview and not _is_overview(name, variables):
-                continue
-            out += _of_variable(regression, i, name, variables, models, (fold, of_white))
+            of_functions[i] += _of_variable(regression, i, name, made, variables, models, (fold, of_white))
+    for i, channel in enumerate(regression.rows):
+        white, own = regression.white[i], of_channel[i].own
+        out += of_functions[i]
         for name in places:
             again = best_repeat(regression, i, variables.columns[name], own)
             if again is not None:
@@ -120,6 +124,7 @@ def _of_variable(
     regression: Regression,
     i: int,
     name: str,
+    made: tuple[Array, NDArray[np.bool_]],
     variables: Regressors,
     models: NoiseModels,
     labels: tuple[Labels, Labels],
@@ -130,11 +135,12 @@ def _of_variable(
         regression: At its optimum.
         i: Number of the channel among its rows.
         name: Of the group.
+        made: Its functions per unit of time (M, q), and which of them are odd (q,).
         variables: What the residual may depend on.
         models: Noise models of the channel.
         labels: Folds and blocks of whitened rows.
     """
-    functions, odd = variables.functions[name]
+    functions, odd = made
     there, own = regression, models.own
     whitened = whitened_functions(there, i, functions)
     z, kept = independent(whitened - own @ (own.T @ whitened))

@@ -71,10 +71,10 @@ def left_out(optimum: Optimum, folds: Folds, still: NDArray[np.bool_] | None = N
         folds: What is left out together.
         still: Parameters that all folds take from all rows (k,): shapes, in which steps are far from linear.
     """
-    space, about = optimum.of.space, optimum.about
+    space, about, kept = optimum.of.space, optimum.about, optimum.at
     steps, chunks, vector = space.steps, space.chunks, space.vector
     columns = space.columns(about.x, range(len(vector)))
-    held = grams(space, optimum.levels, about, optimum.at, columns)
+    held = grams(space, optimum.levels, about, kept, columns)
     owner, first = chunks.places()
     of_block = folds.of(owner, steps.t.numpy()[first])
     ends = steps.t[[b - 1 for _, b in steps.segments]].numpy()
@@ -93,7 +93,7 @@ def left_out(optimum: Optimum, folds: Folds, still: NDArray[np.bool_] | None = N
             missed[:, some] = with_parameters(there, about.of(some)).missed
     vector.use(space.theta)
     about = replace(about, missed=missed)
-    at = with_gains(space, optimum.levels, about, optimum.at.whitening, optimum.at.gain, chunks.counted)
+    at = with_gains(space, optimum.levels, about, kept.whitening, kept.gain, chunks.counted)
     names, density = _densities(space, about, at)
     run = np.array(steps.runs)[chunks.stretch.numpy()].repeat(chunks.size)
     t, live = chunks.t.T.flatten().numpy(), chunks.counted.T.flatten().numpy()

@@ -1,0 +1,26 @@
+"""Loops are compiled where nothing can be written, too."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numba.core import caching
+
+from nsde_torch.jit import compiled
+
+
+def summed(values: np.ndarray) -> float:
+    total = 0.0
+    for k in range(len(values)):
+        total += values[k]
+    return total
+
+
+def test_without_a_folder_for_machine_code_it_is_compiled_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    impl = next(c for c in vars(caching).values() if hasattr(c, "_locator_classes"))
+    monkeypatch.setattr(impl, "_locator_classes", [])
+    assert compiled(summed)(np.arange(4.0)) == 6.0
+
+
+def test_a_division_by_nothing_is_infinite() -> None:
+    assert compiled(lambda a, b: a / b)(1.0, 0.0) == np.inf

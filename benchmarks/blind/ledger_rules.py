@@ -253,6 +253,13 @@ RULES = (
         lambda result, search, place: set(result[1]) != search.added(place.system),
     ),
     Rule(
+        "_in_parts",
+        "a simpler effect and another one that are as likely as an effect are indistinguishable from it",
+        ("joint_selection.JointSearch._in_parts",),
+        constant(()),
+        lambda result, *args, **kwargs: bool(result),
+    ),
+    Rule(
         "_nearer_law",
         "a law of one term that is likelier than an effect stands beside it or takes its place",
         ("joint_selection.JointSearch._nearer_law",),
@@ -261,7 +268,7 @@ RULES = (
     ),
     Rule(
         "_more_once_fitted",
-        "a candidate that noise levels have learned is fitted to the end",
+        "a candidate whose linearised step says less than a fit is fitted to the end, and held against blocks left out",
         ("joint_selection.JointSearch._more_once_fitted",),
         constant(None),
         lambda result, *args, **kwargs: result is not None,

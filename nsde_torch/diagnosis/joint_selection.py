@@ -294,7 +294,8 @@ class JointSearch:
             if not self._below_a_step(place.system, name):
                 continue
             without = self.without(place, name)
-            if not self.needed(name, place, without):  # what was added after it explains what it did
+            # what was added after it may explain what it did: a lag after a delay (blind carts, seed 8123, case 8)
+            if not self.needed(name, place, without):
                 place = without
                 continue
             with_it = self._first.system.with_effects(effect_of(place.system, name))
@@ -449,9 +450,8 @@ class JointSearch:
         effect, space = effect_of(place.system, name), without.at.of.space
         if not isinstance(effect, Law) or (effect.at.port, effect.at.row) not in space.disturbances:
             return "", None
-        if not isfinite(
-            without.best.likelihood
-        ):  # without it the filter diverges: nothing can be begun there
+        # without it the filter may diverge, and nothing can be begun there (blind joints of seed 202, case 1)
+        if not isfinite(without.best.likelihood):
             return "", None
         at = effect.at
         names = coordinate_of(place.system, effect)

@@ -8,7 +8,7 @@ drifts or differs between runs), inputs as they were before (something with a me
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, final
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ from nsde_torch.systems.names import MIXED
 from nsde_torch.systems.vocabulary import named_inputs
 
 Array = NDArray[np.float64]
+Functions: TypeAlias = Callable[[], tuple[Array, NDArray[np.bool_]]]
+"""Makes the functions of a group (M, q), and which of them are odd (q,): all of them at once take 100 MB."""
 
 _HATS = 7  # bumps over the range of a variable
 
@@ -104,30 +106,13 @@ def functions_of(v: Array) -> tuple[Array, NDArray[np.bool_]]:
     return np.stack(columns, 1), np.array(odd)
 
 
-@final
-class FunctionsByName(Mapping[str, tuple[Array, NDArray[np.bool_]]]):
-    """Functions (M, q), and which of them are odd (q,), by name; made where they are asked for, as all take 100 MB."""
-
-    def __init__(self, made: Mapping[str, Callable[[], tuple[Array, NDArray[np.bool_]]]]) -> None:
-        self._made = made
-
-    def __getitem__(self, name: str) -> tuple[Array, NDArray[np.bool_]]:
-        return self._made[name]()
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._made)
-
-    def __len__(self) -> int:
-        return len(self._made)
-
-
 @dataclass(frozen=True)
 class Regressors:
     """All that the residuals of a regression may depend on, in the middle of each box."""
 
     columns: dict[str, Array]  # variables by name (M,)
     t: Array  # time in the run (M,) [s]
-    functions: Mapping[str, tuple[Array, NDArray[np.bool_]]]
+    functions: Mapping[str, Functions]
     """Of each variable, product, drift, difference between runs, input before, time and run (M, q); which are odd."""
     inputs: bool = True  # whether the inputs are what acted
     decisions: Decisions = DECISIONS  # what tests of them decide by
@@ -160,12 +145,12 @@ def regressors(
     columns, t = _columns(regression, inputs=inputs)
     before = _BEFORE_BOXES[1:] if moved else _BEFORE_BOXES
     functions = dict(_groups(regression, columns, t, before))
-    return Regressors(columns, t, FunctionsByName(functions), inputs, decisions, budgets)
+    return Regressors(columns, t, functions, inputs, decisions, budgets)
 
 
 def _groups(
     regression: Regression, columns: dict[str, Array], t: Array, before: Sequence[int]
-) -> Iterator[tuple[str, Callable[[], tuple[Array, NDArray[np.bool_]]]]]:
+) -> Iterator[tuple[str, Functions]]:
     """Names of groups, and what makes their functions."""
     for name, v in columns.items():
         yield name, partial(functions_of, v)
@@ -198,7 +183,7 @@ def _groups(
         yield "run", _even(lambda: [(owners == r) * 1.0 for r in runs])
 
 
-def _even(made: Callable[..., Sequence[Array]], *given: Any) -> Callable[[], tuple[Array, NDArray[np.bool_]]]:
+def _even(made: Callable[..., Sequence[Array]], *given: Any) -> Functions:
     """What makes functions side by side, none of which is odd."""
 
     def both() -> tuple[Array, NDArray[np.bool_]]:

@@ -249,7 +249,7 @@ def product_of(regression: Regression, channel: int, variable: str, variables: R
         return variable
     names = list(variables.columns)
     others = names[names.index(first) + 1 :]
-    functions, _ = variables.functions[variable]
+    functions, _ = variables.functions[variable]()
     z = projected(regression, channel, functions, own_space(regression, channel))
     pull = np.square(z.T @ regression.white[channel]) / np.maximum(np.square(z).sum(0), 1e-300)
     return f"{first} * {others[int(pull.argmax())]}"
@@ -261,7 +261,7 @@ def _only_run(regression: Regression, channel: int, variable: str, variables: Re
     runs, wording = np.unique(of_white), variables.decisions.wording
     if len(runs) < wording.one_run_fewest:
         return None
-    functions, _ = variables.functions[variable]
+    functions, _ = variables.functions[variable]()
     if variable == "run":
         functions = np.ones((len(functions), 1))
     z, white = (

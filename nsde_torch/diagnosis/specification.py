@@ -63,7 +63,7 @@ def dependences(regression: Regression, variables: Regressors, *, overview: bool
     for name in variables.functions:
         if overview and not _is_overview(name, variables):
             continue
-        made = variables.functions[name]
+        made = variables.functions[name]()
         for i, models in enumerate(of_channel):
             check_time()
             of_functions[i] += _of_variable(regression, i, name, made, variables, models, (fold, of_white))

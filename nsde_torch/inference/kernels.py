@@ -31,6 +31,35 @@ def _dot(a: Array, b: Array) -> float:
 
 
 @compiled
+def _scores(w: Array, whitened: Array, v: Array) -> None:
+    """v = S^-1 e = L^-T L^-1 e, from `whitening` w = L^-1 and the whitened innovation."""
+    for j in range(len(v)):
+        v[j] = 0.0
+        for o in range(j, len(v)):
+            v[j] += w[o, j] * whitened[o]
+
+
+@compiled
+def _closed_loop(a: Array, keep: Array, g: Array, observed: Labels, back: Array, closed: Array) -> None:
+    """Fills F G (n, m) and the closed loop F (I - G H) (n, n); by elements, as copies of rows take longer."""
+    ne, n = a.shape
+    m = len(observed)
+    for i in range(n):
+        for j in range(n):
+            closed[i, j] = a[i, j] if i < ne else 0.0
+        if i >= ne:
+            closed[i, i] = keep[i - ne]
+        for j in range(m):
+            back[i, j] = 0.0 if i < ne else keep[i - ne] * g[i, j]
+        if i < ne:
+            for o in range(n):
+                for j in range(m):
+                    back[i, j] += a[i, o] * g[o, j]
+        for j in range(m):
+            closed[i, observed[j]] -= back[i, j]
+
+
+@compiled
 def covariances(
     slopes: Array,
     keep: Array,
@@ -214,7 +243,7 @@ def adjoints(
     observed: Labels,
     whitening: Array,
     gain: Array,
-    errors: Array,
+    whitened: Array,
     left_mean: Array,
     left: Array,
     live: NDArray[np.bool_],
@@ -227,7 +256,8 @@ def adjoints(
     """One pass backwards: what the log likelihood does with each source of noise (`nsde_torch.inference.level_slopes`).
 
     Args:
-        slopes, keep, observed, whitening, gain, errors: Of the pass.
+        slopes, keep, observed, whitening, gain: Of the pass.
+        whitened: Its innovations in standard deviations (T, C, m).
         left_mean, left: Mean (T, C, n) and covariance (T, C, n, n) after each row.
         live: Whether a row counts (T, C).
         sensors: Is filled with the slope in the variance of each sensor (C, m).
@@ -249,13 +279,7 @@ def adjoints(
             mean, spread = each_mean[c], each_spread[c]
             w, g, a = whitening[k, c], gain[k, c], slopes[k - 1, c]
             weight = 0.5 if live[k, c] else 0.0
-            v[:] = 0.0
-            for o in range(m):
-                white = 0.0
-                for j in range(o + 1):
-                    white += w[o, j] * errors[k, c, j]
-                for j in range(o + 1):
-                    v[j] += w[o, j] * white
+            _scores(w, whitened[k, c], v)
             for i in range(m):
                 for j in range(i + 1):
                     total = v[i] * v[j]
@@ -362,27 +386,26 @@ def adjoints(
 def slopes_in_levels(
     slopes: Array,
     keep: Array,
+    observed: Labels,
+    whitening: Array,
+    gain: Array,
+    whitened: Array,
+    left_mean: Array,
+    left: Array,
     kept: Array,
     white: Array,
     gust: Array,
     sensor: Array,
-    observed: Labels,
-    whitening: Array,
-    gain: Array,
-    errors: Array,
-    left_mean: Array,
-    left: Array,
     z: Array,
     turned: Array,
 ) -> None:
     """One pass forwards: slopes of the whitened innovations in each level (`nsde_torch.inference.level_slopes`).
 
     Args:
-        slopes, keep, observed, whitening, gain, errors: Of the pass.
+        slopes, keep, observed, whitening, gain, whitened, left_mean, left: As in `adjoints`.
         kept: Slope of `keep` in the logarithm of the time constant (d,).
         white: Variance that a step adds to the ports (d,).
         gust, sensor: Variance of the disturbances (d,) and of the sensors (m,).
-        left_mean, left: Mean (T, C, n) and covariance (T, C, n, n) after each row.
         z: Is filled with the slopes of the whitened innovations (T, C, m, p).
         turned: Is filled with those of their covariances (T, C, p, m, m); not if empty.
     """
@@ -411,35 +434,15 @@ def slopes_in_levels(
             turned[0, c] = 0.0
         for k in range(rows - 1):
             a, g, w = slopes[k, c], gain[k, c], whitening[k, c]
+            _closed_loop(a, keep, g, observed, back, closed)
             for i in range(n):
-                if i < ne:
-                    back[i] = 0.0
-                    for o in range(n):
-                        for j in range(m):
-                            back[i, j] += a[i, o] * g[o, j]
-                    closed[i] = a[i]
-                else:
-                    back[i] = keep[i - ne] * g[i]
-                    closed[i] = 0.0
-                    closed[i, i] = keep[i - ne]
-                for j in range(m):
-                    closed[i, observed[j]] -= back[i, j]
                 for e in range(d):
-                    total = 0.0
-                    if i < ne:
-                        for o in range(n):
-                            total += a[i, o] * left[k, c, o, ne + e]
-                    else:
-                        total = keep[i - ne] * left[k, c, i, ne + e]
-                    carried[i, e] = kept[e] * total
+                    port = ne + e
+                    last = _dot(a[i], left[k, c, port]) if i < ne else keep[i - ne] * left[k, c, i, port]
+                    carried[i, e] = kept[e] * last
             v[:] = 0.0
             if k:  # no innovation where a chunk starts
-                for o in range(m):
-                    own = 0.0
-                    for j in range(o + 1):
-                        own += w[o, j] * errors[k, c, j]
-                    for j in range(o + 1):
-                        v[j] += w[o, j] * own
+                _scores(w, whitened[k, c], v)
             for q in range(p):
                 part = spread[q]
                 for i in range(n):
@@ -520,22 +523,12 @@ def sensitivities(
     """
     rows, count, ne, n = slopes.shape
     m, k, more = len(observed), columns.shape[3], len(acts)
-    closed, after = np.empty((n, n)), np.empty((n, k + more))
+    closed, back, after = np.empty((n, n)), np.empty((n, m)), np.empty((n, k + more))
     seen, white = np.empty((m, k + more)), np.empty((m, k + more))
     for r in range(rows):
         for c in range(count):
             a, g, now = slopes[r, c], gain[r, c], moved[c]
-            for i in range(n):
-                if i < ne:
-                    closed[i] = a[i]
-                    for o in range(n):
-                        for j in range(m):
-                            closed[i, observed[j]] -= a[i, o] * g[o, j]
-                else:
-                    closed[i] = 0.0
-                    closed[i, i] = keep[i - ne]
-                    for j in range(m):
-                        closed[i, observed[j]] -= keep[i - ne] * g[i, j]
+            _closed_loop(a, keep, g, observed, back, closed)
             np.dot(closed, now, after)
             for i in range(ne):
                 for q in range(k):

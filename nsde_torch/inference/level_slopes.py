@@ -16,8 +16,11 @@ a prime before the name of what is a slope in one level,
     'P -> B 'P B^T + F G 'R G^T F^T + 'F P F^T + F P 'F^T + 'Q,      'm -> B ('m + 'P H^T v) - F G 'R v + 'F m
 """
 
+from typing import Any
+
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.inference import kernels
@@ -37,26 +40,11 @@ def score(space: StateSpace, levels: Levels, about: Linearisation, at: Pass, liv
         at: The pass, with its covariances.
         live: Whether a row counts (T, C).
     """
-    assert at.covariance is not None
     h, keep = space.h, levels.keep(space.h)
-    new = at.errors.new_empty
     count, m, d = at.errors.shape[1], len(space.observed), space.nd
-    sensors, struck, gusts, begun, kept = (
-        new(count, m),
-        new(count, d),
-        new(count, d),
-        new(count, d),
-        new(count, d),
-    )
+    sensors, struck, gusts, begun, kept = (at.errors.new_empty(count, k) for k in (m, d, d, d, d))
     kernels.adjoints(
-        array(about.slopes),
-        array(keep),
-        np.array(space.observed),
-        array(at.whitening),
-        array(at.gain),
-        array(at.errors),
-        array(at.delta),
-        array(at.covariance),
+        *_of_pass(space, levels, about, at),
         array(live),
         *(array(part) for part in (sensors, struck, gusts, begun, kept)),
     )
@@ -85,29 +73,47 @@ def level_slopes(
         at: The pass, with its covariances.
         spreads: Whether to return those of the covariances, too.
     """
-    assert at.covariance is not None
     rows, count, m = at.errors.shape
     p = m + 3 * space.nd
     z, turned = at.errors.new_empty(rows, count, m, p), at.errors.new_empty(0, 0, 0, 0, 0)
     if spreads:
         turned = at.errors.new_empty(rows, count, p, m, m)
     kernels.slopes_in_levels(
-        array(about.slopes),
-        array(levels.keep(space.h)),
+        *_of_pass(space, levels, about, at),
         array(_in_time_constant(levels, space.h)),
         array(torch.exp(2.0 * levels.white) / space.h),
         array(torch.exp(2.0 * levels.gust)),
         array(torch.exp(2.0 * levels.sensor)),
-        np.array(space.observed),
-        array(at.whitening),
-        array(at.gain),
-        array(at.errors),
-        array(at.delta),
-        array(at.covariance),
         array(z),
         array(turned),
     )
     return z, turned if spreads else None
+
+
+def _of_pass(
+    space: StateSpace, levels: Levels, about: Linearisation, at: Pass
+) -> tuple[
+    NDArray[Any],
+    NDArray[Any],
+    NDArray[Any],
+    NDArray[Any],
+    NDArray[Any],
+    NDArray[Any],
+    NDArray[Any],
+    NDArray[Any],
+]:
+    """What both kernels take of a pass."""
+    assert at.covariance is not None
+    return (
+        array(about.slopes),
+        array(levels.keep(space.h)),
+        np.array(space.observed),
+        array(at.whitening),
+        array(at.gain),
+        array(at.white),
+        array(at.delta),
+        array(at.covariance),
+    )
 
 
 def _in_time_constant(levels: Levels, h: float) -> Tensor:

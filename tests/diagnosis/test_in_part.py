@@ -29,3 +29,12 @@ def test_a_friction_that_is_stronger_one_way_is_tied_with_a_plain_one_and_a_push
     assert content["added"] == ["asymmetric_friction"]  # fewer effects, as good: what is tied says the rest
     (tie,) = content["ties"]
     assert tie["effects"] == ["asymmetric_friction", "coulomb_friction + constant_force"]
+
+
+@pytest.mark.slow
+def test_a_plain_friction_and_a_push_are_named_as_what_they_are() -> None:
+    both = ({"coulomb_friction": {"size": 0.2}}, {"constant_force": {"acceleration": 0.06}})
+    _, content = diagnosed(
+        "mass_spring_damper", *both, durations=(8.0, 8.0), dt=0.02, plant={"force_size": 0.7}
+    )
+    assert content["added"] == ["coulomb_friction", "constant_force"]

@@ -21,7 +21,7 @@ def test_dry_friction_that_holds_is_named_alone_and_all_values_are_right(size: f
     for name, truth in {**STICKING, "coulomb_friction.size": size}.items():
         entry = {**found.parameters, **content["declared_parameters"]}[name]
         low, high = entry["interval_90"]
-        assert abs(entry["value"] - truth) < max(1.5 * (high - low) / 2.0, 0.006 * truth)
+        assert abs(entry["value"] - truth) < max(1.5 * (high - low) / 2.0, 0.005 * truth)
     share = content["data"]["standing_share"]
     assert 0.1 < share < 0.85
     assert f"{share:.0%} of the rows were left out" in found.report

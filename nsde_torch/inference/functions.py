@@ -35,6 +35,7 @@ from nsde_torch.systems.vocabulary import named_inputs
 from nsde_torch.time_limit import check_time
 
 Array = NDArray[np.float64]
+Labels = NDArray[np.int64]
 
 _FOLDS = 5
 # without these two a spring of which nothing is missing learns functions (tests/inference/test_functions.py)
@@ -377,11 +378,14 @@ class _Choice:
                 total, last = total + widths[last], last + 1
             some = groups[first:last]
             blocks, slices, _ = view.blocks(chosen, self._levels, self._scaled, some)
-            kept = slices[: len(chosen)]
+            kept, own = slices[: len(chosen)], slices[len(chosen) :]
             before, ridge = self._held_out(view, blocks, kept)
-            for group, own in zip(some, slices[len(chosen) :], strict=True):
-                won = before - self._held_out(view, blocks, [*kept, own], ridge)[0]
-                out[group] = float(won.sum()), float(won.std() * len(won) ** 0.5)
+            for width in {s.stop - s.start for s in own}:
+                alike = [k for k, s in enumerate(own) if s.stop - s.start == width]
+                columns = np.array([range(own[k].start, own[k].stop) for k in alike], dtype=np.int64)
+                after = self._beside(view, blocks, kept, ridge, columns)[0]
+                for k, won in zip(alike, before - after, strict=True):
+                    out[some[k]] = float(won.sum()), float(won.std() * len(won) ** 0.5)
             first = last
         return out
 
@@ -391,39 +395,59 @@ class _Choice:
         self, view: _View, blocks: Array, groups: Sequence[slice], known: Sequence[float] = ()
     ) -> tuple[Array, list[float]]:
         """Half the squares left of each block by what was fitted without its fold (B,); 1 / tau^2 of the groups."""
-        theta = 1 + self._optimum.of.space.vector.scale.size
-        index = np.concatenate([np.arange(theta), *(np.arange(s.start, s.stop) for s in groups)])
-        own = blocks[:, index[:, None], index]
-        ends = np.cumsum([theta, *(s.stop - s.start for s in groups)])
-        local = [slice(a, b) for a, b in pairwise(ends)]
-        total = own.sum(0)
-        ridge = [*known, *(self._ridge(total, theta, s) for s in local[len(known) :])]
-        weights = _KNOWN * np.diag(total)[1:].copy()
-        for s, value in zip(local, ridge, strict=True):
-            weights[s.start - 1 : s.stop - 1] = value
-        out = np.empty(len(own))
-        for f in range(_FOLDS):
-            rows = view.fold == f
-            out[rows] = half_squares(own[rows], solved(total - own[rows].sum(0), weights))
-        return out, ridge
+        ridge = list(known)
+        for k in range(len(ridge), len(groups)):
+            ridge += self._ridges(
+                blocks.sum(0), groups[:k], ridge, _columns(groups[k : k + 1])[None]
+            ).tolist()
+        return self._beside(view, blocks, groups, ridge, np.zeros((1, 0), dtype=np.int64))[0][0], ridge
 
-    def _ridge(self, total: Array, theta: int, own: slice) -> float:
-        """1 / tau^2 of largest marginal likelihood of a group beside the columns before it."""
-        known = slice(1, own.start)
-        inverse = np.linalg.pinv(total[known, known], rcond=_ROUNDING, hermitian=True)
-        across = total[known, own]
-        left = total[own, own] - across.T @ inverse @ across
-        pull = total[own, 0] - across.T @ inverse @ total[known, 0]
+    def _beside(
+        self, view: _View, blocks: Array, groups: Sequence[slice], ridge: Sequence[float], columns: Labels
+    ) -> tuple[Array, Array]:
+        """The same beside each of further groups of the columns (G, q): (G, B), and their 1 / tau^2 (G,).
+
+        All of them, and all folds, at once: they are many small matrices.
+        """
+        theta, count = 1 + self._optimum.of.space.vector.scale.size, len(columns)
+        total = blocks.sum(0)
+        further = self._ridges(total, groups, ridge, columns)
+        first = np.concatenate((np.arange(theta), _columns(groups)))
+        index = np.concatenate((np.tile(first, (count, 1)), columns), 1)
+        weights = np.zeros((count, index.shape[1] - 1))
+        weights[:, : theta - 1] = _KNOWN * np.diag(total)[1:theta]
+        sizes = [s.stop - s.start for s in groups]
+        weights[:, theta - 1 : first.size - 1] = np.repeat(np.array(ridge, dtype=np.float64), sizes)
+        weights[:, first.size - 1 :] = further[:, None]
+        rows, across = index[:, :, None], index[:, None, :]
+        out = np.empty((count, len(blocks)))
+        for f in range(_FOLDS):
+            inside = view.fold == f
+            own = blocks[inside]
+            step = solved((total - own.sum(0))[rows, across], weights)
+            for b, block in zip(np.flatnonzero(inside), own, strict=True):
+                out[:, b] = half_squares(block[rows, across], step)
+        return out, further
+
+    def _ridges(
+        self, total: Array, groups: Sequence[slice], ridge: Sequence[float], columns: Labels
+    ) -> Array:
+        """1 / tau^2 of largest marginal likelihood of groups of columns (G, q), each beside the columns before it."""
+        known = np.concatenate((np.arange(1, 1 + self._optimum.of.space.vector.scale.size), _columns(groups)))
+        inverse = np.linalg.pinv(total[known[:, None], known], rcond=_ROUNDING, hermitian=True)
+        across = total[known[None, :, None], columns[:, None, :]]
+        taken = across.swapaxes(1, 2) @ inverse
+        left = total[columns[:, :, None], columns[:, None, :]] - taken @ across
+        pull = total[columns, 0] - taken @ total[known, 0]
+        if not columns.shape[1]:
+            return np.ones(len(columns))
         value, turned = np.linalg.eigh(left)
-        value, along = value.clip(0.0), np.square(turned.T @ pull)
-        best = (-np.inf, 1.0)
-        if not len(value):
-            return 1.0
-        for tau in _VARIANCES / max(float(value.max()), 1e-300) ** 0.5:
-            gain = 1.0 + tau**2 * value
-            evidence = 0.5 * float((tau**2 * along / gain).sum() - np.log(gain).sum())
-            best = max(best, (evidence, tau**-2.0))
-        return best[1]
+        value, along = value.clip(0.0), np.square(turned.swapaxes(1, 2) @ pull[..., None])[..., 0]
+        square = np.square(_VARIANCES[:, None]) / value.max(1).clip(1e-300)
+        gain = 1.0 + square[..., None] * value
+        evidence = (square[..., None] * along / gain).sum(-1) - np.log(gain).sum(-1)
+        best = evidence.argmax(0)
+        return np.asarray(1.0 / square[best, np.arange(len(columns))])
 
     def _fitted(self, chosen: Sequence[BasisGroup]) -> _Fit:
         """Some groups together, under the noise levels found so far."""
@@ -504,6 +528,11 @@ class _Choice:
         levels, _ = likeliest(space, self._levels, self._levels, about, self._optimum.of.start)
         space.use(at)
         return levels
+
+
+def _columns(groups: Sequence[slice]) -> Labels:
+    """Numbers of all columns of some groups."""
+    return np.concatenate([np.arange(0), *(np.arange(s.start, s.stop) for s in groups)])
 
 
 def _width(group: BasisGroup, view: _View, scaled: Mapping[str, Scale]) -> int:

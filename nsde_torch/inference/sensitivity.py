@@ -163,20 +163,22 @@ def _tables(
 
 
 def solved(gram: Array, weights: Array | None = None, *, damping: float = 0.0) -> Array:
-    """Least squares (k,) from the Gram matrix of [e, J] (1 + k, 1 + k), in columns of equal length.
+    """Least squares (..., k) from Gram matrices of [e, J] (..., 1 + k, 1 + k), in columns of equal length.
 
     Args:
-        gram: The matrix.
-        weights: Of the squares of the unknowns (k,); None for none.
+        gram: The matrices.
+        weights: Of the squares of the unknowns (..., k); None for none.
         damping: Marquardt's.
     """
-    inner = gram[1:, 1:] if weights is None else gram[1:, 1:] + np.diag(weights)
-    scale = 1.0 / np.sqrt(np.diag(inner).clip(1e-300))
-    unit = inner * scale * scale[:, None] + damping * np.eye(len(inner))
-    return np.asarray(np.linalg.pinv(unit, rcond=_RANK, hermitian=True) @ (gram[1:, 0] * scale) * scale)
+    eye = np.eye(gram.shape[-1] - 1)
+    inner = gram[..., 1:, 1:] if weights is None else gram[..., 1:, 1:] + weights[..., None] * eye
+    scale = 1.0 / np.sqrt(np.diagonal(inner, axis1=-2, axis2=-1).clip(1e-300))
+    unit = inner * scale[..., None, :] * scale[..., None] + damping * eye
+    inverse = np.linalg.pinv(unit, rcond=_RANK, hermitian=True)
+    return np.asarray((inverse @ (gram[..., 1:, :1] * scale[..., None]))[..., 0] * scale)
 
 
 def half_squares(blocks: Array, step: Array) -> Array:
-    """Half the squares (B,) that a step of the unknowns (k,) leaves of e in each block (B, 1 + k, 1 + k) [nats]."""
-    weights = np.concatenate(([1.0], -step))
-    return np.asarray(0.5 * np.einsum("i,bij,j->b", weights, blocks, weights))
+    """Half the squares (...) that steps of the unknowns (..., k) leave of e in blocks (..., 1 + k, 1 + k) [nats]."""
+    weights = np.concatenate((np.ones((*step.shape[:-1], 1)), -step), -1)
+    return np.asarray(0.5 * (weights[..., None, :] @ blocks @ weights[..., None])[..., 0, 0])

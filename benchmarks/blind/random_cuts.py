@@ -1,0 +1,191 @@
+"""Random pieces of logs through a whole diagnosis: does every one end in an answer or in one sentence?
+
+    python benchmarks/blind/random_cuts.py --seed 1 --count 200 --out runs/cuts
+    python benchmarks/blind/random_cuts.py --out runs/cuts --judge          # the table again
+
+A log of a machine (with an effect that is not declared, or without) is cut: 1 to 5,000 rows in one to four runs, every
+k-th row, columns that are missing, held at one value, zero, copied, rounded or exact. `nsde diagnose` runs in a process
+of its own. An answer is exit status 0; a refusal is exit status 2 with one sentence. Anything else is a fault, and so
+is a diagnosis that takes more than a minute or 1 GiB and was not told to. NumPy warnings on the screen count as faults.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+
+Json = dict[str, Any]
+STEPS = {  # of the logs that are cut [s]
+    "mass_spring_damper": (0.0005, 0.002, 0.01, 0.02),
+    "cartpole": (0.0005, 0.002, 0.01, 0.02),
+    "quadrotor": (0.002, 0.005, 0.01),
+    "hexacopter": (0.005, 0.01),
+}
+EFFECTS = {
+    "mass_spring_damper": ("", "coulomb_friction", "cubic_stiffness", "input_delay"),
+    "cartpole": ("", "coulomb_friction", "quadratic_damping", "constant_force"),
+    "quadrotor": ("", "linear_drag", "motor_lag", "constant_wind"),
+    "hexacopter": ("", "linear_drag", "ground_effect", "motor_lag"),
+}
+TIME, MEMORY = 60.0, 1024.0  # [s], [MiB]
+_LONGEST = 300.0  # [s] after which a diagnosis is stopped
+
+
+def source(folder: Path, system: str, dt: float, effect: str, seed: int) -> Path:
+    """A long log, simulated once for all cuts of it."""
+    out = folder / f"{system}_{dt:g}_{effect or 'none'}"
+    if not out.exists():
+        seconds = min(40.0, 6000 * dt)
+        words = [f"system={system}", f"out={out}", f"dt={dt:g}", f"durations=[{seconds:g},{seconds:g}]"]
+        if effect:
+            words.append(f"plant.effects=[{effect}]")
+        done = subprocess.run(
+            [sys.executable, "-m", "nsde_torch.cli", "simulate", *words, f"seed={seed}"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode:
+            raise SystemExit(f"{system}: {done.stdout}{done.stderr}")
+    return out
+
+
+def cut(source: Path, out: Path, rng: np.random.Generator) -> str:
+    """Writes one cut; returns what was done to it, in words."""
+    files = sorted(source.glob("*.csv"))
+    with files[0].open() as stream:
+        head = next(csv.reader(stream))
+    tables = [np.loadtxt(f, delimiter=",", skiprows=1, ndmin=2) for f in files]
+    stride = int(rng.choice([1, 1, 1, 2, 5, 10, 25]))
+    runs = int(rng.choice([1, 2, 2, 3, 4]))
+    words = [f"every {stride}"]
+    pieces = []
+    for _ in range(runs):
+        table = tables[rng.integers(len(tables))][::stride]
+        rows = int(np.exp(rng.uniform(0.0, np.log(5000.0))))
+        start = int(rng.integers(0, max(len(table) - rows, 0) + 1))
+        pieces.append(table[start : start + rows].copy())
+    words.append("rows " + "+".join(str(len(p)) for p in pieces))
+    keep = list(range(len(head)))
+    for k in range(1, len(head)):
+        kind = rng.choice(["as it is", "missing", "held", "zero", "copied", "rounded", "nan"], p=[0.88, *[0.02] * 6])
+        if kind == "as it is":
+            continue
+        words.append(f"{head[k]} {kind}")
+        if kind == "missing":
+            keep.remove(k)
+        for p in pieces:
+            if kind == "held":
+                p[:, k] = p[0, k]
+            elif kind == "zero":
+                p[:, k] = 0.0
+            elif kind == "copied":
+                p[:, k] = p[:, int(rng.integers(1, len(head)))]
+            elif kind == "rounded":
+                p[:, k] = np.round(p[:, k], 1)
+            elif kind == "nan":
+                p[rng.random(len(p)) < 0.1, k] = np.nan
+    if rng.random() < 0.3:
+        for p in pieces:
+            p[:, 0] -= p[0, 0]
+    out.mkdir(parents=True, exist_ok=True)
+    for n, p in enumerate(pieces):
+        with (out / f"run_{n}.csv").open("w") as stream:
+            stream.write(",".join(head[k] for k in keep) + "\n")
+            np.savetxt(stream, p[:, keep], fmt="%.9g", delimiter=",")
+    return ", ".join(words)
+
+
+def diagnosed(words: list[str]) -> Json:
+    """One diagnosis in a process of its own."""
+    started = time.perf_counter()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "nsde_torch.cli", "diagnose", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        text = process.communicate(timeout=_LONGEST)[0]
+    except subprocess.TimeoutExpired:
+        process.kill()
+        text = process.communicate()[0] + "\nstopped: no end"
+    return {"code": process.returncode, "text": text, "seconds": time.perf_counter() - started}
+
+
+def fault(answer: Json) -> str:
+    """What is wrong with an answer; empty if nothing is."""
+    text = answer["text"]
+    if "no end" in text[-20:]:
+        return "no end"
+    if "Traceback" in text or answer["code"] not in (0, 2):
+        return "traceback"
+    if "Warning:" in text:
+        return "warning of a library"
+    if answer["seconds"] > TIME:
+        return f"{answer['seconds']:.0f} s"
+    if answer.get("mib", 0.0) > MEMORY:
+        return f"{answer['mib']:.0f} MiB"
+    return ""
+
+
+def one(folder: Path, number: int, seed: int) -> Json:
+    """Makes and diagnoses one cut."""
+    rng = np.random.default_rng([seed, number])
+    system = str(rng.choice(list(STEPS), p=[0.35, 0.3, 0.2, 0.15]))
+    dt, effect = float(rng.choice(STEPS[system])), str(rng.choice(EFFECTS[system]))
+    place = folder / f"case_{number:03d}"
+    told = cut(source(folder / "sources", system, dt, effect, seed), place / "data", rng)
+    words = [f"system={system}", "data=csv", f"data.path={place / 'data'}", "retrain=false"]
+    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    answer = diagnosed([*words, f"out_dir={place / 'out'}"])
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    mib = peak / 1024.0 if peak > before else 0.0  # the largest so far, or no more than that
+    answer |= {"case": number, "system": system, "dt": dt, "effect": effect, "cut": told, "mib": mib}
+    answer["fault"] = fault(answer)
+    (place / "answer.json").write_text(json.dumps(answer, indent=1))
+    return answer
+
+
+def judge(folder: Path) -> None:
+    """Prints what became of all cuts."""
+    answers = [json.loads(f.read_text()) for f in sorted(folder.glob("case_*/answer.json"))]
+    for a in answers:
+        if a["fault"]:
+            print(f"{a['case']:>4} {a['fault']}: {a['system']} {a['dt']:g} s, {a['effect'] or 'nothing'}; {a['cut']}")
+    codes = [a["code"] for a in answers]
+    print(
+        f"{len(answers)} cuts: {codes.count(0)} answers, {codes.count(2)} refusals, "
+        f"{sum(bool(a['fault']) for a in answers)} faults; longest {max(a['seconds'] for a in answers):.0f} s"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--judge", action="store_true")
+    given = parser.parse_args()
+    if not given.judge:
+        for number in range(given.first, given.first + given.count):
+            a = one(given.out, number, given.seed)
+            print(f"{number:>4} {a['code']} {a['seconds']:5.1f} s {a['fault']} {a['system']} {a['cut']}", flush=True)
+    judge(given.out)
+
+
+if __name__ == "__main__":
+    main()

@@ -204,9 +204,9 @@ class LogLikelihood:
         self._set(system, steps, chunks)
 
     def of(self, system: System) -> "LogLikelihood":
-        """That of the same rows under other physics of the machine."""
+        """That of the same rows under other physics of the machine, which is disturbed on the same ports."""
         out = copy.copy(self)
-        out._set(system, self.space.steps, self.space.chunks)
+        out._set(system, self.space.steps, self.space.chunks, self.space.disturbances)
         return out
 
     def keep(self, owner: object, about: Linearisation, at: Pass) -> tuple[Linearisation, Pass]:
@@ -218,7 +218,13 @@ class LogLikelihood:
         """The pass that was kept for somebody."""
         return next(((about, at) for whose, about, at in self._kept if whose is owner), None)
 
-    def _set(self, system: System, steps: Steps, chunks: Chunks) -> None:
+    def _set(
+        self,
+        system: System,
+        steps: Steps,
+        chunks: Chunks,
+        disturbances: tuple[tuple[Port, int], ...] | None = None,
+    ) -> None:
         unknown = self._unknown
         self.vector = vector = ParameterVector(system)
         vector.follow(steps.dt)
@@ -234,7 +240,7 @@ class LogLikelihood:
         names = [inner.state_names[i if i < after else i + 1] for i in range(len(inner.error_names))]
         every = [max(self._least, rows_between(self._band, names[i], steps.dt)) for i in observed]
         band = {i: self._band[name] for i, name in enumerate(names) if name in self._band}
-        self.space = StateSpace(self.vector, steps, chunks, observed, every, band)
+        self.space = StateSpace(self.vector, steps, chunks, observed, every, band, disturbances)
         std = torch.ones(self.space.ne, dtype=torch.float64)
         for j, value in unknown.items():
             std[inner.error_names.index(inner.state_names[j])] = _UNKNOWN * value
@@ -390,8 +396,15 @@ def maximised(
         settled_at, gain: Where the iteration ends: standard errors of a step of theta, nats that new levels bring.
         nuisances: Whether intervals allow for noise levels that are not known.
         held: Noise levels that are known and stay; None finds them.
+
+    Raises:
+        DataError: known levels are of other disturbances: which ones push alike depends on where a log goes.
     """
     space, vector, start = problem.space, problem.vector, problem.start
+    if held is not None and len(held.white) != space.nd:
+        raise DataError(
+            f"noise levels of {len(held.white)} disturbances do not fit a log that tells {space.nd} apart."
+        )
     theta, everything = vector.inside(vector.start), range(len(vector))
     if near is None:
         first, about = problem.first(theta)

@@ -93,6 +93,7 @@ class StateSpace:
         observed: Numbers of the measured error channels.
         every: Rows from one measurement of each of these to the next.
         band: Frequencies above which states were smoothed away [Hz], by error channel.
+        disturbances: Columns of the ports on which the machine is disturbed; None finds them (`disturbances_of`).
 
     Attributes:
         ne, nd, n: Number of errors of the state, of disturbances, and of both.
@@ -107,12 +108,13 @@ class StateSpace:
         observed: Sequence[int],
         every: Sequence[int],
         band: Mapping[int, float],
+        disturbances: tuple[tuple[Port, int], ...] | None = None,
     ) -> None:
         self.vector, self.steps, self.chunks, self.observed = vector, steps, chunks, list(observed)
         self.h, self.logged_h = steps.dt, steps.logged_dt
         system, some = vector.system, slice(None, None, max(1, len(steps) // _SOME))
         rows = system.project(system.augment(steps.x0[some], steps.u[some]))
-        self.disturbances = disturbances_of(system, steps.t[some], rows, steps.u[some])
+        self.disturbances = disturbances or disturbances_of(system, steps.t[some], rows, steps.u[some])
         self.nx, self.ne = system.nx, len(system.error_names)
         self.nd = len(self.disturbances)
         self.n = self.ne + self.nd

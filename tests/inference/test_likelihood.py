@@ -8,8 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import nsde_torch
 from nsde_torch.data import Run
-from nsde_torch.inference import chunks, log_likelihood
+from nsde_torch.errors import DataError
+from nsde_torch.inference import LogLikelihood, chunks, log_likelihood
+from nsde_torch.inference.estimate import maximised, nearly_maximised
+from nsde_torch.systems import make_system
 from tests.inference.springs import (
     GUST,
     LASTS,
@@ -119,3 +123,21 @@ def test_cutting_a_long_run_into_chunks_changes_little(
     assert cut == pytest.approx(whole, abs=1.5)
     # and less in what parameters are compared by
     assert told_cut == pytest.approx(told_whole, abs=0.1)
+
+
+def test_physics_that_are_compared_are_disturbed_on_the_same_ports() -> None:
+    # of a pole that stays upright, an error of its angle and a torque push alike; of a tilted one they do not
+    still = []
+    for run in nsde_torch.simulate("cartpole", durations=[3.0, 3.0], seed=1).runs:
+        x = run.x * (1.0, 1.0, 0.0, 0.0) + 1e-4 * np.random.default_rng(1).standard_normal(run.x.shape)
+        still.append(Run(run.name, run.t, x, 0.0 * run.u))
+    system = make_system("cartpole")
+    biased = make_system("cartpole", effects=["angle_bias"], values={"angle_bias.bias": -0.7})
+    problem = LogLikelihood(system, still)
+    other = LogLikelihood(biased, still)
+    assert other.space.nd > problem.space.nd
+    _, at = nearly_maximised(problem)
+    best, _ = nearly_maximised(problem.of(biased), at)
+    assert best.disturbances == problem.space.disturbances
+    with pytest.raises(DataError, match="noise levels of"):
+        maximised(other, held=at.levels)

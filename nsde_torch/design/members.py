@@ -239,7 +239,7 @@ def _noise(systems: Sequence[System], log: LogOfRuns) -> ModelNoise:
 
 def _member(declared: System, name: str, fit: Regression, log: LogOfRuns, noise: ModelNoise) -> Member:
     system, dt = fitted_system(fit), fit.physics.steps.dt
-    own = Posteriors(system, noise.levels, clock=log.clock)
+    own = Posteriors(system, noise.levels, clock=log.clock, disturbances=noise.disturbances)
     prior = prior_information(own.vector)
     given = prior + np.diag(fit.held / np.square(_SURE_OF_HELD * fit.vector.scale))
     fine_dt = Rollouts(system, dt=dt).fine_dt

@@ -67,7 +67,8 @@ def with_laws(
     joint = laws.checked(joint)  # laws that took the place of effects
     if joint.selected.keys() != before:
         outcome = conclude(joint)
-    names = list(joint.selected)
+    # not of what feedback may have made: that is not named under another name either
+    names = [f.name for f in outcome.found if f.name in joint.selected]
     near = [(name,) for name in names if joint.selected[name].law]
     bent = [
         (f.name,)
@@ -82,7 +83,7 @@ def with_laws(
     ):
         settings.say(f"trying laws in the place of {AND.join(replaced)}", 0, 1)
         other = laws.selected(joint, replaced)
-        if other is None or len(other.selected) > len(names) - len(replaced) + 1:
+        if other is None or len(other.selected) > len(joint.selected) - len(replaced) + 1:
             continue
         if other.final.best.likelihood > joint.final.best.likelihood + least:
             return conclude(other)

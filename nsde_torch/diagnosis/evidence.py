@@ -48,6 +48,7 @@ def by_blocks(difference: Array) -> float:
     return float(stdtr(max(counting - 1.0, 1.0), -float(difference.sum()) / sum_error(difference)))
 
 
+@np.errstate(over="ignore")  # of a step that leaves the finite numbers in one block
 def sum_error(difference: Array) -> float:
     """Standard error of a sum over blocks, from their scatter."""
     return float(difference.std(ddof=1)) * len(difference) ** 0.5

@@ -163,6 +163,7 @@ class LogLikelihood:
             are compared need the same.
         states: Whether states alone are asked for (`states`): short logs do, and rates start as they were inferred.
         apart: Least time from one measurement to the next [s]; rows between bring their inputs alone.
+        disturbances: Columns of the ports on which the machine is disturbed; None: all that push in ways of their own.
 
     Raises:
         DataError: no run, no stretch that is long enough, or nothing moves.
@@ -177,6 +178,7 @@ class LogLikelihood:
         run_in: bool | None = None,
         states: bool = False,
         apart: float = 0.0,
+        disturbances: tuple[tuple[Port, int], ...] | None = None,
     ) -> None:
         self._unknown = inferred_columns(system, runs)
         self._kept: list[tuple[object, Linearisation, Pass]] = []
@@ -201,7 +203,7 @@ class LogLikelihood:
                 f"{int(chunks.counted.sum())} rows are too few for a likelihood of physics and noise; give {fewest} "
                 "or more, in stretches without a gap."
             )
-        self._set(system, steps, chunks)
+        self._set(system, steps, chunks, disturbances)
 
     def of(self, system: System) -> "LogLikelihood":
         """That of the same rows under other physics of the machine, which is disturbed on the same ports."""
@@ -223,7 +225,7 @@ class LogLikelihood:
         system: System,
         steps: Steps,
         chunks: Chunks,
-        disturbances: tuple[tuple[Port, int], ...] | None = None,
+        disturbances: tuple[tuple[Port, int], ...] | None,
     ) -> None:
         unknown = self._unknown
         self.vector = vector = ParameterVector(system)
@@ -379,6 +381,7 @@ def nearly_maximised(
 
 
 @torch.no_grad()
+@np.errstate(over="ignore", invalid="ignore")  # what diverges has no likelihood, and that is looked at
 def maximised(
     problem: LogLikelihood,
     near: Optimum | None = None,

@@ -15,6 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
+from nsde_torch.effects import Port
 from nsde_torch.inference.estimate import LogLikelihood
 from nsde_torch.inference.filtering import linearised_about
 from nsde_torch.inference.levels import Levels
@@ -68,14 +69,33 @@ class Posteriors:
         system: The machine.
         levels: Noise levels.
         clock: Physical seconds per logged second.
+        disturbances: Ports that these are levels of, and their columns; None takes those that a log tells apart.
 
     Attributes:
         vector: Its parameters, whose bounds hold.
     """
 
-    def __init__(self, system: System, levels: Levels, *, clock: float = 1.0) -> None:
-        self.system, self.levels, self.clock = system, levels, clock
+    def __init__(
+        self,
+        system: System,
+        levels: Levels,
+        *,
+        clock: float = 1.0,
+        disturbances: tuple[tuple[Port, int], ...] | None = None,
+    ) -> None:
+        self.system, self.levels, self.clock, self.disturbances = system, levels, clock, disturbances
         self.vector = ParameterVector(system)
+
+    def likelihood(self, runs: Sequence[Run], run_in: bool) -> LogLikelihood:
+        """The likelihood of some runs.
+
+        Args:
+            runs: The runs.
+            run_in: See `modes`.
+        """
+        return LogLikelihood(
+            *(self.system, runs, self.clock), run_in=run_in, states=True, disturbances=self.disturbances
+        )
 
     def at_centres(self, problems: Sequence[LogWithPrior], *, passes: int = _PASSES) -> list[Posterior]:
         """The densities about the centres of the priors.
@@ -99,7 +119,7 @@ class Posteriors:
             other: The other machine, with its values.
             run_in: See `modes`.
         """
-        of = LogLikelihood(self.system, log.runs, self.clock, run_in=run_in, states=True)
+        of = self.likelihood(log.runs, run_in)
         beside = of.of(other).space
         of.space.use(log.centre)
         beside.use(beside.vector.start)
@@ -191,7 +211,7 @@ class _Batch:
     def __init__(self, of: Posteriors, problems: Sequence[LogWithPrior], run_in: bool) -> None:
         self._problems, self._k = problems, len(of.vector)
         runs = [run for q in problems for run in q.runs]
-        self._of = LogLikelihood(of.system, runs, of.clock, run_in=run_in, states=True)
+        self._of = of.likelihood(runs, run_in)
         self._levels = of.levels
         owner = torch.tensor([i for i, q in enumerate(problems) for _ in q.runs])
         self._stretch = owner[torch.tensor(self._of.space.steps.runs)]

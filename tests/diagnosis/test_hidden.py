@@ -1,9 +1,13 @@
 """What feedback may hide: which effects and which structure count."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
+from nsde_torch.diagnosis import decision
 from nsde_torch.diagnosis.hidden import Hidden, allowances, chance_beyond, lengths_of_parameters
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.inference.steps import steps_of
@@ -103,3 +107,49 @@ def test_an_effect_is_bent_by_inputs_between_rows_as_far_as_it_leans_along_them(
         FACTOR**2 * 400 * lean[f"{product}.c1"] ** 2
     )
     assert lengths_of_parameters(LoopTest(), fitted) == {}
+
+
+def test_of_effects_that_all_may_be_feedback_the_one_that_brings_least_goes_first(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # beside a force that brings nothing a friction brings less than feedback may hide, and alone far more
+    brought = {("friction", "force"): (550.0, -140.0), ("friction",): (1140.0,), ("force",): (1000.0,)}
+    allowed = {("friction", "force"): (780.0, 2800.0), ("friction",): (200.0,), ("force",): (200.0,)}
+
+    def base(*names: str) -> Any:
+        vector = SimpleNamespace(of=lambda name: [names.index(name)])
+        return SimpleNamespace(names=names, regression=SimpleNamespace(names=names, vector=vector))
+
+    def joint(*names: str) -> Any:
+        look = SimpleNamespace(look=SimpleNamespace(proposals=[None]))
+        return SimpleNamespace(
+            names=names, rounds=[look], less=lambda name: joint(*(n for n in names if n != name))
+        )
+
+    def without(search: Any, of: Any, declared: Any, name: str) -> Any:
+        out = base(*(n for n in of.names if n != name))
+        out.regression.left_out, out.regression.of = name, of.names
+        return out
+
+    def gained(before: Any, after: Any) -> dict[str, float]:
+        return {"q_dot": 0.5 * brought[after.names][after.names.index(before.left_out)]}
+
+    patches: dict[str, Any] = {
+        "base_without": without,
+        "nats_by_channel": gained,
+        "moved_channels": lambda regression, name: ("q_dot",),
+        "lengths_of_parameters": lambda test, r: {"q_dot": np.sqrt(np.array(allowed[r.names]))},
+        "found_by": lambda search, of: [SimpleNamespace(name=n) for n in of.names],
+        "fitted_system": lambda regression: None,
+    }
+    for name, stub in patches.items():
+        monkeypatch.setattr(decision, name, stub)
+    feedback: Any = SimpleNamespace(test=lambda regression: LoopTest(), shown=lambda system, name: False)
+    both = joint("friction", "force")
+    chosen: Any = decision.Selection(
+        base(), base(*both.names), patches["found_by"](None, both), both, (), LoopTest()
+    )
+    search: Any = SimpleNamespace(level=lambda family: 0.01)
+    kept = decision.set_aside(search, chosen, feedback)
+    assert [f.name for f in kept.found] == ["friction"]
+    assert [h.name for h in kept.hidden] == ["force"]

@@ -8,7 +8,7 @@ from nsde_torch.px4.link.transport import LinkError
 from .exit_status import FLIGHT_ENDED, INTERRUPTED, NOT_LANDED, EndedError
 
 _STOPPED = ("stop", "stopped")
-_TAKEN = ("mode", "disarmed", "link", "late")
+_TAKEN = ("mode", "setpoints", "disarmed", "link", "late")
 """Troubles after which the vehicle was the operator's or PX4's, and not ours."""
 
 

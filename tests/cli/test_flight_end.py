@@ -27,7 +27,7 @@ def test_a_flight_of_ours_that_stands_may_be_followed_by_another(kind: str | Non
     assert error.value.status == NOT_LANDED
 
 
-@pytest.mark.parametrize("kind", ["mode", "disarmed", "link", "late"])
+@pytest.mark.parametrize("kind", ["mode", "setpoints", "disarmed", "link", "late"])
 def test_a_vehicle_that_was_taken_from_us_is_looked_at_first(kind: str) -> None:
     with pytest.raises(EndedError, match="went wrong, and landed: so it was") as error:
         check_end(_ended(kind))

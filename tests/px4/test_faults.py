@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from math import inf
 
 import pytest
 
@@ -14,6 +15,7 @@ from nsde_torch.px4.flight.phases import Phase
 from nsde_torch.px4.flight.runner import Inline, Runner
 from nsde_torch.px4.flight.safety import Limits
 from nsde_torch.px4.link import dialect as d
+from nsde_torch.px4.link.dialect import mavlink
 from tests.helpers.px4_world import (
     World,
     corrupted,
@@ -116,6 +118,46 @@ def test_the_operators_mode_is_never_fought(mode: d.Mode) -> None:
     assert world.phase in (Phase.WATCH, Phase.DONE)
     assert max(world.setpoints) < chosen + 0.3  # a heartbeat that is asked for later at most
     assert world.vehicle.mode == mode
+
+
+_OTHERS = {
+    "position": mavlink.MAVLink_set_position_target_local_ned_message(
+        0, 1, 1, 1, 0x0DF8, 1.5, 0.0, -1.0, *[0.0] * 8
+    ),
+    "rates": mavlink.MAVLink_set_attitude_target_message(
+        0, 1, 1, 128, [1.0, 0.0, 0.0, 0.0], 0.4, 0.0, 0.0, 0.5
+    ),
+}
+"""Setpoints of a ground station that does not know of us."""
+
+
+@pytest.mark.parametrize(("by", "said"), [("position", "a position"), ("rates", "rates of (0.40,")])
+def test_setpoints_of_another_client_are_noticed_and_landed_on(by: str, said: str) -> None:
+    """PX4 obeys both in turn: it went 77 cm beside the reference, and the flight ended as a good one."""
+    other = stranger(system=255)
+    begun = inf
+
+    def speak(world: World) -> None:
+        nonlocal begun
+        if world.phase is Phase.TRACK and world.flight._elapsed > 1.0:
+            begun = min(begun, world.now)
+        if begun < world.now < begun + 6.0 and round(100 * world.now) % 5 == 0:
+            # behind ours in the same tick: it is obeyed until the next
+            world._queue(world._to_vehicle, [(world.now, other.pack(_OTHERS[by]))])
+
+    def rates_are_not_told(data: bytes, now: float) -> list[tuple[float, bytes]]:
+        told = int.from_bytes(data[7:10], "little") == mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET
+        return [] if told else [(now, data)]
+
+    path = PathPoints(shapes.hover(duration=8.0, height=1.0))
+    world = World(path=path, down=rates_are_not_told if by == "position" else straight).run(speak)
+    assert world.flight.outcome.trouble is not None, world.says
+    assert world.flight.outcome.trouble.kind == "setpoints"
+    assert f"PX4 follows {said}" in world.flight.outcome.trouble.text
+    assert max(world.setpoints) < begun + 1.5
+    assert max(world.errors) < 0.3
+    assert world.vehicle.mode == d.LAND
+    assert world.safe
 
 
 def test_a_disarmed_vehicle_is_not_armed_again() -> None:

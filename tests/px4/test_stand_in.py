@@ -155,6 +155,27 @@ def test_setpoints_are_not_sanitised(thrust: float, least: float, most: float) -
     assert all(least <= u <= most for u in client.vehicle.commands)
 
 
+def test_it_tells_the_rates_that_it_follows_and_a_position_only_where_it_follows_one() -> None:
+    world = _flying()
+    reader, telemetry = Codec(245, 190), Telemetry()
+
+    def told() -> list[Any]:
+        telemetry.followed.clear()
+        for data in world.vehicle.advance(world.vehicle.time + 0.2):
+            for message in reader.unpack(data, world.vehicle.time):
+                telemetry.take(message, world.vehicle.time)
+        return [w for _, w in telemetry.followed]
+
+    world.endpoint.send_rates((0.3, -0.2, 0.1), 0.5, world.now)
+    for data in world._due(world._to_vehicle):
+        world.vehicle.receive(data)
+    rates = told()
+    assert rates == [pytest.approx((0.3, -0.2, 0.1), abs=1e-6)] * len(rates)
+    assert len(rates) >= 9
+    world.vehicle.set_mode(d.HOLD)
+    assert None in told()
+
+
 def test_rates_beyond_its_limits_are_flown() -> None:
     world = _flying()
     most = world.vehicle.parameters["MC_ROLLRATE_MAX"] * 3.1416 / 180.0

@@ -11,6 +11,7 @@
 | estimate of position or velocity jumped | the state against its prediction | hold, then LAND |
 | estimate of the heading jumped | the same | noted; a heading that is held moves with it |
 | battery low | SYS_STATUS | LAND at once |
+| setpoints of another client | ATTITUDE_TARGET, POSITION_TARGET_LOCAL_NED | LAND at once: that mode obeys no client |
 | another mode | HEARTBEAT | silence and stay out: the operator, or PX4's failsafe, has the vehicle |
 | disarmed | HEARTBEAT | silence |
 | Ctrl-C | signal | hold, then LAND; twice: LAND at once |
@@ -22,6 +23,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from math import acos, degrees, inf, isfinite
@@ -30,15 +32,20 @@ from typing import final
 from nsde_torch.px4.flight.controller import TIPPED, DemandPlan
 from nsde_torch.px4.flight.options import Limits
 from nsde_torch.px4.flight.steps import UNANNOUNCED, EstimateStep, step_between
-from nsde_torch.px4.link.telemetry import Status, VehicleState
-from nsde_torch.px4.link.vectors import Vec, cos_tilt, length
+from nsde_torch.px4.link.telemetry import Followed, Status, VehicleState
+from nsde_torch.px4.link.vectors import Vec, cos_tilt, distance, length
 
 MARGIN = 0.3
 """Distance from the fence's edge that is kept where the place can be chosen: to hold, and below its top [m]."""
-
-
 TIPPED_WINDOW = 5.0
 """Time within which plans that tip are counted [s]."""
+FOREIGN, FOREIGN_WINDOW = 3, 1.0
+"""Setpoints of another client that end a flight, and the time within which they are counted [s].
+
+A mode that has just ended leaves one or two.
+"""
+SAME_RATE = 1e-3
+"""Difference up to which rates are the ones that were sent: they come back as floats of four bytes [rad/s]."""
 
 
 class Action(Enum):
@@ -81,6 +88,7 @@ class Watch:
         self._jumped: str | None = None
         self._plan: DemandPlan | None = None
         self._tipped: deque[float] = deque()
+        self._foreign: deque[Followed] = deque()
         self.steps: list[EstimateStep] = []
 
     def look(self, state: VehicleState | None, status: Status, now: float) -> Trouble | None:
@@ -119,6 +127,32 @@ class Watch:
             text = f"more than {m.tracking_error:g} m from the reference for {m.tracking_time:g} s, now {off:.2f} m"
             return Trouble("tracking", f"{text}: {_UNSUITED}", Action.HOLD)
         return None
+
+    def check_setpoints(
+        self, followed: deque[Followed], sent: Sequence[Vec], offboard: float
+    ) -> Trouble | None:
+        """Whether the autopilot follows setpoints that are not ours; None: it does not.
+
+        Args:
+            followed: What it says that it follows, taken away as far as it is judged.
+            sent: Rates that were sent [rad/s], for as long as PX4 may hold them when no others arrive.
+            offboard: Newest time at which it said that it is in OFFBOARD [s]: in modes of its own it follows its own.
+        """
+        while followed and followed[0][0] <= offboard:
+            time, w = followed.popleft()
+            if w is None or not any(distance(w, own) < SAME_RATE for own in reversed(sent)):
+                self._foreign.append((time, w))
+        while self._foreign and self._foreign[0][0] < offboard - FOREIGN_WINDOW:
+            self._foreign.popleft()
+        if len(self._foreign) < FOREIGN:
+            return None
+        _, w = self._foreign[-1]
+        if w is None or any(rates is None for _, rates in self._foreign):
+            what = "a position"  # and the rates that its loops make of it
+        else:
+            what = f"rates of ({w[0]:.2f}, {w[1]:.2f}, {w[2]:.2f}) rad/s"
+        text = f"PX4 follows {what}, which was not sent from here: stop the other client that sends setpoints"
+        return Trouble("setpoints", text, Action.LAND)
 
     def _battery(self, status: Status, now: float) -> Trouble | None:
         m = self.limits

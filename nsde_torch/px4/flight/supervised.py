@@ -27,6 +27,8 @@ GRACE = 0.05
 """Time that the hearing is given for it [s]."""
 REMEMBERED = 0.3
 """Time for which a controller is told what was sent [s]."""
+SETPOINTS = 500
+"""Newest rates that are known for ours when PX4 tells them: it may hold them for 2 s, at 250 a second."""
 
 
 class Supervised(ABC):
@@ -69,6 +71,7 @@ class Supervised(ABC):
         self.hover = HoverThrottle(0.5)
         self.sent: tuple[float, Vec, float] | None = None
         self._left: deque[tuple[float, Demand]] = deque()
+        self._rates: deque[Vec] = deque(maxlen=SETPOINTS)
         self.started: float | None = None
         self.ours_until = -inf
         self.streaming = False
@@ -147,6 +150,9 @@ class Supervised(ABC):
 
     def _supervise(self, state: VehicleState | None, status: Status) -> None:
         """Look for troubles, and act on them."""
+        followed = self.endpoint.telemetry.followed
+        if self.phase not in FLYING:
+            followed.clear()  # what it followed before is not another client's
         if self.phase in (Phase.STREAM, Phase.OFFBOARD, Phase.ARM, Phase.PREFLIGHT, Phase.CONNECT):
             self._supervise_ground(state, status)
             return
@@ -161,6 +167,7 @@ class Supervised(ABC):
             self._hand_back(status)
             return
         trouble = self._watch.look(state, status, self._now)
+        trouble = trouble or self._watch.check_setpoints(followed, self._rates, self.ours_until)
         self._follow(self._watch)
         if trouble is None and self._stop:
             trouble = Trouble("stop", "asked to stop", Action.HOLD if self._stop == 1 else Action.LAND)
@@ -326,5 +333,6 @@ class Supervised(ABC):
         self.hover.sent(self._now, throttle)
         self.sent = (self._now, w, throttle)
         self._left.append((self._now, Demand(w, self.hover.thrust(throttle))))
+        self._rates.append(w)
         while self._left[0][0] < self._now - REMEMBERED:
             self._left.popleft()

@@ -33,10 +33,13 @@ INTERVALS: dict[str, float] = {
     "SERVO_OUTPUT_RAW": 125.0,
     "EXTENDED_SYS_STATE": 5.0,
     "SYS_STATUS": 2.0,
+    "ATTITUDE_TARGET": 50.0,
+    "POSITION_TARGET_LOCAL_NED": 10.0,
 }
 """Messages that are asked for, with their rates [Hz].
 
-PX4's estimator runs at 125 Hz in simulation: 100 Hz would come as three states after 8 ms each and one after 16.
+PX4's estimator runs at 125 Hz in simulation: 100 Hz would come as three states after 8 ms each and one after 16. The
+last two are the setpoints that it follows; it sends no position while it follows rates.
 """
 _OTHERS = ("HEARTBEAT", "STATUSTEXT", "COMMAND_ACK", "PARAM_VALUE", "TIMESYNC", "ACTUATOR_OUTPUT_STATUS")
 _IN_ORDER = frozenset(("HEARTBEAT", "STATUSTEXT", "COMMAND_ACK", "EXTENDED_SYS_STATE", "SYS_STATUS"))

@@ -73,6 +73,10 @@ class Ack:
     result: int
 
 
+Followed = tuple[float, Vec | None]
+"""When the autopilot told a setpoint that it follows [s], and its body rates, FLU [rad/s]; None: a position."""
+
+
 @dataclass
 class Status:
     """Everything but the state; times on our clock [s], `-inf` where nothing came.
@@ -112,6 +116,7 @@ class Telemetry:
         status: See `Status`.
         state: The newest consistent state, None before the first.
         history: The newest ones, for who looks less often than they come.
+        followed: Setpoints that the autopilot says it follows, for who takes them.
         rejected: States that were not believed: not finite, no rotation, or older than what is known.
     """
 
@@ -120,6 +125,7 @@ class Telemetry:
         self.status = Status()
         self.state: VehicleState | None = None
         self.history: deque[VehicleState] = deque(maxlen=100)
+        self.followed: deque[Followed] = deque(maxlen=50)
         self.rejected = 0
         self.odometry_rate = 0.0
         self.rate = 0.0
@@ -162,6 +168,12 @@ class Telemetry:
         else:
             texts.append(Text(now, m.severity, text if m.id else text.strip()))
         self._chunk = (m.id, m.chunk_seq)
+
+    def _attitude_target(self, m: Message, now: float) -> None:
+        self.followed.append((now, frames.body((m.body_roll_rate, m.body_pitch_rate, m.body_yaw_rate))))
+
+    def _position_target_local_ned(self, m: Message, now: float) -> None:
+        self.followed.append((now, None))
 
     def _command_ack(self, m: Message, now: float) -> None:
         self.status.acks.append(Ack(now, m.command, m.result))

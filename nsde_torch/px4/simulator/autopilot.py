@@ -62,6 +62,8 @@ class SimulatedAutopilot:
         blind: No state is sent, as when the estimator is lost.
         stuck: The estimate does not change any more, stamps included.
         estimate: Position, velocity, attitude and rates as its estimator has them.
+        rates: Body rates that it follows [rad/s].
+        position: Position that it followed since it was told last [m], None where it followed rates.
         commands: What the motors are told.
     """
 
@@ -94,6 +96,9 @@ class SimulatedAutopilot:
         self._due: dict[str, tuple[float, float]] = {"HEARTBEAT": (0.0, 1.0), "SYS_STATUS": (0.0, 1.0)}
         self._gcs, self._texts = -inf, 0
         self._setpoint: tuple[float, int, Vec, Quat, float] | None = None
+        self._wanted: Point | None = None  # of the newest setpoint, where that is a position
+        self.rates: Vec = (0.0, 0.0, 0.0)
+        self.position: Vec | None = None
         self._integral: Vec = (0.0, 0.0, 0.0)
         self._cascade = SetpointCascade()
         self._point = Point((0.0, 0.0, 0.0))
@@ -206,7 +211,7 @@ class SimulatedAutopilot:
     def _control(self, now: float) -> tuple[float, ...]:
         p, v, q, w = self.estimate
         dt = self.body.dt
-        if self.mode == d.OFFBOARD:
+        if self.mode == d.OFFBOARD and self._wanted is None:
             assert self._setpoint is not None
             _, mask, rates, attitude, thrust = self._setpoint
             if mask == d.ATTITUDE_MASK:
@@ -217,6 +222,7 @@ class SimulatedAutopilot:
             throttle = min(thrust, NEARLY_FULL) if thrust > 1.0 else max(thrust, 0.0)
             if not all(map(isfinite, rates)):
                 return (0.0,) * self.body.nu
+            self.rates = rates
             # thrust of mean command, as the mixer of PX4 has it
             lift = self.body._gain * self.body.nu * throttle
         else:
@@ -230,13 +236,15 @@ class SimulatedAutopilot:
                 )
                 if self.body.on_ground:
                     return (0.02,) * self.body.nu
-            elif self.body.on_ground:
+            elif self.body.on_ground and self.mode != d.OFFBOARD:
                 return (0.1,) * self.body.nu
             if self.failsafe and self.mode in STICK_MODES:
                 level = levelling(q)
                 return self._rates(level, ABANDONED * GRAVITY - self.body._offset, w, dt)
-            demand = self._cascade(p, v, q, self._point, dt)
+            to = self._wanted if self.mode == d.OFFBOARD and self._wanted is not None else self._point
+            demand = self._cascade(p, v, q, to, dt)
             rates, lift = demand.w, demand.thrust - self.body._offset
+            self.rates, self.position = rates, to.p
         return self._rates(rates, lift, w, dt)
 
     def _rates(self, wanted: Vec, lift: float, w: Vec, dt: float) -> tuple[float, ...]:
@@ -279,6 +287,11 @@ class SimulatedAutopilot:
     def _on_set_attitude_target(self, m: Message) -> None:
         rates = frames.body((m.body_roll_rate, m.body_pitch_rate, m.body_yaw_rate))
         self._setpoint = (self.time, m.type_mask, rates, frames.attitude(tuple(m.q)), m.thrust)
+        self._wanted = None
+
+    def _on_set_position_target_local_ned(self, m: Message) -> None:
+        self._wanted = Point(frames.world((m.x, m.y, m.z)), yaw=yaw_of(self.estimate[2]))
+        self._setpoint = (self.time, 0, (0.0, 0.0, 0.0), self.estimate[2], 0.0)
 
     def _on_param_request_read(self, m: Message) -> None:
         name = m.param_id.rstrip("\x00")

@@ -59,6 +59,22 @@ def _local_position_ned(a: SimulatedAutopilot, now: float) -> Message:
     return mavlink.MAVLink_local_position_ned_message(int(now * 1e3), *frames.world(p), *frames.world(v))
 
 
+def _attitude_target(a: SimulatedAutopilot, now: float) -> Message:
+    unturned = (1.0, 0.0, 0.0, 0.0)
+    return mavlink.MAVLink_attitude_target_message(int(now * 1e3), 0, unturned, *frames.body(a.rates), 0.0)
+
+
+def _position_target_local_ned(a: SimulatedAutopilot, now: float) -> Message | None:
+    """Only where a position was followed since it was told last."""
+    to, a.position = a.position, None
+    if to is None:
+        return None
+    still = [0.0] * 6
+    return mavlink.MAVLink_position_target_local_ned_message(
+        int(now * 1e3), 1, 0, *frames.world(to), *still, 0.0, 0.0
+    )
+
+
 def _servo_output_raw(a: SimulatedAutopilot, now: float) -> Message:
     pulses = [round(1000 + 1000 * u) for u in a.commands]
     pulses += [0] * (8 - len(pulses))
@@ -70,13 +86,15 @@ def _actuator_output_status(a: SimulatedAutopilot, now: float) -> Message:
     return mavlink.MAVLink_actuator_output_status_message(int(now * 1e6), a.body.nu, row)
 
 
-MESSAGES: dict[str, Callable[[SimulatedAutopilot, float], Message]] = {
+MESSAGES: dict[str, Callable[[SimulatedAutopilot, float], Message | None]] = {
     "HEARTBEAT": _heartbeat,
     "SYS_STATUS": _sys_status,
     "EXTENDED_SYS_STATE": _extended_sys_state,
     "ODOMETRY": _odometry,
     "ATTITUDE_QUATERNION": _attitude_quaternion,
+    "ATTITUDE_TARGET": _attitude_target,
     "LOCAL_POSITION_NED": _local_position_ned,
+    "POSITION_TARGET_LOCAL_NED": _position_target_local_ned,
     "SERVO_OUTPUT_RAW": _servo_output_raw,
     "ACTUATOR_OUTPUT_STATUS": _actuator_output_status,
 }

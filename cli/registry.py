@@ -85,6 +85,10 @@ COMMANDS: dict[str, CommandEntry] = {
     "fly": CommandEntry(
         ".commands.fly", "Fly a controller on a PX4 vehicle over MAVLink, with checks, limits and a log"
     ),
+    "land": CommandEntry(
+        ".commands.land",
+        "Land a PX4 vehicle that is in the air, and watch until it is disarmed",
+    ),
     "export": CommandEntry(
         ".commands.export", "Write the predictive controller as a file for a flight computer"
     ),

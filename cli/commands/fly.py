@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,6 +55,7 @@ class FlyConfig:
     climb: float = of(FlightOptions, "climb")
     hold: float = of(FlightOptions, "hold")
     come_back: bool = of(FlightOptions, "come_back")
+    takeover: bool = of(FlightOptions, "takeover")
     safe_hold: float = of(FlightOptions, "safe_hold")
     rate: float = key(100.0, "setpoints in a second", unit="Hz", low=50, high=250)
     delay: float = key(
@@ -132,6 +133,7 @@ def run(config: DictConfig, job: Job) -> float | None:
         climb=config.climb,
         hold=config.hold,
         come_back=config.come_back,
+        takeover=config.takeover,
         safe_hold=config.safe_hold,
     )
     key = link_build.key(config.link)
@@ -167,7 +169,7 @@ def run(config: DictConfig, job: Job) -> float | None:
                     log=job.run_dir / LOG / f"flight_{k:0{digits}d}.csv",
                     limits=limits,
                     setpoints=setpoints,
-                    options=options,
+                    options=replace(options, takeover=options.takeover and k == 0),  # the first one lands
                     say=_say,
                     rate=config.rate,
                 )

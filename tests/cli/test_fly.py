@@ -188,6 +188,26 @@ def test_the_exit_status_says_how_a_flight_that_began_went_wrong(
     assert json.loads(Path("out/flight.json").read_text())["flights"][0]["trouble"] is not None
 
 
+def test_a_vehicle_in_the_air_is_landed_and_one_on_the_ground_is_refused(
+    vehicles: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["land"]) == 2
+    assert "the vehicle is disarmed: nothing is in the air" in capsys.readouterr().err
+    assert main(["fly", "run=pid", "system=quadrotor", "takeover=true", "out_dir=out", *SHORT]) == 2
+    assert "takeover=true is for a vehicle in the air" in capsys.readouterr().err
+    body = Body("quadrotor", seed=1)
+    vehicle = SimulatedAutopilot(body, seed=1)
+    link = VirtualLink(vehicle)
+    body.p, body.on_ground, vehicle.armed = (0.0, 0.0, 2.0), False, True
+    link.pause(0.01)
+    vehicle.set_mode(d.LAND)
+    vehicle.set_mode(d.HOLD)
+    monkeypatch.setattr(links, "open_link", lambda url, **more: link)
+    assert main(["land"]) == 0
+    assert "landed and disarmed" in capsys.readouterr().out
+    assert body.on_ground
+
+
 def test_help_lists_every_key_of_the_link_and_the_limits(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fly", "--help", "all"]) == 0
     printed = capsys.readouterr().out

@@ -9,11 +9,17 @@ import pytest
 from nsde_torch.control import shapes
 from nsde_torch.control.waypoints import waypoints
 from nsde_torch.px4.flight import preflight
+from nsde_torch.px4.flight.landing import land
+from nsde_torch.px4.flight.offboard import Offboard
 from nsde_torch.px4.flight.options import FlightOptions
-from nsde_torch.px4.flight.path import PathPoints
+from nsde_torch.px4.flight.path import CascadeController, PathPoints
 from nsde_torch.px4.flight.phases import Phase
+from nsde_torch.px4.flight.runner import Inline
 from nsde_torch.px4.flight.safety import Limits
 from nsde_torch.px4.link import dialect as d
+from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
+from nsde_torch.px4.simulator.body import Body
+from nsde_torch.px4.simulator.virtual import VirtualLink
 from tests.helpers.px4_world import World, delayed, lossy
 
 ORDER = ["preflight", "stream", "offboard", "arm", "take off", "hold", "track", "return", "land"]
@@ -188,3 +194,142 @@ def test_what_may_be_flying_is_to_be_taken_over_and_landed_and_never_disarmed(
     if said is not None:
         assert said in told[0]
         assert "disarm it" not in told[0].replace("do not disarm it", "") or landed == d.ON_GROUND
+
+
+def _left_in_hold(options: FlightOptions | None = None) -> World:
+    """A vehicle in the air whose flight was ended by somebody who chose HOLD, and a flight that takes it over."""
+    world = World(path=PathPoints(shapes.hover(duration=2.0, height=1.0))).until(Phase.TRACK, 1.0)
+    world.flight.options = replace(world.options, watch=0.5)
+    world.vehicle.set_mode(d.HOLD)
+    while not world.flight.done:
+        world.tick()
+    world.flight = Offboard(
+        world.endpoint,
+        Inline(CascadeController(world.path)),
+        world.path,
+        options=options or replace(world.options, takeover=True, checks=1.0),
+        say=world.says.append,
+    )
+    return world
+
+
+def test_a_vehicle_that_was_left_in_hold_is_taken_over_and_flown_about_where_it_took_off() -> None:
+    world = _left_in_hold()
+    world.vehicle.home = (1.0, -0.5, 0.0)
+    lowest = world.body.p[2]
+    while world.phase is not Phase.TRACK:
+        world.tick()
+        assert not world.flight.done, world.says
+        lowest = min(lowest, world.body.p[2])
+    assert lowest > 0.8  # it does not fall between two modes
+    assert world.vehicle.armed
+    world.errors.clear()
+    world.run()
+    assert world.phases[1:6] == ["stream", "offboard", "hold", "track", "return"]
+    assert world.flight.outcome.tracked
+    assert world.flight.outcome.landed
+    assert world.flight.outcome.begun
+    assert world.rmse < 0.2
+    assert world.safe
+    assert world.body.p[:2] == pytest.approx((1.0, -0.5), abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        ("no place of take-off", "PX4 does not tell where it took off (HOME_POSITION)"),
+        ("a pilot", "the mode is POSITION, in which somebody may fly it"),
+        ("beyond the fence", "it is outside the fence"),
+        ("on the ground", "takeover=true is for a vehicle in the air, and this one is not"),
+    ],
+)
+def test_only_a_vehicle_in_the_air_that_nobody_flies_is_taken_over(what: str, said: str) -> None:
+    world = _left_in_hold()
+    if what == "no place of take-off":
+        world.vehicle.home = None
+    elif what == "a pilot":
+        world.vehicle.set_mode(d.POSITION)
+    elif what == "beyond the fence":
+        world.vehicle.home = (9.0, 0.0, 0.0)
+    else:
+        world = World(options=FlightOptions(takeover=True, checks=1.0))
+    flown = len(world.setpoints)
+    while not world.flight.done:
+        world.tick()
+    assert world.flight.outcome.trouble is not None
+    assert said in world.flight.outcome.trouble.text
+    assert len(world.setpoints) == flown
+
+
+def test_a_mode_that_is_chosen_before_the_takeover_is_left_alone() -> None:
+    world = _left_in_hold().until(Phase.STREAM, 0.1)
+    world.vehicle.set_mode(d.POSITION)
+    while not world.flight.done:
+        world.tick()
+    assert world.vehicle.mode == d.POSITION
+    assert world.flight.outcome.trouble is not None
+    assert "the operator chose POSITION" in world.flight.outcome.trouble.text
+
+
+def _flying_link() -> tuple[VirtualLink, SimulatedAutopilot]:
+    """A vehicle at 2 m in HOLD, and a link to it."""
+    body = Body("quadrotor", seed=0)
+    vehicle = SimulatedAutopilot(body, seed=0)
+    link = VirtualLink(vehicle)
+    link.pause(2.0)
+    body.p, body.on_ground, vehicle.armed = (0.0, 0.0, 2.0), False, True
+    link.pause(0.01)
+    vehicle.set_mode(d.LAND)  # where it is, as its estimator has it
+    vehicle.set_mode(d.HOLD)
+    link.pause(1.0)
+    return link, vehicle
+
+
+def test_a_vehicle_that_nobody_flies_is_landed_without_a_setpoint() -> None:
+    link, vehicle = _flying_link()
+    outcome = land(link)
+    assert outcome.landed
+    assert outcome.trouble is None
+    assert vehicle.body.on_ground
+    assert not vehicle.armed
+    assert vehicle._setpoint is None
+
+
+@pytest.mark.parametrize(
+    ("what", "kind", "said"),
+    [
+        ("on the ground", "refused", "the vehicle is disarmed"),
+        ("nobody", "refused", "nothing was heard"),
+        ("a pilot", "mode", "the mode is POSITION: whoever chose it has the vehicle"),
+        ("not obeyed", "mode", "LAND was not confirmed, the mode is HOLD"),
+        ("dead", "link", "the link is dead"),
+    ],
+)
+def test_a_landing_that_is_not_seen_says_why_and_fights_nobody(
+    what: str, kind: str, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link, vehicle = _flying_link()
+    if what == "on the ground":
+        vehicle.armed = False
+        link.pause(0.5)
+    elif what == "nobody":
+        link = VirtualLink(vehicle)
+        vehicle.mute = True
+    elif what == "not obeyed":
+        monkeypatch.setattr(vehicle, "_command_mode", lambda m: None)
+    wait, begun = link.pause, link.now()
+
+    def harm(seconds: float) -> None:
+        wait(seconds)
+        if link.now() > begun + 1.5:
+            vehicle.mute = vehicle.mute or what == "dead"
+            if what == "a pilot":
+                vehicle.set_mode(d.POSITION)
+
+    monkeypatch.setattr(link, "pause", harm)
+    outcome = land(link, options=FlightOptions(connect=1.0))
+    assert outcome.trouble is not None
+    assert outcome.trouble.kind == kind
+    assert said in outcome.trouble.text
+    assert not outcome.landed
+    assert (vehicle.mode == d.POSITION) == (what == "a pilot")

@@ -21,7 +21,7 @@ from nsde_torch.px4.flight.supervised import Supervised
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.connection import why_no_state
 from nsde_torch.px4.link.telemetry import Status, VehicleState
-from nsde_torch.px4.link.vectors import Vec, distance, length, yaw_of
+from nsde_torch.px4.link.vectors import distance, length, yaw_of
 
 REST, SETTLE = 1.0, 4.0
 """Time of rest after the reference, and longest wait for it above the place of take-off [s]."""
@@ -81,6 +81,8 @@ class Offboard(Supervised):
             for name in preflight.PARAMETERS:
                 if name not in status.parameters:
                     self.endpoint.ask_parameter(name)
+            if self.options.takeover:
+                self.endpoint.ask_home()
         found = preflight.faults(
             self.endpoint,
             status,
@@ -110,7 +112,10 @@ class Offboard(Supervised):
         for line in preflight.warnings(self.endpoint, status, self.path):
             self._say(f"           note: {line}")
         assert state is not None
-        self.home, self._ground, self._yaw = state.p, state.p[2], yaw_of(state.q)
+        home = status.home if self.options.takeover else None
+        self._lifted = home is not None
+        self.home = state.p if home is None else home
+        self._ground, self._yaw = self.home[2], yaw_of(state.q)
         self._watch = Watch(self.limits, self.home)
         hover = status.parameters.get("MPC_THR_HOVER", 0.5)
         self.hover = HoverThrottle(min(max(hover, 0.1), 0.8))
@@ -124,14 +129,24 @@ class Offboard(Supervised):
 
     def _idle(self, state: VehicleState | None, status: Status) -> None:
         self.streaming = True
-        self._send_idle(0.0)
+        self._send_first(state)
         if self._elapsed > self.options.idle:
             self._go(Phase.OFFBOARD)
 
+    def _send_first(self, state: VehicleState | None) -> None:
+        """What PX4 follows when it enters OFFBOARD: nothing on the ground, in the air to stay where it is."""
+        if not self._lifted or state is None:
+            self._send_idle(0.0)
+            return
+        self._cascade.reset()
+        self._hold_at(Point(state.p, yaw=yaw_of(state.q)), state)
+
     def _offboard(self, state: VehicleState | None, status: Status) -> None:
-        self._send_idle(0.0)
+        self._send_first(state)
         if status.mode == d.OFFBOARD:
-            self._go(Phase.ARM)
+            self._go(Phase.HOLD if self._lifted else Phase.ARM)
+        elif self._lifted and status.mode != d.HOLD:
+            self._refuse(f"the operator chose {status.mode}")
         elif self._elapsed > self.options.confirm:
             self._refuse(f"OFFBOARD was refused, the mode is {status.mode}: {self._texts(status)}")
         elif self._every(1.0):
@@ -185,8 +200,7 @@ class Offboard(Supervised):
         start = self.path.at(0.0)
         goal = self._moved(start.p)
         if self._elapsed < self.options.hold:
-            at: Vec = (self.home[0], self.home[1], self._ground + self._top)
-            yaw = self._yaw
+            at, yaw = self._where.p, self._where.yaw
         else:
             at = self._towards(self._where.p, goal, self.options.approach)
             yaw = self._turn_towards(self._where.yaw, start.yaw)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import radians
 
 from nsde_torch.options import check, documented, key
+from nsde_torch.px4.link.vectors import Vec
 
 
 @documented
@@ -24,6 +25,10 @@ class FlightOptions:
     hold: float = key(2.0, "time of hovering before the reference", unit="s", low=0)
     approach: float = key(1.0, "speed at which the start of the reference is flown to", unit="m/s", above=0)
     come_back: bool = key(False, "after the reference fly back, and land at the place of take-off")
+    takeover: bool = key(
+        False,
+        "fly a vehicle that is in the air in HOLD already, about the place where PX4 says that it took off",
+    )
     safe_hold: float = key(2.0, "time of hovering before landing when something is wrong", unit="s", low=0)
     connect: float = key(10.0, "longest wait for the vehicle", unit="s", low=0)
     checks: float = key(10.0, "longest wait for the checks to pass", unit="s", low=0)
@@ -84,6 +89,10 @@ class Limits:
         1.0, "largest step of the velocity that no thrust explains", unit="m/s", above=0
     )
     patience: float = key(0.08, "how long a state must be wrong", unit="s", low=0)
+
+    def outside(self, p: Vec, home: Vec) -> bool:
+        """Whether a position [m] is outside the fence about a place of take-off [m]."""
+        return any(not low <= c - h <= high for c, h, (low, high) in zip(p, home, self.fence, strict=True))
 
 
 @documented

@@ -57,6 +57,8 @@ class FlightOutcome:
 
     @property
     def begun(self) -> bool:
-        """Whether it came to arming; before that, and where it was refused, the vehicle has not moved."""
+        """Whether it came to arming or was taken over; before that, and where it was refused, nothing was moved."""
         refused = self.trouble is not None and self.trouble.kind == REFUSED
-        return not refused and any(phase == Phase.ARM.value for _, phase, _ in self.actions)
+        return not refused and any(
+            phase in (Phase.ARM.value, Phase.HOLD.value) for _, phase, _ in self.actions
+        )

@@ -63,7 +63,7 @@ def faults(
         out.append(
             f"states come at {endpoint.telemetry.rate:.0f} Hz, less than {FEWEST:.0f}: a faster link is needed"
         )
-    out += _not_at_rest(status, state)
+    out += _not_to_take_over(status, state, limits) if options.takeover else _not_at_rest(status, state)
     tilt = degrees(acos(min(max(cos_tilt(state.q), -1.0), 1.0)))
     if tilt > 12.0:
         out.append(f"it stands tilted by {tilt:.0f} deg")
@@ -87,11 +87,30 @@ def _not_at_rest(status: Status, state: VehicleState) -> list[str]:
     if status.armed:
         return [
             f"the vehicle is armed already and {where}: it may be flying, so do not disarm it. Take it over with the "
-            "sticks or from the ground station, and land it"
+            "sticks, land it (nsde land), or fly it from HOLD (takeover=true)"
         ]
     if status.landed in _LANDED and status.landed != d.ON_GROUND:
         return [f"the vehicle is disarmed and {where}: wait until it says that it is on the ground"]
     return []
+
+
+def _not_to_take_over(status: Status, state: VehicleState, limits: Limits) -> list[str]:
+    """Why a vehicle may not be taken over: it must fly, belong to nobody, and be inside the fence."""
+    if not status.armed or status.landed == d.ON_GROUND:
+        return ["takeover=true is for a vehicle in the air, and this one is not: fly without it"]
+    out = []
+    if status.mode != d.HOLD:
+        out.append(
+            f"the mode is {status.mode}, in which somebody may fly it: choose HOLD, or land it (nsde land)"
+        )
+    if status.home is None:
+        out.append(
+            "PX4 does not tell where it took off (HOME_POSITION), and fence and reference count from there: land it "
+            "(nsde land)"
+        )
+    elif limits.outside(state.p, status.home):
+        out.append("it is outside the fence: a larger one (limits.fence), or land it (nsde land)")
+    return out
 
 
 def climb_room(options: FlightOptions) -> float:
@@ -114,6 +133,8 @@ def _outside(path: PathPoints, limits: Limits, options: FlightOptions) -> list[s
             f"Keep {MARGIN:g} m: a reference up to {top - MARGIN:.4g} m, or a fence (limits.fence) up to "
             f"{high + MARGIN:.4g} m"
         )
+    if options.takeover:
+        return out
     if options.height < floor:
         out.append(f"the height of take-off, {options.height:g} m, is below the fence")
     if options.height > top - room + ROUNDED:

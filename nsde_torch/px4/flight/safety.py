@@ -166,12 +166,15 @@ class Watch:
     def _motion(self, state: VehicleState, status: Status, now: float) -> Trouble | None:
         m = self.limits
         at = tuple(a - b for a, b in zip(state.p, self._home, strict=True))
-        outside = any(not low <= c <= high for c, (low, high) in zip(at, m.fence, strict=True))
         speed = length(state.v)
         tilt = degrees(acos(min(max(cos_tilt(state.q), -1.0), 1.0)))
         self._look_for_steps(state)
         checks = (
-            ("fence", outside, f"outside the fence at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) m"),
+            (
+                "fence",
+                m.outside(state.p, self._home),
+                f"outside the fence at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) m",
+            ),
             ("speed", speed > m.speed, f"{speed:.1f} m/s is more than {m.speed:g}"),
             ("tilt", tilt > m.tilt, f"tilt of {tilt:.0f} deg is more than {m.tilt:g}"),
         )

@@ -41,7 +41,15 @@ INTERVALS: dict[str, float] = {
 PX4's estimator runs at 125 Hz in simulation: 100 Hz would come as three states after 8 ms each and one after 16. The
 last two are the setpoints that it follows; it sends no position while it follows rates.
 """
-_OTHERS = ("HEARTBEAT", "STATUSTEXT", "COMMAND_ACK", "PARAM_VALUE", "TIMESYNC", "ACTUATOR_OUTPUT_STATUS")
+_OTHERS = (
+    "HEARTBEAT",
+    "STATUSTEXT",
+    "COMMAND_ACK",
+    "PARAM_VALUE",
+    "TIMESYNC",
+    "ACTUATOR_OUTPUT_STATUS",
+    "HOME_POSITION",
+)
 _IN_ORDER = frozenset(("HEARTBEAT", "STATUSTEXT", "COMMAND_ACK", "EXTENDED_SYS_STATE", "SYS_STATUS"))
 NUMBERS: dict[str, int] = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
 WANTED = frozenset(NUMBERS[name] for name in (*INTERVALS, *_OTHERS))
@@ -191,6 +199,10 @@ class Endpoint:
     def ask_mode(self, mode: Mode) -> None:
         """Ask for a flight mode."""
         self.command(SET_MODE, 1, mode.main, mode.sub)
+
+    def ask_home(self) -> None:
+        """Ask for the place of take-off; it turns up in `status().home`."""
+        self.command(REQUEST_MESSAGE, NUMBERS["HOME_POSITION"])
 
     def ask_parameter(self, name: str) -> None:
         """Ask for a parameter; it turns up in `status().parameters`."""

@@ -91,6 +91,7 @@ class Status:
         remaining: Charge left, 0 to 1.
         motors: Commands of the motors, 0 to 1, as far as the autopilot tells.
         motors_stamp: Their time on the autopilot's clock [s].
+        home: Place of take-off, ENU [m], as far as the autopilot tells.
     """
 
     heard: float = -inf
@@ -102,6 +103,7 @@ class Status:
     remaining: float = nan
     motors: tuple[float, ...] = ()
     motors_stamp: float = nan
+    home: Vec | None = None
     texts: deque[Text] = field(default_factory=lambda: deque(maxlen=_TEXTS))
     acks: deque[Ack] = field(default_factory=lambda: deque(maxlen=_TEXTS))
     parameters: dict[str, float] = field(default_factory=dict)
@@ -168,6 +170,10 @@ class Telemetry:
         else:
             texts.append(Text(now, m.severity, text if m.id else text.strip()))
         self._chunk = (m.id, m.chunk_seq)
+
+    def _home_position(self, m: Message, now: float) -> None:
+        at = frames.world((m.x, m.y, m.z))
+        self.status.home = at if finite(*at) else None
 
     def _attitude_target(self, m: Message, now: float) -> None:
         self.followed.append((now, frames.body((m.body_roll_rate, m.body_pitch_rate, m.body_yaw_rate))))

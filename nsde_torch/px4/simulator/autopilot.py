@@ -63,6 +63,7 @@ class SimulatedAutopilot:
         stuck: The estimate does not change any more, stamps included.
         estimate: Position, velocity, attitude and rates as its estimator has them.
         rates: Body rates that it follows [rad/s].
+        home: Place of take-off [m], None before the first arming.
         position: Position that it followed since it was told last [m], None where it followed rates.
         commands: What the motors are told.
     """
@@ -99,6 +100,7 @@ class SimulatedAutopilot:
         self._wanted: Point | None = None  # of the newest setpoint, where that is a position
         self.rates: Vec = (0.0, 0.0, 0.0)
         self.position: Vec | None = None
+        self.home: Vec | None = None
         self._integral: Vec = (0.0, 0.0, 0.0)
         self._cascade = SetpointCascade()
         self._point = Point((0.0, 0.0, 0.0))
@@ -343,6 +345,7 @@ class SimulatedAutopilot:
                 return
             if not self.armed:
                 self.armed, self.flown = True, False
+                self.home = self.estimate[0]
                 self._armed_at = self._landed_at = self.time
                 self._text(6, "Armed by external command")
             self._ack(d.ARM, d.ACCEPTED)

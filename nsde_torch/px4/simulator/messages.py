@@ -75,6 +75,15 @@ def _position_target_local_ned(a: SimulatedAutopilot, now: float) -> Message | N
     )
 
 
+def _home_position(a: SimulatedAutopilot, now: float) -> Message | None:
+    """Known from the first arming on."""
+    if a.home is None:
+        return None
+    return mavlink.MAVLink_home_position_message(
+        0, 0, 0, *frames.world(a.home), [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0
+    )
+
+
 def _servo_output_raw(a: SimulatedAutopilot, now: float) -> Message:
     pulses = [round(1000 + 1000 * u) for u in a.commands]
     pulses += [0] * (8 - len(pulses))
@@ -88,6 +97,7 @@ def _actuator_output_status(a: SimulatedAutopilot, now: float) -> Message:
 
 MESSAGES: dict[str, Callable[[SimulatedAutopilot, float], Message | None]] = {
     "HEARTBEAT": _heartbeat,
+    "HOME_POSITION": _home_position,
     "SYS_STATUS": _sys_status,
     "EXTENDED_SYS_STATE": _extended_sys_state,
     "ODOMETRY": _odometry,

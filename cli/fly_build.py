@@ -91,8 +91,11 @@ def check(config: DictConfig, reference: Reference, machine: Model | System) -> 
 
 
 def runner(config: DictConfig, path: PathPoints, reference: Reference, say: Callable[[str], None]) -> Runner:
-    """The controller, where it runs: a cascade in the loop, the predictive one in a process of its own."""
-    if config.run == track_build.PID:
+    """The controller, where it runs: a cascade in the loop, the predictive one in a process of its own.
+
+    A check flies nothing, and waits for no solver to be compiled.
+    """
+    if config.run == track_build.PID or config.check:
         return Inline(
             CascadeController(path) if config.lead is None else CascadeController(path, lead=config.lead)
         )

@@ -56,6 +56,7 @@ class FlyConfig:
     hold: float = of(FlightOptions, "hold")
     come_back: bool = of(FlightOptions, "come_back")
     takeover: bool = of(FlightOptions, "takeover")
+    check: bool = of(FlightOptions, "only_check")
     safe_hold: float = of(FlightOptions, "safe_hold")
     rate: float = key(100.0, "setpoints in a second", unit="Hz", low=50, high=250)
     delay: float = key(
@@ -134,6 +135,7 @@ def run(config: DictConfig, job: Job) -> float | None:
         hold=config.hold,
         come_back=config.come_back,
         takeover=config.takeover,
+        only_check=config.check,
         safe_hold=config.safe_hold,
     )
     key = link_build.key(config.link)
@@ -166,13 +168,15 @@ def run(config: DictConfig, job: Job) -> float | None:
                     controller,
                     path,
                     motors=motors,
-                    log=job.run_dir / LOG / f"flight_{k:0{digits}d}.csv",
+                    log=None if config.check else job.run_dir / LOG / f"flight_{k:0{digits}d}.csv",
                     limits=limits,
                     setpoints=setpoints,
                     options=replace(options, takeover=options.takeover and k == 0),  # the first one lands
                     say=_say,
                     rate=config.rate,
                 )
+            if config.check:
+                return _verdict([report])
             reports.append(report)
             content["flights"].append({**report.as_dict(), "took_s": time.perf_counter() - started})
             _write(job.run_dir, content)
@@ -231,6 +235,8 @@ def _verdict(reports: list[FlightReport]) -> float | None:
     from ..flight_end import check_end
 
     last = reports[-1].outcome
+    if last.trouble is None and not last.begun:
+        return None  # it was to be checked, and is fit to fly
     check_end(last)
     if last.trouble is not None or not last.tracked:
         why = "the reference was not flown to its end" if last.trouble is None else last.trouble.text

@@ -188,6 +188,28 @@ def test_the_exit_status_says_how_a_flight_that_began_went_wrong(
     assert json.loads(Path("out/flight.json").read_text())["flights"][0]["trouble"] is not None
 
 
+@pytest.mark.parametrize(("asked", "status"), [([], 0), (["limits.battery=0.95"], 2)])
+def test_a_check_flies_nothing_writes_nothing_and_its_status_says_whether_it_is_fit(
+    asked: list[str],
+    status: int,
+    vehicles: list[dict[str, Any]],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def compile(*args: Any) -> None:
+        raise AssertionError("a check needs no solver")
+
+    monkeypatch.setattr(fly_build, "Process", compile)
+    words = ["run=declared", "system=quadrotor", "check=true", "repeats=3", "out_dir=out"]
+    assert main(["fly", *words, *SHORT, *asked]) == status
+    said = capsys.readouterr()
+    assert ("checked: fit to fly" in said.out) == (status == 0)
+    assert ("refused: battery at 100 %: charge it" in said.out) == (status == 2)
+    assert len(vehicles) == 1
+    assert not list(Path().rglob("flight.json"))
+    assert not list(Path().rglob("*.csv"))
+
+
 def test_a_vehicle_in_the_air_is_landed_and_one_on_the_ground_is_refused(
     vehicles: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

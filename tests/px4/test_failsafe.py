@@ -9,6 +9,7 @@ from nsde_torch.px4.flight import failsafe
 from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.path import PathPoints
 from nsde_torch.px4.flight.phases import Phase
+from nsde_torch.px4.flight.safety import Limits
 from tests.helpers.px4_world import World
 
 FAST = PathPoints(shapes.lemniscate(duration=20.0))
@@ -56,7 +57,83 @@ def test_flying_is_refused_where_nobody_could_take_over(action: float) -> None:
 def test_flying_is_refused_where_px4_would_stop_the_motors_in_the_air(action: float, what: str) -> None:
     text = _refused(action, sticks=1.0)
     assert f"COM_OBL_RC_ACT is {action:g}: when the stream ends PX4 {what} in the air" in text
-    assert "`param set COM_OBL_RC_ACT 4` makes it land; 5 holds, 3 returns" in text
+    assert "`param set COM_OBL_RC_ACT 4` makes it land" in text
+
+
+@pytest.mark.parametrize(
+    ("known", "said"),
+    [
+        ({"NAV_RCL_ACT": 6.0}, "NAV_RCL_ACT is 6: when the transmitter is lost PX4 disarms in the air"),
+        ({"NAV_RCL_ACT": 6.0, "COM_RC_IN_MODE": 4.0}, None),
+        ({"NAV_RCL_ACT": 6.0, "COM_RCL_EXCEPT": 4.0}, None),
+        ({"NAV_RCL_ACT": 6.0, "COM_RCL_EXCEPT": 3.0}, "`param set NAV_RCL_ACT 3` makes it land"),
+        ({"NAV_DLL_ACT": 5.0}, "NAV_DLL_ACT is 5: when the ground station is lost PX4 terminates the flight"),
+        ({"NAV_DLL_ACT": 5.0, "COM_DLL_EXCEPT": 4.0}, None),
+        ({"GF_ACTION": 4.0}, "`param set GF_ACTION 5` makes it land"),
+        ({"GF_ACTION": 2.0, "NAV_DLL_ACT": 0.0, "NAV_RCL_ACT": 3.0}, None),
+    ],
+)
+def test_no_failsafe_may_stop_the_motors_in_the_air(known: dict[str, float], said: str | None) -> None:
+    found = failsafe.faults(known)
+    assert len(found) == (said is not None)
+    assert said is None or said in found[0]
+
+
+@pytest.mark.parametrize(
+    ("known", "said"),
+    [
+        (
+            {"NAV_RCL_ACT": 2.0, "RTL_RETURN_ALT": 30.0},
+            "climbs to RTL_RETURN_ALT, 30 m, first; the fence ends at 3 m",
+        ),
+        ({"NAV_RCL_ACT": 2.0, "RTL_RETURN_ALT": 2.5}, None),
+        ({"COM_LOW_BAT_ACT": 3.0}, "`param set COM_LOW_BAT_ACT 2` makes it land"),
+        ({"COM_LOW_BAT_ACT": 0.0}, "only warns of a low battery"),
+        ({"COM_RC_OVERRIDE": 1.0}, "`param set COM_RC_OVERRIDE 3`"),
+        ({"COM_RC_OVERRIDE": 1.0, "COM_RC_IN_MODE": 4.0}, None),
+        ({"COM_RC_OVERRIDE": 2.0}, None),
+        ({"SDLOG_PROFILE": 1.0}, "`param set SDLOG_PROFILE 147`"),
+        ({"SDLOG_PROFILE": 17.0}, None),
+    ],
+)
+def test_what_px4_does_by_itself_is_told_where_it_may_end_badly(
+    known: dict[str, float], said: str | None
+) -> None:
+    found = failsafe.warnings(known, speed=1.0, top=3.0)
+    assert len(found) == (said is not None)
+    assert said is None or said in found[0]
+
+
+@pytest.mark.parametrize(
+    ("receiver", "sticks", "told"),
+    [(False, 1.0, True), (True, 1.0, False), (None, 1.0, False), (False, 4.0, False)],
+)
+def test_a_transmitter_that_is_not_heard_is_told_unless_there_are_to_be_no_sticks(
+    receiver: bool | None, sticks: float, told: bool
+) -> None:
+    found = failsafe.warnings({"COM_RC_IN_MODE": sticks}, 1.0, receiver=receiver)
+    assert ["no transmitter is heard" in line for line in found] == [True] * told
+
+
+@pytest.mark.parametrize("action", [4.0, 7.0])
+def test_a_check_lists_everything_a_line_each_and_sends_no_setpoint(action: float) -> None:
+    world = World(
+        path=SHORT,
+        options=FlightOptions(checks=1.0, only_check=True),
+        limits=Limits(battery=0.95),
+        parameters={"COM_OBL_RC_ACT": action, "COM_LOW_BAT_ACT": 0.0, "SDLOG_PROFILE": 1.0},
+    )
+    if action == 4.0:
+        world.flight.limits = Limits()
+    world.run()
+    listed = [text.strip() for text in world.says]
+    assert sum(text.startswith("note: COM_LOW_BAT_ACT is 0") for text in listed) == 1
+    assert sum(text.startswith("note: SDLOG_PROFILE is 1") for text in listed) == 1
+    refused = [text for text in listed if text.startswith("refused: ")]
+    assert len(refused) == (2 if action == 7.0 else 0)
+    assert (world.flight.outcome.trouble is None) == (action == 4.0)
+    assert not world.setpoints
+    assert not world.vehicle.armed
 
 
 def test_a_flight_that_is_killed_falls_where_px4_stops_the_motors() -> None:
@@ -80,6 +157,7 @@ def test_what_may_end_badly_is_said_with_the_line_that_mends_it(
 
 def test_a_good_set_for_the_reference_is_not_spoken_of() -> None:
     good = {"COM_OBL_RC_ACT": 4.0, "COM_RC_IN_MODE": 4.0, "COM_OF_LOSS_T": 0.5}
+    good |= {"NAV_RCL_ACT": 2.0, "COM_LOW_BAT_ACT": 2.0, "RTL_RETURN_ALT": 30.0, "SDLOG_PROFILE": 147.0}
     assert failsafe.warnings(good, speed=3.4) == []
     assert failsafe.faults(good) == []
     assert failsafe.warnings({**good, "COM_OF_LOSS_T": 1.0}, speed=0.0) == []

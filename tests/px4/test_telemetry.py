@@ -142,3 +142,11 @@ def test_motor_commands_come_from_pulse_widths_or_shares() -> None:
     assert telemetry.status.motors[:4] == pytest.approx((0.5, 1.0, 0.0, 0.0))
     telemetry.take(mavlink.MAVLink_actuator_output_status_message(0, 4, [0.25, 0.5] + [0.0] * 30), 1.0)
     assert telemetry.status.motors[:2] == (0.25, 0.5)
+
+
+@pytest.mark.parametrize(("sensors", "heard"), [(65536 | 32, True), (32, False)])
+def test_whether_a_transmitter_is_heard_is_in_the_sensors_that_are_present(sensors: int, heard: bool) -> None:
+    telemetry = Telemetry()
+    assert telemetry.status.receiver is None
+    telemetry.take(mavlink.MAVLink_sys_status_message(sensors, 0, 0, 0, 16000, -1, 90, 0, 0, 0, 0, 0, 0), 1.0)
+    assert telemetry.status.receiver == heard

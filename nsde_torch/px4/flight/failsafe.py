@@ -1,10 +1,15 @@
-"""What PX4 does when our stream ends, judged by its parameters before anything is armed.
+"""What PX4 does when something is lost, judged by its parameters before anything is armed.
 
 | parameter | judged |
 |---|---|
 | COM_OF_LOSS_T | how long it flies on the last rates: refused above 2 s, told where that is more than 2 m of the way |
-| COM_OBL_RC_ACT | what it does then: refused where it stops the motors, or hands over to sticks and there are none |
-| COM_RC_IN_MODE | whether there are sticks: 4 switches them off |
+| COM_OBL_RC_ACT, NAV_RCL_ACT, NAV_DLL_ACT, GF_ACTION | refused where it stops the motors in the air |
+| these, COM_LOW_BAT_ACT, RTL_RETURN_ALT | told where it climbs above the fence's top to return |
+| COM_LOW_BAT_ACT | told where it only warns |
+| COM_RC_IN_MODE | whether there are sticks: 4 switches them off; refused where COM_OBL_RC_ACT hands over to them |
+| COM_RCL_EXCEPT, COM_DLL_EXCEPT | whether a lost transmitter or ground station matters in OFFBOARD |
+| COM_RC_OVERRIDE | told where moving the sticks does not end OFFBOARD |
+| SDLOG_PROFILE | told where PX4's own log has the motors at 10 Hz |
 
 (Values: PX4 parameter reference.) With COM_OBL_RC_ACT 0 and no sticks a real PX4 was seen to drift at 6.5 m/s into the
 ground after its link had been cut.
@@ -13,18 +18,60 @@ ground after its link had been cut.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf
 
 OF_LOSS, ACTION, STICKS = "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_RC_IN_MODE"
-PARAMETERS = (OF_LOSS, ACTION, STICKS)
+CLIMBS_TO, BATTERY, OVERRIDE, PROFILE = (
+    "RTL_RETURN_ALT",
+    "COM_LOW_BAT_ACT",
+    "COM_RC_OVERRIDE",
+    "SDLOG_PROFILE",
+)
 LONGEST_LOSS = 2.0
 """Time for which PX4 may hold the last rates when the stream stops [s]."""
 BLIND = 2.0
 """Distance that it may fly on the last rates without being told [m]."""
-ADVISED_LOSS, ADVISED_ACTION = 0.5, 4
+ADVISED_LOSS, ADVISED_ACTION, ADVISED_PROFILE = 0.5, 4, 147
 NO_STICKS = 4
+IN_OFFBOARD, OVER_OFFBOARD, HIGH_RATE = 4, 2, 16
+"""Bits: of the exceptions, of COM_RC_OVERRIDE and of SDLOG_PROFILE."""
 _MANUAL = {0: "POSITION", 1: "ALTITUDE", 2: "MANUAL"}
-_FALLS = {6: "terminates the flight", 7: "disarms"}
-_RETURNS, _HOLDS = 3, 5
+_ENDS, _DISARMS = "terminates the flight", "disarms"
+
+
+@dataclass(frozen=True)
+class _Failsafe:
+    """What a parameter says that PX4 does, by its values; `excepted` names the parameter that may say otherwise."""
+
+    name: str
+    when: str
+    lands: int
+    returns: tuple[int, ...]
+    falls: Mapping[int, str]
+    excepted: str = ""
+
+
+_FAILSAFES = (
+    _Failsafe(ACTION, "the stream ends", ADVISED_ACTION, (3,), {6: _ENDS, 7: _DISARMS}),
+    _Failsafe("NAV_RCL_ACT", "the transmitter is lost", 3, (2,), {5: _ENDS, 6: _DISARMS}, "COM_RCL_EXCEPT"),
+    _Failsafe(
+        "NAV_DLL_ACT", "the ground station is lost", 3, (2,), {5: _ENDS, 6: _DISARMS}, "COM_DLL_EXCEPT"
+    ),
+    _Failsafe("GF_ACTION", "its own fence is left", 5, (3,), {4: _ENDS}),
+    _Failsafe(BATTERY, "the battery is low", 2, (1, 3), {}),
+)
+OPTIONAL = ("COM_DLL_EXCEPT",)
+"""Parameters that some versions of PX4 do not have."""
+PARAMETERS = (
+    OF_LOSS,
+    *(one.name for one in _FAILSAFES),
+    "COM_RCL_EXCEPT",
+    STICKS,
+    CLIMBS_TO,
+    OVERRIDE,
+    PROFILE,
+)
 
 
 def line(name: str, value: float) -> str:
@@ -44,11 +91,12 @@ def faults(known: Mapping[str, float]) -> list[str]:
         out.append(
             f"{OF_LOSS} is {loss:g} s: so long would PX4 fly on stale rates. {line(OF_LOSS, ADVISED_LOSS)} sets it"
         )
-    if action in _FALLS:
-        out.append(
-            f"{ACTION} is {action:g}: when the stream ends PX4 {_FALLS[int(action)]} in the air: the motors stop, and "
-            f"it falls. {line(ACTION, ADVISED_ACTION)} makes it land; {_HOLDS} holds, {_RETURNS} returns"
-        )
+    for one, value in _heeded(known):
+        if value in one.falls:
+            out.append(
+                f"{one.name} is {value:g}: when {one.when} PX4 {one.falls[int(value)]} in the air: the motors stop, "
+                f"and it falls. {line(one.name, one.lands)} makes it land"
+            )
     if action in _MANUAL and known.get(STICKS) == NO_STICKS:
         out.append(
             f"{ACTION} is {action:g}: when the stream ends PX4 goes to {_MANUAL[int(action)]}, which is flown with "
@@ -57,12 +105,16 @@ def faults(known: Mapping[str, float]) -> list[str]:
     return out
 
 
-def warnings(known: Mapping[str, float], speed: float) -> list[str]:
+def warnings(
+    known: Mapping[str, float], speed: float, *, top: float = inf, receiver: bool | None = None
+) -> list[str]:
     """What is not right and does not forbid to fly.
 
     Args:
         known: Parameters of the autopilot, as far as they were answered.
         speed: Largest speed of the reference [m/s].
+        top: Height of the fence's top above the place of take-off [m].
+        receiver: Whether a transmitter is heard; None: not known.
     """
     out = []
     loss, action = known.get(OF_LOSS), known.get(ACTION)
@@ -76,9 +128,44 @@ def warnings(known: Mapping[str, float], speed: float) -> list[str]:
             f"{ACTION} is {action:g}: when the stream ends PX4 goes to {_MANUAL[int(action)]}, and without a pilot at "
             f"the sticks drifts into the ground. {line(ACTION, ADVISED_ACTION)} makes it land"
         )
-    if action == _RETURNS:
+    climbs = known.get(CLIMBS_TO)
+    for one, value in _heeded(known):
+        if value in one.returns and (climbs is None or climbs > top):
+            to = CLIMBS_TO if climbs is None else f"{CLIMBS_TO}, {climbs:g} m,"
+            out.append(
+                f"{one.name} is {value:g}: when {one.when} PX4 returns, and climbs to {to} first; the fence ends at "
+                f"{top:g} m. {line(one.name, one.lands)} makes it land"
+            )
+    if known.get(BATTERY) == 0:
         out.append(
-            f"{ACTION} is {action:g}: when the stream ends PX4 climbs to RTL_RETURN_ALT first. "
-            f"{line(ACTION, ADVISED_ACTION)} makes it land"
+            f"{BATTERY} is 0: PX4 only warns of a low battery, and nothing lands it where this program is gone. "
+            f"{line(BATTERY, 2)} makes it land"
         )
+    override = known.get(OVERRIDE)
+    if known.get(STICKS) != NO_STICKS:
+        if override is not None and not int(override) & OVER_OFFBOARD:
+            out.append(
+                f"{OVERRIDE} is {override:g}: to move the sticks does not end OFFBOARD, only the mode switch does. "
+                f"{line(OVERRIDE, int(override) | OVER_OFFBOARD)} makes both do"
+            )
+        if receiver is False:
+            out.append("no transmitter is heard: no pilot can take over. Switch it on")
+    profile = known.get(PROFILE)
+    if profile is not None and not int(profile) & HIGH_RATE:
+        out.append(
+            f"{PROFILE} is {profile:g}: PX4's own log has its motors at 10 Hz, too slow for a diagnosis. "
+            f"{line(PROFILE, ADVISED_PROFILE)} and a restart log them fast"
+        )
+    return out
+
+
+def _heeded(known: Mapping[str, float]) -> list[tuple[_Failsafe, float]]:
+    """The failsafes that act in OFFBOARD, with their values."""
+    out = []
+    for one in _FAILSAFES:
+        excepted = int(known.get(one.excepted, 0)) & IN_OFFBOARD
+        if one.excepted == "COM_RCL_EXCEPT":
+            excepted = excepted or known.get(STICKS) == NO_STICKS
+        if one.name in known and not excepted:
+            out.append((one, known[one.name]))
     return out

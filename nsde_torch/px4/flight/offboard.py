@@ -11,7 +11,7 @@ from __future__ import annotations
 from math import inf
 from typing import final
 
-from nsde_torch.px4.flight import preflight
+from nsde_torch.px4.flight import failsafe, preflight
 from nsde_torch.px4.flight.cascade import GRAVITY, Point
 from nsde_torch.px4.flight.controller import DemandPlan
 from nsde_torch.px4.flight.phases import FLYING, Phase
@@ -78,7 +78,7 @@ class Offboard(Supervised):
 
     def _preflight(self, state: VehicleState | None, status: Status) -> None:
         if self._every(0.3):
-            for name in preflight.PARAMETERS:
+            for name in (*preflight.PARAMETERS, *failsafe.OPTIONAL):
                 if name not in status.parameters:
                     self.endpoint.ask_parameter(name)
             if self.options.takeover:
@@ -97,6 +97,7 @@ class Offboard(Supervised):
             if self._bad_since is None:
                 self._bad_since = self._now
             if self._now - self._bad_since > self.options.checks:
+                self._list(found, status)
                 self._refuse("not fit to fly: " + "; ".join(found))
             return
         self._bad_since = None
@@ -109,8 +110,10 @@ class Offboard(Supervised):
             or not self._controller_ready()
         ):
             return
-        for line in preflight.warnings(self.endpoint, status, self.path):
-            self._say(f"           note: {line}")
+        self._list([], status)
+        if self.options.only_check:
+            self._go(Phase.DONE, "checked: fit to fly")
+            return
         assert state is not None
         home = status.home if self.options.takeover else None
         self._lifted = home is not None
@@ -120,6 +123,13 @@ class Offboard(Supervised):
         hover = status.parameters.get("MPC_THR_HOVER", 0.5)
         self.hover = HoverThrottle(min(max(hover, 0.1), 0.8))
         self._go(Phase.STREAM)
+
+    def _list(self, faults: list[str], status: Status) -> None:
+        """Say all that is wrong, a line each, with what mends it."""
+        for line in faults:
+            self._say(f"           refused: {line}")
+        for line in preflight.warnings(self.endpoint, status, self.path, self.limits):
+            self._say(f"           note: {line}")
 
     def _controller_ready(self) -> bool:
         self.runner.collect()

@@ -25,6 +25,9 @@ class FlightOptions:
     hold: float = key(2.0, "time of hovering before the reference", unit="s", low=0)
     approach: float = key(1.0, "speed at which the start of the reference is flown to", unit="m/s", above=0)
     come_back: bool = key(False, "after the reference fly back, and land at the place of take-off")
+    only_check: bool = key(
+        False, "say what is not fit to fly, with the lines that mend it, and do nothing else"
+    )
     takeover: bool = key(
         False,
         "fly a vehicle that is in the air in HOLD already, about the place where PX4 says that it took off",

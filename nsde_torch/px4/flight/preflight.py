@@ -146,10 +146,11 @@ def _outside(path: PathPoints, limits: Limits, options: FlightOptions) -> list[s
     return out
 
 
-def warnings(endpoint: Endpoint, status: Status, path: PathPoints) -> list[str]:
+def warnings(endpoint: Endpoint, status: Status, path: PathPoints, limits: Limits) -> list[str]:
     """What is not right and does not forbid to fly."""
     out = [f"{name} was not answered" for name in PARAMETERS if name not in status.parameters]
-    out += failsafe.warnings(status.parameters, path.speed)
+    top = limits.fence[2][1]
+    out += failsafe.warnings(status.parameters, path.speed, top=top, receiver=status.receiver)
     if not isfinite(status.remaining):
         out.append("the battery's charge is unknown: nothing will end the flight when it is empty")
     if endpoint.telemetry.sync.round_trip is None:

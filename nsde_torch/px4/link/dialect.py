@@ -18,7 +18,8 @@ SET_MODE, ARM, SET_INTERVAL, REQUEST_MESSAGE = 176, 400, 511, 512
 FORCE = 21196.0
 """Second parameter of the arming command that makes PX4 obey in the air."""
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
-ARMED_FLAG = 128
+ARMED_FLAG, RECEIVER = 128, 65536
+"""Bits of HEARTBEAT's `base_mode`, and of SYS_STATUS' sensors: PX4 sets the second while it hears a transmitter."""
 GCS, ONBOARD = 6, 18
 """Types of a heartbeat. PX4 sends STATUSTEXT only to a link on which a ground station is heard."""
 AUTOPILOT_PX4, NO_AUTOPILOT = 12, 8

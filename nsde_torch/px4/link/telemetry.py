@@ -14,7 +14,7 @@ from typing import final
 
 from nsde_torch.px4.link import frames
 from nsde_torch.px4.link.codec import Message
-from nsde_torch.px4.link.dialect import ARMED_FLAG, UNKNOWN, Mode, parameter_value
+from nsde_torch.px4.link.dialect import ARMED_FLAG, RECEIVER, UNKNOWN, Mode, parameter_value
 from nsde_torch.px4.link.timesync import TimeSync
 from nsde_torch.px4.link.vectors import Quat, Vec, distance, finite, length, normalised, rotate
 
@@ -91,6 +91,7 @@ class Status:
         remaining: Charge left, 0 to 1.
         motors: Commands of the motors, 0 to 1, as far as the autopilot tells.
         motors_stamp: Their time on the autopilot's clock [s].
+        receiver: Whether it hears a transmitter; None where it does not say.
         home: Place of take-off, ENU [m], as far as the autopilot tells.
     """
 
@@ -103,6 +104,7 @@ class Status:
     remaining: float = nan
     motors: tuple[float, ...] = ()
     motors_stamp: float = nan
+    receiver: bool | None = None
     home: Vec | None = None
     texts: deque[Text] = field(default_factory=lambda: deque(maxlen=_TEXTS))
     acks: deque[Ack] = field(default_factory=lambda: deque(maxlen=_TEXTS))
@@ -157,6 +159,7 @@ class Telemetry:
         self.status.landed = m.landed_state
 
     def _sys_status(self, m: Message, now: float) -> None:
+        self.status.receiver = bool(m.onboard_control_sensors_present & RECEIVER)
         if m.voltage_battery not in (0, 65535):
             self.status.voltage = m.voltage_battery * 1e-3
         if m.battery_remaining >= 0:

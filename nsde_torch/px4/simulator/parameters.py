@@ -9,6 +9,15 @@ PARAMETERS: dict[str, tuple[float, int]] = {
     "COM_OF_LOSS_T": (1.0, d.REAL32),
     "COM_OBL_RC_ACT": (4, d.INT32),  # 4: land
     "COM_RC_IN_MODE": (4, d.INT32),  # no sticks
+    "COM_RC_OVERRIDE": (1, d.INT32),
+    "COM_RCL_EXCEPT": (0, d.INT32),
+    "COM_DLL_EXCEPT": (0, d.INT32),
+    "NAV_RCL_ACT": (2, d.INT32),
+    "NAV_DLL_ACT": (0, d.INT32),
+    "GF_ACTION": (2, d.INT32),
+    "COM_LOW_BAT_ACT": (2, d.INT32),
+    "RTL_RETURN_ALT": (30.0, d.REAL32),
+    "SDLOG_PROFILE": (147, d.INT32),
     "COM_DISARM_LAND": (2.0, d.REAL32),
     "COM_DISARM_PRFLT": (10.0, d.REAL32),
     "MPC_THR_HOVER": (0.5, d.REAL32),

@@ -45,6 +45,7 @@ def limits(config: DictConfig) -> Limits:
         estimate=config.estimate,
         silence=config.silence,
         solver=config.solver,
+        without_plans=config.without_plans,
         tracking_error=config.tracking_error,
         tracking_time=config.tracking_time,
         tipped_plans=config.tipped_plans,

@@ -29,6 +29,7 @@ from tests.helpers.px4_world import (
 )
 
 SHORT = PathPoints(shapes.hover(duration=2.5, height=1.0))
+LONG = PathPoints(shapes.hover(duration=6.0, height=1.0))
 KEY = bytes(range(32))
 
 
@@ -227,7 +228,7 @@ BROKEN: dict[str, Callable[[DemandPlan], DemandPlan]] = {
 
 @pytest.mark.parametrize("how", BROKEN)
 def test_a_controller_that_breaks_is_replaced_by_holding_and_landing(how: str) -> None:
-    world = World(path=SHORT, runner=Inline(_Broken(SHORT, BROKEN[how]))).run()
+    world = World(path=LONG, runner=Inline(_Broken(LONG, BROKEN[how]))).run()
     assert world.flight.outcome.trouble is not None, world.says
     assert world.flight.outcome.trouble.kind == "solver"
     assert "safe hold" in world.phases
@@ -308,14 +309,15 @@ def test_a_mad_controller_is_bounded_then_stopped_by_the_limits(what: str, deman
 
 
 class _Dead(Runner):
-    """A process that hangs, or is killed."""
+    """A process that is killed, or hangs for a while."""
 
-    def __init__(self, path: PathPoints, *, killed: bool, after: float = 1.0) -> None:
-        self._inner, self._killed, self._after = Inline(CascadeController(path)), killed, after
+    def __init__(self, path: PathPoints, *, killed: bool, after: float = 1.0, hangs: float = 99.0) -> None:
+        self._inner, self._killed = Inline(CascadeController(path)), killed
+        self._after, self._back = after, after + hangs
         self.ready = True
 
     def offer(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> None:
-        if t < self._after:
+        if t < self._after or (not self._killed and t > self._back):
             self._inner.offer(row, time, t)
             self.plan = self._inner.plan
         elif self._killed:
@@ -324,11 +326,29 @@ class _Dead(Runner):
 
 @pytest.mark.parametrize("killed", [True, False])
 def test_a_solver_that_is_killed_or_hangs_ends_in_a_landing(killed: bool) -> None:
-    world = World(path=SHORT, runner=_Dead(SHORT, killed=killed)).run()
+    world = World(path=LONG, runner=_Dead(LONG, killed=killed)).run()
     assert world.flight.outcome.trouble is not None
     assert world.flight.outcome.trouble.kind == "solver"
+    said = "process is gone" if killed else "plans were older than 0.3 s for 3.0 s in all"
+    assert said in world.flight.outcome.trouble.text
+    assert not world.flight.outcome.tracked
     assert world.safe
     assert world.highest < 2.3
+
+
+@pytest.mark.parametrize(("limit", "flown_on"), [(3.0, True), (1.0, False)])
+def test_while_plans_are_late_the_built_in_cascade_flies_the_reference(limit: float, flown_on: bool) -> None:
+    """On a lemniscate at up to 2 m/s: the last plan alone, or holding, would leave it far behind."""
+    path = PathPoints(shapes.lemniscate(duration=12.0, speed=2.0))
+    limits = Limits(without_plans=limit)
+    world = World(path=path, runner=_Dead(path, killed=False, after=5.0, hangs=2.5), limits=limits).run()
+    assert world.flight.outcome.tracked == flown_on, world.says
+    assert world.flight.outcome.landed
+    assert max(world.errors) < 0.35
+    assert sum("plans are late" in line for line in world.says) == 1
+    if flown_on:
+        assert world.flight.outcome.trouble is None
+        assert world.flight.outcome.without_plans == pytest.approx(2.2, abs=0.05)
 
 
 @pytest.mark.parametrize(

@@ -93,6 +93,7 @@ class FlightReport:
                 }
                 for t, s in o.steps
             ],
+            "without_plans_s": o.without_plans,
             "rmse_m": self.rmse,
             "position_error_max_m": max(self.errors, default=None),
             "setpoint_gap_ms": _spread([1e3 * g for g in self.gaps]),

@@ -8,12 +8,14 @@ again: the vehicle is the operator's or PX4's. Landing is PX4's own LAND mode, w
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import inf
 from typing import final
 
 from nsde_torch.px4.flight import failsafe, preflight
 from nsde_torch.px4.flight.cascade import GRAVITY, Point
 from nsde_torch.px4.flight.controller import DemandPlan
+from nsde_torch.px4.flight.path import LEAD
 from nsde_torch.px4.flight.phases import FLYING, Phase
 from nsde_torch.px4.flight.safety import Action, Trouble, Watch
 from nsde_torch.px4.flight.setpoint import HoverThrottle, level
@@ -240,6 +242,7 @@ class Offboard(Supervised):
         self.runner.offer(self._own(state), state.time, state.time - self.started, tuple(self._left))
         self.runner.collect()
         plan = self.runner.plan
+        assert plan is not None  # the reference begins with one
         trouble = self._tracking_trouble(plan, state, state.time - self.started)
         if trouble is not None:
             self._act(trouble, state, status)
@@ -247,19 +250,38 @@ class Offboard(Supervised):
             self.outcome.tracked = True
             self._where = self._stop_point(state)
             self._go(Phase.RETURN)
-        elif plan is not None:
+        elif self._late(plan):
+            self._follow_without_plans(state, state.time - self.started)
+            return
+        else:
+            self._on_plans = True
             self._send(plan.at(self._now), state)
             return
         self._hold_at(self._where, state)
 
-    def _tracking_trouble(self, plan: DemandPlan | None, state: VehicleState, t: float) -> Trouble | None:
+    def _late(self, plan: DemandPlan) -> bool:
+        return self._now - plan.time > self.limits.solver
+
+    def _follow_without_plans(self, state: VehicleState, t: float) -> None:
+        """Fly the reference by the built-in cascade at a time in it [s], until plans come again."""
+        if self._on_plans:
+            self._on_plans = False
+            self._cascade.reset()
+            self._say(
+                f"           note: plans are late at {t:.1f} s; the built-in cascade flies the reference"
+            )
+        self.outcome.without_plans += max(self._now - self._last, 0.0)
+        to = self.path.led(t, LEAD)
+        self._hold_at(replace(to, p=self._moved(to.p)), state)
+
+    def _tracking_trouble(self, plan: DemandPlan, state: VehicleState, t: float) -> Trouble | None:
         """Why the controller may not fly on, with the state of a time in the reference [s]."""
         assert self._watch is not None
         if self.runner.fault is not None:
             return Trouble("solver", f"the controller failed: {self.runner.fault}", Action.HOLD)
-        if plan is None or self._now - plan.time > self.limits.solver:
-            late = inf if plan is None else self._now - plan.time
-            return Trouble("solver", f"the newest plan is {late:.2f} s old", Action.HOLD)
+        if self._late(plan) and self.outcome.without_plans > self.limits.without_plans:
+            text = f"plans were older than {self.limits.solver:g} s for {self.outcome.without_plans:.1f} s in all"
+            return Trouble("solver", text, Action.HOLD)
         if "failed" in plan.status:
             return Trouble("solver", f"the controller says: {plan.status}", Action.HOLD)
         off = distance(state.p, self._moved(self.path.at(t).p))

@@ -72,6 +72,12 @@ class Limits:
     silence: float = key(1.0, "longest time without any message", unit="s", above=0, high=5)
     heartbeat: float = key(3.5, "longest time without a heartbeat", unit="s", above=0)
     solver: float = key(0.3, "oldest plan", unit="s", above=0, high=2)
+    without_plans: float = key(
+        3.0,
+        "how long, in all, the built-in cascade flies the reference while the newest plan is older than limits.solver",
+        unit="s",
+        low=0,
+    )
     tracking_error: float = key(
         0.6,
         "largest distance from the reference that may last for tracking_time; beyond, the controller or its model does "

@@ -13,6 +13,8 @@ from nsde_torch.px4.link.vectors import Vec
 
 PAUSE = 0.5
 """Time without a state after which a flight is a new one [s]."""
+LEAD = 0.1
+"""How much earlier than needed the cascade asks for accelerations [s]."""
 
 
 @final
@@ -42,6 +44,11 @@ class PathPoints:
         r = [a + share * (b - a) for a, b in zip(self._rows[k], self._rows[k + 1], strict=True)]
         return Point((r[0], r[1], r[2]), (r[3], r[4], r[5]), (r[6], r[7], r[8]), r[9], r[10])
 
+    def led(self, t: float, lead: float) -> Point:
+        """The point at a time, with the acceleration and heading of a lead later, because attitude follows late [s]."""
+        now, soon = self.at(t), self.at(t + lead)
+        return Point(now.p, now.v, soon.a, soon.yaw, now.yaw_rate)
+
 
 @final
 class CascadeController:
@@ -50,10 +57,10 @@ class CascadeController:
     Args:
         path: Points, in the controller's own coordinates.
         gains: Gains.
-        lead: The acceleration is that of this much later, because attitude follows late [s].
+        lead: See `PathPoints.led` [s].
     """
 
-    def __init__(self, path: PathPoints, gains: CascadeGains | None = None, *, lead: float = 0.1) -> None:
+    def __init__(self, path: PathPoints, gains: CascadeGains | None = None, *, lead: float = LEAD) -> None:
         self._path, self._cascade, self._lead = path, SetpointCascade(gains), lead
         self._last: float | None = None
 
@@ -64,7 +71,6 @@ class CascadeController:
             self._cascade.reset()
         dt = min(max(dt, 0.0), 0.05)
         self._last = time
-        now, soon = self._path.at(t), self._path.at(t + self._lead)
-        to = Point(now.p, now.v, soon.a, soon.yaw, now.yaw_rate)
+        to = self._path.led(t, self._lead)
         demand: Demand = self._cascade(row[0:3], row[3:6], row[6:10], to, dt)  # type: ignore[arg-type]
         return DemandPlan(time, 0.05, (demand,), "cascade")

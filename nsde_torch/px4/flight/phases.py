@@ -46,6 +46,7 @@ class FlightOutcome:
         landed: On the ground and disarmed, as telemetry says.
         trouble: The first thing that went wrong.
         actions: The phases that were gone through, with their times from the start [s] and the reason.
+        without_plans: Time for which the built-in cascade flew the reference, because plans were late [s].
         steps: Resets of the estimate in flight, with their times from the start [s].
     """
 
@@ -53,6 +54,7 @@ class FlightOutcome:
     landed: bool = False
     trouble: Trouble | None = None
     actions: list[tuple[float, str, str]] = field(default_factory=list)
+    without_plans: float = 0.0
     steps: list[tuple[float, EstimateStep]] = field(default_factory=list)
 
     @property

@@ -4,7 +4,8 @@
 |---|---|---|
 | estimate too old or gone | age of the newest state | level, PX4's own LAND at once; silence if that is not confirmed |
 | link silent | no message at all | silence: PX4 fails over by itself, and we never stream again |
-| solver late, failed, dead | age of the newest plan, its process | hold by the built-in cascade, then LAND |
+| plans late | age of the newest | the built-in cascade flies the reference for 3 s in all; then hold, then LAND |
+| solver failed, dead | its words, its process | hold by the built-in cascade, then LAND |
 | outside the fence, too fast, too steep | the state | hold (inside the fence), then LAND |
 | reference not followed | the distance from it, while it is flown | hold, then LAND |
 | plans that tip, again and again | words of the plans | hold, then LAND |

@@ -88,6 +88,7 @@ class Supervised(ABC):
         self._seen: VehicleState | None = None
         self._stop = 0
         self._lifted = False
+        self._on_plans = True
         self._waiting = False
         self.reason = ""
 

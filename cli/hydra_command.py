@@ -25,6 +25,7 @@ _CONFIG_PATH = "pkg://nsde_torch.conf"
 _TRACEBACK = "NSDE_TRACEBACK"
 # Hydra's own folders with the keys of ours that set them, and its names of what lies inside.
 _HYDRA_FOLDERS = {"hydra.run.dir": "run_dir or out_dir", "hydra.sweep.dir": "sweep_dir"}
+_HYDRA_GROUPS = ("hydra", "hydra.run", "hydra.sweep", "hydra.job")  # that hold these
 _HYDRA_NAMES = ("hydra.output_subdir", "hydra.sweep.subdir", "hydra.job.name")
 # Hydra's options that are followed by a value, and their long names.
 _WITH_VALUE = {
@@ -219,6 +220,8 @@ def _refuse_other_folders(words: Sequence[str]) -> None:
             raise ConfigError(
                 f"`{key}` is set by the command: name the folder with {_HYDRA_FOLDERS[key]}=..."
             )
+        if key in _HYDRA_GROUPS:
+            raise ConfigError(f"`{key}` is set key by key: {key}.KEY=VALUE; got {value!r}.")
         inside = Path(typed_path(value))
         if key in _HYDRA_NAMES and (inside.is_absolute() or ".." in inside.parts):
             raise ConfigError(

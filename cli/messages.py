@@ -7,12 +7,13 @@ import difflib
 import errno
 import re
 from collections.abc import Sequence
+from pathlib import Path
 
 import yaml
 
 from . import groups
 from .keys import walk
-from .quoted import as_typed
+from .quoted import as_typed, typed_path
 from .schemas.choices import CHOICES
 
 # Arguments of the library whose key on the command line has another name.
@@ -62,6 +63,10 @@ def explain(error: Exception, command: str, words: Sequence[str]) -> str | None:
     if isinstance(cause, OmegaConfBaseException) and cause.full_key:
         return f"`{cause.full_key}` {_wrong_type(cause)}.{_meaning(str(cause.full_key), command, words)}"
     if isinstance(error, OverrideParseException):
+        if "=" not in error.override:
+            return _no_value(error.override, command, words)
+        if error.override.startswith("data="):
+            return _path_as_choice(error.override.removeprefix("data="))
         return (
             f"`{error.override}` is not in Hydra's grammar. Put text with spaces, brackets, quotes or letters beyond "
             "ASCII into quotes, of the shell too: \"KEY='VALUE'\"."
@@ -164,12 +169,8 @@ def _unknown_choice(error: Exception, command: str, words: Sequence[str]) -> str
     else:  # a choice may be a path
         group, slash, choice = missing.partition("/")
         group = group if slash else ""
-    if group == "data" and "/" in choice:
-        instead = as_typed(paths={"data.path": choice})
-        return (
-            f"`data={choice}`: `data` is a kind of data, and a path goes into `data.path`: {instead} (the format is "
-            "told by the names of the files)."
-        )
+    if group == "data" and ("/" in choice or Path(choice).exists()):
+        return _path_as_choice(choice)
     options = [str(option) for option in getattr(error, "options", None) or []]
     if not group:
         return _first_line(error)
@@ -186,6 +187,25 @@ def _unknown_choice(error: Exception, command: str, words: Sequence[str]) -> str
         else ""
     )
     return f"`{group}={choice}`: no such choice.{hint} Choices: {', '.join(options)}{own}.{extra}"
+
+
+def _path_as_choice(path: str) -> str:
+    """The message for `data=PATH`."""
+    instead = as_typed(paths={"data.path": typed_path(path)})
+    return (
+        f"`data={path}`: `data` is a kind of data, and a path goes into `data.path`: {instead} (the format is told by "
+        "the names of the files)."
+    )
+
+
+def _no_value(word: str, command: str, words: Sequence[str]) -> str:
+    """The message for a word without `=`, most likely a path."""
+    if word in _known_keys(command, words)[0]:
+        return f"`{word}` has no value: write {word}=VALUE, without spaces around the `=`."
+    files = groups.files(command)
+    key = next((name for name in ("run", "data.path") if name in files), None)
+    hint = "" if key is None else f" A path goes into `{key}`: {as_typed(paths={key: typed_path(word)})}."
+    return f"`{word}` is not KEY=VALUE.{hint} {_POINTER.format(command=command)}"
 
 
 def _meaning(path: str, command: str, words: Sequence[str]) -> str:

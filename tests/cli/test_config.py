@@ -104,6 +104,9 @@ def test_parameters_of_effects_are_reached_with_dots() -> None:
             "`data=/logs/monday`: `data` is a kind of data, and a path goes into `data.path`",
         ),
         (["data=logs/monday"], "a path goes into `data.path`: data.path=logs/monday"),
+        (["data=ünï (1)"], "a path goes into `data.path`: 'data.path=ünï (1)'"),
+        (["logs (1)"], "`logs (1)` is not KEY=VALUE. A path goes into `data.path`: 'data.path=logs (1)'."),
+        (["data.path", "logs"], "`data.path` has no value: write data.path=VALUE"),
         (["loss=my/own"], "`loss=my/own`: no such choice."),
         (["hydra/launcher=joblob"], "`hydra/launcher=joblob`: no such choice."),
         (
@@ -123,6 +126,8 @@ def test_parameters_of_effects_are_reached_with_dots() -> None:
         (["seed=ü"], "`seed=ü` is not in Hydra's grammar."),
         (["hydra.output_subdir=../../x"], "`hydra.output_subdir` must be a name in the folder of the run"),
         (["+hydra.output_subdir=/tmp/x"], "`hydra.output_subdir` must be a name in the folder of the run"),
+        (["hydra={output_subdir: ../../x}"], "`hydra` is set key by key: hydra.KEY=VALUE"),
+        (["++hydra.sweep={subdir: ../x}"], "`hydra.sweep` is set key by key"),
         (["hydra.job.name='../x'"], "`hydra.job.name` must be a name in the folder of the run"),
         (["hydra.run.dir=/tmp/x"], "`hydra.run.dir` is set by the command: name the folder with run_dir"),
         (

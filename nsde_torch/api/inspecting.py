@@ -95,7 +95,12 @@ class Inspection:
     def usable(self) -> bool:
         """Whether runs can be read: all is there, and no check fails."""
         there = self.native or (self.mapping is not None and not self.missing)
-        return there and not any(check.passed is False for check in self.checks)
+        return there and not self.refused
+
+    @property
+    def refused(self) -> bool:
+        """Whether a check fails."""
+        return any(check.passed is False for check in self.checks)
 
     @property
     def doubts(self) -> list[str]:
@@ -237,7 +242,7 @@ def _check(
         out.checks = [LogCheck("reading", False, str(error), REFUSED)]
         return
     out.checks = checks(machine, run, out.mapping)
-    if out.doubts:  # physics would find a reading that does a little better, and no cause
+    if out.refused:
         return
     runs = [run]
     for file in files[1:_RUNS]:
@@ -248,7 +253,9 @@ def _check(
     entry = out.mapping.columns.get("u")
     said = entry is None or "u" in log.columns
     numbering = None if entry is None or said else entry.numbering or "px4"
-    found = check_physics(machine, runs, numbering=numbering, fixed=fixed, fits=physics)
+    # beside a doubt, physics would find a reading that does a little better, and no cause
+    fits = physics and not out.doubts
+    found = check_physics(machine, runs, numbering=numbering, fixed=fixed, fits=fits)
     out.checks += found.checks
     out.notes += found.notes
     if found.numbering is not None and entry is not None:
@@ -269,8 +276,8 @@ def _native(path: Path, kind: str, machine: System | None, *, physics: bool) -> 
         out.checks.append(LogCheck("reading", False, str(error), REFUSED))
         return out
     out.checks = checks(machine, runs[0])
-    if not out.doubts:
-        found = check_physics(machine, runs[:_RUNS], fits=physics)
+    if not out.refused:
+        found = check_physics(machine, runs[:_RUNS], fits=physics and not out.doubts)
         out.checks += found.checks
         out.notes += found.notes
     return out

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from nsde_torch.api.reading import read
-from nsde_torch.data.mapping.checks import FRAMES, LogCheck
+from nsde_torch.data.mapping.checks import SUSPECT, LogCheck
 from nsde_torch.data.mapping.numbering import NUMBERINGS, order
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import Run
@@ -67,7 +67,7 @@ def check_physics(
     except NsdeError as error:
         out.checks.append(LogCheck("checks of all data", False, str(error), REFUSED))
         return out
-    said = (FRAMES, "log")  # by a check, and by the notes of the log
+    said = (SUSPECT, "log")  # by a check, and by the notes of the log
     for one in data.summary.findings:
         if one.kind in _DOUBTS:
             out.checks.append(LogCheck("what moves, and when", None, f"{one.message}.", one.message))

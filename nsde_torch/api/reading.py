@@ -11,6 +11,7 @@ import numpy as np
 
 from nsde_torch.data.any_log import format_of
 from nsde_torch.data.findings import Finding
+from nsde_torch.data.mapping.checks import SUSPECT
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.readers import Kind, name_of
 from nsde_torch.data.run import DataSet, Run
@@ -107,7 +108,9 @@ def read(
         state_smoothing=state_smoothing,
         taken_out=taken_out,
     )
-    if isinstance(data, str | Path) and isinstance(machine, System):
+    # beside columns that kinematics speak against, physics would find what does a little better, and no cause
+    suspect = any(one.kind == SUSPECT for one in found.summary.findings)
+    if isinstance(data, str | Path) and isinstance(machine, System) and not suspect:
         more = (*found.summary.findings, *_columns_otherwise(machine, found))
         found = replace(found, summary=replace(found.summary, findings=more))
     return found

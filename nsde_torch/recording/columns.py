@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nsde_torch.data.findings import Finding, Report
-from nsde_torch.data.mapping.checks import FRAMES, LEAN, VECTORS, checks
+from nsde_torch.data.mapping.checks import LEAN, SUSPECT, VECTORS, checks
 from nsde_torch.data.quaternion import continuous_signs
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.system_info import SystemInfo, rate_columns
@@ -70,15 +70,16 @@ def check_rates(run: RawRun, system: SystemInfo) -> None:
 
 
 def check_columns(run: RawRun, system: SystemInfo, report: Report) -> None:
-    """What `nsde inspect` says of the columns: what kinematics contradict is refused, what gravity does reported.
+    """What `nsde inspect` says of the columns: what kinematics contradict is refused, other doubts are reported.
 
     Vectors of a vehicle are judged in all runs together (`conventions`, `clock_and_biases.check_units`).
     """
     for check in checks(system, run):
-        if check.passed is False and check.name == LEAN:
-            report(Finding(FRAMES, run.name, 1, check.text.rstrip("."), "reported"))
-        elif check.passed is False and check.name not in VECTORS:
-            raise DataError(f"run {run.name!r}: {check.text} To mend it: {check.remedy}.")
+        if check.passed is False and check.name != LEAN:
+            if check.name not in VECTORS:
+                raise DataError(f"run {run.name!r}: {check.text} To mend it: {check.remedy}.")
+        elif check.doubts:
+            report(Finding(SUSPECT, run.name, 1, check.text.rstrip("."), "reported"))
 
 
 def unwrap_angles(run: RawRun, system: SystemInfo, report: Report) -> None:

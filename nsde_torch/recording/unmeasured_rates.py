@@ -66,8 +66,8 @@ def derived_rates(system: SystemInfo, runs: Sequence[RawRun]) -> list[Derived]:
     for position, rate, _ in system.position_derivatives:
         i, j = names.index(position), names.index(rate)
         parts = [part for run in runs for part in _stretches(run, i, j, system.state_units[i] == "rad")]
-        if sum(len(t) for t, _, _ in parts) < 200:
-            continue
+        if sum(len(t) for t, _, _ in parts) < 200 or not any(np.ptp(v) for _, _, v in parts):
+            continue  # too few, or a rate that stands still, of which `standstill` speaks
         found = (_plain(parts) if _raw(parts) else None) or _filtered(parts)
         if found is not None:
             out.append(Derived(rate, position, *found))

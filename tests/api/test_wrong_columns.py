@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -121,13 +122,27 @@ def test_a_table_whose_clock_is_called_seconds_and_is_not_names_the_unit(tmp_pat
         assert "`time: {from: time_s, unit: ms}`" in words
 
 
+@pytest.mark.parametrize("system", [SPRING, CART, QUAD])
+def test_times_that_count_rows_are_no_unit_of_a_rate(tmp_path: Path, system: str) -> None:
+    sound = {SPRING: spring, CART: cart, QUAD: flight}[system]()
+    rate = 1.0 / float(np.median(np.diff(sound["t"])))
+    found, said = asked(tmp_path, {**sound, "t": np.arange(len(sound["t"])) + 5.0}, system)
+    (check,) = found.checks
+    assert (check.name, check.passed) == ("time", False)
+    assert check.text.startswith("the times count rows")
+    assert check.text in said
+    written = float(check.remedy.partition("{rate: ")[2].partition("}")[0])
+    assert written == pytest.approx(rate, rel=0.01)
+
+
 @pytest.mark.parametrize("clock", ["t", "time"])
 def test_shuffled_rows_and_two_runs_in_one_file_are_not_in_the_order_of_time(
     tmp_path: Path, clock: str
 ) -> None:
     sound = spring()
     mixed = np.random.default_rng(1).permutation(len(sound["t"]))
-    for name, rows in (("shuffled", mixed), ("twice", np.tile(np.arange(400), 2))):
+    backwards = np.arange(len(mixed))[::-1]
+    for name, rows in (("shuffled", mixed), ("twice", np.tile(np.arange(400), 2)), ("back", backwards)):
         folder = tmp_path / name
         folder.mkdir()
         write_table(folder / "run_0.csv", {clock if k == "t" else k: v[rows] for k, v in sound.items()})
@@ -195,6 +210,26 @@ def test_a_sound_cart_and_a_sound_flight_are_not_suspected(tmp_path: Path, syste
     assert "exchanged" not in said
 
 
+@pytest.mark.parametrize("speed", [0.0, 2.0])
+@pytest.mark.parametrize("noise", [0.0, 2e-3])
+def test_an_axis_that_rests_or_turns_steadily_is_no_doubt(tmp_path: Path, speed: float, noise: float) -> None:
+    sound = cart()
+    drawn = noise * np.random.default_rng(2).standard_normal((2, len(sound["t"])))
+    turning = {"theta": speed * sound["t"] + drawn[0], "theta_dot": speed + drawn[1]}
+    found, said = asked(tmp_path, {**sound, **turning}, CART)
+    assert not any(check.doubts and "theta" in check.name for check in found.checks)
+    assert "theta_dot leaves" not in said
+
+
+def test_a_vehicle_that_is_held_still_is_no_doubt(tmp_path: Path) -> None:
+    sound, rng = flight(8.0), np.random.default_rng(4)
+    still = {k: rng.standard_normal(len(v)) for k, v in sound.items() if k[0] in "pv"}
+    held = {**sound, **{k: v * (1e-3 if k[0] == "p" else 5e-3) for k, v in still.items()}}
+    found, said = asked(tmp_path, held, QUAD)
+    assert found.doubts == []
+    assert "velocities leave" not in said
+
+
 def test_an_angle_that_was_wrapped_is_no_doubt(tmp_path: Path) -> None:
     t = np.arange(0.0, 20.0, 0.02)
     theta, speed = 5.0 * np.sin(1.5 * t), 7.5 * np.cos(1.5 * t)
@@ -226,6 +261,42 @@ def test_frames_and_exchanged_motors_are_said_by_read_as_by_inspect(tmp_path: Pa
     (failed,) = [check for check in found.checks if check.passed is False]
     assert "one of them is NED and the other ENU" in failed.text
     assert failed.text.rstrip(".") in said
+
+
+@pytest.mark.parametrize(
+    ("column", "wrong", "words"),
+    [
+        ("q_dot", lambda made: 9.55 * made["q_dot"], "0.1047 times as fast as its rate says"),
+        ("q_dot", lambda made: 0.0 * made["q"], "'q_dot' never changes"),
+    ],
+)
+def test_what_read_refuses_is_refused_by_inspect_too(
+    tmp_path: Path, column: str, wrong: Callable[[Columns], Array], words: str
+) -> None:
+    sound = spring()
+    found, said = asked(tmp_path, {**sound, column: wrong(sound)}, SPRING, physics=True)
+    assert words in said
+    assert any(words in check.text for check in found.checks if check.passed is False)
+    assert not found.usable
+
+
+@pytest.mark.parametrize(
+    ("system", "wrong"),
+    [
+        (SPRING, lambda made: {"q": made["q"] + 5.0 * made["t"]}),
+        (SPRING, lambda made: {"q": made["q_dot"]}),
+        (QUAD, lambda made: {"v_x": made["v_y"], "v_y": -made["v_x"]}),
+    ],
+)
+def test_what_inspect_doubts_is_reported_by_read_and_no_physics_beside_it(
+    tmp_path: Path, system: str, wrong: Callable[[Columns], Columns]
+) -> None:
+    sound = spring() if system == SPRING else flight(10.0)
+    found, said = asked(tmp_path, {**sound, **wrong(sound)}, system, physics=True)
+    (doubt,) = [check for check in found.checks if check.doubts]
+    assert doubt.passed is None
+    assert doubt.text.rstrip(".") in said
+    assert "declared physics leaves much less" not in said
 
 
 @pytest.mark.parametrize("name", ["q_des", "q_ref", "target_q", "q_sp", "pos_d", "position_cmd"])

@@ -108,7 +108,7 @@ def timed(name: str, fields: dict[str, Array], clock: ClockOf, *, source: str) -
     if unit not in SECONDS:
         raise ConfigError(f"`unit` of the time must be one of {', '.join(SECONDS)}; got {unit!r}.")
     good = np.isfinite(values)
-    if good.sum() < 2 or not (np.diff(values[good]) > 0).any():
+    if good.sum() < 2 or not np.diff(values[good]).any():
         raise DataError(f"{source}: the column {column!r} is taken for the time and does not increase.")
     times = values[good] * SECONDS[unit]
     _, shuffled = disorder(times, column)

@@ -21,6 +21,7 @@ from nsde_torch.data.mapping.kinematic import (
     VelocityWay,
     attitude_left,
     lean,
+    noise_share,
     read_attitude,
     velocity_left,
     velocity_ways,
@@ -41,8 +42,10 @@ from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_col
 
 Array = NDArray[np.float64]
 
-LEAN, FRAMES = "lean and acceleration", "frames"
-"""Name of the check of gravity, where the others are of kinematics alone, and the kind of its finding."""
+LEAN = "lean and acceleration"
+"""Name of the check of gravity, where the others are of kinematics alone."""
+SUSPECT = "columns"
+"""Kind of the finding of a check that speaks against the columns and does not refuse them."""
 ATTITUDE, VELOCITY = VECTORS = ("attitude and rates", "position and velocity")
 """Names of the checks of the vectors of a vehicle."""
 _MOST = 60_000  # rows
@@ -239,6 +242,9 @@ def _velocity(t: Array, q: Array, p: Array, v: Array) -> list[LogCheck]:
         elif left[0] <= NOISY_VELOCITY:
             text = f"velocities leave {left[0]:.1%} of the movement over 0.25 s."
             out.append(LogCheck(VELOCITY, True, text))
+        elif _noise_alone(t, p, left[0]):
+            text = "too little movement beside the noise to compare position and velocity."
+            out.append(LogCheck(VELOCITY, None, text))
         else:
             text = (
                 f"velocities leave {percent(left[0])} of the movement over 0.25 s, and no other reading of these "
@@ -285,8 +291,15 @@ def _axis(system: SystemInfo, run: RawRun, i: int, j: int, mapping: LogMapping |
     text = f"{rate} leaves {percent(own)} of what {position} moves over 0.25 s"
     if own <= NOISY_VELOCITY:
         return LogCheck(names, True, f"{text}.")
+    if _noise_alone(run.t, run.x[:, i : i + 1], own):
+        return LogCheck(names, None, f"too little movement beside the noise to compare {names}.")
     remedy = f"look at {names}: one of them is another column, or of another time or unit"
     return LogCheck(names, None, f"{text}, whatever its sign and unit.", remedy)
+
+
+def _noise_alone(t: Array, p: Array, left: float) -> bool:
+    """Whether what rates leave of positions (n, axes) is no more than their noise explains."""
+    return left <= NOISY_VELOCITY + 2.0 * noise_share(t, p)
 
 
 def _exchanged(

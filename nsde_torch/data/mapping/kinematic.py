@@ -107,6 +107,19 @@ def velocity_left(t: Array, q: Array | None, p: Array, v: Array, way: VelocityWa
     return _left(t, np.diff(p, axis=0), 0.5 * (rate[1:] + rate[:-1]))
 
 
+def noise_share(t: Array, p: Array) -> float:
+    """Share of the movement over 0.25 s that is white noise of positions; all, where they rest or run steadily.
+
+    Args:
+        t: Times [s], (n,).
+        p: Positions, (n, axes).
+    """
+    length = max(1, round(INTERVAL_S / float(np.median(np.diff(t)))))
+    moved = np.diff(p[::length], axis=0)
+    noise = 1.4826 * np.nanmedian(np.abs(np.diff(p, 5, axis=0)), axis=0) / 252.0**0.5
+    return float(2.0 * np.square(noise).sum() / max(np.nanvar(moved, axis=0).sum(), 1e-300))
+
+
 def _left(t: Array, change: Array, rate: Array) -> float:
     dt = np.diff(t)
     usual = float(np.median(dt))
@@ -128,7 +141,8 @@ def _left(t: Array, change: Array, rate: Array) -> float:
         np.abs((moved - told).mean(axis=0)) < 0.2 * moved.std(axis=0)
     )
     size = float(np.square(moved - moved.mean(axis=0)).sum())
-    return float(np.square(moved - told).sum()) / size if size > 0 else float("nan")
+    rounding = 1e-18 * float(np.square(moved).sum())
+    return float(np.square(moved - told).sum()) / size if size > rounding else float("nan")
 
 
 LEANS: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {

@@ -86,6 +86,12 @@ def times_misread(system: SystemInfo, run: RawRun, mapping: LogMapping | None) -
         return None
     clock = None if mapping is None else mapping.time
     now = (clock.unit if clock else None) or "s"
+    row_s = _row_s(system, run) if step == SECONDS[now] else None
+    if row_s is not None and _all_sound(system, run, row_s / step):
+        words = f"the times count rows; with rows {row_s:.3g} s apart they agree with all rates"
+        entry = f"`time: {{rate: {1.0 / row_s:.4g}}}`"
+        remedy = f"write times in seconds, or read the files as tables, with {entry} in a mapping"
+        return Misread(words, remedy, 0.0)
     for unit, seconds in SECONDS.items():
         size = seconds / SECONDS[now]
         if unit != now and _FASTEST_S <= size * step < _SLOW_S and _all_sound(system, run, size):
@@ -99,6 +105,21 @@ def times_misread(system: SystemInfo, run: RawRun, mapping: LogMapping | None) -
             )
             words = f"rows are {step:.4g} s apart as the times are read; in {unit} they agree with all rates"
             return Misread(words, remedy, 0.0)
+    return None
+
+
+def _row_s(system: SystemInfo, run: RawRun) -> float | None:
+    """Seconds from row to row, as positions and the sums of their rates say, where times are numbers of rows."""
+    if np.ptp(np.diff(run.t)) > 0:
+        return None
+    for i, j in rate_pairs(system):
+        good = np.isfinite(run.x[:, [i, j]]).all(axis=1)
+        position, rate = run.x[good, i], run.x[good, j]
+        summed = np.cumsum(rate) - 0.5 * rate
+        summed -= summed.mean()
+        size = float(summed @ position) / max(float(summed @ summed), 1e-300)
+        if size > 0:
+            return size
     return None
 
 

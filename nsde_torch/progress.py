@@ -8,8 +8,9 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable
-from typing import TextIO
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Literal, TextIO
 
 PROGRESS = "NSDE_PROGRESS"
 """Variable of the environment: `json` makes each step a line of JSON, for a program that shows them."""
@@ -107,3 +108,18 @@ class Stages:
         """A line as wide as the terminal: a longer one would not be written over."""
         width = max(shutil.get_terminal_size().columns - 1, 40)
         return f"{line[: width - 3]}..." if len(line) > width else f"{line:<{width}}"
+
+
+@contextmanager
+def reported(say: Say | Literal[False] | None) -> Iterator[Say]:
+    """What takes the steps of a function for people: by default they are printed.
+
+    Args:
+        say: None: `Stages` prints on standard error; False: nothing is printed; or what takes them.
+    """
+    stages = Stages() if say is None else None
+    try:
+        yield stages or say or silent
+    finally:
+        if stages is not None:
+            stages.close()

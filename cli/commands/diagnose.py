@@ -191,12 +191,8 @@ def _training(config: DictConfig, job: Job) -> str:
 def _rehearse(config: DictConfig, found: Diagnosis) -> dict[str, Any]:
     """What simulated logs of the machine that was found say."""
     import nsde_torch
-    from nsde_torch.progress import Stages
 
-    stages = Stages()
-    rehearsal = nsde_torch.rehearse(found, logs=config.rehearsals, seed=config.seed, say=stages)
-    stages.close()
-    return rehearsal.content()
+    return nsde_torch.rehearse(found, logs=config.rehearsals, seed=config.seed).content()
 
 
 def _train(config: DictConfig, job: Job, found: Diagnosis) -> dict[str, Any]:

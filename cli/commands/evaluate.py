@@ -99,7 +99,6 @@ def run(config: DictConfig, job: Job) -> None:
         horizons=None if config.horizons is None else list(config.horizons),
         bootstrap=config.bootstrap,
         compile=config.compile,
-        say=print,
     )
     _, *pictures = done.save(job.run_dir)
     print()

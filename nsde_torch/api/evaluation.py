@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -36,7 +37,7 @@ def evaluate(
     bootstrap: int = 2000,
     seed: int = 0,
     compile: bool = False,
-    say: Callable[[str], None] = lambda text: None,
+    say: Callable[[str], None] | Literal[False] = print,
 ) -> Comparison:
     """Score models on runs, against baselines and each other, as `nsde evaluate` does.
 
@@ -51,7 +52,7 @@ def evaluate(
         bootstrap: Resamples of the paired bootstrap, at least 100.
         seed: Seed of the sampled paths and of the bootstrap.
         compile: Compile the step: half a minute or more, which some thousand starts repay.
-        say: Told what is going on.
+        say: Takes what is going on, line by line; False: nothing is printed.
 
     Returns:
         The scores: `errors` of the first model by group and horizon, `report` (text), `content` (what
@@ -65,8 +66,8 @@ def evaluate(
     Example:
         >>> import nsde_torch
         >>> made = nsde_torch.simulate("mass_spring_damper", durations=[6.0] * 3, seed=1)
-        >>> model = nsde_torch.train(made, system="mass_spring_damper", model="sysid", say=lambda text: None)
-        >>> scores = nsde_torch.evaluate(model, made, runs=[2], particles=2)
+        >>> model = nsde_torch.train(made, system="mass_spring_damper", model="sysid", say=False)
+        >>> scores = nsde_torch.evaluate(model, made, runs=[2], particles=2, say=False)
         >>> scores.errors["position"]["0.5"] < 0.02  # [m]
         True
     """
@@ -96,7 +97,7 @@ def evaluate(
         horizons=None if horizons is None else list(horizons),
         replicates=bootstrap,
         compile=compile,
-        say=say,
+        say=say or (lambda text: None),
     )
 
 

@@ -16,9 +16,9 @@ a loop, as the measured one was, if not in the same one.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -37,6 +37,7 @@ from nsde_torch.errors import ConfigError, NsdeError
 from nsde_torch.inference.estimate import LogLikelihood
 from nsde_torch.inference.maximum import likeliest
 from nsde_torch.inference.states import filtered_at
+from nsde_torch.progress import Say, reported
 from nsde_torch.recording import assemble
 from nsde_torch.systems import System
 
@@ -104,8 +105,6 @@ def _stacked(parts: Sequence[Array], copies: int) -> Array:
     return np.repeat(np.stack(whole), copies, 0)
 
 
-Say = Callable[[str, int, int], None]
-
 _BEYOND = 2.0  # ranges of the log beyond which a simulated machine has left it
 _NEAR = 1e-9
 
@@ -166,21 +165,27 @@ class Rehearsal:
 
 
 def rehearse(
-    found: Diagnosis, *, logs: int = 3, seed: int = 0, say: Say = lambda stage, done, total: None
+    found: Diagnosis, *, logs: int = 3, seed: int = 0, say: Say | Literal[False] | None = None
 ) -> Rehearsal:
-    """Rehearse a diagnosis.
+    """Rehearse a diagnosis, which takes as long as `logs` + 1 diagnoses.
 
     Args:
         found: The diagnosis.
         logs: Logs of the machine that was found.
         seed: Seed of their noise.
-        say: Told stage, number done and number in all.
+        say: None: progress is printed on standard error; False: nothing is printed; or a function that takes stage,
+            number done and number in all.
 
     Raises:
         ConfigError: less than one log.
     """
     if logs < 1:
         raise ConfigError(f"`logs` must be at least 1; got {logs}.")
+    with reported(say) as report:
+        return _rehearsed(found, logs, seed, report)
+
+
+def _rehearsed(found: Diagnosis, logs: int, seed: int, say: Say) -> Rehearsal:
     outcome, rng = found.outcome, np.random.default_rng([seed, 2026])
     names = tuple(f.name for f in outcome.found)
     left_out = _left_out(found)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
+from tqdm.auto import tqdm
 
 from nsde_torch.data import DataSet, Run, Split
 from nsde_torch.errors import DataError, NonFiniteError
@@ -23,6 +24,7 @@ from nsde_torch.models.capabilities import is_stochastic, learns_sensors
 from nsde_torch.models.kind import model_kind
 from nsde_torch.models.model import Model, ModelSpec
 from nsde_torch.models.run_directory import METRICS, save
+from nsde_torch.progress import no_bar
 from nsde_torch.recording.clock_and_biases import of_runs
 from nsde_torch.recording.smoothing import smoothing_width
 from nsde_torch.sysid.in_loop import identify_in_loop
@@ -214,7 +216,9 @@ class Training:
             self.options, steps=max(1, round(self.options.steps * _AUXILIARY_SHARE)), decay_steps=None
         )
         count = min(len(runs), _LEFT_OUT) if len(runs) > 1 else 0
-        for turn, k in enumerate(round(i) for i in torch.linspace(0, len(runs) - 1, count).tolist()):
+        turns = [round(i) for i in torch.linspace(0, len(runs) - 1, count).tolist()]
+        bar = tqdm(turns, desc="calibrating", unit="run", disable=no_bar(self.quiet), leave=False)
+        for turn, k in enumerate(bar):
             others = [run for i, run in enumerate(runs) if i != k]
             name = f"calibrate {turn + 1} of {count}"
             try:

@@ -7,6 +7,7 @@ import json
 import runpy
 import sys
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -135,6 +136,25 @@ def test_a_training_says_nothing_where_it_is_asked_to(
     nsde_torch.train(runs, system=SYSTEM, model="sysid", say=False)
     assert capsys.readouterr() == ("", "")
     assert not caplog.records
+
+
+@pytest.mark.slow
+def test_a_calibration_shows_a_bar_in_a_notebook(
+    runs: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))
+    nsde_torch.train(runs, system=SYSTEM, trainer="fast", say=silent)
+    assert "calibrating" in capsys.readouterr().err
+
+
+def test_an_evaluation_says_what_it_scores_unless_it_is_asked_not_to(
+    runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = nsde_torch.train(runs, system=SYSTEM, model="sysid", say=False)
+    nsde_torch.evaluate(model, runs, runs=[2], particles=2, bootstrap=100)
+    assert "scoring" in capsys.readouterr().out
+    nsde_torch.evaluate(model, runs, runs=[2], particles=2, bootstrap=100, say=False)
+    assert capsys.readouterr() == ("", "")
 
 
 @pytest.mark.slow

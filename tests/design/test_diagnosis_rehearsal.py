@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from nsde_torch.data import Run
+from nsde_torch.design import diagnosis_rehearsal
 from nsde_torch.design.diagnosis_rehearsal import Rehearsal, _raw, following, rehearse, replayed
 from nsde_torch.design.rollout import Rollouts
 from nsde_torch.diagnosis.options import Options
@@ -16,7 +17,7 @@ from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.report import page
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.text import rehearsal_lines, sentences
-from nsde_torch.errors import ConfigError
+from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording import assemble
 from nsde_torch.systems import make_system
@@ -35,6 +36,23 @@ def found() -> Diagnosis:
 @pytest.fixture(scope="module")
 def rehearsal(found: Diagnosis) -> Rehearsal:
     return rehearse(found, logs=2, seed=1)
+
+
+def test_progress_is_printed_unless_it_is_turned_off(
+    found: Diagnosis, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refused(*args: object) -> None:
+        raise DataError("no log")
+
+    monkeypatch.setattr(diagnosis_rehearsal, "_simulated", refused)
+    capsys.readouterr()
+    assert rehearse(found).why_not == "no log"
+    assert "simulating what was found" in capsys.readouterr().err
+    stages: list[str] = []
+    rehearse(found, say=lambda stage, done, total: stages.append(stage))
+    rehearse(found, say=False)
+    assert capsys.readouterr() == ("", "")
+    assert stages == ["simulating what was found"]
 
 
 @pytest.mark.slow

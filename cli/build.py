@@ -9,7 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from nsde_torch.api.reading import split_runs
 from nsde_torch.data import DataSet, Split, SystemInfo
-from nsde_torch.errors import ConfigError
+from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.models import MODELS, ModelOptions
 from nsde_torch.models.kind import model_options as options_of_model
 from nsde_torch.recording import read
@@ -112,9 +112,11 @@ def other_dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
         DataError: The data cannot be used.
     """
     given = {**options(config, *_NOT_FOR_DATA), "path": config.test_path}
-    return _restored(
-        config, read(config.kind, machine, own_rate=True, **given, **_reader_options(config)), machine
-    )
+    try:
+        data = read(config.kind, machine, own_rate=True, **given, **_reader_options(config))
+    except DataError as error:
+        raise DataError(str(error).replace("`path`", "`data.test_path`")) from error
+    return _restored(config, data, machine)
 
 
 def _restored(config: DictConfig, data: DataSet, machine: SystemInfo) -> DataSet:

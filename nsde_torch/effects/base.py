@@ -133,8 +133,10 @@ class Parametrised(nn.Module):
             raise ConfigError(f"{type(self).__name__} has no parameter {name!r}; it has: {known}.")
         spec, raw = self._specs[name], self.raw[name]
         try:
+            if any(isinstance(one, bool) for one in (value if isinstance(value, list) else [value])):
+                raise TypeError
             v = torch.as_tensor(value, dtype=torch.float64).reshape(-1)
-        except (TypeError, ValueError):  # text, or lists in a list
+        except (TypeError, ValueError):  # text, lists in a list, `yes` of YAML
             raise ConfigError(
                 f"parameter {name!r} [{spec.unit}] of {type(self).__name__} takes numbers; got {value!r}."
             ) from None

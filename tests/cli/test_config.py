@@ -193,7 +193,7 @@ def test_a_file_of_ones_own_that_is_no_plain_yaml_is_named(
     assert not (tmp_path / "hacked").exists()
 
 
-@pytest.mark.parametrize("value", ["abc", "[1, [2]]", "2024-01-01", "{a: 1}"])
+@pytest.mark.parametrize("value", ["abc", "[1, [2]]", "2024-01-01", "{a: 1}", "yes"])
 def test_text_as_a_value_in_an_effects_file_is_refused(
     value: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -232,6 +232,15 @@ def test_a_path_alone_chooses_the_reader_and_a_reader_that_is_named_wins(
     assert nsde_torch.read(runs / "run_0.csv", system="mass_spring_damper").names == ("run_0",)
 
 
+@pytest.mark.usefixtures("elsewhere")
+def test_a_test_set_that_is_not_there_is_named_by_its_own_key(
+    runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = [f"data.path={runs.name}", "data.test_path=nowhere"]
+    assert main(["train", "system=mass_spring_damper", "model=sysid", *data]) == 2
+    assert "`data.test_path`: nowhere does not exist" in capsys.readouterr().err
+
+
 def test_a_command_that_names_no_file_is_left_alone() -> None:
     command = COMMANDS["train"]
     assert isinstance(command, HydraCommand)

@@ -85,7 +85,7 @@ class MaximumLikelihood:
     square: Array
     """Mean square of the whitened innovations of each measured channel (m,): 1 where the model is right."""
     predictable: Array
-    """Share of their variance that those of the ten rows before predict (m,): 0 where the model is right."""
+    """Share of their variance that those of the ten rows before surely predict (m,): 0 where the model is right."""
     channels: tuple[str, ...]  # names of the measured error channels
     disturbances: tuple[tuple[Port, int], ...]  # ports that disturbances act on, and their columns
 
@@ -519,7 +519,11 @@ def _free(vector: ParameterVector, theta: Array, held: Grams) -> Labels:
 
 
 def _whiteness(white: Tensor, space: StateSpace) -> tuple[Array, Array]:
-    """Mean square of whitened innovations (m,), and share that the ten before predict (m,), beyond chance."""
+    """Mean square of whitened innovations (m,), and share that the ten before predict (m,), surely beyond chance.
+
+    Of white ones the lags explain chi-squared with their number over the number of rows: that mean and twice its
+    standard deviation are no misfit (of the 480 rows of the EMPS drive 0.05 s apart, 2 % and another 2 %).
+    """
     squares, shares = [], []
     for j, every in enumerate(space.every):
         live = (
@@ -531,6 +535,7 @@ def _whiteness(white: Tensor, space: StateSpace) -> tuple[Array, Array]:
         for lag in range(every, every * _LAGS + 1, every):
             pairs = (live[lag:] & live[:-lag]).sum().clamp_min(1)
             share += ((own[lag:] * own[:-lag]).sum() / pairs / square).square() - 1.0 / pairs
+        share -= 2.0 * (2.0 * _LAGS) ** 0.5 / pairs
         squares.append(square)
         shares.append(share)
     return torch.stack(squares).numpy(), torch.stack(shares).clamp(0.0, 1.0).numpy()

@@ -24,11 +24,10 @@ import torch
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.diagnosis.cross_validation import as_model
-from nsde_torch.diagnosis.fitted import fitted_system
-from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.result import Diagnosis
-from nsde_torch.diagnosis.search import search_in
+from nsde_torch.diagnosis.search import fitted_system, search_in
 from nsde_torch.evaluation.metrics import start_grid, thinned
 from nsde_torch.evaluation.open_loop import rollout_squares
 from nsde_torch.models.identified import SysidSpec

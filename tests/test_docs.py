@@ -19,7 +19,7 @@ import nsde_torch
 from nsde_torch.cli import groups
 from nsde_torch.cli.main import main
 from nsde_torch.cli.registry import COMMANDS, hydra_commands
-from nsde_torch.diagnosis.content import Content
+from nsde_torch.diagnosis.result import Content
 from nsde_torch.effects import Effect
 from nsde_torch.recording import FAULTS
 

@@ -94,7 +94,7 @@ def shares(found: Any, law: machines.Law) -> Json:
     """Log likelihood that effects, all, and functions of the true law bring to blocks left out [nats]."""
     import torch
 
-    from nsde_torch.diagnosis.learned_functions import optimum_of
+    from nsde_torch.diagnosis.ceiling import optimum_of
     from nsde_torch.inference.functions import Variables, learned
 
     outcome, most = found.outcome, found.explanation.ceiling

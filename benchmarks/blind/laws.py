@@ -264,7 +264,7 @@ def _values(found: Any, name: str) -> Array:
     """What a law of the diagnosis adds at the logged states (n,), with its values."""
     import torch
 
-    from nsde_torch.diagnosis.fitted import effect_of
+    from nsde_torch.diagnosis.candidates import effect_of
     from nsde_torch.systems.vocabulary import seen_by
 
     system = found.outcome.system.double()

@@ -33,10 +33,9 @@ from torch import Tensor
 import nsde_torch
 from nsde_torch.data import DataSet, Run, Windows
 from nsde_torch.diagnosis.cross_validation import as_model
-from nsde_torch.diagnosis.fitted import fitted_system
-from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.pipeline import diagnose
-from nsde_torch.diagnosis.search import search_in
+from nsde_torch.diagnosis.search import fitted_system, search_in
 from nsde_torch.evaluation.metrics import horizons_of, start_grid, thinned
 from nsde_torch.evaluation.open_loop import rollout_squares
 from nsde_torch.evaluation.scores import group_squares

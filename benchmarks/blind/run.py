@@ -35,7 +35,7 @@ def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
 
     import nsde_torch
     from nsde_torch.diagnosis.cross_validation import by_likelihood, held_out
-    from nsde_torch.diagnosis.options import Options
+    from nsde_torch.diagnosis.decisions import Options
     from nsde_torch.diagnosis.pipeline import diagnose
     from nsde_torch.diagnosis.reading import with_channels
     from nsde_torch.models.identified import SysidSpec

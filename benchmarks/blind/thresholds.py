@@ -52,8 +52,7 @@ def answers(cases: Path, names: list[str], field: str, value: float) -> dict[str
     import torch
 
     import nsde_torch
-    from nsde_torch.diagnosis.decisions import DECISIONS
-    from nsde_torch.diagnosis.options import Options
+    from nsde_torch.diagnosis.decisions import DECISIONS, Options
     from nsde_torch.diagnosis.pipeline import diagnose
     from nsde_torch.models.identified import SysidSpec
     from nsde_torch.systems import make_system

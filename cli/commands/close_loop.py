@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.decisions import Options
 
 from ..hydra_command import HydraCommand
 from ..keys import group, key, of

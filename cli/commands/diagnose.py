@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.decisions import Options
 
 from ..exit_status import INTERRUPTED, EndedError
 from ..hydra_command import HydraCommand
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from nsde_torch.diagnosis import Diagnosis
-    from nsde_torch.diagnosis.content import Content
+    from nsde_torch.diagnosis.result import Content
 
     from ..jobs import Job
 

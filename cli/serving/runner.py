@@ -21,7 +21,7 @@ from .summary import page_summary
 from .words import Machines, diagnose_words, inspect_words, shell
 
 if TYPE_CHECKING:
-    from nsde_torch.diagnosis.content import Content
+    from nsde_torch.diagnosis.result import Content
 
 INSPECTION, SUMMARY, LOG, MAPPING, RESULT = (
     "inspection.json",

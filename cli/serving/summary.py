@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from nsde_torch.diagnosis.content import Content
+    from nsde_torch.diagnosis.result import Content
 
 
 def page_summary(content: Content, plots: Collection[str]) -> dict[str, Any]:

@@ -8,12 +8,11 @@ from typing import Any, Literal
 
 from nsde_torch.api.reading import Data, read, split_runs
 from nsde_torch.data import DataSet
-from nsde_torch.diagnosis.begun import read_begun
 from nsde_torch.diagnosis.candidates import check_candidates
-from nsde_torch.diagnosis.not_done import StoppedError
-from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.pipeline import diagnose as diagnose_runs
 from nsde_torch.diagnosis.result import Diagnosis
+from nsde_torch.diagnosis.stages import StoppedError, read_begun
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.progress import Say, Stages, silent
 from nsde_torch.recording.times import no_finer

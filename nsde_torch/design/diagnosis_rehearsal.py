@@ -28,10 +28,9 @@ from torch import Tensor
 from nsde_torch.data import Run
 from nsde_torch.data.raw import RawRun
 from nsde_torch.design.rollout import Disturbances, Drive, ModelNoise, Rollouts, open_loop
-from nsde_torch.diagnosis.content import Content
-from nsde_torch.diagnosis.fitted import effect_of, values_of
+from nsde_torch.diagnosis.candidates import effect_of, values_of
 from nsde_torch.diagnosis.pipeline import diagnose
-from nsde_torch.diagnosis.result import Diagnosis
+from nsde_torch.diagnosis.result import Content, Diagnosis
 from nsde_torch.effects.law import AND
 from nsde_torch.errors import ConfigError, NsdeError
 from nsde_torch.inference.estimate import LogLikelihood

@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 
 from nsde_torch.data import Run
 from nsde_torch.design.rollout import ModelNoise, Rollouts
-from nsde_torch.diagnosis.candidates import alone, make_candidate, starts
-from nsde_torch.diagnosis.fitted import fitted_system
-from nsde_torch.diagnosis.options import Options
-from nsde_torch.diagnosis.search import Search, search_in
+from nsde_torch.diagnosis.candidates import alone, starts
+from nsde_torch.diagnosis.decisions import Options
+from nsde_torch.diagnosis.search import Search, fitted_system, search_in
 from nsde_torch.effects import Effect
 from nsde_torch.effects.law import Law
 from nsde_torch.errors import ConfigError, NsdeError
@@ -158,7 +157,7 @@ def physics_with(
         if key in out.effect_names:
             continue
         try:
-            out = out.with_effects(make_candidate(key, out, values.get(name, values.get(key, {}))))
+            out = out.with_effects(out.make_effect(key, values.get(name, values.get(key, {}))))
         except KeyError as error:
             raise ConfigError(
                 f"`members` names {name!r}, which no effect of {declared.name!r} is called."
@@ -173,7 +172,7 @@ def with_starts(search: Search, system: System, effects: Sequence[str]) -> list[
     for name in effects:
         begun = starts(system.without_effects(name), name, scales, [])
         out = [
-            base.without_effects(name).with_effects(make_candidate(name, base, start))
+            base.without_effects(name).with_effects(base.make_effect(name, start))
             for base in out
             for start in (begun or [{}])
         ]

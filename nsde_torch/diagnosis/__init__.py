@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
-    from nsde_torch.diagnosis.decisions import Budgets, Decisions, Wording
-    from nsde_torch.diagnosis.options import Options
+    from nsde_torch.diagnosis.decisions import Budgets, Decisions, Options, Wording
     from nsde_torch.diagnosis.pipeline import diagnose
     from nsde_torch.diagnosis.report import write_report
     from nsde_torch.diagnosis.result import Diagnosis
@@ -27,7 +26,7 @@ __getattr__ = resolver(
         "Budgets": "decisions",
         "Decisions": "decisions",
         "Diagnosis": "result",
-        "Options": "options",
+        "Options": "decisions",
         "Wording": "decisions",
         "diagnose": "pipeline",
         "write_report": "report",

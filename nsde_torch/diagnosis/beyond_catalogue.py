@@ -3,7 +3,7 @@
     functions beside the physics  ->  their variables  ->  terms of these as columns  ->  the best are fitted  ->  again
 
 Functions of one and of two variables (`nsde_torch.inference.functions`) say on which row of a port something is left,
-and of which variables. Every term of the library (`law_terms`) of these is one more column of the likelihood's Gram
+and of which variables. Every term of the library (`laws`) of these is one more column of the likelihood's Gram
 matrices, under the noise levels that the functions leave: levels found without them have learned the law. The few that
 explain most of folds left out are fitted to the end; the best joins the physics if it is needed after correction for
 the size of the library. In the end each effect and each law is looked at again, as in the selection.
@@ -15,6 +15,11 @@ are laws of one variable (a friction and a quadratic damping for a cubic one).
 A law has to be chosen again: of halves of the runs (of stretches, where there are too few runs), drawn at random, it
 explains a large share about as well as the best term of the library does there (stability selection, Meinshausen and
 Buehlmann, Journal of the Royal Statistical Society B 72, 2010, with likelihoods in place of a path).
+
+A law that is the same function as an effect of the catalogue takes that effect's name: `force = c1 x^3` is a cubic
+stiffness. The law may have been the likelier of the two by its spelling alone, as the same evidence is judged run by
+run there. At the states and inputs of the data both are worked out; where one is a multiple of the other, the effect is
+fitted in its place.
 """
 
 from __future__ import annotations
@@ -24,24 +29,35 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.candidates import joined
+from nsde_torch.diagnosis.candidates import (
+    Start,
+    candidate_names,
+    effect_of,
+    joined,
+    values_of,
+)
+from nsde_torch.diagnosis.ceiling import functions_beside
 from nsde_torch.diagnosis.decision import of_one_variable
-from nsde_torch.diagnosis.fitted import bent_shape, effect_of, values_of
 from nsde_torch.diagnosis.gram_table import GramTable, folds_of
 from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSearch, JointSelection, coordinate_of
-from nsde_torch.diagnosis.law_columns import Term, tables, terms_on, with_places
-from nsde_torch.diagnosis.law_names import same_effect
-from nsde_torch.diagnosis.learned_functions import functions_beside
+from nsde_torch.diagnosis.laws import Term, tables, terms_on, with_places
 from nsde_torch.diagnosis.outcome import Outcome
-from nsde_torch.effects import Law
+from nsde_torch.diagnosis.search import bent_shape
+from nsde_torch.effects import Effect, Law, Parameter, Port, effect_class
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import AND
+from nsde_torch.errors import ConfigError
 from nsde_torch.inference.functions import Functions
 from nsde_torch.inference.levels import Levels
+from nsde_torch.inference.steps import Steps
+from nsde_torch.systems import System
+from nsde_torch.systems.vocabulary import seen_by
 
 Array = NDArray[np.float64]
+
 
 _CLOSE = 0.3  # share of the nats of the best term below which no further one is fitted
 
@@ -52,14 +68,7 @@ def with_laws(
     outcome: Outcome,
     conclude: Callable[[JointSelection], Outcome],
 ) -> Outcome:
-    """The outcome with laws that no catalogue has, where functions explain more and such laws do too.
-
-    Args:
-        search: The search by the joint likelihood.
-        joint: What it selected of the catalogue.
-        outcome: What was concluded of that.
-        conclude: What is concluded of another selection.
-    """
+    """The outcome with laws that no catalogue has, where functions explain more and such laws do too."""
     settings = search.search
     if not search.tries_laws:
         return outcome
@@ -96,11 +105,7 @@ def with_laws(
 
 
 class _LawSearch:
-    """Adds laws to physics; remembers functions beside physics.
-
-    Args:
-        search: The search by the joint likelihood.
-    """
+    """Adds laws to physics; remembers functions beside physics."""
 
     def __init__(self, search: JointSearch) -> None:
         self._search = search
@@ -114,12 +119,7 @@ class _LawSearch:
         return self._functions[names]
 
     def selected(self, joint: JointSelection, replaced: Sequence[str]) -> JointSelection | None:
-        """A selection with laws, also in the place of some effects; None where no law is kept.
-
-        Args:
-            joint: What was selected.
-            replaced: Effects that laws are tried in the place of.
-        """
+        """A selection with laws, also in the place of some effects; None where no law is kept."""
         search = self._search
         place = joint.final
         of_effects = {n: e for n in replaced if isinstance(e := effect_of(place.system, n), Law)}
@@ -259,3 +259,53 @@ class _LawSearch:
 def _value(place: FittedPhysics) -> float:
     """Log likelihood of fitted physics less the price of its parameters (Schwarz) [nats]."""
     return place.best.likelihood - 0.5 * len(place.best.free) * float(np.log(len(place.at.blocks)))
+
+
+_SAME = 1e-6  # of its length: what a multiple may be away; both are worked out in double precision
+_ROWS = 5000  # of the data, evenly chosen
+
+
+def same_effect(steps: Steps, system: System, law: str) -> tuple[str, Start] | None:
+    """An effect of the catalogue that is a multiple of a law at the states of the data: its name, and its shapes."""
+    own = effect_of(system, law)
+    if own.port is Port.INPUT:
+        return None
+    mine = _pushes(steps, system, own)
+    found: list[tuple[str, Start]] = []  # a friction of two sizes is one too, where both are alike
+    shapes = [value for name, value in values_of(own).items() if name.startswith("k")]
+    for name in candidate_names(system):
+        cls = effect_class(name)
+        if cls.port is not own.port or cls.exogenous:
+            continue
+        # a sign of the speed with its width is a dry friction (tests/diagnosis/test_law_names.py)
+        shaped = dict(zip(cls.shapes, shapes, strict=True)) if len(cls.shapes) == len(shapes) else {}
+        try:
+            sizes = {k: _size(cls.PARAMETERS[k]) for k in cls.amplitudes}
+            other = system.make_effect(name, {**sizes, **shaped})
+        except ConfigError:  # beyond the bounds of its shapes
+            continue
+        if other.n_memory:
+            continue
+        theirs = _pushes(steps, system, other)
+        if theirs.shape != mine.shape or not (theirs @ theirs > 0 and mine @ mine > 0):
+            continue
+        off = theirs - mine * float(theirs @ mine) / float(mine @ mine)
+        if float(off @ off) <= _SAME**2 * float(theirs @ theirs):
+            found.append((name, shaped))
+    return min(found, key=lambda one: len(effect_class(one[0]).PARAMETERS), default=None)
+
+
+def _size(parameter: Parameter) -> float:
+    """Some size that is not nothing, within bounds."""
+    low, high = parameter.low or 0.0, parameter.high
+    return low + (1.0 if high is None else 0.5 * (high - low))
+
+
+@torch.no_grad()
+def _pushes(steps: Steps, system: System, effect: Effect) -> np.ndarray:
+    """What an effect without memory adds at some of the data's states, row after row of its port."""
+    machine, own = system.double(), effect.double()
+    some = torch.linspace(0, len(steps) - 1, min(len(steps), _ROWS)).long()
+    t, x, u = steps.t[some], steps.x0[some], steps.u[some]
+    z = machine.augment(x, u)
+    return np.asarray(own(t, x, seen_by(machine, own, t, z, u), z[:, :0]).numpy()).ravel()

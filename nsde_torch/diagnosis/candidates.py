@@ -1,8 +1,8 @@
-"""Effects of the catalogue as candidates: which a system may have, and where their fits start."""
+"""Effects of the catalogue as candidates: which a system may have, where their fits start, and from how many starts."""
 
 from collections.abc import Collection, Mapping, Sequence
+from math import prod
 
-from nsde_torch.diagnosis.fitted import values_of
 from nsde_torch.effects import EFFECTS, Effect, Law, Port, effect_class, effects_of
 from nsde_torch.effects.law import joined_name, split_name
 from nsde_torch.errors import ConfigError
@@ -33,12 +33,7 @@ def candidate_names(system: System, among: Collection[str] | None = None) -> lis
 
 
 def why_not(system: System, name: str) -> str:
-    """Why a diagnosis does not try an effect that acts on what the machine has; empty where it does.
-
-    Args:
-        system: The machine.
-        name: Effect of the catalogue, as the machine calls it.
-    """
+    """Why a diagnosis does not try an effect that acts on what the machine has; empty where it does."""
     if name in system.effect_names:
         return "it is declared already"
     around = [e.name for e in system.effects if isinstance(e, Effect) and name in e.includes]
@@ -51,10 +46,6 @@ def why_not(system: System, name: str) -> str:
 
 def check_candidates(system: System, names: Sequence[str]) -> None:
     """Refuse candidates that a system cannot have whatever is logged: this needs no data.
-
-    Args:
-        system: Declared system.
-        names: Effects of the catalogue.
 
     Raises:
         ConfigError: one is not in the catalogue, is declared, or is for other machines.
@@ -93,11 +84,6 @@ def on_coordinates(system: System, names: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(out))
 
 
-def make_candidate(name: str, system: System, start: Start) -> Effect:
-    """An effect with these values, for a copy of the system."""
-    return system.make_effect(name, start)
-
-
 def starts(
     system: System, name: str, scales: Mapping[str, float], frequencies: Sequence[float]
 ) -> list[Start]:
@@ -125,7 +111,7 @@ def joined(system: System, name: str, start: Start) -> System:
     contained = set(effect_class(name).includes) & set(system.effect_names)
     if contained:
         system = system.without_effects(*contained)
-    return system.with_effects(make_candidate(name, system, start))
+    return system.with_effects(system.make_effect(name, start))
 
 
 def alone(name: str, labels: Sequence[str]) -> list[tuple[str, ...]]:
@@ -133,3 +119,34 @@ def alone(name: str, labels: Sequence[str]) -> list[tuple[str, ...]]:
     cls = effect_class(name)
     each = [label for label in labels if cls.PARAMETERS[own_name(label)].per_input]
     return [tuple(x for x in each if x != label) for label in each] or [()]
+
+
+def effect_of(system: System, name: str) -> Effect:
+    """The effect of a system that has this name."""
+    return next(e for e in system.effects if isinstance(e, Effect) and e.name == name)
+
+
+def values_of(effect: Effect) -> dict[str, float | list[float]]:
+    return {
+        key: value.tolist() if value.numel() > 1 else float(value)
+        for key, (value, _) in effect.declared_parameters().items()
+    }
+
+
+def frequencies_in(steps: int) -> float:
+    """Number of independent frequencies of a stretch of so many steps, at least 1."""
+    return max(1.0, 0.5 * steps)
+
+
+def starts_of(effect: str, labels: Sequence[str], steps: int) -> float:
+    """How many starts the best of which was taken: frequencies of the spectrum, or shapes, each for every input.
+
+    Args:
+        effect: Name of the effect.
+        labels: Of its parameters.
+        steps: Length of the longest stretch of the data.
+    """
+    if "spectrum" in effect_class(effect).relative.values():
+        return frequencies_in(steps)
+    grid = prod(len(values) for values in effect_class(effect).shapes.values())
+    return float(grid * len(alone(effect, labels)))

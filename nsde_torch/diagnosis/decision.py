@@ -11,24 +11,20 @@ from dataclasses import dataclass, field, replace
 from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.cross_validation import HeldOut
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
-from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.evidence import nats_by_channel
-from nsde_torch.diagnosis.fitted import bent_shape, fitted_system, moved_channels
-from nsde_torch.diagnosis.hidden import (
+from nsde_torch.diagnosis.feedback_bias import (
     Feedback,
-    Hidden,
+    FeedbackBiased,
     allowances,
     allowances_of_tests,
     chance_beyond,
     lengths_of_parameters,
-    likelihood_ratios,
 )
 from nsde_torch.diagnosis.joint_selection import JointSelection
-from nsde_torch.diagnosis.left_over import beyond_chance, variables_of
 from nsde_torch.diagnosis.outcome import Found, Outcome, Verdict, base_without, found_by
 from nsde_torch.diagnosis.reading import Log
-from nsde_torch.diagnosis.search import Base, Search
-from nsde_torch.diagnosis.specification import dependences
+from nsde_torch.diagnosis.residual_tests import Dependence, beyond_chance, dependences, variables_of
+from nsde_torch.diagnosis.search import Base, Search, bent_shape, fitted_system, moved_channels
 from nsde_torch.effects import Effect, Port, effect_class
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import split_name
@@ -45,7 +41,7 @@ class Selection:
     final: Base  # the physics with the effects, fitted
     found: list[Found]  # the effects, in the order in which they were added
     joint: JointSelection | None  # what the joint likelihood selected; None where it could not be computed
-    hidden: tuple[Hidden, ...] = ()  # effects that are not named because feedback may have made them
+    hidden: tuple[FeedbackBiased, ...] = ()  # effects that are not named because feedback may have made them
     feedback: LoopTest = field(default_factory=LoopTest)
     """What the data say of the loop that they were recorded in, by `final`."""
 
@@ -68,13 +64,7 @@ def selection(search: Search, joint: JointSelection | None, system: System) -> S
 
 
 def set_aside(search: Search, chosen: Selection, feedback: Feedback) -> Selection:
-    """Effects that explain more than feedback may hide; the others are set aside, the weakest first (`hidden`).
-
-    Args:
-        search: Data and settings.
-        chosen: What was selected.
-        feedback: What is asked of the loop.
-    """
+    """Effects that explain more than feedback may hide; the others are set aside, the weakest first."""
     found, base, joint, hidden = chosen.found, chosen.final, chosen.joint, list(chosen.hidden)
     tested = feedback.test(base.regression)
     among = max(len(joint.rounds[0].look.proposals), 1) if joint is not None else 1
@@ -90,7 +80,8 @@ def set_aside(search: Search, chosen: Selection, feedback: Feedback) -> Selectio
             allowed = allowances(lengths, base.regression.vector.of(f.name))
             without = base_without(search, base, chosen.declared, f.name)
             count = len(base.regression.vector.of(f.name))
-            brought = likelihood_ratios(nats_by_channel(without.regression, base.regression))
+            nats = nats_by_channel(without.regression, base.regression)
+            brought = {channel: 2.0 * value for channel, value in nats.items()}
             if chance_beyond(brought, moved, allowed, count) * among < search.level("effects"):
                 continue
             beyond = sum(brought[c] - allowed.get(c, 0.0) for c in moved)
@@ -99,7 +90,7 @@ def set_aside(search: Search, chosen: Selection, feedback: Feedback) -> Selectio
         if weakest is None or feedback.shown(fitted_system(base.regression), weakest[1].name):
             break
         _, f, base, channels = weakest
-        hidden.append(Hidden(f.name, channels))
+        hidden.append(FeedbackBiased(f.name, channels))
         joint = joint.less(f.name)
         found = found_by(search, joint)
         tested = feedback.test(base.regression)
@@ -107,13 +98,7 @@ def set_aside(search: Search, chosen: Selection, feedback: Feedback) -> Selectio
 
 
 def decide(search: Search, chosen: Selection, feedback: Feedback) -> Outcome:
-    """Test what is left with and without the effects, and conclude.
-
-    Args:
-        search: Data and settings.
-        chosen: Effects that count.
-        feedback: What is asked of the loop.
-    """
+    """Test what is left with and without the effects, and conclude."""
     declared, base, found, tested, joint = (
         chosen.declared,
         chosen.final,

@@ -1,15 +1,16 @@
-"""Every number that a diagnosis decides by, with its meaning and its source.
+"""Every number that a diagnosis decides by, with its meaning and its source, and the settings that a user has.
 
 `Decisions` may change what is found, `Wording` how it is described, `Budgets` how long it takes and nothing else.
 Differences of log-likelihood are in nats. Numerical tolerances stand in the module that needs them, and so do the
-functions that residuals are tested against (`regressors`, `periodicity`, `moments`): they say what is looked for, and
-not what counts as found. Where a field names no source, the number was chosen here.
+functions that residuals are tested against (`regressors`, `periodicity`, `residual_tests`): they say what is looked
+for, and not what counts as found. Where a field names no source, the number was chosen here.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from nsde_torch.errors import ConfigError
 from nsde_torch.options import check, documented, key
 
 INTERVAL_LEVEL = 0.9
@@ -192,3 +193,36 @@ class Budgets:
 
 DECISIONS, BUDGETS = Decisions(), Budgets()
 """What is used where nothing else is said."""
+
+
+@documented
+@dataclass(frozen=True)
+class Options:
+    """Settings of a diagnosis."""
+
+    alpha: float = key(DECISIONS.alpha, "chance of naming anything where nothing is missing", above=0)
+    max_effects: int = key(DECISIONS.most_effects, "most effects to add", low=0)
+    candidates: tuple[str, ...] | None = key(
+        None, "effects to try, by name; null: all that the system may have"
+    )
+    also: tuple[str, ...] = key((), "effects of your own to try beside them, `module:Class`")
+    seed: int = key(0, "seed of the resamples", low=0)
+    max_minutes: float | None = key(
+        None,
+        "time after which the diagnosis ends with what is known; null: none. Training does not count",
+        unit="min",
+        above=0,
+    )
+    instruments: tuple[str, ...] = key(
+        (), "logged columns that nothing inside the control loop moves: sticks, setpoints"
+    )
+
+    @property
+    def decisions(self) -> Decisions:
+        """What a diagnosis with these settings decides by."""
+        return Decisions(alpha=self.alpha, most_effects=self.max_effects)
+
+    def __post_init__(self) -> None:
+        check(type(self), vars(self))
+        if not 0 < self.alpha <= 0.5:
+            raise ConfigError(f"`alpha` must lie in (0, 0.5]; got {self.alpha!r}.")

@@ -12,8 +12,7 @@ from nsde_torch.effects import files as effects_files
 from nsde_torch.whole_files import write_whole
 
 if TYPE_CHECKING:
-    from nsde_torch.diagnosis.content import Content
-    from nsde_torch.diagnosis.result import Diagnosis
+    from nsde_torch.diagnosis.result import Content, Diagnosis
 
 _REPORTS = 0.05  # share of the time that reports so far may take
 _REPORT_S = 5.0  # what the first of them takes about [s]
@@ -45,13 +44,7 @@ def write_effects(found: Diagnosis, folder: Path, *, system: str, note: str) -> 
 
 @final
 class DiagnosisFiles:
-    """Keeps the files of a diagnosis up to date while it goes on.
-
-    Args:
-        folder: Where to.
-        system: Name of the system that takes `effects.yaml`.
-        note: First line of `effects.yaml`.
-    """
+    """Keeps the files of a diagnosis up to date while it goes on."""
 
     def __init__(self, folder: Path, *, system: str, note: str) -> None:
         self._folder, self._system, self._note = folder, system, note

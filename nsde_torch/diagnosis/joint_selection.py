@@ -25,13 +25,11 @@ import torch
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from nsde_torch.diagnosis.candidates import alone, candidate_names, joined, starts
-from nsde_torch.diagnosis.evidence import sum_error
-from nsde_torch.diagnosis.fitted import effect_of, without_effect
+from nsde_torch.diagnosis.candidates import alone, candidate_names, effect_of, joined, starts, starts_of
+from nsde_torch.diagnosis.evidence import bonferroni, sum_error
 from nsde_torch.diagnosis.gram_table import GramTable, folds_of
-from nsde_torch.diagnosis.law_columns import Term, tables, terms_on
-from nsde_torch.diagnosis.multiplicity import bonferroni, starts_of
-from nsde_torch.diagnosis.search import Search
+from nsde_torch.diagnosis.laws import Term, tables, terms_on
+from nsde_torch.diagnosis.search import Search, without_effect
 from nsde_torch.effects import Effect, Law, effect_class
 from nsde_torch.effects.law import AND
 from nsde_torch.errors import NsdeError
@@ -114,7 +112,7 @@ class Evidence:
 
     nats: float  # log likelihood that it brings beside the others, as expected of rows left out [nats]
     error: float  # its standard error [nats]
-    p: float  # chance of as much if it did nothing, corrected for the number of comparisons (`multiplicity`)
+    p: float  # chance of as much if it did nothing, corrected for the number of comparisons (`starts_of`)
 
 
 @dataclass(frozen=True)
@@ -131,15 +129,10 @@ class JointSelection:
     functions: Functions | None = None
     """Functions that explain more beside the physics, as far as they were looked for."""
     suspected: tuple[str, ...] = ()
-    """Effects that were no candidates behind a smoother and would explain more (`behind_smoothers`)."""
+    """Effects that were no candidates behind a smoother and would explain more (`feedback_bias`)."""
 
     def evidence(self, search: Search, name: str) -> Evidence:
-        """How sure an effect is.
-
-        Args:
-            search: Settings.
-            name: The effect.
-        """
+        """How sure an effect is."""
         one, best = self.selected[name], self.final.best
         labels = [label for label in best.vector.labels if label.startswith(f"{name}.")]
         count = max(len(labels), 1)
@@ -150,11 +143,7 @@ class JointSelection:
         return Evidence(risen - count, error, p)  # less a nat a parameter: of rows left out (Akaike)
 
     def less(self, name: str) -> "JointSelection":
-        """The same without one effect.
-
-        Args:
-            name: The effect.
-        """
+        """The same without one effect."""
         rest = self.selected[name].without
         others = {}
         for other, one in self.selected.items():
@@ -244,13 +233,7 @@ class JointSearch:
         return JointSelection(self._first, place, selected, rounds, errors, tuple(self._aside))
 
     def chosen(self, law: str, fitted: Sequence[Term], library: Sequence[Term]) -> None:
-        """A law was chosen: it is held against the other terms that were fitted when it is looked at again.
-
-        Args:
-            law: The law.
-            fitted: Terms that were fitted to the end.
-            library: All terms that were looked at.
-        """
+        """A law was chosen: it is held against the other terms that were fitted when it is looked at again."""
         self._instead[law] = tuple(fitted)
         self.libraries |= dict.fromkeys((t.law for t in fitted), tuple(library))
 

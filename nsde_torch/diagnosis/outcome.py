@@ -1,4 +1,4 @@
-"""What a diagnosis concluded: the effects that were found, the tests of what is left, and the verdict."""
+"""What a diagnosis concluded: effects with their estimates, tests of what is left, the verdict."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -7,23 +7,85 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
-from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
-from nsde_torch.diagnosis.dependence import Dependence
-from nsde_torch.diagnosis.estimates import Estimate, estimated, of_identification
-from nsde_torch.diagnosis.fitted import fitted_system, without_effect
-from nsde_torch.diagnosis.hidden import Hidden, lengths_of_parameters
+from nsde_torch.diagnosis.decisions import DECISIONS, INTERVAL_LEVEL, Decisions
+from nsde_torch.diagnosis.feedback_bias import FeedbackBiased, lengths_of_parameters
 from nsde_torch.diagnosis.joint_selection import Evidence, JointSelection
 from nsde_torch.diagnosis.regressors import Regressors
-from nsde_torch.diagnosis.search import Base, Search
+from nsde_torch.diagnosis.residual_tests import Dependence
+from nsde_torch.diagnosis.search import Base, Search, fitted_system, without_effect
 from nsde_torch.inference import Optimum
 from nsde_torch.inference.spread import Spread
 from nsde_torch.sysid.in_loop import hidden_bias, largest_bias
 from nsde_torch.sysid.loop_test import LoopTest
+from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
+from nsde_torch.systems.parameters import ParameterVector
 
 Array = NDArray[np.float64]
+
+
+_BOUNDS: dict[tuple[bool, bool], Literal["below", "above"]] = {
+    (True, False): "below",
+    (False, True): "above",
+}  # by whether the ends are those of the search
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter of an effect with its interval."""
+
+    name: str  # `effect.parameter`, with an index where there are axes
+    value: float  # estimate
+    low: float | None
+    high: float | None  # low, high: 90 % interval, inside the bounds; None where the data do not show it
+    unit: str  # unit of all
+    # `below` or `above` where that end alone is what the data say: the other one is the bound of the search
+    bound: Literal["below", "above"] | None = None
+    widened: float = 0.0
+    """What its half-width is larger by than chance makes it: by what more data do not show."""
+
+
+def estimated(
+    regression: Regression, sure: Spread, columns: Sequence[int], doubt: Array | None = None
+) -> list[Estimate]:
+    """Parameters with 90 % intervals from blocks of time.
+
+    Args:
+        regression: At its optimum.
+        sure: Its covariance.
+        columns: Numbers of the parameters.
+        doubt: What half-widths are widened by (k,), nan for anything; None for nothing.
+    """
+    v, basis = regression.vector, regression.shown.basis
+    error = np.sqrt(np.clip(np.diag(basis @ sure.covariance @ basis.T), 0.0, None))
+    half = stdtrit(sure.degrees(basis).clip(1.0), 0.5 * (1 + INTERVAL_LEVEL)) * error
+    half = np.where(regression.shown.known, half if doubt is None else half + doubt, np.nan)
+    return [_inside(v, j, float(regression.theta[j]), float(half[j]), _widened(doubt, j)) for j in columns]
+
+
+def of_identification(found: Identification, labels: Sequence[str]) -> list[Estimate]:
+    """Estimates with 90 % intervals of an identification."""
+    v, half = found.vector, found.half_widths(INTERVAL_LEVEL)
+    columns = [v.labels.index(label) for label in labels]
+    return [_inside(v, j, float(found.values[j]), float(half[j]), _widened(found.doubt, j)) for j in columns]
+
+
+def _widened(doubt: Array | None, j: int) -> float:
+    return 0.0 if doubt is None else float(doubt[j])
+
+
+def _inside(v: ParameterVector, j: int, value: float, half: float, widened: float) -> Estimate:
+    """A parameter with the interval of this half-width inside its bounds; without one where that is not finite."""
+    if not np.isfinite(half):
+        return Estimate(v.labels[j], value, None, None, v.units[j])
+    low, high = float(max(value - half, v.low[j])), float(min(value + half, v.high[j]))
+    bound = _BOUNDS.get((low <= v.low[j], high >= v.high[j]))
+    return Estimate(v.labels[j], value, low, high, v.units[j], bound, widened)
+
+
 Verdict = Literal["no_effect", "effect_found", "unexplained", "undecided"]
 
 
@@ -56,7 +118,7 @@ class Outcome:
     """before, after: what the residual depends on without and with the effects, all tests."""
     structured: list[Dependence] = field(default_factory=list)
     """The tests that are left over after correction for their number, what explains most first."""
-    hidden: tuple[Hidden, ...] = ()  # effects that are not named because feedback may have made them
+    hidden: tuple[FeedbackBiased, ...] = ()  # effects that are not named because feedback may have made them
     test: LoopTest = field(default_factory=LoopTest)
     """What the data say of the loop that they were recorded in, by `final`."""
     hangs: Array | None = None
@@ -109,11 +171,7 @@ class Outcome:
         return self.estimated(self.final.regression.vector.of(effect))
 
     def estimated(self, columns: Sequence[int]) -> list[Estimate]:
-        """Parameters of `final` with 90 % intervals, which feedback widens where it may hide something.
-
-        Args:
-            columns: Numbers of the parameters.
-        """
+        """Parameters of `final` with 90 % intervals, which feedback widens where it may hide something."""
         if self.printed is None:
             return estimated(self.final.regression, self.spread, columns, self.doubt)
         printed = self.printed
@@ -131,8 +189,7 @@ class Outcome:
     def doubt(self) -> Array:
         """By how much feedback may have bent each parameter of `final` (k,); nan for by anything.
 
-        Effects that were found are bent by what was made from other sensors alone, as in
-        `hidden.allowances`.
+        Effects that were found are bent by what was made from other sensors alone, as in `feedback_bias.allowances`.
         """
         r, found = self.final.regression, {f.name for f in self.found}
         of_effects = np.array([label.partition(".")[0] in found for label in r.vector.labels], dtype=bool)
@@ -161,15 +218,7 @@ def undecided(
     found: Sequence[Found] = (),
     joint: JointSelection | None = None,
 ) -> Outcome:
-    """What is known before what is left is tested.
-
-    Args:
-        search: Data and settings.
-        declared: The declared physics, fitted.
-        final: The physics with what was added so far, fitted.
-        found: Effects so far.
-        joint: What the joint likelihood selected.
-    """
+    """What is known before what is left is tested."""
     nothing = Regressors({}, np.zeros(0), {})
     return Outcome(
         verdict="undecided",

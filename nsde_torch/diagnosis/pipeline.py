@@ -1,38 +1,39 @@
 """From measured runs and a declared model to the effects that it lacks: the stages of a diagnosis, in order.
 
 read            runs and logged channels, and options that fit the machine      reading
-undo            faults of the recording chain                                   chain, recording
+undo            faults of the recording chain                                   reading, recording
 fit             the declared physics: a regression, then the joint likelihood   search, inference
-select          effects of the catalogue, one at a time; then each one again    joint_selection, behind_smoothers
-set aside       what feedback may have made                                     decision, hidden
-test, decide    what is left against all that was measured; the verdict         specification, decision
+select          effects of the catalogue, one at a time; then each one again    joint_selection, feedback_bias
+set aside       what feedback may have made                                     decision, feedback_bias
+test, decide    what is left against all that was measured; the verdict         residual_tests, decision
 beyond          laws that no catalogue has, where functions explain more        beyond_catalogue
 cross-validate  the physics without and with effects on runs left out           cross_validation
-ceiling         what functions of all that was measured could still explain     ceiling, learned_functions
+ceiling         what functions of all that was measured could still explain     ceiling
 explain         what is left, as far as it can be                               explanation
-report          `Diagnosis`, and the content of `diagnosis.json`                result, content
+report          `Diagnosis`, and the content of `diagnosis.json`                result
 
-A stage whose numbers fail, or that would not end in the time that is left, costs itself and not the run (`not_done`),
+A stage whose numbers fail, or that would not end in the time that is left, costs itself and not the run (`stages`),
 but for the first search.
+
+After the fit of the declared physics, each round of the selection and each later stage, what is known is given to
+whoever listens, and kept for the case that the diagnosis is stopped. It is never less than before: a search that is
+repeated (in other rows) is known once it has come to an end. How long all will yet take is rough: one more round of the
+selection, and later stages as so many rounds, as they took on springs and flights.
 """
 
+from __future__ import annotations
+
+import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from time import perf_counter
+from typing import final
 
 from nsde_torch.data import DataSet, Run
-from nsde_torch.diagnosis.at_nothing import beside_gains_at_nothing
-from nsde_torch.diagnosis.begun import Begun
-from nsde_torch.diagnosis.behind_smoothers import (
-    behind_smoothers,
-    not_sure_behind_smoothers,
-    with_suspects,
-)
 from nsde_torch.diagnosis.beyond_catalogue import with_laws
 from nsde_torch.diagnosis.ceiling import Ceiling, ceiling
-from nsde_torch.diagnosis.chain import explains_more, undone, with_a_late_sensor
-from nsde_torch.diagnosis.course import DiagnosisCourse
-from nsde_torch.diagnosis.cross_validation import cross_validated, none_held_out
+from nsde_torch.diagnosis.cross_validation import HeldOut, cross_validated, none_held_out
 from nsde_torch.diagnosis.decision import (
     decide,
     doubted,
@@ -43,35 +44,55 @@ from nsde_torch.diagnosis.decision import (
     set_aside,
     sized,
 )
-from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
-from nsde_torch.diagnosis.explanation import explained
-from nsde_torch.diagnosis.fitted import fitted_system, moved_channels
-from nsde_torch.diagnosis.inferred import at_declared, at_found, not_sure
+from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions, Options
+from nsde_torch.diagnosis.explanation import Explanation, explained
+from nsde_torch.diagnosis.feedback_bias import (
+    behind_smoothers,
+    beside_vanishing_gains,
+    not_sure_behind_smoothers,
+    with_suspects,
+)
 from nsde_torch.diagnosis.joint_selection import Evidence, JointSearch, JointSelection
-from nsde_torch.diagnosis.not_done import (
+from nsde_torch.diagnosis.outcome import Found, Outcome, undecided
+from nsde_torch.diagnosis.periodicity import lines
+from nsde_torch.diagnosis.reading import (
+    Log,
+    at_declared,
+    at_found,
+    explains_more,
+    not_sure,
+    read_effects,
+    read_log,
+    undone,
+    with_a_late_sensor,
+    without_standstill,
+)
+from nsde_torch.diagnosis.result import Diagnosis
+from nsde_torch.diagnosis.search import Base, Search, fitted_system, moved_channels
+from nsde_torch.diagnosis.shape import channel_residuals
+from nsde_torch.diagnosis.stages import (
     CEILING,
     ERRORS,
     ESTIMATES,
+    EXPLANATION,
     LAWS,
     NO_TIME,
+    NOT_YET,
     OTHER_ROWS,
     SECOND_LOOK,
     SELECTION,
+    STOPPED,
     TESTS,
+    Begun,
+    NotDone,
     OptionalStages,
     SoFar,
     StoppedError,
     needed,
 )
-from nsde_torch.diagnosis.options import Options
-from nsde_torch.diagnosis.outcome import Found, Outcome, undecided
-from nsde_torch.diagnosis.reading import Log, read_effects, read_log
-from nsde_torch.diagnosis.result import Diagnosis
-from nsde_torch.diagnosis.search import Base, Search
-from nsde_torch.diagnosis.spectrum import lines
-from nsde_torch.diagnosis.standing import without_standing
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.models.identified import SysidSpec
+from nsde_torch.progress import Say
 from nsde_torch.recording.chain import Recorded
 from nsde_torch.sysid.by_likelihood import by_likelihood
 from nsde_torch.sysid.guard import Guarded
@@ -80,7 +101,155 @@ from nsde_torch.sysid.instruments import adopted
 from nsde_torch.sysid.result import Identification
 from nsde_torch.sysid.standing import moving
 from nsde_torch.systems import System
-from nsde_torch.time_limit import TimeUpError
+from nsde_torch.time_limit import TimeLimit, TimeUpError, check_time
+
+
+def give_back() -> None:
+    """Return freed memory to the system; nothing where the C library has no `malloc_trim`."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
+
+
+_ROUNDS: Mapping[str, float] = {  # in order, and how long each takes, in rounds of the selection
+    SELECTION: 1.0,
+    SECOND_LOOK: 0.5,
+    TESTS: 0.2,
+    LAWS: 0.5,
+    OTHER_ROWS: 1.5,
+    ESTIMATES: 0.2,
+    ERRORS: 1.0,
+    CEILING: 1.0,
+    EXPLANATION: 0.2,
+}
+_ORDER = list(_ROUNDS)
+_UNFINISHED = "the diagnosis is not finished"
+
+
+@final
+class DiagnosisCourse:
+    """What a diagnosis does and knows.
+
+    Attributes:
+        seconds: Time that stages took.
+        limit: Of time. It ends nothing before something is known.
+    """
+
+    def __init__(
+        self,
+        data: DataSet,
+        runs: tuple[str, ...],
+        options: Options,
+        spec: SysidSpec,
+        *,
+        say: Say,
+        so_far: Callable[[Diagnosis], None],
+    ) -> None:
+        self.data, self.runs, self.options, self.spec = data, runs, options, spec
+        self.seconds: dict[str, float] = {}
+        self._tell, self._so_far = say, so_far
+        self._found: Diagnosis | None = None
+        self._during = ""
+        self._done = self._rounds = 0
+        self._began = self._lapped = perf_counter()
+        self._round_s = 0.0
+        self.limit = TimeLimit(None if options.max_minutes is None else 60.0 * options.max_minutes)
+        self.limit.holds = False
+
+    def lap(self, name: str) -> None:
+        """Note the time since the last call."""
+        now = perf_counter()
+        self.seconds[name], self._lapped = now - self._lapped, now
+
+    def say(self, stage: str, done: int, total: int) -> None:
+        """Tell that `done` of `total` pieces of a stage are done."""
+        if self._done == _ORDER.index(OTHER_ROWS):
+            stage = f"second search, {stage}"
+        if stage != self._during:
+            give_back()
+        self._during = stage
+        check_time()
+        self._tell(stage, done, total)
+
+    def known(
+        self,
+        stage: str | None,
+        log: Log,
+        outcome: Outcome,
+        *,
+        guard: Guarded | None = None,
+        errors: HeldOut | None = None,
+        most: Ceiling | None = None,
+        instrumented: Identification | None = None,
+    ) -> None:
+        """Keep what is known after a stage, and give it to whoever listens."""
+        done = 0 if stage is None else _ORDER.index(stage) + 1
+        if done < self._done:  # a search that is repeated
+            return
+        self._done = done
+
+        def known() -> Diagnosis:
+            channels = channel_residuals(outcome.declared.regression, outcome.final.regression)
+            return Diagnosis(
+                log.system,
+                self.data,
+                self.runs,
+                log.recorded,
+                outcome.provisional(lambda _: _UNFINISHED),
+                errors or none_held_out(log, None),
+                Explanation(
+                    channels,
+                    guard=guard or Guarded(),
+                    ceiling=most or Ceiling(NOT_YET),
+                ),
+                self.options,
+                self.spec,
+                dict(self.seconds),
+                feedback=outcome.test,
+                instrumented=instrumented,
+                not_done=(*log.stages.not_done, *self._left(NOT_YET)),
+                so_far=SoFar(left_s=self._left_s(stage)),
+            )
+
+        found = log.stages.attempt("what was known before the end", known, None)
+        if found is not None:
+            self._found = found
+            self.limit.holds = True
+            self._so_far(found)
+
+    def stopped(self) -> Diagnosis | None:
+        """What is known where Ctrl-C stops it; None while that is nothing."""
+        return None if self._found is None else self._ended(self._found, STOPPED, None)
+
+    def timed_out(self) -> Diagnosis:
+        """What is known when the time is up."""
+        assert self._found is not None  # the limit does not hold before
+        return self._ended(self._found, NO_TIME, self.options.max_minutes)
+
+    def _ended(self, found: Diagnosis, why: str, after_min: float | None) -> Diagnosis:
+        other = [one for one in found.not_done if one.why != NOT_YET]
+        so_far = SoFar(stopped_during=self._during, after_min=after_min)
+        return replace(found, not_done=(*other, *self._left(why)), so_far=so_far)
+
+    def too_long(self, stage: str) -> bool:
+        """Whether a stage would not end in the time that is left, as far as the rounds so far tell."""
+        return self._round_s * _ROUNDS.get(stage, 0.0) > max(self.limit.left_s, 0.0)
+
+    def _left(self, why: str) -> list[NotDone]:
+        return [NotDone(stage, why) for stage in _ORDER[self._done :]]
+
+    def _left_s(self, stage: str | None) -> float | None:
+        """Roughly how long all will yet take [s]; None before a round has ended."""
+        if stage is None or stage == SELECTION:
+            self._rounds += 1
+        rounds = self._rounds - 1  # what is known first is the declared physics
+        if rounds < 1:
+            self._began = perf_counter()
+            return None
+        if stage is None or stage == SELECTION:
+            self._round_s = (perf_counter() - self._began) / rounds
+        return self._round_s * sum(_ROUNDS[one] for one in _ORDER[self._done :])
+
 
 _APART_S = 0.05  # of rows that are looked at where innovations of all rows are not what they should be
 
@@ -174,7 +343,7 @@ def _diagnosed(
         )
     log, search, outcome = stages.attempt(
         "the search without rows in which friction holds",
-        partial(without_standing, log, search, outcome, searched),
+        partial(without_standstill, log, search, outcome, searched),
         (log, search, outcome),
     )
     guard = stages.attempt("the comparison with simple fits", partial(guard_of, log, outcome), Guarded())
@@ -182,7 +351,7 @@ def _diagnosed(
     course.known(OTHER_ROWS, log, outcome, guard=guard)
     looked = outcome.final
     final = stages.attempt("values at rougher states", partial(search.valued, looked), looked)
-    outcome = beside_gains_at_nothing(doubted(outcome.fitted_again(final), guard))
+    outcome = beside_vanishing_gains(doubted(outcome.fitted_again(final), guard))
     outcome = not_sure_behind_smoothers(outcome)
     outcome, instrumented = stages.attempt(ESTIMATES, partial(_identified, log, outcome), (outcome, None))
     outcome = sized(outcome)
@@ -257,11 +426,6 @@ def _selected(
     Of rows further apart, where only these are as predicted: what a differentiated encoder or a friction that gives way
     does within a few rows is no noise of this model, and noise levels then learn the physics (of a Dahl friction of
     0.3 m/s2 nothing was found, and 114 nats so).
-
-    Args:
-        log: The log.
-        search: The search in its runs.
-        before: What was selected from other rows of these, which is begun with.
     """
     runs = moving(log.runs, log.slowest)[0] if log.slowest else log.runs
     declared = search.base(log.system)
@@ -306,14 +470,7 @@ def _begun_with(
 
 
 def _so_far(search: Search, declared: Base, system: System, brought: Mapping[str, float]) -> Outcome:
-    """What is known of effects before each is looked at again beside the others.
-
-    Args:
-        search: Data and settings.
-        declared: The declared physics, fitted.
-        system: The physics with the effects, its values near their optimum.
-        brought: Log likelihood that each brought when it was added [nats]; of effects that it no longer has, too.
-    """
+    """What is known of effects before each is looked at again beside the others."""
     final = search.base(system, warm=True, like=declared.regression)
     found = [
         Found(name, Evidence(nats, 0.0, 0.0), (), moved_channels(final.regression, name))

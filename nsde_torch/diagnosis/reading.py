@@ -1,37 +1,50 @@
-"""What a diagnosis reads: runs with the logged channels that an effect could read, and options that fit the machine."""
+"""The log of a diagnosis: how it is read, and how it is read again once something is known of the machine.
+
+Runs have the logged channels that an effect could read, their recording chain undone: the declared physics is its
+judge where kinematics cannot tell. A log is read again, and searched again,
+
+- with a sensor moved that is late as a whole, where that explains more than effects do;
+- with rates that no sensor measured inferred by the physics that was come to: first the declared physics, fitted, then
+  what was found, until that stays. What an effect does to rates that were inferred without it would else pass for less
+  than it is;
+- without the rows in which a machine with dry friction stands (`sysid.standing`).
+"""
+
+from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from math import log
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from nsde_torch.data import Run
-from nsde_torch.diagnosis.begun import Begun
+from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.candidates import candidate_names, check_candidates, on_coordinates
-from nsde_torch.diagnosis.decisions import Budgets, Decisions
-from nsde_torch.diagnosis.hidden import Feedback, shown_by_instruments
-from nsde_torch.diagnosis.not_done import OptionalStages
-from nsde_torch.diagnosis.options import Options
-from nsde_torch.diagnosis.search import Search, search_in
+from nsde_torch.diagnosis.decisions import Budgets, Decisions, Options
+from nsde_torch.diagnosis.feedback_bias import Feedback, shown_by_instruments
+from nsde_torch.diagnosis.outcome import Outcome
+from nsde_torch.diagnosis.search import Search, at_bounds, fitted_system, search_in
+from nsde_torch.diagnosis.stages import Begun, OptionalStages
 from nsde_torch.effects import effect_class, effects_of, register
-from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.recording.chain import Recorded
+from nsde_torch.errors import ConfigError, DataError, NonFiniteError
+from nsde_torch.recording.chain import Recorded, instead_of_effects, undo
 from nsde_torch.recording.fault import level
+from nsde_torch.recording.unmeasured_rates import measured_part
 from nsde_torch.sysid.in_loop import hangs_on_band, identify_in_loop
+from nsde_torch.sysid.inferred_rates import with_rates
 from nsde_torch.sysid.instruments import with_columns
 from nsde_torch.sysid.loop_test import LoopTest, tested
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.result import Identification
-from nsde_torch.sysid.standing import moving
+from nsde_torch.sysid.standing import SHARE, moving, slowest
 from nsde_torch.systems import System
 from nsde_torch.systems.coordinates import check_pushes
 
-if TYPE_CHECKING:
-    from nsde_torch.diagnosis.outcome import Outcome
+Array = NDArray[np.float64]
+
 
 _CHECKED = 50  # rows of the data at which coordinates are checked
 
@@ -50,8 +63,8 @@ class Log:
     # speeds below which coordinates with dry friction stand, by column; rows in which one does are left out
     slowest: Mapping[int, float] = field(default_factory=dict)
     stages: OptionalStages = field(default_factory=OptionalStages)  # stages that may fail, and those that did
-    # takes what is known after a stage (`not_done.SELECTION` and those after it; None: within the selection)
-    so_far: "Callable[[str | None, Log, Outcome], None]" = lambda stage, log, outcome: None
+    # takes what is known after a stage (`stages.SELECTION` and those after it; None: within the selection)
+    so_far: Callable[[str | None, Log, Outcome], None] = lambda stage, log, outcome: None
     begun: Begun | None = None
     """What an earlier diagnosis had selected, which the selection starts from; None: the declared physics."""
 
@@ -105,11 +118,6 @@ class Log:
 def read_effects(system: System, runs: Sequence[Run], options: Options) -> dict[str, str]:
     """Register effects of one's own, first of all: they may read channels that no other does.
 
-    Args:
-        system: Declared system.
-        runs: Its runs.
-        options: Settings.
-
     Returns:
         Names of the effects by their keys `module:Class`.
 
@@ -150,14 +158,6 @@ def read_log(
 ) -> Log:
     """The log with its channels.
 
-    Args:
-        system: Declared system.
-        recorded: Its runs, the recording chain undone.
-        options: Settings.
-        decisions: What is decided by.
-        budgets: How much is tried.
-        say: Told stage, number done and number in all.
-
     Raises:
         DataError: there is no run.
     """
@@ -191,3 +191,153 @@ def with_channels(system: System, runs: Sequence[Run]) -> list[Run]:
     if not have:
         return list(runs)
     return [replace(run, u=np.column_stack((run.u, *(run.extra[n] for n in have)))) for run in runs]
+
+
+def undone(
+    data: DataSet,
+    runs: Sequence[Run],
+    system: System,
+    options: Options,
+    decisions: Decisions,
+    budgets: Budgets,
+) -> Recorded:
+    """The recording chain undone as far as kinematics and spectra tell."""
+
+    def misfit(some: Sequence[Run], clock: float) -> float:
+        search = search_in(system, some, clock, options, decisions=decisions, budgets=budgets)
+        return sum(log(noise.std) for noise in search.quick(system).noises)
+
+    seen = measured_part(system, {name for run in runs for name in run.inferred})
+    return undo(data, runs, seen, alpha=decisions.alpha, misfit=misfit)
+
+
+def with_a_late_sensor(read: Log, outcome: Outcome) -> Log | None:
+    """The log with a sensor moved that is late as a whole, where that explains more than effects do."""
+
+    def misfits(some: Sequence[Run]) -> Array:
+        return np.log([noise.std for noise in read.search(some).quick(read.system).noises])
+
+    final = outcome.final.regression
+    with_effects = sum(log(noise.std) for noise in final.noises)
+    recorded = replace(read.recorded, runs=read.runs)
+    moved = instead_of_effects(recorded, read.system, misfits, rows=len(final.series), other=with_effects)
+    return None if moved is None else replace(read, recorded=moved, runs=tuple(moved.runs))
+
+
+def explains_more(moved: Outcome, outcome: Outcome) -> bool:
+    """Whether a late sensor leaves little structure, and no parameter at a bound, of what the log as it is leaves.
+
+    Else something else looks like it: an input of the other sign, say.
+    """
+    at_a_bound = bool(at_bounds(moved.declared.regression).any())
+    return _structure(moved) < outcome.decisions.late_sensor_share * _structure(outcome) and not at_a_bound
+
+
+def _structure(outcome: Outcome) -> float:
+    """Log-likelihood that what is left over would bring [nats]."""
+    return sum(max(d.excess, 0.0) for d in outcome.structured)
+
+
+_SEVERAL = "the rates of several coordinates were inferred from positions"
+_TURNS = 2  # of fits of the declared physics, and of searches
+
+
+def at_declared(log: Log) -> Log:
+    """The log with inferred rates as the declared physics foretells them; the log itself where none are inferred."""
+    system = log.system
+    for _ in range(_TURNS if log.runs[0].inferred else 0):
+        log = _at(log, system)
+        system = fitted_system(log.search(log.runs).quick(system))
+    return _at(log, system)
+
+
+def at_found(
+    log: Log, search: Search, outcome: Outcome, searched: Callable[[Log, Search], Outcome]
+) -> tuple[Log, Search, Outcome]:
+    """The log with inferred rates as what was found foretells them, and the search in it."""
+    for _ in range(_TURNS if log.runs[0].inferred and outcome.found else 0):
+        before = {one.name for one in outcome.found}
+        log = _at(log, outcome.system)
+        search = log.search(log.runs)
+        outcome = searched(log, search)
+        if {one.name for one in outcome.found} == before:
+            break
+    return log, search, outcome
+
+
+def not_sure(log: Log, outcome: Outcome) -> Outcome:
+    """The outcome; nothing that was found is sure where the rates of several coordinates were inferred.
+
+    What is not known of one rate bends the forces on all of them, and dampings that are not there were named.
+    """
+    if len(log.runs[0].inferred) < 2:
+        return outcome
+    return outcome.provisional(lambda _: _SEVERAL)
+
+
+def _at(log: Log, system: System) -> Log:
+    return replace(log, runs=tuple(with_rates(system, log.runs, log.recorded.clock)))
+
+
+MUCH_STANDSTILL = 0.3
+"""Share of the rows in which a coordinate stands or turns round, beyond which friction may hold it."""
+_STANDS = "the machine mostly stands, and where it moves this is not found: friction may hold it"
+
+
+def without_standstill(
+    log: Log, search: Search, outcome: Outcome, searched: Callable[[Log, Search, Outcome | None], Outcome]
+) -> tuple[Log, Search, Outcome]:
+    """The log without the rows in which what has dry friction stands, and the search in it.
+
+    It is taken where friction is found there too: what else was found with these rows may be how friction holds. And
+    friction may hold the machine so long that it is not found with them, or looks like a deadband: where a coordinate
+    stands for much of the time, or nothing explains the structure that is left, whatever may have friction is looked at
+    where it moves.
+    """
+    speeds = _dry(outcome, log)
+    if not speeds:
+        std = outcome.final.regression.physics.sensor_std
+        candidates = [effect_class(name) for name in candidate_names(log.system, search.candidates)]
+        speeds = slowest(log.system, std, log.runs, candidates)
+        stands = max((moving(log.runs, {j: v})[1] for j, v in speeds.items()), default=0.0)
+        if stands < MUCH_STANDSTILL and (outcome.found or not outcome.structured):
+            return log, search, outcome
+        there = _where_it_moves(log, None, speeds, searched)
+        if there is None or not _dry(there[2], log):
+            return log, search, outcome if stands < MUCH_STANDSTILL else _held(outcome, there)
+        log, search, outcome = there
+        speeds = _dry(outcome, log)
+        if speeds.keys() == log.slowest.keys():
+            return log, search, outcome
+    there = _where_it_moves(log, outcome, speeds, searched)
+    if there is None or not _dry(there[2], log).keys() >= speeds.keys():
+        return log, search, outcome
+    return there
+
+
+def _where_it_moves(
+    log: Log,
+    before: Outcome | None,
+    speeds: Mapping[int, float],
+    searched: Callable[[Log, Search, Outcome | None], Outcome],
+) -> tuple[Log, Search, Outcome] | None:
+    """Log, search and outcome without rows that are slower; None where these are too few, or too many."""
+    if moving(log.runs, speeds)[1] < SHARE:
+        return None
+    moved = replace(log, slowest=speeds)
+    try:
+        again = moved.search(log.runs)
+        return moved, again, searched(moved, again, before)
+    except (DataError, NonFiniteError):
+        return None
+
+
+def _dry(outcome: Outcome, log: Log) -> dict[int, float]:
+    """Speeds whose direction is not known, of coordinates in which dry friction was found or declared."""
+    return slowest(outcome.system, outcome.final.regression.physics.sensor_std, log.runs)
+
+
+def _held(outcome: Outcome, there: tuple[Log, Search, Outcome] | None) -> Outcome:
+    """The outcome of a machine that mostly stands: what is not found where it moves is no last word."""
+    names = set() if there is None else {f.name for f in there[2].found}
+    return outcome.provisional(lambda f: "" if f.name in names else _STANDS)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
-from nsde_torch.diagnosis.p_values import orthonormal
+from nsde_torch.diagnosis.evidence import orthonormal
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.series import Series
 from nsde_torch.systems import System

@@ -1,24 +1,41 @@
-"""The result of a diagnosis: what was found, with values, as Python reads it."""
+"""The result of a diagnosis: what was found, with values, as Python reads it and as `diagnosis.json` holds it.
+
+All texts are made of the content of `diagnosis.json` (keys: docs/content/reference/diagnosis-json.md).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from nsde_torch.data import DataSet
-from nsde_torch.diagnosis import content as contents
-from nsde_torch.diagnosis.buys import Bought, Told, bought, told
+from nsde_torch.diagnosis.candidates import effect_of, values_of
+from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.cross_validation import HeldOut
-from nsde_torch.diagnosis.explanation import Explanation
-from nsde_torch.diagnosis.fitted import effect_of, values_of
-from nsde_torch.diagnosis.not_done import NotDone, SoFar, StoppedError
-from nsde_torch.diagnosis.options import Options
-from nsde_torch.diagnosis.outcome import Outcome
-from nsde_torch.diagnosis.text import lines, short_lines
-from nsde_torch.diagnosis.views import rates_width
+from nsde_torch.diagnosis.decisions import Options
+from nsde_torch.diagnosis.effect_importance import (
+    BY_RESIDUAL,
+    BY_STEPS,
+    Importance,
+    ShownEffects,
+    effect_importance,
+    shown_effects,
+)
+from nsde_torch.diagnosis.evidence import NotShown, bonferroni, not_shown
+from nsde_torch.diagnosis.explanation import Explanation, declared
+from nsde_torch.diagnosis.outcome import Estimate, Found, Outcome
+from nsde_torch.diagnosis.residual_tests import Dependence
+from nsde_torch.diagnosis.shape import Shape, called, rates_width, symmetry
+from nsde_torch.diagnosis.stages import NotDone, SoFar, StoppedError, declared_model
+from nsde_torch.diagnosis.text import lines, rendered, short_lines, small, with_space
 from nsde_torch.effects import effect_class, key_of
+from nsde_torch.effects.expression import Expression
+from nsde_torch.effects.expression_forms import latex, sympy_text, valued
+from nsde_torch.effects.expression_grammar import Call, Node, Power, Variable, Written, is_law, nodes
+from nsde_torch.effects.law import joined_name, split_name
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording.chain import Recorded
 from nsde_torch.recording.fault import Detected
@@ -26,6 +43,7 @@ from nsde_torch.recording.faults import remedies
 from nsde_torch.sysid.loop_test import LoopTest
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
+from nsde_torch.systems.parameters import own_name
 
 
 @dataclass(frozen=True)
@@ -97,8 +115,8 @@ class Diagnosis:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Parameters of everything that was found (`content.parameters`)."""
-        return contents.parameters(self)
+        """Parameters of everything that was found (see `parameters` of this module)."""
+        return parameters(self)
 
     @property
     def declared_values(self) -> dict[str, float | list[float]]:
@@ -112,15 +130,15 @@ class Diagnosis:
         return {name: self.recorded.values(name) for name in remedies()}
 
     @property
-    def buys(self) -> dict[str, Bought]:
-        """By effect, those that buy most first: the error on runs left out that returns without it."""
-        return bought(self.errors.own, inputs=self.errors.inputs)
+    def importance(self) -> dict[str, Importance]:
+        """By effect, the most important first: the error on runs left out that returns without it."""
+        return effect_importance(self.errors.own, inputs=self.errors.inputs)
 
     @property
-    def told(self) -> Told:
+    def shown(self) -> ShownEffects:
         """The few effects that matter, and the others."""
         names = [f.name for f in self.outcome.found]
-        return told(names, self.buys, self.outcome.decisions.wording)
+        return shown_effects(names, self.importance, self.outcome.decisions.wording)
 
     @property
     def in_short(self) -> str:
@@ -149,9 +167,9 @@ class Diagnosis:
     def _repr_html_(self) -> str:
         return f"<pre>{escape(str(self))}</pre>"
 
-    def content(self) -> contents.Content:
+    def content(self) -> Content:
         """What `diagnosis.json` holds; its keys are in docs/content/reference/diagnosis-json.md."""
-        return contents.content(self)
+        return content(self)
 
     def save(self, folder: str | Path) -> Path:
         """Write `diagnosis.json`, `effects.yaml`, `report.html` and `plots/`.
@@ -165,3 +183,432 @@ class Diagnosis:
         from nsde_torch.diagnosis.files import save
 
         return save(self, folder)
+
+
+_DEPENDENCES = 12  # tests of structure that are listed
+_SHORT = "shorter than a step of the log: taken into account, and not named"
+TWINS = {"constant_force": ("sensor_bias",)}
+"""Faults of the recording chain that no data of the log can tell from an effect."""
+JsonObject = dict[str, Any]
+
+
+class Content(TypedDict, total=False):
+    """What `diagnosis.json` holds."""
+
+    schema: str
+    so_far: JsonObject
+    verdict: str
+    added: list[str]
+    summary: str
+    warnings: list[JsonObject]
+    not_done: list[JsonObject]
+    guard: JsonObject
+    findings: list[JsonObject]
+    told: JsonObject
+    aside: list[JsonObject]
+    ranking: list[JsonObject]
+    ties: list[JsonObject]
+    not_shown: list[JsonObject]
+    parameters: dict[str, JsonObject]
+    declared_parameters: dict[str, JsonObject]
+    residual: dict[str, JsonObject]
+    structure: JsonObject
+    unexplained: list[JsonObject]
+    between_runs: JsonObject | None
+    in_run: JsonObject | None
+    flexible: JsonObject
+    errors: JsonObject
+    feedback: JsonObject
+    data: JsonObject
+    alpha: float
+    levels: dict[str, float]
+    seed: int
+    seconds: dict[str, float]
+    model: JsonObject  # where training was asked for
+    rehearsal: JsonObject  # where it was asked for
+
+
+def content(found: Diagnosis) -> Content:
+    """The content of `diagnosis.json`."""
+    o, left, shown, errors = found.outcome, found.explanation, found.shown, found.errors
+    functions, faults = ceiling_content(left.ceiling, o), [f.name for f in found.faults]
+    short = [(f.name, f.sentence, f.reason or _SHORT) for f in found.recorded.faults if f.short]
+    short += [(name, sentence(o, name), _SHORT) for name in o.aside]
+    hidden = [(h.name, f"{h.name} would explain something, and is not named.", h.reason) for h in o.hidden]
+    out: Content = {"schema": "nsde_torch.diagnosis/1"}
+    if found.so_far is not None:
+        out["so_far"] = {**found.so_far.as_dict(), "declared": declared_model(found.spec)}
+    out |= {
+        "verdict": found.verdict,
+        "added": found.added,
+        "summary": summary(found.verdict, faults, shown, o, left.shapes, _functions_of(functions["rows"])),
+        "warnings": _warnings(found),
+        "not_done": [asdict(one) for one in found.not_done],
+        "guard": left.guard.as_dict(),
+        "findings": _findings(found),
+        "told": {
+            "by": BY_STEPS if errors.inputs else BY_RESIDUAL,
+            "few": list(shown.few),
+            "rest": [
+                {"effect": f.name, "size": _size(o, f)} for n in shown.rest for f in o.found if f.name == n
+            ],
+            "rest_share": shown.share,
+        },
+        "aside": [{"effect": name, "sentence": said, "reason": why} for name, said, why in [*short, *hidden]],
+        "ranking": ranking(o),
+        "ties": _ties(found),
+        "not_shown": [asdict(n) for n in _not_shown(o)],
+        "parameters": parameters(found),
+        "declared_parameters": {
+            name: {"value": e.value, **_interval(found, e), "unit": e.unit, "shown": e.low is not None}
+            for name, e in declared(o).items()
+        },
+        "residual": {c.name: c.as_dict() for c in left.channels},
+        "structure": {
+            "tests": {"before": len(o.before), "after": len(o.after)},
+            "before": _dependences(o.before, found),
+            "after": _dependences(o.after, found),
+        },
+        "unexplained": [_shape(s, found.runs) for s in left.shapes],
+        "between_runs": None if left.between_runs is None else left.between_runs.as_dict(),
+        "in_run": _in_run(found),
+        "flexible": functions,
+        "errors": {
+            **errors.content,
+            "measured_on": "runs left out" if errors.whole_runs else "the last part of the only run",
+            "runs": list(errors.runs),
+        },
+        "feedback": _feedback(found),
+        "data": {
+            "kind": found.data.kind,
+            "system": found.data.system_name,
+            "runs": list(found.runs),
+            "duration_s": sum(run.duration for run in found.recorded.runs),
+            "clock_scale": found.recorded.clock,
+            "dt_s": found.data.dt,
+            "standing_share": left.standstill,
+            "fingerprint": found.data.fingerprint,
+            "done": [str(f) for f in found.data.summary.findings],
+        },
+        "alpha": found.options.alpha,
+        "levels": dict(o.levels),
+        "seed": found.options.seed,
+        "seconds": found.seconds,
+    }
+    return out
+
+
+def summary(
+    verdict: str,
+    faults: Sequence[str],
+    shown: ShownEffects,
+    outcome: Outcome,
+    shapes: Sequence[Shape],
+    functions: str = "",
+) -> str:
+    """The verdict in one or two sentences.
+
+    Args:
+        verdict: `no_effect`, `effect_found`, `unexplained` or `undecided`.
+        faults: Names of the faults of the recording chain that were found.
+        shown: The effects that matter, and the others.
+        outcome: What was concluded.
+        shapes: What the residual still depends on, in words.
+        functions: What functions that explain more are of, where no test of structure says what is missing.
+    """
+    added, provisional = [*faults, *shown.few, *shown.rest], {f.name for f in outcome.found if f.provisional}
+    moved, left = {name for f in outcome.found for name in f.moves}, outcome.structured
+    rest = f"{left[0].channel} on {left[0].variable}" if left else ""
+    if shapes:  # of those that say the same about equally surely, the one with the most to say
+        best = max(shapes[:2], key=lambda s: (s.channel == left[0].channel, bool(s.note)))
+        rest = ", ".join(filter(None, (f"{best.channel} on {best.variable}", best.note)))
+    values = {
+        "verdict": "doubted" if outcome.doubted else verdict,
+        "added": added,
+        "names": named([*faults, *shown.few], shown),
+        "hidden": outcome.test.hidden,
+        "blind": list(dict.fromkeys(n.effect for n in _not_shown(outcome) if n.smallest is None)),
+        "leads": [name for name in added if name in provisional],
+        "found": outcome.found,
+        "rest": rest,
+        "elsewhere": bool(left) and left[0].channel not in moved,
+        "functions": functions,
+    }
+    return rendered("summary.txt", values).strip()
+
+
+def named(first: Sequence[str], shown: ShownEffects) -> str:
+    """Names of what was found, small effects by their number."""
+    return ", ".join(first) + (f" and {small(len(shown.rest))}" if shown.rest else "")
+
+
+def _warnings(found: Diagnosis) -> list[dict[str, Any]]:
+    guards = [one.as_dict() for one in found.explanation.guard.objections]
+    return [*({"parameter": None, **one} for one in guards), *map(asdict, found.explanation.warned)]
+
+
+def _findings(found: Diagnosis) -> list[dict[str, Any]]:
+    own, importance = found.errors.own, found.importance
+    nothing = {"lead": False, "lead_reason": None, "held_out": None, "buys": None}
+    faults = [
+        {"name": f.name, "kind": "recording", "sentence": f.sentence, "p": f.p, **nothing}
+        for f in found.faults
+    ]
+    effects = [
+        {
+            "name": f.name,
+            "kind": "formula" if is_law(f.name) else "effect",
+            "sentence": sentence(found.outcome, f.name),
+            "p": f.evidence.p,
+            "evidence_nats": f.evidence.nats,
+            "lead": bool(f.provisional),
+            "lead_reason": f.provisional or None,
+            "moves": list(f.moves),
+            "held_out": own[f.name].as_dict() if f.name in own else None,
+            "buys": importance[f.name].as_dict() if f.name in importance else None,
+            "ties": list(f.ties),
+            "separate": effect_of(found.outcome.system, f.name).separate,
+            **_law(found.outcome, f),
+        }
+        for f in found.outcome.found
+    ]
+    return [*faults, *effects]
+
+
+def _size(outcome: Outcome, f: Found) -> str:
+    """How strong an effect is: what is nothing without it, the values of one unit together."""
+    by_unit: dict[str, list[str]] = {}
+    for e in outcome.estimates(f.name):
+        if own_name(e.name) in effect_of(outcome.system, f.name).null:
+            by_unit.setdefault(e.unit, []).append(f"{e.value:.3g}")
+    return "; ".join(", ".join(v) + with_space(unit) for unit, v in by_unit.items())
+
+
+def _feedback(found: Diagnosis) -> dict[str, Any]:
+    out = found.feedback.as_dict()
+    if found.instrumented is not None:
+        told = found.instrumented.instrumented
+        out |= {"findings": found.instrumented.of_the_loop, "instruments": told and told.as_dict()}
+    return out
+
+
+def _ties(found: Diagnosis) -> list[dict[str, Any]]:
+    out = [{"effects": [f.name, *f.ties], "experiment": f.experiment} for f in found.faults if f.ties]
+    for f in found.outcome.found:
+        law, coordinate = split_name(f.name)
+        # a bias of the position would show as a constant force beside a spring
+        spring = joined_name("linear_spring", coordinate) in found.system.effect_names
+        twins = [t for t in TWINS.get(law, ()) if t != "sensor_bias" or spring]
+        if f.ties or twins:
+            separate = effect_of(found.outcome.system, f.name).separate
+            out.append({"effects": [f.name, *f.ties, *twins], "experiment": separate})
+    return out
+
+
+def _shape(s: Shape, runs: Sequence[str]) -> dict[str, Any]:
+    out = asdict(s) | {"symmetry": s.symmetry or None, "extent": s.extent or None}
+    out |= {"where": s.where and list(s.where), "only_run": None if s.only_run is None else runs[s.only_run]}
+    del out["note"]
+    return out
+
+
+def _in_run(found: Diagnosis) -> dict[str, Any] | None:
+    f = found.explanation.in_run
+    if f is None:
+        return None
+    means = meaning(found.outcome.declared_system, f.effect, f.values)
+    return {
+        "run": found.runs[f.run],
+        "effect": f.effect,
+        "p": f.p,
+        "parameters": {e.name: {"value": e.value, "unit": e.unit} for e in f.values},
+        "sentence": f"In {called(found.runs[f.run])} alone, {f.effect} would explain it: {means}",
+        "verified": False,
+    }
+
+
+def _not_shown(o: Outcome) -> list[NotShown]:
+    if o.joint is None:
+        return []
+    names, alpha = [f.name for f in o.found], o.levels["effects"]
+    return not_shown(o.joint, found=names, alpha=alpha, decisions=o.decisions, system=o.declared_system)
+
+
+def parameters(found: Diagnosis) -> dict[str, Any]:
+    """Parameters of everything that was found.
+
+    `effect.name` -> `value`, `interval_90`, `bound`, `widened_by` (where it is not nothing), `unit`.
+    """
+    out: dict[str, Any] = {}
+    for fault in found.faults:
+        for name, (value, low, high, unit) in fault.values.items():
+            ends = None if low is None else [low, high]
+            out[f"{fault.name}.{name}"] = {"value": value, "interval_90": ends, "bound": None, "unit": unit}
+    for f in found.outcome.found:
+        for e in found.outcome.estimates(f.name):
+            out[e.name] = {"value": e.value, **_interval(found, e), "unit": e.unit}
+    return out
+
+
+def _interval(found: Diagnosis, e: Estimate) -> dict[str, Any]:
+    if found.explanation.guard.objections:
+        return {"interval_90": None, "bound": "not believed"}
+    if e.low is None and found.outcome.unsettled:
+        return {"interval_90": None, "bound": "not settled"}
+    widened: dict[str, Any] = {"widened_by": e.widened} if e.widened and e.low is not None else {}
+    if found.so_far is not None:
+        widened["provisional"] = True
+    return {"interval_90": None if e.low is None else [e.low, e.high], "bound": e.bound, **widened}
+
+
+def sentence(outcome: Outcome, effect: str) -> str:
+    """What an effect means, with its values."""
+    return meaning(outcome.declared_system, effect, outcome.estimates(effect))
+
+
+def meaning(system: System, effect: str, parameters: Sequence[Estimate]) -> str:
+    """The sentence of an effect with these values."""
+    values: dict[str, list[str]] = {}
+    units: dict[str, str] = {}
+    for e in parameters:
+        name = own_name(e.name)
+        values.setdefault(name, []).append(f"{e.value:.3g}")
+        units[name] = with_space(e.unit)
+    words = {name: ", ".join(values[name]) + units[name] for name in values}
+    cls = system.effect_class(effect)
+    text = cls.sentence or f"What is added is {cls.formula}, {', '.join(f'{k} = {{{k}}}' for k in words)}."
+    try:
+        return text.format(**words)
+    except (KeyError, IndexError):
+        return text
+
+
+def ranking(outcome: Outcome) -> list[dict[str, Any]]:
+    """What every look at the catalogue says of every candidate, the likeliest first."""
+    return [
+        {
+            "round": number,
+            "effect": p.name,
+            "evidence_nats": p.nats,
+            "evidence_error": p.error,
+            "p": p.p,
+            "parameters": {f"{p.name}.{k}": v for k, v in values_of(effect_of(p.system, p.name)).items()},
+            "chosen": p.name == round.chosen,
+        }
+        for number, round in enumerate(outcome.joint.rounds if outcome.joint is not None else ())
+        for p in round.look.proposals
+    ]
+
+
+def _dependences(tests: Sequence[Dependence], found: Diagnosis) -> list[dict[str, Any]]:
+    wording = found.outcome.decisions.wording
+    return [
+        {
+            "channel": d.channel,
+            "variable": d.variable,
+            "where": _where(d, found.runs),
+            "p": bonferroni(d.p, len(tests)),
+            "share": d.share,
+            "kind": symmetry(d, wording) or "-",
+        }
+        for d in tests[:_DEPENDENCES]
+    ]
+
+
+def _where(d: Dependence, runs: Sequence[str]) -> str | None:
+    if d.sinusoid is not None:
+        return f"{d.sinusoid:.4g} Hz"
+    if d.run is None:
+        return None
+    name = called(runs[d.run])
+    return f"{name} only" if d.moment is None else f"{name}, {d.moment:.1f} s"
+
+
+def ceiling_content(found: Ceiling, outcome: Outcome) -> dict[str, Any]:
+    """The key `flexible` of `diagnosis.json`."""
+    rows = [
+        {
+            "row": r.row,
+            "unit": r.unit,
+            "rms": r.size,
+            "nats": r.nats,
+            "standard_error": r.error,
+            "variables": list(r.variables),
+        }
+        for r in found.rows
+    ]
+    out: dict[str, Any] = {
+        "why_not": found.why_not or None,
+        "measured_on": "blocks of time left out",
+        "explained": found.explained,
+        "explained_90": found.explained_interval and list(found.explained_interval),
+        "effects_nats": found.effects,
+        "left_nats": found.left,
+        "left_90": found.interval and list(found.interval),
+        "left": bool(rows),
+        "rows": rows,
+    }
+    said = rendered("ceiling.txt", out, found=bool(outcome.found), functions=_functions_of(rows)).splitlines()
+    return out | {"sentence": said[0], "remedy": said[1] if rows else None}
+
+
+def _functions_of(rows: Sequence[Mapping[str, Any]]) -> str:
+    """What the functions are of, in words: `q and q_dot on force`; the first three variables alone."""
+    if not rows:
+        return "all that was measured"
+    *names, last = rows[0]["variables"][:3]
+    return f"{', '.join(names)} and {last} on {rows[0]['row']}" if names else f"{last} on {rows[0]['row']}"
+
+
+def _law(outcome: Outcome, f: Found) -> dict[str, Any]:
+    """Keys of a finding that only a law beyond the catalogue has; nothing for an effect of the catalogue."""
+    effect = effect_of(outcome.system, f.name)
+    if not isinstance(effect, Expression):
+        return {}
+    values = {name: float(value) for name, (value, _) in effect.declared_parameters().items()}
+    return {
+        "verified": not f.provisional,
+        "law": valued(effect.law, values),
+        "unit": effect.unit,
+        "latex": latex(effect.law, values),
+        "sympy": sympy_text(effect.law, values),
+        "looks_like": looks_like(effect.law, values, outcome.declared_system),
+    }
+
+
+def looks_like(written: Written, values: dict[str, float], system: System) -> str | None:
+    """What a law of one term may be, by the kinds of its variables; None where nothing can be said."""
+    if len(written.right.parts) != 1:
+        return None
+    every = list(nodes(written.right))
+    names = {n.name for n in every if isinstance(n, Variable) and not n.logged}
+    positions = {p for p, _, _ in system.position_derivatives}
+    speeds = {v for _, v, _ in system.position_derivatives} | {
+        name
+        for name, unit in zip(system.feature_names, system.feature_units, strict=True)
+        if unit in ("m/s", "rad/s")
+    }
+    if names & set(system.input_names) and names & positions:
+        return "a gain of the input that depends on the place"
+    if names and names <= positions:
+        return _of_place(every, names, written.sizes, values)
+    if len(names) > 1 and names <= speeds:
+        return "a coupling of motions, as Coriolis and gyroscopic forces are, or drag across the motion"
+    if len(names & speeds) == 1 and names <= positions | speeds and names & positions:
+        raised = {n.base.name for n in every if isinstance(n, Power) and isinstance(n.base, Variable)}
+        return None if names & speeds & raised else "friction that depends on the place"
+    return None
+
+
+def _of_place(
+    every: list[Node], names: set[str], sizes: tuple[str, ...], values: dict[str, float]
+) -> str | None:
+    """What a force that depends on places alone may be."""
+    if len(names) > 1:
+        return "a spring between coordinates"
+    hinge = next((n for n in every if isinstance(n, Call) and n.function in ("max", "min")), None)
+    if hinge is None:
+        return None if any(isinstance(n, Call) for n in every) else "a spring that is not straight"
+    # of a bare hinge: max(q - k, 0) is positive, min(q - k, 0) negative, and a spring pushes against either
+    where = "above" if hinge.function == "max" else "below"
+    return f"a stop or a spring that is met {where} that place" if values[sizes[0]] < 0 else None

@@ -1,4 +1,22 @@
-"""In words: how a residual depends on a variable that no effect of the catalogue accounts for.
+"""What is left in a channel: as a rate, against one variable, and in words where no effect accounts for it.
+
+**Rates.** Means over a test function (`sysid.explained`), before and after, and the floor that sensors and gusts leave.
+Over a step the residual is r_k = w_k + e_{k+1} - e_k: what pushes (w) and what the sensor adds (e). At high frequency
+both are white, and the spectrum
+
+    S(f) = s_w^2 + 4 sin^2(pi f h) s_e^2
+
+gives their sizes, by non-negative least squares over the upper three quarters of the band, each frequency weighed by
+its own size. The floor is what these two leave of a mean rate.
+
+**Bins.** A mean over a bin of a variable is that of all overlapping test functions whose variable lies in it; its
+standard error is that of a ratio of sums over blocks of time,
+
+    m = sum_b s_b / sum_b n_b,      var m = B / (B - 1) sum_b (s_b - m n_b)^2 / (sum_b n_b)^2
+
+so that noise which lasts inside a block does no harm (Cochran, Sampling Techniques, 1977).
+
+**In words**, how a residual depends on a variable:
 
 - odd, even: from the test of structure.
 - local: more than 70 % of the squared bin means lie within 30 % of the range of the variable.
@@ -11,23 +29,239 @@
 """
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
+from scipy.signal import welch
 
 from nsde_torch.diagnosis.decisions import Wording
-from nsde_torch.diagnosis.dependence import Dependence
-from nsde_torch.diagnosis.periodicity import best_repeat
+from nsde_torch.diagnosis.periodicity import best_repeat, waves_of
 from nsde_torch.diagnosis.regressors import BEFORE, BY_RUN, OVER_TIME, Regressors, own_space, projected
-from nsde_torch.diagnosis.spectrum import waves_of
-from nsde_torch.diagnosis.views import Rates, bins, factors, is_plain, variable_units
+from nsde_torch.diagnosis.residual_tests import Dependence
+from nsde_torch.sysid.explained import bump, per_second, smooth_rate
 from nsde_torch.sysid.regression import Regression
+from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
+Labels = NDArray[np.int64]
 
-_BINS, _FEWEST_BINS = 24, 6  # means that the extent of a dependence is seen in
+
+_BINS, _FEWEST = 18, 4  # of a picture, and blocks of time in one
+_BLOCK_S = 2.0  # for the errors of means in bins
+_OTHERS = " times others"
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Mean residual rates over the test function, wherever it fits."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]  # names, units: of the channels
+    residual: Array  # residual rates (M, channels)
+    values: Mapping[str, Array]  # by name of a variable: its mean over the same test function (M,)
+    value_units: Mapping[str, str]  # unit of each variable
+    run: Labels  # number of the run (M,)
+    block: Labels  # block of time (M,)
+
+
+@dataclass(frozen=True)
+class Bins:
+    """Means in bins of one variable."""
+
+    centre: Array  # mean of the variable in each bin (B,)
+    mean: Array  # mean of the residual (B,)
+    error: Array  # standard error of it (B,)
+
+
+def rates(regression: Regression, variables: Regressors) -> Rates:
+    """Mean residual rates of the dynamic channels, and everything that they may depend on."""
+    columns, t = variables.columns, variables.t
+    edges = regression.series.edges
+    window = bump(regression.dt)
+    names = [*columns, "time"]
+    table = np.column_stack([*columns.values(), t, *regression.residual[:, regression.rows].T])
+    # `smooth_rate` divides by the step, as is due to changes over steps
+    table[:, : len(names)] *= regression.dt
+    smooth = smooth_rate(table, edges, window, regression.dt)
+    owners = regression.physics.steps.runs
+    counts = [max(b - a - len(window) + 1, 0) for a, b in edges]
+    run = np.repeat(np.array(owners, dtype=np.int64), counts)
+    place = np.concatenate([np.arange(n) for n in counts]) if sum(counts) else np.zeros(0, dtype=np.int64)
+    stretch = np.repeat(np.arange(len(counts)), counts)
+    _, block = np.unique(
+        np.stack((stretch, (place * regression.dt / _BLOCK_S).astype(np.int64))), axis=1, return_inverse=True
+    )
+    units = regression.physics.units
+    return Rates(
+        names=tuple(regression.physics.names[c] for c in regression.rows),
+        units=tuple(per_second(units[c]) for c in regression.rows),
+        residual=smooth[:, len(names) :],
+        values=dict(zip(names, smooth[:, : len(names)].T, strict=True)),
+        value_units=variable_units(regression.vector.system),
+        run=run,
+        block=block.reshape(-1).astype(np.int64),
+    )
+
+
+def rates_width(regression: Regression) -> float:
+    """Length of the test function of `rates` [s]."""
+    return len(bump(regression.dt)) * regression.dt
+
+
+def variable_units(system: System) -> dict[str, str]:
+    """Unit of each variable that a residual may depend on, as far as it is known."""
+    pairs = [
+        *zip(system.input_names, system.input_units, strict=True),
+        *zip(system.state_names, system.state_units, strict=True),
+        *zip(system.feature_names, system.feature_units, strict=True),
+    ]
+    return {**dict(pairs), "time": "s"}
+
+
+def is_plain(variable: str) -> bool:
+    """Whether a variable can be an axis: no product, and not the number of a run."""
+    return not variable.endswith((_OTHERS, OVER_TIME, BY_RUN, BEFORE)) and variable != "run"
+
+
+def factors(variable: str) -> str | None:
+    """The variable that is multiplied with others, or None."""
+    return variable.removesuffix(_OTHERS) if variable.endswith(_OTHERS) else None
+
+
+def bins(value: Array, residual: Array, block: Labels, *, count: int = _BINS) -> Bins:
+    """Means in bins of equal numbers, from 1 to 99 % of the values; those of few blocks are left out.
+
+    Args:
+        value: The variable (M,).
+        residual: The residual (M,).
+        block: Block of time (M,).
+        count: Number of bins.
+    """
+    if not len(value):
+        return Bins(np.zeros(0), np.zeros(0), np.zeros(0))
+    # half of the edges at equal numbers, half at equal distances, so that rare extremes are seen too
+    inner = np.linspace(0.01, 0.99, count // 2 + 1)
+    low, high = np.quantile(value, [0.01, 0.99])
+    edges = np.unique(np.concatenate((np.quantile(value, inner), np.linspace(low, high, count // 2 + 1))))
+    edges = edges[np.append(True, np.diff(edges) > 0.01 * (high - low))] if high > low else edges
+    place = np.searchsorted(edges, value, side="right") - 1
+    out = []
+    for k in range(len(edges) - 1):
+        inside = place == k
+        _, owner = np.unique(block[inside], return_inverse=True)
+        blocks = int(owner.max()) + 1 if owner.size else 0
+        if blocks < _FEWEST:
+            continue
+        n, s = np.bincount(owner), np.bincount(owner, weights=residual[inside])
+        mean = s.sum() / n.sum()
+        error = np.sqrt(np.square(s - mean * n).sum() * blocks / (blocks - 1)) / n.sum()
+        out.append((value[inside].mean(), mean, error))
+    centre, mean, error = (
+        np.array(column, dtype=np.float64) for column in (zip(*out, strict=True) if out else ((), (), ()))
+    )
+    return Bins(centre, mean, error)
+
+
+_FROM = 0.25  # of half the sampling rate
+_PART = 256  # steps of a periodogram
+
+
+@dataclass(frozen=True)
+class ChannelResidual:
+    """Residual of one channel, rms of mean rates over the test function."""
+
+    name: str  # of the channel
+    unit: str  # of its rate
+    measured: float  # standard deviation of the measured rate
+    before: float
+    after: float  # before, after: without and with the effects
+    floor: float  # what white noise of sensors and pushes leaves
+
+    @property
+    def explained(self) -> float:
+        """Share of the residual above the floor, in variance, that the effects explain."""
+        above = self.before**2 - self.floor**2
+        return float(np.clip((self.before**2 - self.after**2) / above, 0.0, 1.0)) if above > 0 else 0.0
+
+    def as_dict(self) -> dict[str, str | float]:
+        """Plain containers, for JSON."""
+        out = asdict(self) | {"explained": self.explained}
+        del out["name"]
+        return out
+
+
+def channel_residuals(before: Regression, after: Regression) -> list[ChannelResidual]:
+    """Residuals of every dynamic channel without and with effects."""
+    window = bump(before.physics.steps.dt)
+    steps = before.physics.steps
+    out = []
+    for channel in before.rows:
+        measured, first, second = (
+            smooth_rate(values[:, [channel]], steps.segments, window, steps.dt)
+            for values in (
+                before.physics.measured,
+                before.physics.residual(before.theta),
+                after.physics.residual(after.theta),
+            )
+        )
+        unit = before.physics.units[channel]
+        out.append(
+            ChannelResidual(
+                name=before.physics.names[channel],
+                unit=per_second(unit),
+                measured=float(measured.std()) if len(measured) else 0.0,
+                before=_rms(first),
+                after=_rms(second),
+                floor=min(_floor(after, int(channel), window), _rms(second)),
+            )
+        )
+    return out
+
+
+def spectrum(regression: Regression, channel: int) -> tuple[Array, Array]:
+    """Frequencies [Hz] (M,) and mean power per step (M,) of a channel's residual."""
+    residual = regression.physics.residual(regression.theta)[:, channel]
+    steps = regression.physics.steps
+    longest = max(b - a for a, b in steps.segments)
+    part = min(_PART, longest)
+    total: Array = np.zeros(part // 2 + 1)
+    weight = 0
+    for a, b in steps.segments:
+        if b - a >= part:
+            _, power = welch(residual[a:b], nperseg=part, detrend=False, return_onesided=False)
+            total += (b - a) * power[: part // 2 + 1]
+            weight += b - a
+    frequency: Array = np.arange(part // 2 + 1) / (part * steps.dt)
+    return frequency, total / max(weight, 1)
+
+
+def white_parts(regression: Regression, channel: int) -> tuple[float, float]:
+    """Variances per step of what pushes and of the sensor, from the upper half of the band."""
+    frequency, power = spectrum(regression, channel)
+    high = frequency >= _FROM * frequency[-1]
+    curve = 4.0 * np.sin(np.pi * frequency * regression.physics.steps.dt) ** 2
+    level = np.maximum(power[high], 1e-300)
+    columns = np.stack((1.0 / level, curve[high] / level), 1)
+    size = columns.max(0)
+    found, _ = nnls(columns / size, np.ones(int(high.sum())))
+    return float(found[0] / size[0]), float(found[1] / size[1])
+
+
+def _floor(regression: Regression, channel: int, window: Array) -> float:
+    push, sensor = white_parts(regression, channel)
+    dt = regression.physics.steps.dt
+    bend = np.square(np.diff(window, prepend=0.0, append=0.0)).sum()
+    return float(np.sqrt(push * np.square(window).sum() + sensor * bend) / dt)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.square(values).mean())) if values.size else 0.0
+
+
+_EXTENT_BINS, _FEWEST_BINS = 24, 6  # means that the extent of a dependence is seen in
 _SWING = re.compile(r"periodic_force(\[\w+\])?\.frequency")
 _ENDS = {
     OVER_TIME: "otherwise early in a run than late: something drifts",
@@ -187,7 +421,7 @@ def _of_phase(regression: Regression, channel: int, frequency: float, wording: W
 def _extent(
     value: Array, residual: Array, block: NDArray[np.int64], wording: Wording
 ) -> tuple[str, tuple[float, float] | None]:
-    b = bins(value, residual, block, count=_BINS)
+    b = bins(value, residual, block, count=_EXTENT_BINS)
     if len(b.mean) < _FEWEST_BINS:
         return "", None
     power = np.clip(np.square(b.mean) - np.square(b.error), 0.0, None)

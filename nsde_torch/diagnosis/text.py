@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 
-from nsde_torch.diagnosis.buys import BY_STEPS
-from nsde_torch.diagnosis.not_done import ERRORS, NO_TIME, NOT_YET, STOPPED
+from nsde_torch.diagnosis.effect_importance import BY_STEPS
+from nsde_torch.diagnosis.stages import ERRORS, NO_TIME, NOT_YET, STOPPED
 from nsde_torch.evaluation import report
 from nsde_torch.evaluation.report import between_ends, number
 from nsde_torch.sysid.guard import doubts_the_fit
 from nsde_torch.sysid.standing import in_words
 
 if TYPE_CHECKING:
-    from nsde_torch.diagnosis.content import Content
+    from nsde_torch.diagnosis.result import Content
 
 _UNFINISHED = (NO_TIME, NOT_YET, STOPPED)
 _VERDICTS = {
@@ -40,12 +40,7 @@ def lines(content: Content, go_on: str = "resume=DIR") -> list[str]:
 
 
 def short_lines(content: Content, go_on: str = "resume=DIR") -> list[str]:
-    """What matters most of `lines`, in about fifteen: the verdict, findings with intervals, what the data cannot show.
-
-    Args:
-        content: The content of `diagnosis.json`.
-        go_on: See `lines`.
-    """
+    """What matters most of `lines`, in about fifteen: the verdict, findings with intervals, what data cannot show."""
     return rendered("short.txt", content, content=content, go_on=go_on).splitlines()
 
 
@@ -60,11 +55,7 @@ def rehearsal_lines(content: Content) -> list[str]:
 
 
 def sentences(own: Mapping[str, Any]) -> list[str]:
-    """What a rehearsal says, one thing a sentence.
-
-    Args:
-        own: The key `rehearsal` of `diagnosis.json`.
-    """
+    """What a rehearsal says, one thing a sentence."""
     return rendered("rehearsal.txt", own).splitlines()
 
 
@@ -102,12 +93,7 @@ def sizes(finding: Mapping[str, Any], content: Content) -> str:
 
 
 def least_squares(content: Content, name: str | None = None) -> list[str]:
-    """Heads of the columns of least squares (no name), or the cells of a parameter; none where the fit stands.
-
-    Args:
-        content: As `diagnosis.json` has it.
-        name: Of the parameter.
-    """
+    """Heads of the columns of least squares (no name), or the cells of a parameter; none where the fit stands."""
     to_use = content["guard"].get("to_use")
     if not to_use:
         return []
@@ -163,12 +149,7 @@ def interval_head(content: Content) -> str:
 
 
 def unfinished(content: Content, go_on: str = "resume=DIR") -> list[str]:
-    """That a diagnosis is not finished, and what is not done, in a line; none of one that is.
-
-    Args:
-        content: Of `diagnosis.json`.
-        go_on: See `lines`.
-    """
+    """That a diagnosis is not finished, and what is not done, in a line; none of one that is."""
     so_far = content.get("so_far")
     if so_far is None:
         return []

@@ -17,7 +17,7 @@ from nsde_torch.api import diagnosing
 from nsde_torch.cli.exit_status import INTERRUPTED, OK, USER_ERROR
 from nsde_torch.cli.main import main
 from nsde_torch.diagnosis.files import EFFECTS, REPORT, RESULT
-from nsde_torch.diagnosis.not_done import SELECTION
+from nsde_torch.diagnosis.stages import SELECTION
 from nsde_torch.progress import Stages
 from nsde_torch.simulation import simulate
 from nsde_torch.simulation.files import write

@@ -15,7 +15,7 @@ from nsde_torch.design.files import write_plan
 from nsde_torch.design.flown import evidence
 from nsde_torch.design.members import Member
 from nsde_torch.design.rehearsal import against, fit_all
-from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.inference.posterior import LogWithPrior
 from nsde_torch.systems import System

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.at_nothing import beside_gains_at_nothing, gains_at_nothing, not_measured
+from nsde_torch.diagnosis.feedback_bias import beside_vanishing_gains, unmeasured_gains, vanishing_gains
 from nsde_torch.diagnosis.outcome import Outcome
 
 LABELS = ("thrust_gain", "roll_gain", "inertia_x", "motor_lag.time_constant", "linear_drag.drag[0]")
@@ -46,19 +46,19 @@ def _outcome(roll_gain: float, *, closed_loop: bool) -> Any:
 
 
 def test_only_own_parameters_at_the_bound_of_nothing_count() -> None:
-    assert gains_at_nothing(_regression(5e-5)) == {"roll_gain"}
-    assert gains_at_nothing(_regression(30.0)) == set()
+    assert vanishing_gains(_regression(5e-5)) == {"roll_gain"}
+    assert vanishing_gains(_regression(30.0)) == set()
 
 
 @pytest.mark.parametrize(("roll_gain", "closed_loop"), [(30.0, True), (5e-5, False)])
 def test_gains_that_are_there_and_open_loops_change_nothing(roll_gain: float, closed_loop: bool) -> None:
     outcome = _outcome(roll_gain, closed_loop=closed_loop)
-    assert beside_gains_at_nothing(outcome) is outcome
-    assert not not_measured(outcome)
+    assert beside_vanishing_gains(outcome) is outcome
+    assert not unmeasured_gains(outcome)
 
 
 def test_effects_on_inputs_are_leads_beside_a_gain_that_the_loop_may_hide() -> None:
-    lag, drag, battery = beside_gains_at_nothing(_outcome(5e-5, closed_loop=True)).found
+    lag, drag, battery = beside_vanishing_gains(_outcome(5e-5, closed_loop=True)).found
     assert "roll_gain went to nothing" in lag.provisional
     assert not drag.provisional
     assert battery.provisional == "seen already"

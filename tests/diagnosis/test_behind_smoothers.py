@@ -6,13 +6,9 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
-from nsde_torch.diagnosis.behind_smoothers import (
-    behind_smoothers,
-    not_sure_behind_smoothers,
-    with_suspects,
-)
+from nsde_torch.diagnosis.decisions import Options
+from nsde_torch.diagnosis.feedback_bias import behind_smoothers, not_sure_behind_smoothers, with_suspects
 from nsde_torch.diagnosis.joint_selection import JointSearch
-from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.systems import make_system

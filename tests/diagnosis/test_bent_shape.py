@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 import nsde_torch
 from nsde_torch.data import RawRun
-from nsde_torch.diagnosis.fitted import bent_shape
+from nsde_torch.diagnosis.search import bent_shape
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import make_system
 from nsde_torch.systems.parameters import ParameterVector

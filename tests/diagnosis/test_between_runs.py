@@ -12,8 +12,8 @@ import pytest
 
 import nsde_torch
 from nsde_torch.data import DataSet, Run
-from nsde_torch.diagnosis.between_runs import RunZeros, between_runs
-from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.decisions import Options
+from nsde_torch.diagnosis.explanation import RunZeros, between_runs
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.errors import ConfigError
 from nsde_torch.recording.clock_and_biases import of_run

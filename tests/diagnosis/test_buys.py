@@ -7,14 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.buys import BY_STEPS, Bought, bought, told
-from nsde_torch.diagnosis.content import named
-from nsde_torch.diagnosis.decisions import Wording
-from nsde_torch.diagnosis.innovations import Own, Scored, own
-from nsde_torch.diagnosis.options import Options
-from nsde_torch.diagnosis.pictures import WITH, WITHOUT, effect_panels
-from nsde_torch.diagnosis.report import page
-from nsde_torch.diagnosis.result import Diagnosis
+from nsde_torch.diagnosis.cross_validation import Own, Scored, own
+from nsde_torch.diagnosis.decisions import Options, Wording
+from nsde_torch.diagnosis.effect_importance import BY_STEPS, Importance, effect_importance, shown_effects
+from nsde_torch.diagnosis.report import WITH, WITHOUT, effect_panels, page
+from nsde_torch.diagnosis.result import Diagnosis, named
 from nsde_torch.diagnosis.text import in_order, lines, small, without_it
 from tests.helpers.diagnosed import diagnosed
 
@@ -34,14 +31,14 @@ def test_effects_are_ordered_by_the_log_likelihood_that_is_lost_without_them() -
         "b": brings(60.0, v=(1.1, 1.0)),
         "c": brings(-5.0, v=(1.0, 1.0)),
     }
-    found = bought(brought, inputs=True)
+    found = effect_importance(brought, inputs=True)
     assert list(found) == ["b", "a", "c"]
     assert [b.share for b in found.values()] == pytest.approx([0.75, 0.25, 0.0])
 
 
 def test_where_inputs_know_the_future_the_residual_alone_orders_them() -> None:
     brought = {"a": brings(20.0, v=(2.0, 1.0)), "b": brings(60.0, v=(1.1, 1.0), w=(0.9, 1.0))}
-    found = bought(brought, inputs=False)
+    found = effect_importance(brought, inputs=False)
     assert list(found) == ["a", "b"]
     assert found["a"].gain == pytest.approx(2 * np.log(2.0))
     assert found["b"].gain == 0.0  # what returns in one channel is gained in the other
@@ -49,9 +46,9 @@ def test_where_inputs_know_the_future_the_residual_alone_orders_them() -> None:
 
 
 def test_the_error_that_is_told_is_that_of_the_channel_in_which_most_returns() -> None:
-    found = bought({"a": brings(1.0, v=(1.2, 1.0), w=(0.3, 0.1))}, inputs=True)["a"]
+    found = effect_importance({"a": brings(1.0, v=(1.2, 1.0), w=(0.3, 0.1))}, inputs=True)["a"]
     assert (found.channel, found.unit, found.error_without, found.error_with) == ("w", "m/s2", 0.3, 0.1)
-    nothing = bought({"a": brings(1.0)}, inputs=False)["a"]
+    nothing = effect_importance({"a": brings(1.0)}, inputs=False)["a"]
     assert nothing.as_dict() == {
         **{"nats": 1.0, "share": 1.0, "channel": None, "unit": None},
         **{"error_with": None, "error_without": None},
@@ -70,14 +67,14 @@ def test_the_error_that_is_told_is_that_of_the_channel_in_which_most_returns() -
 def test_the_few_are_the_first_that_together_reach_the_share(
     shares: dict[str, float], share: float, few: tuple[str, ...], rest: tuple[str, ...]
 ) -> None:
-    buys = {k: Bought(k, s, s, s) for k, s in shares.items()}
-    found = told(list(shares), buys, Wording(few_share=share))
+    importance = {k: Importance(k, s, s, s) for k, s in shares.items()}
+    found = shown_effects(list(shares), importance, Wording(few_share=share))
     assert (found.few, found.rest) == (few, rest)
     assert found.share == pytest.approx(sum(shares[name] for name in rest))
 
 
 def test_an_effect_of_which_runs_left_out_say_nothing_is_told() -> None:
-    found = told(["a", "b"], {"b": Bought("b", 5.0, 1.0, 5.0)}, WORDING)
+    found = shown_effects(["a", "b"], {"b": Importance("b", 5.0, 1.0, 5.0)}, WORDING)
     assert found.few == ("b", "a")
 
 
@@ -126,7 +123,7 @@ def test_what_returns_is_said_where_the_effect_is(found: tuple[Diagnosis, dict[s
     words = without_it(friction, content)
     assert words.startswith("without it, on runs left out: the residual of q_dot goes from")
     assert any(words in line for line in lines(content))
-    pictures = diagnosis.buys
+    pictures = diagnosis.importance
     assert list(pictures) == sorted(pictures, key=lambda n: -pictures[n].gain)
 
 
@@ -144,9 +141,9 @@ def test_small_effects_are_gathered_in_one_line(found: tuple[Diagnosis, dict[str
 
 
 def test_the_summary_counts_small_effects() -> None:
-    buys = {k: Bought(k, s, s, s) for k, s in {"a": 0.97, "b": 0.02, "c": 0.01}.items()}
+    importance = {k: Importance(k, s, s, s) for k, s in {"a": 0.97, "b": 0.02, "c": 0.01}.items()}
     assert (
-        named(["clock_scale", "a"], told(["a", "b", "c"], buys, WORDING))
+        named(["clock_scale", "a"], shown_effects(["a", "b", "c"], importance, WORDING))
         == "clock_scale, a and two small ones"
     )
     assert small(1) == "one small one"
@@ -155,8 +152,8 @@ def test_the_summary_counts_small_effects() -> None:
 
 def test_each_effect_that_matters_has_a_picture(found: tuple[Diagnosis, dict[str, Any]]) -> None:
     diagnosis, _ = found
-    panels = effect_panels(diagnosis.outcome, diagnosis.told, diagnosis.buys, diagnosis.runs)
-    assert set(panels) == set(diagnosis.told.few)
+    panels = effect_panels(diagnosis.outcome, diagnosis.shown, diagnosis.importance, diagnosis.runs)
+    assert set(panels) == set(diagnosis.shown.few)
     panel = panels["coulomb_friction"]
     assert (panel.channel, panel.variable) == ("q_dot", "q_dot")
     without, left = panel.clouds[WITHOUT], panel.clouds[WITH]

@@ -10,17 +10,13 @@ from typing import Any
 
 import pytest
 
-from nsde_torch.diagnosis.ceiling import Ceiling
-from nsde_torch.diagnosis.content import ceiling_content, summary
+from nsde_torch.diagnosis.ceiling import Ceiling, RowGain
 from nsde_torch.diagnosis.decision import judged_by_the_ceiling
-from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS
+from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Options
 from nsde_torch.diagnosis.evidence import nats_by_channel
-from nsde_torch.diagnosis.learned_functions import RowGain
-from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Outcome
-from nsde_torch.diagnosis.pictures import pictures
-from nsde_torch.diagnosis.report import page
-from nsde_torch.diagnosis.result import Diagnosis
+from nsde_torch.diagnosis.report import page, pictures
+from nsde_torch.diagnosis.result import Diagnosis, ceiling_content, summary
 from nsde_torch.diagnosis.text import lines
 from tests.helpers.diagnosed import diagnosed
 
@@ -77,7 +73,7 @@ def test_an_effect_beside_which_more_is_left_than_it_explains_is_a_lead(
     (lead,) = doubtful.found
     assert lead.provisional
     assert doubtful.verdict == "unexplained"
-    told = summary(doubtful.verdict, [], friction[0].told, doubtful, (), "q and q_dot on force")
+    told = summary(doubtful.verdict, [], friction[0].shown, doubtful, (), "q and q_dot on force")
     assert "functions explain more (q and q_dot on force) than coulomb_friction can explain" in told
     assert told.endswith("which is a lead.")
 

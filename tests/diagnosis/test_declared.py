@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from nsde_torch.data import Run
-from nsde_torch.diagnosis.options import Options
-from nsde_torch.diagnosis.pictures import pictures
+from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.pipeline import diagnose
-from nsde_torch.diagnosis.report import page
+from nsde_torch.diagnosis.report import page, pictures
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.models.identified import SysidSpec

@@ -11,7 +11,7 @@ from scipy.signal import butter, sosfiltfilt
 import nsde_torch
 from nsde_torch.data import RawRun
 from nsde_torch.diagnosis.decision import doubted, sized
-from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.sysid.guard import Guarded, Objection
 from tests.helpers.diagnosed import diagnosed

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from nsde_torch.data.raw import RawRun
-from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording import assemble

@@ -10,11 +10,18 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import kstest, ncf
 
+from nsde_torch.diagnosis.candidates import frequencies_in, starts_of
 from nsde_torch.diagnosis.decisions import DECISIONS
-from nsde_torch.diagnosis.estimates import estimated
-from nsde_torch.diagnosis.evidence import by_blocks
-from nsde_torch.diagnosis.multiplicity import bonferroni, frequencies_in, starts_of
-from nsde_torch.diagnosis.p_values import chance, hotelling, independent, jackknife, left_out
+from nsde_torch.diagnosis.evidence import (
+    bonferroni,
+    by_blocks,
+    chance,
+    hotelling,
+    independent,
+    jackknife,
+    left_out,
+)
+from nsde_torch.diagnosis.outcome import estimated
 from tests.helpers.linear import lasting, linear
 
 Array = NDArray[np.float64]

@@ -9,16 +9,23 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.cross_validation import HeldOut, by_likelihood, held_out
+from nsde_torch.diagnosis.cross_validation import (
+    HeldOut,
+    Own,
+    Scored,
+    band,
+    by_likelihood,
+    held_out,
+    one_step,
+    own,
+)
 from nsde_torch.diagnosis.decision import provisional_reason
-from nsde_torch.diagnosis.dependence import Dependence
-from nsde_torch.diagnosis.fitted import moved_channels
-from nsde_torch.diagnosis.innovations import Own, Scored, band, one_step, own
+from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import Evidence, fitted_at
-from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.outcome import Found
 from nsde_torch.diagnosis.pipeline import diagnose
-from nsde_torch.diagnosis.search import search_in
+from nsde_torch.diagnosis.residual_tests import Dependence
+from nsde_torch.diagnosis.search import moved_channels, search_in
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.models.identified import SysidSpec

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from nsde_torch.diagnosis import decision
-from nsde_torch.diagnosis.hidden import Hidden, allowances, chance_beyond, lengths_of_parameters
+from nsde_torch.diagnosis.feedback_bias import (
+    FeedbackBiased,
+    allowances,
+    chance_beyond,
+    lengths_of_parameters,
+)
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.inference.steps import steps_of
 from nsde_torch.sysid.loop_test import FACTOR, Answer, LoopTest, leaning
@@ -80,7 +85,7 @@ def test_an_effect_counts_by_what_it_brings_beyond_what_may_be_hidden() -> None:
     assert chance_beyond({"w_x": 260.0}, ["w_x"], allowed, 1) < 1e-12
     # of an effect that moves another channel too, that one shows it
     assert chance_beyond({"w_x": 150.0, "v_y": 60.0}, ["w_x", "v_y"], allowed, 2) < 1e-9
-    assert "data.instruments" in Hidden("angular_damping", ("w_x",)).reason
+    assert "data.instruments" in FeedbackBiased("angular_damping", ("w_x",)).reason
 
 
 def test_an_effect_is_bent_by_inputs_between_rows_as_far_as_it_leans_along_them() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.decisions import Options
 from tests.helpers.diagnosed import diagnosed
 
 RIVALS = Options(candidates=("constant_wind", "linear_drag", "thrust_misalignment"))

@@ -10,8 +10,8 @@ from scipy.signal import butter, sosfiltfilt
 
 import nsde_torch
 from nsde_torch.data import Run
+from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import JointSearch, JointSelection
-from nsde_torch.diagnosis.options import Options
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.systems import make_system

@@ -8,9 +8,9 @@ import pytest
 from scipy.signal import butter, filtfilt
 
 import nsde_torch
+from nsde_torch.diagnosis.beyond_catalogue import same_effect
 from nsde_torch.diagnosis.candidates import joined
-from nsde_torch.diagnosis.law_names import same_effect
-from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.simulation import simulate
 from nsde_torch.systems import make_system

@@ -7,10 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.noise_models import NoiseModels
-from nsde_torch.diagnosis.shape import shape
-from nsde_torch.diagnosis.specification import dependences
-from nsde_torch.diagnosis.views import rates
+from nsde_torch.diagnosis.residual_tests import NoiseModels, dependences
+from nsde_torch.diagnosis.shape import rates, shape
 from tests.diagnosis.test_shape import RUNS, Push, pushed
 
 STRONG: list[tuple[str, Push, str]] = [

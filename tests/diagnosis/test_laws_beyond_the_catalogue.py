@@ -8,11 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.content import looks_like
-from nsde_torch.diagnosis.decisions import Budgets
-from nsde_torch.diagnosis.law_columns import with_places
-from nsde_torch.diagnosis.law_terms import terms_of
-from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.decisions import Budgets, Options
+from nsde_torch.diagnosis.laws import terms_of, with_places
+from nsde_torch.diagnosis.result import looks_like
 from nsde_torch.effects.expression_grammar import parse
 from nsde_torch.systems import make_system
 from nsde_torch.systems.options import system_options

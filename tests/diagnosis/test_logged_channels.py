@@ -10,7 +10,7 @@ import pytest
 from torch import Tensor
 
 from nsde_torch.data import Run
-from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.reading import logged_channels
 from nsde_torch.effects import Effect, Parameter, Port

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.freed_memory import give_back
+from nsde_torch.diagnosis.pipeline import give_back
 
 
 @pytest.mark.skipif(

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.recording import Recording
 from tests.helpers.diagnosed import diagnosed
 

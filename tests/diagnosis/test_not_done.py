@@ -8,13 +8,13 @@ import torch
 
 import nsde_torch
 from nsde_torch.diagnosis import pipeline
-from nsde_torch.diagnosis.not_done import NotDone, OptionalStages, needed
+from nsde_torch.diagnosis.stages import NotDone, OptionalStages, needed
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.errors import ConfigError, DataError
 
 OPTIONAL = (
     "undone",
-    "without_standing",
+    "without_standstill",
     "guard_of",
     "cross_validated",
     "ceiling",

@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.detectability import not_shown
+from nsde_torch.diagnosis.evidence import not_shown
 from nsde_torch.diagnosis.joint_selection import JointSelection, Look, Round
 
 

@@ -6,9 +6,8 @@ from collections.abc import Mapping
 
 import pytest
 
-from nsde_torch.diagnosis.candidates import candidate_names, starts
-from nsde_torch.diagnosis.fitted import effect_of, values_of
-from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.candidates import candidate_names, effect_of, starts, values_of
+from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.search import Base, Search, search_in
 from nsde_torch.effects import effect_class
 from nsde_torch.inference.sizes import data_sizes

@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.dependence import Dependence
-from nsde_torch.diagnosis.one_run import Alone, alone
-from nsde_torch.diagnosis.options import Options
-from nsde_torch.diagnosis.pictures import unexplained_views
+from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.regressors import regressors
+from nsde_torch.diagnosis.report import unexplained_views
+from nsde_torch.diagnosis.residual_tests import Alone, Dependence, alone, dependences, own_of_runs
 from nsde_torch.diagnosis.search import search_in
-from nsde_torch.diagnosis.specification import dependences, own_of_runs
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording import assemble

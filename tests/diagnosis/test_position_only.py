@@ -8,8 +8,7 @@ from typing import cast
 import pytest
 
 import nsde_torch
-from nsde_torch.diagnosis.inferred import not_sure
-from nsde_torch.diagnosis.reading import Log
+from nsde_torch.diagnosis.reading import Log, not_sure
 from tests.helpers.diagnosed import diagnosed
 from tests.helpers.encoders import encoder_runs
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nsde_torch.data import Run
-from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.recording import Recording
 from nsde_torch.recording.smoothing import restored

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from nsde_torch.diagnosis import standing
+from nsde_torch.diagnosis import reading
 from nsde_torch.diagnosis.report import page, write_report
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.text import interval, lines
@@ -201,7 +201,7 @@ def test_a_width_that_is_crossed_within_a_step_is_below_something(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # with the rows of turns; without them nothing depends on the width
-    monkeypatch.setattr(standing, "SHARE", 2.0)
+    monkeypatch.setattr(reading, "SHARE", 2.0)
     case = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.3, "width": 0.001}})
     size, width = (case[1]["parameters"][f"coulomb_friction.{name}"] for name in ("size", "width"))
     assert (size["bound"], width["bound"]) == (None, "below")

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.dependence import Dependence
 from nsde_torch.diagnosis.regressors import Regressors, regressors
+from nsde_torch.diagnosis.residual_tests import Dependence, dependences
 from nsde_torch.diagnosis.search import Search
-from nsde_torch.diagnosis.shape import Shape, shape
-from nsde_torch.diagnosis.specification import dependences
-from nsde_torch.diagnosis.views import bins, rates
+from nsde_torch.diagnosis.shape import Shape, bins, rates, shape
 from nsde_torch.inference.steps import steps_of
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import make_system

@@ -16,10 +16,10 @@ import pytest
 
 import nsde_torch
 from nsde_torch import time_limit
-from nsde_torch.diagnosis import course, files
+from nsde_torch.diagnosis import files, pipeline
 from nsde_torch.diagnosis.files import EFFECTS, REPORT, RESULT, DiagnosisFiles
-from nsde_torch.diagnosis.not_done import CEILING, ERRORS, NO_TIME, NOT_YET, SELECTION, STOPPED, TESTS
 from nsde_torch.diagnosis.result import Diagnosis
+from nsde_torch.diagnosis.stages import CEILING, ERRORS, NO_TIME, NOT_YET, SELECTION, STOPPED, TESTS
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.effects import files as effects_files
 from nsde_torch.errors import CheckpointError, ConfigError, DataError
@@ -117,7 +117,7 @@ def test_before_anything_is_known_the_limit_waits(made: Simulation, monkeypatch:
 def test_a_stage_that_would_not_end_in_time_is_left_out(
     made: Simulation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(course, "_ROUNDS", {**course._ROUNDS, CEILING: 1e6})
+    monkeypatch.setattr(pipeline, "_ROUNDS", {**pipeline._ROUNDS, CEILING: 1e6})
     found = nsde_torch.diagnose(made, system=SPRING, candidates=[FRICTION], say=False, max_minutes=60.0)
     content = found.content()
     assert [(n["stage"], n["why"]) for n in content["not_done"]] == [(CEILING, NO_TIME)]

@@ -12,13 +12,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.dependence import Dependence
-from nsde_torch.diagnosis.left_over import beyond_chance
-from nsde_torch.diagnosis.p_values import hotelling
+from nsde_torch.diagnosis.evidence import hotelling
+from nsde_torch.diagnosis.periodicity import lines
 from nsde_torch.diagnosis.regressors import Regressors, own_space, projected, regressors
+from nsde_torch.diagnosis.residual_tests import Dependence, beyond_chance, dependences
 from nsde_torch.diagnosis.search import Search
-from nsde_torch.diagnosis.specification import dependences
-from nsde_torch.diagnosis.spectrum import lines
 from nsde_torch.inference.steps import steps_of
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.regression import Regression

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.decisions import Budgets, Decisions
-from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.decisions import Budgets, Decisions, Options
 from tests.helpers.diagnosed import diagnosed
 
 FOLDER = Path(__file__).parents[2] / "benchmarks" / "blind"

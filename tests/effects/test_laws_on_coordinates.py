@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from nsde_torch.diagnosis.candidates import candidate_names, on_coordinates
-from nsde_torch.diagnosis.content import meaning
-from nsde_torch.diagnosis.estimates import Estimate
+from nsde_torch.diagnosis.outcome import Estimate
+from nsde_torch.diagnosis.result import meaning
 from nsde_torch.effects import Coordinate, Effect, Law, Parameter, Port, effect_class, key_of, register, units
 from nsde_torch.effects.friction import CoulombFriction
 from nsde_torch.errors import ConfigError

@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from nsde_torch.data import DataSet
-from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
-from nsde_torch.diagnosis.options import Options
+from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions, Options
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.models.identified import SysidSpec

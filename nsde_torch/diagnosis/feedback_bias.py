@@ -1,4 +1,4 @@
-"""What an effect or a dependence has to explain beyond what feedback may hide.
+"""What feedback may hide or make: what counts beyond it, gains that vanish, and effects behind a smoother.
 
 Where a controller saw more than the log holds, its inputs know of a step what the log does not, and any term that
 correlates with inputs explains a part of it: a damping where none is. With z_i as in `sysid.in_loop` such a
@@ -10,19 +10,41 @@ of channel i, and no more of it than the share by which the effect leans along l
 (`lengths_of_parameters`). An effect counts by what it brings beyond that on the channels
 that it moves, and so does what is left over. An effect that does not reach it is not named; it is set aside with its
 reason, unless signals from outside the loop show it (`sysid.instruments`).
+
+**Vanishing gains.** Where inputs answer the states, they can cancel what the physics lacks so nearly that no gain is
+seen at all. A fit whose gain stands at the bound 0 has not measured that the input does nothing: no interval is given
+for it, and what acts on inputs beside such a gain (a lag, a delay, a loss) is seen in part, and is a lead. In an open
+loop a gain of nothing is what was measured.
+
+**Behind smoothers.** A smoother spreads the noise of a row over its neighbours. An input that answers the noise of its
+row therefore answers a part of what the rows after it will show, and seems to do less, or later, than it does: on a
+hexacopter that lacked nothing, behind a Gaussian filter at 12.9 Hz, a delay of one row brought 366 nats, and none from
+the raw log. So effects with memory that act on inputs are no candidates there. Where one of them would explain more
+beside what was found, a lag that is there may be what was found in its place, and all of it is a lead.
 """
 
+from __future__ import annotations
+
+import copy
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from nsde_torch.diagnosis.candidates import candidate_names
+from nsde_torch.diagnosis.joint_selection import JointSelection, looked
+from nsde_torch.diagnosis.search import Search, at_bounds
+from nsde_torch.effects import Port, effect_class
 from nsde_torch.sysid.loop_test import LoopTest, leaning
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
+
+if TYPE_CHECKING:
+    from nsde_torch.diagnosis.outcome import Outcome
 
 Array = NDArray[np.float64]
 
@@ -39,7 +61,7 @@ class Feedback:
 
 
 @dataclass(frozen=True)
-class Hidden:
+class FeedbackBiased:
     """An effect that is not named because feedback may have made it."""
 
     name: str  # of the effect
@@ -61,10 +83,6 @@ def lengths_of_parameters(test: LoopTest, regression: Regression) -> dict[str, A
     What they know of a step, and what they do between rows, is as in a loop that is linear within a row: a linear
     function of states and of the inputs of neighbouring rows. It bends a parameter as far as its estimate leans along
     these (`sysid.loop_test`).
-
-    Args:
-        test: What the data say of the loop.
-        regression: The same physics at its optimum.
     """
     if not test.not_from_the_log:
         return {}
@@ -79,10 +97,6 @@ def allowances(lengths: Mapping[str, Array], own: Sequence[int]) -> dict[str, fl
 
     Of inputs of an open loop, what they foretell is physics that is missing, and has to be looked for; so it is in a
     closed one until effects have been looked for, and what they foretell of the last fit is what they know.
-
-    Args:
-        lengths: Of parameters (`lengths_of_parameters`).
-        own: Numbers of the effect's parameters.
     """
     return {c: float(np.square(z[own]).max(initial=0.0)) for c, z in lengths.items()}
 
@@ -96,15 +110,10 @@ def allowances_of_tests(test: LoopTest) -> dict[str, float]:
     return {c: z**2 for c, z in test.hidden_from_tests.items()}
 
 
-def likelihood_ratios(nats: Mapping[str, float]) -> dict[str, float]:
-    """Log-likelihood differences [nats] as the statistics 2 log L that a chi-squared distribution judges."""
-    return {channel: 2.0 * value for channel, value in nats.items()}
-
-
 def chance_beyond(
     gained: Mapping[str, float], moved: Sequence[str], allowed: Mapping[str, float], count: int
 ) -> float:
-    """Chance of what an effect explains beyond what feedback may hide.
+    """Chance of what an effect explains beyond what feedback may hide, by a chi-squared distribution.
 
     Args:
         gained: Likelihood ratio (2 log L) that it brings, by channel.
@@ -132,3 +141,63 @@ def shown_by_instruments(found: Identification, effect: str, alpha: float) -> bo
         return False
     half = i.half_widths(1.0 - alpha / len(own))
     return bool((np.abs(i.values[own]) > half[own]).any())
+
+
+def vanishing_gains(regression: Regression) -> frozenset[str]:
+    """Labels of the machine's own parameters that stand at the bound 0; those of effects may well be nothing."""
+    v, bound = regression.vector, at_bounds(regression)
+    return frozenset(
+        label
+        for j, label in enumerate(v.labels)
+        if bound[j] and "." not in label and v.low[j] == 0.0 and regression.theta[j] < 0.5 * v.scale[j]
+    )
+
+
+def unmeasured_gains(outcome: Outcome) -> frozenset[str]:
+    """Labels of gains at nothing that a closed loop may hide."""
+    return vanishing_gains(outcome.final.regression) if outcome.test.closed_loop else frozenset()
+
+
+def beside_vanishing_gains(outcome: Outcome) -> Outcome:
+    """The outcome, effects on inputs provisional beside gains that a closed loop may hide."""
+    gone = unmeasured_gains(outcome)
+    if not gone:
+        return outcome
+    reason = f"{', '.join(sorted(gone))} went to nothing, which the loop may hide: what acts on inputs is seen in part"
+    return outcome.provisional(lambda f: reason if effect_class(f.name).port is Port.INPUT else "")
+
+
+def behind_smoothers(search: Search, system: System) -> Search:
+    """The search without effects with memory that act on inputs."""
+    return _among(search, [n for n in candidate_names(system, search.candidates) if not _timed(system, n)])
+
+
+def with_suspects(found: JointSelection, search: Search, system: System) -> JointSelection:
+    """A selection, with what was no candidate and would explain more beside it."""
+    if not found.selected:
+        return found
+    some = _among(search, [n for n in candidate_names(system, search.candidates) if _timed(system, n)])
+    return replace(found, suspected=tuple(p.name for p in looked(some, found.final).accepted))
+
+
+def not_sure_behind_smoothers(outcome: Outcome) -> Outcome:
+    """The outcome, nothing sure where what is no candidate behind a smoother would explain more."""
+    joint = outcome.joint
+    if joint is None or not joint.suspected:
+        return outcome
+    why = (
+        f"the states were smoothed and the inputs answer them: {joint.suspected[0]}, or what looks like it behind a "
+        "smoother, may be what was found"
+    )
+    return outcome.provisional(lambda _: why)
+
+
+def _timed(system: System, name: str) -> bool:
+    """Whether an effect acts on inputs with a memory."""
+    return effect_class(name).port is Port.INPUT and system.make_effect(name, {}).n_memory > 0
+
+
+def _among(search: Search, names: list[str]) -> Search:
+    out = copy.copy(search)
+    out.candidates = names
+    return out

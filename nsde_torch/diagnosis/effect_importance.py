@@ -1,7 +1,7 @@
-"""What each effect that was found buys: the error on runs left out that returns when it is left out.
+"""How much each effect that was found matters: the error on runs left out that returns when it is left out.
 
 Everything that was found is fitted to the other runs with the effect and, all parameters again, without it
-(`cross_validation`). What the effect buys is, over the channels that it moves,
+(`cross_validation`). The gain of the effect is, over the channels that it moves,
 
     g = max(log p(with) - log p(without), 0)                 where inputs are what acted: log-likelihood of each step
     g = max(sum_c log(rms_without_c^2 / rms_with_c^2), 0)    where they were restored from an average, and know the
@@ -17,16 +17,16 @@ from dataclasses import dataclass
 from math import log
 from typing import Any
 
+from nsde_torch.diagnosis.cross_validation import Own
 from nsde_torch.diagnosis.decisions import Wording
-from nsde_torch.diagnosis.innovations import Own
 
 BY_STEPS, BY_RESIDUAL = "log-likelihood", "residual"
 """What effects are ordered by."""
 
 
 @dataclass(frozen=True)
-class Bought:
-    """What one effect buys on runs left out."""
+class Importance:
+    """What one effect brings on runs left out."""
 
     effect: str  # its name
     gain: float  # g, in nats of what effects are ordered by
@@ -51,8 +51,8 @@ class Bought:
         }
 
 
-def bought(own: Mapping[str, Own], *, inputs: bool) -> dict[str, Bought]:
-    """What effects buy, those that buy most first.
+def effect_importance(own: Mapping[str, Own], *, inputs: bool) -> dict[str, Importance]:
+    """How much effects matter, the most important first.
 
     Args:
         own: By effect: what it brings on runs left out.
@@ -65,42 +65,39 @@ def bought(own: Mapping[str, Own], *, inputs: bool) -> dict[str, Bought]:
         one = own[name]
         share = gains[name] / whole if whole > 0 else 0.0
         if not one.residual:
-            out[name] = Bought(name, gains[name], share, one.nats)
+            out[name] = Importance(name, gains[name], share, one.nats)
             continue
         channel = max(one.residual, key=lambda c: _returns(one, c))
         unit, without, with_it = one.residual[channel]
-        out[name] = Bought(name, gains[name], share, one.nats, channel, unit, with_it, without)
+        out[name] = Importance(name, gains[name], share, one.nats, channel, unit, with_it, without)
     return out
 
 
 @dataclass(frozen=True)
-class Told:
-    """The order in which effects are told."""
+class ShownEffects:
+    """The order in which effects are shown."""
 
     few: tuple[str, ...]  # names of those that matter, the most important first
     rest: tuple[str, ...]  # names of the others
-    share: float  # what the others buy together, of what all buy
+    share: float  # what the others bring together, of what all bring
 
 
-def told(names: Sequence[str], buys: Mapping[str, Bought], wording: Wording) -> Told:
+def shown_effects(
+    names: Sequence[str], importance: Mapping[str, Importance], wording: Wording
+) -> ShownEffects:
     """The effects that matter, and the others.
 
     An effect of which runs left out say nothing matters, and so do all where none brings anything.
-
-    Args:
-        names: Of the effects that were found, in the order in which they were added.
-        buys: What they buy, as far as runs left out say.
-        wording: From which share on those before are enough.
     """
-    order = sorted(names, key=lambda n: -buys[n].gain if n in buys else 0.0)
+    order = sorted(names, key=lambda n: -importance[n].gain if n in importance else 0.0)
     few, rest, reached = list[str](), list[str](), 0.0
     for name in order:
-        if name in buys and reached >= wording.few_share:
+        if name in importance and reached >= wording.few_share:
             rest.append(name)
             continue
         few.append(name)
-        reached += buys[name].share if name in buys else 0.0
-    return Told(tuple(few), tuple(rest), sum(buys[n].share for n in rest))
+        reached += importance[name].share if name in importance else 0.0
+    return ShownEffects(tuple(few), tuple(rest), sum(importance[n].share for n in rest))
 
 
 def _gain(one: Own, *, inputs: bool) -> float:

@@ -33,7 +33,7 @@ from hexacopter_loops import fly as fly_hexacopters
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from nsde_torch.data import Run
-from nsde_torch.sysid.in_loop import identify_in_loop
+from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.sysid.instruments import adopted
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import make_system

@@ -16,7 +16,7 @@ import torch
 
 import nsde_torch
 from nsde_torch.data.raw import RawRun
-from nsde_torch.sysid.in_loop import identify_in_loop
+from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.systems import make_system
 
 sys.path.insert(0, str(Path(__file__).resolve().parent / "blind"))

@@ -32,8 +32,7 @@ from nsde_torch.evaluation.metrics import start_grid, thinned
 from nsde_torch.evaluation.open_loop import rollout_squares
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording import read
-from nsde_torch.sysid.explained import bump, smooth_rate
-from nsde_torch.sysid.physics import Physics
+from nsde_torch.sysid.physics import Physics, bump, smooth_rate
 from nsde_torch.systems import System, make_system
 from nsde_torch.systems.parameters import ParameterVector
 

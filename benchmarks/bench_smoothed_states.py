@@ -26,7 +26,7 @@ from scipy.signal import bessel, butter, savgol_filter, sosfilt, sosfilt_zi, sos
 import nsde_torch
 from nsde_torch.data import DataSet, RawRun
 from nsde_torch.errors import NonFiniteError
-from nsde_torch.sysid.in_loop import identify_in_loop
+from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.systems import make_system
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from nsde_torch.models.kind import model_options as options_of_model
 from nsde_torch.recording import read
 from nsde_torch.sde import IntegratorOptions, TorchDiffEqOptions
 from nsde_torch.simulation import simulated
-from nsde_torch.sysid.restored_states import undone_at_own_rate
+from nsde_torch.sysid.smoothed_states import undone_at_own_rate
 from nsde_torch.systems import System, SystemOptions
 from nsde_torch.training import LossOptions, TrainerOptions
 

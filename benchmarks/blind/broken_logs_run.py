@@ -57,7 +57,7 @@ def quickly(folder: Path, name: str, further: list[str]) -> Json:
 
     import nsde_torch
     from nsde_torch.errors import NsdeError
-    from nsde_torch.sysid.in_loop import identify_in_loop
+    from nsde_torch.sysid.identify import identify_in_loop
     from nsde_torch.systems import make_system
     from nsde_torch.training.fit_sysid import summary
 

@@ -14,8 +14,7 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import changed
 from nsde_torch.errors import NsdeError
-from nsde_torch.sysid.motors import motor_orders
-from nsde_torch.sysid.readings import better_readings
+from nsde_torch.sysid.readings import better_readings, motor_orders
 from nsde_torch.sysid.rough import rough_fit
 from nsde_torch.systems.base import System
 from nsde_torch.systems.multirotor import Multirotor

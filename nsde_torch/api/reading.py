@@ -23,8 +23,8 @@ from nsde_torch.recording.reading import assemble
 from nsde_torch.recording.reading import read as read_kind
 from nsde_torch.simulation.generate import Simulation
 from nsde_torch.sysid.readings import better_readings
-from nsde_torch.sysid.restored_states import undone_at_own_rate
 from nsde_torch.sysid.rough import beginnings, rough_fit
+from nsde_torch.sysid.smoothed_states import undone_at_own_rate
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import SystemOptions, system_options
 from nsde_torch.threads import one_thread

@@ -27,7 +27,7 @@ from nsde_torch.effects import Port
 from nsde_torch.evaluation.bootstrap import FEWEST_BLOCKS
 from nsde_torch.inference import Optimum, nearly_maximised
 from nsde_torch.inference.functions import Functions, Variables, held_out_density, learned
-from nsde_torch.sysid.loop_test import LoopTest
+from nsde_torch.sysid.feedback_test import FeedbackTest
 from nsde_torch.systems import System
 from nsde_torch.systems.vocabulary import named_inputs, vocabulary
 
@@ -83,7 +83,7 @@ def functions_beside(at: Optimum, most: int) -> Functions | None:
 
 
 @torch.no_grad()
-def function_gain(at: Optimum, found: Functions, tested: LoopTest) -> FunctionGain:
+def function_gain(at: Optimum, found: Functions, tested: FeedbackTest) -> FunctionGain:
     """What functions explain beyond what feedback may hide, row by row."""
     space, system, variables = at.of.space, at.of.vector.system, _variables(at)
     counted = space.chunks.counted

@@ -14,7 +14,7 @@ things are measured, with intervals from resampling blocks of time (evaluation.b
   physics that has learned what a controller does about a gust, this does not. It is still biased where the controller
   saw more than the log holds;
 - the residual force and moment in the band where they act: root mean square of mean residual rates over a quarter of a
-  second (`sysid.explained`). These two judge. Each effect is left out in turn too, so that it is judged by what it
+  second (`sysid.physics`). These two judge. Each effect is left out in turn too, so that it is judged by what it
   brings itself, on the channels that it moves;
 - errors of open-loop predictions from every quarter of a second, inputs replayed from the log. In a closed loop these
   inputs answer the disturbances of the very time that is predicted: physics that is right about causes may err more
@@ -46,8 +46,7 @@ from nsde_torch.evaluation.open_loop import squares_by_fold
 from nsde_torch.inference.left_out import Folds, LeftOut, left_out
 from nsde_torch.inference.steps import Steps
 from nsde_torch.models.identified import IdentifiedModel, SysidSpec
-from nsde_torch.sysid.explained import bump, per_second, smooth_rate
-from nsde_torch.sysid.physics import Physics
+from nsde_torch.sysid.physics import Physics, bump, per_second, smooth_rate
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 

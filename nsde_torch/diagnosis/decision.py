@@ -28,8 +28,8 @@ from nsde_torch.diagnosis.search import Base, Search, bent_shape, fitted_system,
 from nsde_torch.effects import Effect, Port, effect_class
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import split_name
+from nsde_torch.sysid.feedback_test import FeedbackTest
 from nsde_torch.sysid.guard import Guarded, doubts_the_fit, guarded
-from nsde_torch.sysid.loop_test import LoopTest
 from nsde_torch.systems import System
 
 
@@ -42,7 +42,7 @@ class Selection:
     found: list[Found]  # the effects, in the order in which they were added
     joint: JointSelection | None  # what the joint likelihood selected; None where it could not be computed
     hidden: tuple[FeedbackBiased, ...] = ()  # effects that are not named because feedback may have made them
-    feedback: LoopTest = field(default_factory=LoopTest)
+    feedback: FeedbackTest = field(default_factory=FeedbackTest)
     """What the data say of the loop that they were recorded in, by `final`."""
 
 
@@ -153,7 +153,7 @@ def decide(search: Search, chosen: Selection, feedback: Feedback) -> Outcome:
     )
 
 
-def _left(base: Base, tests: Sequence[Dependence], tested: LoopTest, alpha: float) -> list[Dependence]:
+def _left(base: Base, tests: Sequence[Dependence], tested: FeedbackTest, alpha: float) -> list[Dependence]:
     """Structure in what the physics leaves; what arithmetic leaves has some, and means nothing."""
     return (
         [] if base.regression.arithmetic else beyond_chance(tests, allowances_of_tests(tested), alpha=alpha)
@@ -227,7 +227,7 @@ def of_one_variable(name: str, other: str) -> bool:
     return bool(one.along) and _variable(one) == _variable(two)
 
 
-def _of_many(f: Found, tested: LoopTest) -> str:
+def _of_many(f: Found, tested: FeedbackTest) -> str:
     """Why a law beyond the catalogue is provisional: there are so many that they need more than an effect does."""
     if not is_law(f.name):
         return ""

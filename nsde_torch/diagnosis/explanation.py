@@ -53,7 +53,7 @@ from nsde_torch.inference import LogLikelihood
 from nsde_torch.inference.spread import spread
 from nsde_torch.sysid.guard import Guarded
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.standing import moving
+from nsde_torch.sysid.standstill import moving
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]

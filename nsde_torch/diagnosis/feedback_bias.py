@@ -1,7 +1,7 @@
 """What feedback may hide or make: what counts beyond it, gains that vanish, and effects behind a smoother.
 
 Where a controller saw more than the log holds, its inputs know of a step what the log does not, and any term that
-correlates with inputs explains a part of it: a damping where none is. With z_i as in `sysid.in_loop` such a
+correlates with inputs explains a part of it: a damping where none is. With z_i as in `sysid.identify` such a
 term can bring at most
 
     2 log L = z_i^2
@@ -38,7 +38,7 @@ from nsde_torch.diagnosis.candidates import candidate_names
 from nsde_torch.diagnosis.joint_selection import JointSelection, looked
 from nsde_torch.diagnosis.search import Search, at_bounds
 from nsde_torch.effects import Port, effect_class
-from nsde_torch.sysid.loop_test import LoopTest, leaning
+from nsde_torch.sysid.feedback_test import FeedbackTest, leaning
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
@@ -53,7 +53,7 @@ Array = NDArray[np.float64]
 class Feedback:
     """What is asked of the loop that the data were recorded in."""
 
-    test: Callable[[Regression], LoopTest]  # tests the loop by a regression that has settled
+    test: Callable[[Regression], FeedbackTest]  # tests the loop by a regression that has settled
     shown: Callable[[System, str], bool]
     """Whether signals from outside the loop show an effect of a system with fitted values."""
     hangs: Callable[[Regression], NDArray[np.float64]]
@@ -77,12 +77,12 @@ class FeedbackBiased:
         )
 
 
-def lengths_of_parameters(test: LoopTest, regression: Regression) -> dict[str, Array]:
+def lengths_of_parameters(test: FeedbackTest, regression: Regression) -> dict[str, Array]:
     """Standard errors (k,) by which inputs that know more than the log may bend each parameter, by channel.
 
     What they know of a step, and what they do between rows, is as in a loop that is linear within a row: a linear
     function of states and of the inputs of neighbouring rows. It bends a parameter as far as its estimate leans along
-    these (`sysid.loop_test`).
+    these (`sysid.feedback_test`).
     """
     if not test.not_from_the_log:
         return {}
@@ -101,7 +101,7 @@ def allowances(lengths: Mapping[str, Array], own: Sequence[int]) -> dict[str, fl
     return {c: float(np.square(z[own]).max(initial=0.0)) for c, z in lengths.items()}
 
 
-def allowances_of_tests(test: LoopTest) -> dict[str, float]:
+def allowances_of_tests(test: FeedbackTest) -> dict[str, float]:
     """The same for what specification tests find.
 
     A state that was smoothed before it was logged, and restored, lacks what the controller saw of its noise. What

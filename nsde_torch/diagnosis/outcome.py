@@ -17,8 +17,8 @@ from nsde_torch.diagnosis.residual_tests import Dependence
 from nsde_torch.diagnosis.search import Base, Search, fitted_system, without_effect
 from nsde_torch.inference import Optimum
 from nsde_torch.inference.spread import Spread
-from nsde_torch.sysid.in_loop import hidden_bias, largest_bias
-from nsde_torch.sysid.loop_test import LoopTest
+from nsde_torch.sysid.feedback_test import FeedbackTest
+from nsde_torch.sysid.identify import hidden_bias, largest_bias
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
@@ -119,7 +119,7 @@ class Outcome:
     structured: list[Dependence] = field(default_factory=list)
     """The tests that are left over after correction for their number, what explains most first."""
     hidden: tuple[FeedbackBiased, ...] = ()  # effects that are not named because feedback may have made them
-    test: LoopTest = field(default_factory=LoopTest)
+    test: FeedbackTest = field(default_factory=FeedbackTest)
     """What the data say of the loop that they were recorded in, by `final`."""
     hangs: Array | None = None
     """How far parameters of `final` hang on the band up to which smoothed states were restored (k,)."""
@@ -230,7 +230,7 @@ def undecided(
         variables=nothing,
         before=[],
         after=[],
-        test=LoopTest(why_not="not done yet"),
+        test=FeedbackTest(why_not="not done yet"),
         levels=search.levels(),
         decisions=search.decisions,
     )

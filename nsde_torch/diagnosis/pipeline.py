@@ -94,12 +94,11 @@ from nsde_torch.inference import LogLikelihood
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.progress import Say
 from nsde_torch.recording.chain import Recorded
-from nsde_torch.sysid.by_likelihood import by_likelihood
 from nsde_torch.sysid.guard import Guarded
-from nsde_torch.sysid.identify import identification
+from nsde_torch.sysid.identify import by_likelihood, identification
 from nsde_torch.sysid.instruments import adopted
 from nsde_torch.sysid.result import Identification
-from nsde_torch.sysid.standing import moving
+from nsde_torch.sysid.standstill import moving
 from nsde_torch.systems import System
 from nsde_torch.time_limit import TimeLimit, TimeUpError, check_time
 

@@ -7,7 +7,7 @@ judge where kinematics cannot tell. A log is read again, and searched again,
 - with rates that no sensor measured inferred by the physics that was come to: first the declared physics, fitted, then
   what was found, until that stays. What an effect does to rates that were inferred without it would else pass for less
   than it is;
-- without the rows in which a machine with dry friction stands (`sysid.standing`).
+- without the rows in which a machine with dry friction stands (`sysid.standstill`).
 """
 
 from __future__ import annotations
@@ -33,13 +33,12 @@ from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.recording.chain import Recorded, instead_of_effects, undo
 from nsde_torch.recording.fault import level
 from nsde_torch.recording.unmeasured_rates import measured_part
-from nsde_torch.sysid.in_loop import hangs_on_band, identify_in_loop
-from nsde_torch.sysid.inferred_rates import with_rates
+from nsde_torch.sysid.feedback_test import FeedbackTest, tested
+from nsde_torch.sysid.identify import hangs_on_band, identify_in_loop, with_rates
 from nsde_torch.sysid.instruments import with_columns
-from nsde_torch.sysid.loop_test import LoopTest, tested
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.result import Identification
-from nsde_torch.sysid.standing import SHARE, moving, slowest
+from nsde_torch.sysid.standstill import SHARE, moving, slowest
 from nsde_torch.systems import System
 from nsde_torch.systems.coordinates import check_pushes
 
@@ -89,7 +88,7 @@ class Log:
     @property
     def feedback(self) -> Feedback:
         """What is asked of the loop that the log was recorded in."""
-        return Feedback(self._loop_test, self._shown, self._hangs)
+        return Feedback(self._feedback_test, self._shown, self._hangs)
 
     def identified(self, physics: System) -> Identification:
         """Physics identified as `nsde sysid` does: with signals from outside the loop where there are any."""
@@ -100,13 +99,13 @@ class Log:
     def _hangs(self, regression: Regression) -> NDArray[np.float64]:
         return hangs_on_band(regression, self.runs, clock=self.recorded.clock)
 
-    def _loop_test(self, regression: Regression) -> LoopTest:
+    def _feedback_test(self, regression: Regression) -> FeedbackTest:
         if self.recorded.inputs_restored:
-            return LoopTest(why_not="the inputs were logged as an average and know the future")
+            return FeedbackTest(why_not="the inputs were logged as an average and know the future")
         return self.stages.attempt(
             "the test of feedback",
             lambda: tested(regression, self.runs),
-            LoopTest(why_not="it could not be computed"),
+            FeedbackTest(why_not="it could not be computed"),
         )
 
     def _shown(self, physics: System, effect: str) -> bool:

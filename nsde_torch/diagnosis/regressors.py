@@ -16,8 +16,8 @@ from torch import Tensor
 
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.diagnosis.evidence import orthonormal
+from nsde_torch.sysid.noise import Series
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.series import Series
 from nsde_torch.systems import System
 from nsde_torch.systems.names import MIXED
 from nsde_torch.systems.vocabulary import named_inputs

@@ -64,7 +64,7 @@ from nsde_torch.plots.diagnosis import (
     residual_views,
 )
 from nsde_torch.plots.flexible import Surface, flexible_surface
-from nsde_torch.sysid.explained import per_second
+from nsde_torch.sysid.physics import per_second
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems.parameters import own_name
 from nsde_torch.whole_files import write_whole

@@ -63,9 +63,8 @@ from nsde_torch.diagnosis.regressors import (
     whitened_functions,
 )
 from nsde_torch.diagnosis.search import Base, Search
-from nsde_torch.sysid.noise import Noise, estimate, first_guess
+from nsde_torch.sysid.noise import Noise, Series, estimate, first_guess
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.series import Series
 from nsde_torch.systems import System
 from nsde_torch.time_limit import check_time
 

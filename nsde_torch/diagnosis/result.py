@@ -40,7 +40,7 @@ from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording.chain import Recorded
 from nsde_torch.recording.fault import Detected
 from nsde_torch.recording.faults import remedies
-from nsde_torch.sysid.loop_test import LoopTest
+from nsde_torch.sysid.feedback_test import FeedbackTest
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import own_name
@@ -60,7 +60,7 @@ class Diagnosis:
     options: Options  # settings
     spec: SysidSpec  # what models of the system are made of
     seconds: dict[str, float] = field(default_factory=dict)  # time that stages took
-    feedback: LoopTest = field(default_factory=LoopTest)
+    feedback: FeedbackTest = field(default_factory=FeedbackTest)
     """What the data say of the loop that they were recorded in."""
     instrumented: Identification | None = None
     """Estimates with signals from outside the loop; None without any."""

@@ -15,10 +15,9 @@ from nsde_torch.diagnosis.evidence import fitted_nats
 from nsde_torch.effects import Effect, Law, effect_class, register
 from nsde_torch.inference.steps import UNDERSMOOTHED, Steps, steps_of
 from nsde_torch.recording.fault import STAGES, level
-from nsde_torch.sysid.narrow_shapes import narrower
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.physics import Physics
-from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.regression import Regression, narrower
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector, own_name
 
@@ -144,7 +143,7 @@ class Search:
         box: Steps per box.
         alpha: Chance of adding an effect where none is missing.
         candidates: Names to choose from; None takes all that the system may have.
-        feedback: Take out what kinematic residuals foretell, where inputs react to sensors (`identify.feedback`).
+        feedback: Take out what kinematic residuals foretell, where inputs react to sensors (`sysid.noise`).
         channels: With `feedback`: what the residuals of all channels foretell.
         inputs: Whether the inputs are what acted, and not restored from an average.
         stages: Stages of the recording chain that found something (`recording.fault`).

@@ -1,6 +1,6 @@
 """What is left in a channel: as a rate, against one variable, and in words where no effect accounts for it.
 
-**Rates.** Means over a test function (`sysid.explained`), before and after, and the floor that sensors and gusts leave.
+**Rates.** Means over a test function (`sysid.physics`), before and after, and the floor that sensors and gusts leave.
 Over a step the residual is r_k = w_k + e_{k+1} - e_k: what pushes (w) and what the sensor adds (e). At high frequency
 both are white, and the spectrum
 
@@ -41,7 +41,7 @@ from nsde_torch.diagnosis.decisions import Wording
 from nsde_torch.diagnosis.periodicity import best_repeat, waves_of
 from nsde_torch.diagnosis.regressors import BEFORE, BY_RUN, OVER_TIME, Regressors, own_space, projected
 from nsde_torch.diagnosis.residual_tests import Dependence
-from nsde_torch.sysid.explained import bump, per_second, smooth_rate
+from nsde_torch.sysid.physics import bump, per_second, smooth_rate
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 

@@ -13,7 +13,7 @@ from nsde_torch.diagnosis.stages import ERRORS, NO_TIME, NOT_YET, STOPPED
 from nsde_torch.evaluation import report
 from nsde_torch.evaluation.report import between_ends, number
 from nsde_torch.sysid.guard import doubts_the_fit
-from nsde_torch.sysid.standing import in_words
+from nsde_torch.sysid.standstill import in_words
 
 if TYPE_CHECKING:
     from nsde_torch.diagnosis.result import Content

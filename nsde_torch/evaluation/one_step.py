@@ -28,8 +28,7 @@ from nsde_torch.models.capabilities import is_equation
 from nsde_torch.models.model import Model
 from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.recording.smoothing import as_applied
-from nsde_torch.sysid.explained import bump, explained
-from nsde_torch.sysid.physics import Physics
+from nsde_torch.sysid.physics import Physics, bump, explained
 from nsde_torch.systems.parameters import ParameterVector
 
 Array = NDArray[np.float64]

@@ -17,8 +17,8 @@ from torch import Tensor
 
 from nsde_torch.effects import Port
 from nsde_torch.models.neural_sde import NeuralSDE
+from nsde_torch.sysid.noise import Series
 from nsde_torch.sysid.physics import Physics
-from nsde_torch.sysid.series import Series
 
 Array = NDArray[np.float64]
 

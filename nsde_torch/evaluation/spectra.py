@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from nsde_torch.sysid.series import Series
+from nsde_torch.sysid.noise import Series
 
 Array = NDArray[np.float64]
 

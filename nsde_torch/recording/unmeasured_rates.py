@@ -1,7 +1,7 @@
 """Rates that no sensor measured: their columns are missing, or somebody differentiated the position column.
 
 Rates are inferred from the positions (`nsde_torch.data.tracking`), and marked (`Run.inferred`): identification and
-diagnosis infer them again, with the physics (`nsde_torch.sysid.inferred_rates`), and take equations of the positions.
+diagnosis infer them again, with the physics (`nsde_torch.sysid.identify`), and take equations of the positions.
 
 A rate v that was made of the position q by a linear filter, v = W q, holds the noise of q as W lets it through. The
 rate of a sensor of its own does not: from it, the best filter of q stays away by that noise at least,

@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING
 from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
-    from nsde_torch.sysid.in_loop import identify_in_loop
-    from nsde_torch.sysid.loop_test import LoopTest, feedback_summary
+    from nsde_torch.sysid.feedback_test import FeedbackTest, feedback_summary
+    from nsde_torch.sysid.identify import identify_in_loop
     from nsde_torch.sysid.result import Identification
 
 __all__ = [
+    "FeedbackTest",
     "Identification",
-    "LoopTest",
     "feedback_summary",
     "identify_in_loop",
 ]
@@ -20,8 +20,8 @@ __getattr__ = resolver(
     __name__,
     {
         "Identification": "result",
-        "LoopTest": "loop_test",
-        "feedback_summary": "loop_test",
-        "identify_in_loop": "in_loop",
+        "FeedbackTest": "feedback_test",
+        "feedback_summary": "feedback_test",
+        "identify_in_loop": "identify",
     },
 )

@@ -21,6 +21,14 @@ learned what a smoother or a lag did to the physics. So
 "Surely" is one test of all parameters, d' (V + W)^-1 d for the difference d of the two fits with covariances from
 blocks of time. Before that come readings of the columns (`readings`), streams of another time (`timing`) and runs of
 another machine (`run_differences`): where the log is at fault, fits part for that reason.
+
+**Longer boxes.** A noise model learns what a smoother, a differentiated encoder or a friction does within a few rows,
+and with it the physics: the likelihood of many rows a second prefers it so. Sums over longer boxes do not hold that
+band, and both sides of the equation go through the same one. So, where least squares, the first values or a parameter
+that has gone to nothing speak against a fit (and no fault of the log does), it is made again with boxes of `LENGTHS_S`.
+It is taken where the guard believes it at both lengths. Two things grow with the length of the boxes: what inputs
+answer within one of them (feedback), and what is lost of fast physics. So intervals widen by what parameters change
+from the one to the other, which is no less than a bias that grows as the root of the length or faster.
 """
 
 from collections.abc import Iterable, Sequence
@@ -33,7 +41,7 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc, stdtrit
 
 from nsde_torch.data import Run
-from nsde_torch.sysid.explained import per_second
+from nsde_torch.sysid.physics import per_second
 from nsde_torch.sysid.readings import better_readings
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.rough import Left, Objection, left_at, rough_fit
@@ -42,6 +50,7 @@ from nsde_torch.sysid.timing import shifted_stream
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
+
 
 CHANCE = 1e-3
 """Chance of calling two fits of a sound log different."""
@@ -345,3 +354,26 @@ def _chance(rough: Regression, theta: Array, covariance: Array | None) -> float:
         return 1.0
     # Hotelling's law of a mean with an estimated covariance
     return float(fdtrc(count, free, statistic * free / (count * (free + count - 1.0))))
+
+
+LENGTHS_S = (0.05, 0.2)
+"""Length of the boxes, and of those that they are held against [s]: a bias as the root of the length doubles."""
+LONGER = 2.0
+"""Times the length of the boxes before that the first must have."""
+
+
+def asks_for_longer_boxes(guard: Guarded | None) -> bool:
+    """Whether what speaks against a fit is what its noise model may have learned."""
+    kinds = {"least_squares", "first_values", "gone"}
+    return guard is not None and bool(guard.objections) and {o.kind for o in guard.objections} <= kinds
+
+
+def of_longer_boxes(box_s: float, guard: Guarded) -> dict[str, str]:
+    """What was done, and the remedy, for a person."""
+    why = "; ".join(o.sentence for o in guard.objections)
+    return {
+        "sentence": f"means over {box_s:.3g} s are fitted: nothing speaks against these; over shorter ones, {why}",
+        "remedy": f"intervals are widened by what changes with means over {LENGTHS_S[1]:.3g} s. The states may have "
+        "been smoothed or filtered before they were logged, or something that acts is not declared: log raw sensors; "
+        "`nsde diagnose` names effects",
+    }

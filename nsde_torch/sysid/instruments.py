@@ -32,7 +32,7 @@ from nsde_torch.data import Run
 from nsde_torch.errors import DataError
 from nsde_torch.inference.spread import Spread
 from nsde_torch.sysid import signals
-from nsde_torch.sysid.loop_test import ALPHA, LoopTest, own_innovations
+from nsde_torch.sysid.feedback_test import ALPHA, FeedbackTest, own_innovations
 from nsde_torch.sysid.noise import extended
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
@@ -156,7 +156,7 @@ class Instrumented:
         }
 
 
-def adopted(instrumented: Instrumented, loop: LoopTest) -> bool:
+def adopted(instrumented: Instrumented, loop: FeedbackTest) -> bool:
     """Whether estimates by instruments are those to print."""
     wanted = instrumented.differs or bool(loop.hidden) or bool(loop.functions_of_state)
     return bool(instrumented.moved.any()) and wanted and instrumented.unexplained >= MISSING

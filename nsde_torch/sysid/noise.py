@@ -1,4 +1,4 @@
-"""The noise of one channel of residuals, and the filter that makes it white.
+"""The noise of one channel of residuals, the filter that makes it white, and what other channels say of it.
 
 A residual over a step holds the difference of two errors of the sensor, and whatever the physics lacks: gusts, which
 last. Its law is taken as
@@ -20,7 +20,23 @@ How each is found:
 - a: Burg's method over all stretches, as reflection coefficients; rows near a start use the lower orders. Then a_j is
   multiplied by exp(-j / m): noise forgets within m rows. What lasts longer, as thrust that falls from take-off to
   landing, must not pass for noise: rows would be weighed as if they knew nothing of it.
+
+**Feedback.** The rate of a gyro reveals its error only slowly; the attitude, which is its integral, knows part of it at
+once, and so does an input that a controller made from the attitude. What a channel's own law calls new is then not new
+to the input, and the estimate bends (a motor's lag by 3 %). So the part of a whitened residual that the past of
+kinematic residuals foretells is taken out of it (`past`):
+
+    s = measured minus integrated change of the states that no parameter moves,   S_j = sum_i c_j^i s_{k-1-i}
+    e_k <- e_k - S_k b,    b by least squares (multivariate prediction errors: Ljung, 1999, section 7.2)
+
+A gentle flight in gusts has little in its inputs but answers to what struck it. There the kinematic residuals are not
+enough: a channel's own law was fitted without them, and beside them its past says something else. With `channels` the
+past of the residuals of the channels themselves is taken out too, all in one regression. What is left is new to inputs
+that were made from the log, and the slopes that it is compared with were known before it: the estimate is right
+whatever the laws are (an instrumental variable; Soderstrom and Stoica, 1983), at the price of wider intervals.
 """
+
+from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,10 +47,64 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from nsde_torch.jit import compiled
-from nsde_torch.sysid.series import Series
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Series:
+    """Stretches of rows."""
+
+    edges: tuple[tuple[int, int], ...]  # ranges (first, last + 1), adjacent and in order
+
+    def __len__(self) -> int:
+        return self.edges[-1][1]
+
+    @property
+    def place(self) -> NDArray[np.int64]:
+        """Row number inside its stretch (N,)."""
+        return np.concatenate([np.arange(b - a) for a, b in self.edges])
+
+    def lagged(self, values: Array, lags: Sequence[int]) -> Array:
+        """Columns (N, n) of so many rows before, side by side (N, n len(lags)); zero where a stretch had not begun."""
+        place, parts = self.place[:, None], [values[:, :0]]
+        for lag in lags:
+            moved = np.zeros_like(values)
+            moved[lag:] = values[: len(values) - lag] if lag else values
+            parts.append(np.where(place >= lag, moved, 0.0))
+        return np.concatenate(parts, 1)
+
+    def shifted(self, values: Array, by: int) -> Array:
+        """Values (N, ...) of so many rows later, of the first or last row where a stretch has none."""
+        rows = [np.clip(np.arange(a, b) + by, a, b - 1) for a, b in self.edges]
+        return np.asarray(values[np.concatenate(rows)])
+
+    def boxes(self, width: int) -> Series:
+        """Series of the sums that `summed` makes."""
+        ends = np.cumsum([(b - a) // width for a, b in self.edges]).tolist()
+        return Series(tuple(zip([0, *ends[:-1]], ends, strict=True)))
+
+    def summed(self, values: Array, width: int) -> Array:
+        """Sums over boxes of `width` rows (M, ...); what is left over at the end of a stretch is dropped."""
+        if width == 1:
+            return values
+        parts = []
+        for a, b in self.edges:
+            count = (b - a) // width
+            cut = values[a : a + count * width]
+            parts.append(cut.reshape(count, width, *values.shape[1:]).sum(1))
+        return np.concatenate(parts)
+
+    def blocks(self, rows: int) -> NDArray[np.int64]:
+        """Number of the block of each row (N,): every stretch in equal blocks of about `rows` rows."""
+        labels, first = [], 0
+        for a, b in self.edges:
+            count = max(1, round((b - a) / rows))
+            labels.append(first + np.minimum(np.arange(b - a) * count // (b - a), count - 1))
+            first += count
+        return np.concatenate(labels)
+
 
 _GRID = 1.0 - np.array([1, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.08, 0.05, 0.03, 0.02, 0.012, 0.008, 0.005])
 _AKAIKE = 2.0
@@ -302,3 +372,37 @@ def _convolve(lower: Array, values: Array, edges: Labels, out: Array) -> None:
                 share = lower[p, j]
                 for k in range(first + p, end):
                     out[column, k] += share * values[column, k - j]
+
+
+_FADING = (0.0, 0.5, 0.8, 0.9, 0.95)
+_FEWEST_ROWS = 200  # per column: what is taken out is lost to the parameters, and short data cannot afford it
+_FADING_OF_ALL = (0.0, 0.8, 0.95)
+_FEWEST_ROWS_OF_ALL = 5  # per column: without it, short data in a closed loop are wrong and not only vague
+
+
+def past(residuals: Array, series: Series, *, channels: bool = False) -> Array:
+    """Orthonormal columns (N + stretches, p) that span what is known before each whitened row; none for short data.
+
+    Residuals (N, m) are kinematic ones, with `channels` those of all channels.
+    """
+    out = faded(residuals, series, channels=channels)
+    if len(out) < (_FEWEST_ROWS_OF_ALL if channels else _FEWEST_ROWS) * out.shape[1]:
+        return out[:, :0]
+    length = np.linalg.norm(out, axis=0)
+    if not length.any():
+        return out[:, :0]
+    basis, values, _ = np.linalg.svd(out[:, length > 0] / length[length > 0], full_matrices=False)
+    return np.asarray(basis[:, values > 1e-6 * values[0]])
+
+
+def faded(residuals: Array, series: Series, *, channels: bool = False) -> Array:
+    """What is known before each whitened row: fading sums S of earlier residuals (N + stretches, p), see `past`.
+
+    Columns are those of the residuals with the first c, then with the second, and so on.
+    """
+    fading = _FADING_OF_ALL if channels else _FADING
+    out = np.zeros((len(residuals) + len(series.edges), residuals.shape[1] * len(fading)))
+    for (a, b), (first, last) in zip(series.edges, extended(series).edges, strict=True):
+        parts = [lfilter([1.0], [1.0, -c], residuals[a:b], axis=0) for c in fading]
+        out[first + 2 : last] = np.concatenate(parts, 1)[:-1]
+    return out

@@ -1,4 +1,4 @@
-"""What the declared physics says of each step between samples, and its slopes in the parameters.
+"""What the declared physics says of each step between samples, its slopes in the parameters, and how much it explains.
 
     residual_k = (x_{k+1} - x_k) - int f(x(t), u_k; theta) dt            over the step from t_k to t_{k+1}
 
@@ -13,7 +13,7 @@ Two things keep noise from bending the estimate:
   is measured during a step, and gusts that strike in it, are not in them.
 - White sensor noise s shifts the mean of a curved f by s^2 f'' / 2, which is taken off by second differences.
 
-Rates that no sensor measured are inferred from positions that came before (`inferred_rates`). Then the residual is that
+Rates that no sensor measured are inferred from positions that came before (`identify`). Then the residual is that
 of the second difference of the position, whose test function is a hat over two steps,
 
     residual_k = (q_{k+1} - 2 q_k + q_{k-1}) / h - (I_{k-1} + I_k) / 2,      I_k = int f dt over step k
@@ -23,12 +23,21 @@ does not know of the rate: the noise of the position is then in no regressor.
 
 Velocities that the system measures in the world are turned into the body, so that thrust along the body's axis is one
 channel and forces sideways are others.
+
+How much of each measured rate the physics explains is said in means over test functions,
+
+    mean rate = sum_k phi_k (x_{k+1} - x_k) / (h sum_k phi_k),        phi a smooth bump (Hann)
+
+Over single steps sensor noise hides everything; over a quarter of a second it mostly does not.
 """
+
+from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import final
+from typing import Any, final
 
 import numpy as np
 import torch
@@ -43,12 +52,14 @@ from nsde_torch.inference.memory import memory_along
 from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.inference.steps import Steps
 from nsde_torch.rotation import rotate_back, rotation_between
+from nsde_torch.sysid.noise import Noise
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
 Array = NDArray[np.float64]
-Forces = Callable[[Tensor], Mapping[Port, Tensor]]
 
+
+Forces = Callable[[Tensor], Mapping[Port, Tensor]]
 _LEAD = 5  # steps from which a state is foreseen: sensor noise of one step biases, that of older ones hardly
 _SMALL = 1e-7  # of a parameter's scale: slopes by forward differences err by as much
 _SLOPE_ROWS = 5000  # of the data, evenly chosen, that means of slopes in the state are taken over
@@ -92,7 +103,7 @@ class Physics:
         self._foreseen: tuple[Tensor, Tensor] | None = None
         self._forces: Forces | None = None
 
-    def beside(self, forces: Forces) -> "Physics":
+    def beside(self, forces: Forces) -> Physics:
         """The same with forces that no parameter has: of a state (N, nx), by port (N, width)."""
         out = copy.copy(self)
         out._forces, out._foreseen = forces, None
@@ -361,3 +372,80 @@ def _world_velocity(system: System) -> slice | None:
     if len(at) != 3 or at != list(range(at[0], at[0] + 3)):
         return None
     return slice(at[0], at[0] + 3)
+
+
+BUMP_S, FEWEST = 0.25, 8
+
+
+@dataclass(frozen=True)
+class Channel:
+    """How well one channel is explained, in means over test functions (bumps) of `width_s`."""
+
+    name: str
+    unit: str
+    measured: float  # standard deviation of the measured rate
+    residual: float  # root mean square of what the physics leaves of it
+    sensor: float  # what white sensor noise alone leaves
+    r2: float  # share of the variance that is explained
+    noise: Noise | None  # law of the noise over single steps; None where the method has none
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain containers, for JSON."""
+        out: dict[str, Any] = {
+            "unit": self.unit,
+            "measured_std": self.measured,
+            "residual_rms": self.residual,
+            "sensor_rms": self.sensor,
+            "r2": self.r2,
+        }
+        if self.noise is not None:
+            out["noise"] = {"carry": self.noise.carry, "order": len(self.noise.reflection)}
+        return out
+
+
+def bump(dt: float) -> Array:
+    """The test function over steps of `dt` [s], of sum 1."""
+    n = max(FEWEST, round(BUMP_S / dt))
+    window = np.hanning(n + 2)[1:-1]
+    return np.asarray(window / window.sum())
+
+
+def smooth_rate(change: Array, segments: Sequence[tuple[int, int]], window: Array, dt: float) -> Array:
+    """Mean rates (M, n) of changes over steps (N, n), wherever the test function fits into a segment."""
+    parts = [
+        np.stack([np.convolve(column, window, "valid") for column in change[a:b].T], 1) / dt
+        for a, b in segments
+        if b - a >= len(window)
+    ]
+    return np.concatenate(parts) if parts else np.zeros((0, change.shape[1]))
+
+
+def explained(physics: Physics, residual: Array, rows: NDArray[np.int64], window: Array) -> list[Channel]:
+    """Figures of the channels `rows`, of their residual changes over steps (N, len(rows)), in means over a window."""
+    s = physics.steps
+    measured = smooth_rate(physics.measured[:, rows], s.segments, window, s.dt)
+    left = smooth_rate(residual, s.segments, window, s.dt)
+    bend = np.sqrt(np.square(np.diff(window, prepend=0.0, append=0.0)).sum()) / s.dt
+    out = []
+    for i, channel in enumerate(rows):
+        std, rms = (
+            (0.0, 0.0) if not len(left) else (measured[:, i].std(), np.sqrt(np.square(left[:, i]).mean()))
+        )
+        unit = physics.units[channel]
+        out.append(
+            Channel(
+                name=physics.names[channel],
+                unit=per_second(unit),
+                measured=float(std),
+                residual=float(rms),
+                sensor=float(bend * physics.sensor_std[channel]),
+                r2=float(1.0 - (rms / std) ** 2) if std > 0 else 0.0,
+                noise=None,
+            )
+        )
+    return out
+
+
+def per_second(unit: str) -> str:
+    """Unit of a rate of something."""
+    return f"{unit}2" if unit.endswith("/s") else f"{unit}/s"

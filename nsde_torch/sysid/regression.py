@@ -12,41 +12,152 @@ rounding, that is all). The drift of most systems is linear in theta, and one st
 these are Gauss-Newton steps, halved while they do not pay. The covariance (`spread`) counts that P was fitted too:
 where an input reacts to noise, theta and P are not independent.
 
+With X the whitened slopes, a direction d is lost where |X d| is nothing: beside rounding (a singular value of the
+columns scaled to equal length below 1e-5 of the largest, since inputs are often logged in single precision), or
+beside the noise (it could move by a thousand typical sizes unseen). No step is made along what is lost (`shown`).
+
+**Narrow shapes**, such as the width at which a friction is developed. A search keeps widths within a few times the
+sizes of the data (`ParameterVector.limit`), because far below them nothing changes any more and it would not find back.
+The truth may be narrower: where a coordinate mostly runs fast, a friction turns within a hundredth of its usual speed.
+A fit that ends at such a bound is bent in whatever the width trades with (a friction at speed by 0.1 to 0.5 %, one near
+rest by 10 %), and by more than its interval. From there the way is found (`narrower`): the bound is moved, and the fit
+goes on while that leads anywhere.
+
 Assumed, not checked: an input or a first state moves the system, and not noise alone (a decay can also be one of the
 noise), and inputs are those that acted (smoothed ones lose against a noise model: take `differences`).
 """
 
+from __future__ import annotations
+
 import copy
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from math import inf
 from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.inference.spread import Spread, spread
 from nsde_torch.inference.steps import steps_of
 from nsde_torch.models.identified import METHODS
-from nsde_torch.sysid.feedback import past
 from nsde_torch.sysid.noise import (
     Noise,
+    Series,
     again,
     carry_limit,
     estimate,
     extended,
     first_guess,
+    past,
     white_noise,
 )
 from nsde_torch.sysid.physics import Physics
-from nsde_torch.sysid.series import Series
-from nsde_torch.sysid.shown import Shown, bounded_step, shown
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 from nsde_torch.time_limit import check_time
 
 Array = NDArray[np.float64]
+
+
+_SINGULAR = 1e-5
+_UNSEEN = 1e3  # typical sizes
+_PART = 0.05  # of the largest part of a direction: below that a parameter is left out of the sentence
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the data show of theta."""
+
+    basis: Array  # directions that are shown (k, r), in the units of theta
+    lost: Array  # directions that are not (k, k - r), each with a largest part of one typical size
+    known: NDArray[np.bool_]  # whether each parameter alone is shown (k,)
+    condition: float  # largest over smallest singular value of the scaled slopes among the directions shown
+
+    @property
+    def rank(self) -> int:
+        """Number of directions that are shown."""
+        return self.basis.shape[1]
+
+
+def shown(slopes: Array, scale: Array) -> Shown:
+    """Directions that whitened slopes (N, k) show of parameters of typical sizes `scale` (k,)."""
+    k = slopes.shape[1]
+    length = np.linalg.norm(slopes, axis=0)
+    dead = length * scale * _UNSEEN < 1.0
+    live = np.flatnonzero(~dead)
+    size = 1.0 / np.where(dead, 1.0, length)
+    if not len(live):
+        return Shown(np.zeros((k, 0)), np.diag(scale), np.zeros(k, dtype=bool), 1.0)
+    triangle = np.linalg.qr(slopes[:, live] * size[live], mode="r")
+    _, values, directions = np.linalg.svd(triangle)
+    values = np.concatenate((values, np.zeros(len(live) - len(values))))
+    # how many typical sizes the parameters go where the data see one standard deviation
+    reach = (np.abs(directions) * (size / scale)[live]).max(1) / np.maximum(values, 1e-300)
+    seen = (values > _SINGULAR * values[0]) & (reach < _UNSEEN)
+    basis = np.zeros((k, int(seen.sum())))
+    basis[live] = (directions[seen] * size[live]).T
+    lost = np.zeros((k, int((~seen).sum())))
+    lost[live] = (directions[~seen] * size[live]).T
+    alone = np.zeros((k, int(dead.sum())))
+    alone[np.flatnonzero(dead), np.arange(int(dead.sum()))] = scale[dead]
+    readable = np.concatenate((alone, _readable(lost, scale)), 1)
+    known = ~dead
+    known[live] &= np.square(directions[~seen]).sum(0) < 1e-6
+    condition = float(values[seen][0] / values[seen][-1]) if seen.any() else 1.0
+    return Shown(basis, readable, known, condition)
+
+
+def _readable(directions: Array, scale: Array) -> Array:
+    """The same space with as many zeros as pivoting gives, each direction with a largest part of one typical size."""
+    rows = (directions / scale[:, None]).T.copy()
+    for i in range(len(rows)):
+        row, column = np.unravel_index(np.argmax(np.abs(rows[i:])), rows[i:].shape)
+        rows[[i, i + int(row)]] = rows[[i + int(row), i]]
+        rows[i] /= rows[i, column]
+        others = np.arange(len(rows)) != i
+        rows[others] -= np.outer(rows[others, column], rows[i])
+    largest = np.abs(rows).max(1, keepdims=True, initial=1e-300)
+    return np.asarray((rows / largest).T * scale[:, None])
+
+
+def sentences(found: Shown, labels: Sequence[str], units: Sequence[str], scale: Array) -> list[str]:
+    """What the data cannot show, in words."""
+    out = []
+    for direction in found.lost.T:
+        share = np.abs(direction) / scale
+        parts = [i for i in np.argsort(-share) if share[i] > _PART * share.max()]
+        if len(parts) == 1:
+            out.append(f"{labels[parts[0]]}: nothing in the data depends on it")
+            continue
+        moves = ", ".join(f"{labels[i]} by {direction[i]:+.3g} {units[i]}" for i in sorted(parts))
+        names = " and ".join(labels[i] for i in sorted(parts))
+        out.append(f"{names}: only together; the data look the same with {moves}")
+    return out
+
+
+def bounded_step(
+    slopes: Array, residual: Array, found: Shown, low: Array, high: Array, scale: Array
+) -> Array:
+    """The step d (k,) that minimises |residual - slopes d| with low <= d <= high, none of it along what is lost.
+
+    Of whitened slopes (N, k) and residuals (N,), bounds (k,) that hold 0, and typical sizes `scale` (k,).
+    """
+    free = found.basis @ np.linalg.lstsq(slopes @ found.basis, residual, rcond=None)[0]
+    if ((free >= low) & (free <= high)).all():
+        return np.asarray(free)
+    k = slopes.shape[1]
+    triangle: Array = np.linalg.qr(np.column_stack((slopes, residual)), mode="r")  # type: ignore[assignment]
+    size = max(float(np.abs(triangle[:k, :k] * scale).max()), 1.0)
+    still = size * (found.lost / scale[:, None] ** 2).T  # rows that hold the step still along what is lost
+    rows = np.concatenate((triangle[:k, :k], still)) * scale
+    target = np.concatenate((triangle[:k, k], np.zeros(len(still))))
+    result = lsq_linear(rows, target, bounds=(low / scale, high / scale), method="bvls")
+    return np.asarray(np.clip(result.x * scale, low, high))
+
 
 ITERATIONS = 20
 _BOX_S = 0.01  # data on a shorter step are summed to about this
@@ -76,7 +187,7 @@ class Regression:
         plain: Take the noise of every channel for white, as ordinary least squares does.
         warm: Start with the noise models at the first theta, where that is near its optimum.
         memory_s: Time after which noise forgets [s] (see `noise`).
-        feedback: Take out of `white` and `slopes` what kinematic residuals foretell (see `feedback`).
+        feedback: Take out of `white` and `slopes` what kinematic residuals foretell (see `noise`).
         channels: With `feedback`: what the residuals of all channels foretell.
         levels: Take the mean of each run out of `white` and `slopes`: a steady push is nobody's.
 
@@ -269,7 +380,7 @@ class Regression:
         return self._purged(noise.whiten(values, self.series))
 
     def known_before(self, physics: Physics, residual: Array) -> Array:
-        """Residuals (N, m) whose past foretells later ones (`feedback`), of these or other steps of its physics."""
+        """Residuals (N, m) whose past foretells later ones (`noise`), of these or other steps of its physics."""
         kinematic = physics.kinematic(residual, self.rows)
         return np.concatenate((kinematic, residual[:, self.rows]), 1) if self._channels else kinematic
 
@@ -309,7 +420,7 @@ class Regression:
             used += own.shape[1] + self._past.shape[1]
         return np.stack(purged), used
 
-    def at(self, theta: Array) -> "Regression":
+    def at(self, theta: Array) -> Regression:
         """The same at other values, with noise models of the same kind."""
         out = copy.copy(self)
         out.theta = theta
@@ -336,7 +447,7 @@ class Regression:
         memory, times = self.memory, self.times(channel)
         return estimate(left, self.series, limit=limit, orders=orders, memory=memory, times=times)
 
-    def under(self, row: int, law: Noise) -> "Regression":
+    def under(self, row: int, law: Noise) -> Regression:
         """The same with another noise model of channel number `row` of `rows`; theta stays."""
         out = copy.copy(self)
         out.noises, out.white, out.slopes = list(self.noises), self.white.copy(), self.slopes.copy()
@@ -407,3 +518,34 @@ def _box(width: float | None, dt: float) -> int:
             f"`model.width` must be a step of the data ({dt:.4g} s) or longer; got {width:g} s."
         )
     return round(width / dt)
+
+
+MOVED = 0.5
+"""Standard errors by which the fit must go on; what goes nearly nowhere says that narrower ones are all alike."""
+_SHARE = 4.0  # by which a bound is moved at a time
+_TIMES = 4  # then a width is a ten-thousandth of the usual speed, and nothing that is measured depends on it
+_AT_BOUND = 1e-3  # of a parameter's scale
+
+
+def narrower(regression: Regression, iterations: int) -> Regression:
+    """The regression, or one that went on beyond lower bounds of shapes that only the search has."""
+    v = regression.vector
+    for _ in range(_TIMES):
+        ends = np.flatnonzero(v.raised & (regression.theta <= v.low + _AT_BOUND * v.scale))
+        if not ends.size:
+            break
+        bounds = v.low.copy()
+        v.low[ends] /= _SHARE
+        other = copy.copy(regression)
+        other.run(iterations)
+        if _errors_between(regression, other) < MOVED:
+            v.low = bounds
+            break
+        regression = other
+    return regression
+
+
+def _errors_between(one: Regression, other: Regression) -> float:
+    """Standard errors that lie between two fits of the same physics."""
+    slopes = 0.5 * (one.slopes + other.slopes)
+    return float(np.linalg.norm(slopes @ (other.theta - one.theta)))

@@ -8,13 +8,12 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from nsde_torch.inference import MaximumLikelihood, Optimum
-from nsde_torch.sysid.explained import Channel
-from nsde_torch.sysid.guard import Guarded
+from nsde_torch.sysid.feedback_test import FACTOR, FeedbackTest
+from nsde_torch.sysid.guard import Guarded, of_longer_boxes
 from nsde_torch.sysid.instruments import Instrumented, adopted
-from nsde_torch.sysid.longer_boxes import in_words as of_longer_boxes
-from nsde_torch.sysid.loop_test import FACTOR, LoopTest
-from nsde_torch.sysid.shown import Shown, sentences
-from nsde_torch.sysid.standing import in_words
+from nsde_torch.sysid.physics import Channel
+from nsde_torch.sysid.regression import Shown, sentences
+from nsde_torch.sysid.standstill import in_words
 from nsde_torch.systems.parameters import ParameterVector
 
 Array = NDArray[np.float64]
@@ -40,7 +39,7 @@ class Identification:
     converged: bool  # whether its last step was a fiftieth of a standard error at most
     linear: bool  # whether the drift is linear in the parameters
     blocks: int  # number of blocks of time that the covariance comes from
-    loop: LoopTest | None = None  # test of the loop; None where it was not asked for
+    loop: FeedbackTest | None = None  # test of the loop; None where it was not asked for
     instrumented: Instrumented | None = None  # what instruments say; None without any
     # what half-widths are widened by, because feedback may have bent the estimate (k,), nan for anything; None for
     # nothing
@@ -48,7 +47,9 @@ class Identification:
     guard: Guarded | None = None  # how the fit stands beside simple ones; None where it was not asked for
     finer: "Identification | None" = None
     """The fit over shorter boxes that the guard did not believe; None where these are the first ones."""
-    standing: float = 0.0  # share of the rows that were left out because what has dry friction stands in them
+    standstill: float = (
+        0.0  # share of the rows that were left out because what has dry friction stands in them
+    )
     # the fit of largest likelihood, whose values these are where nothing speaks against it; None where there was
     # none
     likelihood: MaximumLikelihood | None = None
@@ -141,7 +142,7 @@ class Identification:
     @property
     def notes(self) -> list[str]:
         """What was left out, and what the guard noted of a fit that nothing speaks against."""
-        left_out = in_words(self.standing)
+        left_out = in_words(self.standstill)
         return left_out if self.guard is None or self.warnings else [*left_out, *self.guard.notes]
 
     def parameters(self) -> dict[str, dict[str, object]]:
@@ -189,7 +190,7 @@ class Identification:
             "channels": {c.name: c.as_dict() for c in self.channels},
             "test_function_s": self.width_s,
             "unexplained": self.unexplained,
-            **({"standing_share": self.standing} if self.standing else {}),
+            **({"standing_share": self.standstill} if self.standstill else {}),
             **({} if self.guard is None else {"guard": self.guard.as_dict()}),
             **(
                 {}

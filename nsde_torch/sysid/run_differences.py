@@ -23,7 +23,7 @@ from scipy.special import stdtr
 from nsde_torch.data import Run
 from nsde_torch.errors import NsdeError
 from nsde_torch.inference.spread import spread
-from nsde_torch.sysid.explained import per_second
+from nsde_torch.sysid.physics import per_second
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.rough import Objection
 

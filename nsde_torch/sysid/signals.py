@@ -18,9 +18,8 @@ import torch
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from nsde_torch.sysid.noise import extended
+from nsde_torch.sysid.noise import Series, extended
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.series import Series
 
 Array = NDArray[np.float64]
 

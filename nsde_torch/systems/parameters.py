@@ -147,7 +147,7 @@ class ParameterVector:
         """Narrow the bounds of shapes to a few times the grid of their effect, at these sizes of the data.
 
         A width far below every speed, or far above, changes nothing any more: a search would not find back. A fit that
-        has come as far goes on (`nsde_torch.sysid.narrow_shapes`).
+        has come as far goes on (`nsde_torch.sysid.regression`).
         """
         effects = {str(e.name): e for e in self.system.effects if isinstance(e, Effect)}
         for place in self.places:

@@ -42,9 +42,7 @@ from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.steps import steps_of
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.recording.smoothing import as_applied
-from nsde_torch.sysid.by_likelihood import by_likelihood, entries
-from nsde_torch.sysid.identify import identification
-from nsde_torch.sysid.in_loop import identify_in_loop
+from nsde_torch.sysid.identify import by_likelihood, entries, identification, identify_in_loop
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import ITERATIONS, Regression
 from nsde_torch.sysid.result import Identification
@@ -206,7 +204,7 @@ class _Fit:
     def _near(self, found: Identified) -> Identification:
         """Declared parameters, under noise levels that are known if the likelihood was relied on."""
         at = found.settled
-        known = identification(at.regression, found.method, standing=at.left_out)
+        known = identification(at.regression, found.method, standstill=at.left_out)
         if not self.near.get("relied"):
             return known
         levels = Levels(**{k: torch.tensor(v, dtype=torch.float64) for k, v in self.near["levels"].items()})

@@ -5,7 +5,7 @@ import torch
 from nsde_torch.evaluation.report import between_ends, number, table
 from nsde_torch.models.identified import IdentifiedModel, SysidSpec
 from nsde_torch.recording.smoothing import as_applied
-from nsde_torch.sysid.in_loop import identify_in_loop
+from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.sysid.result import Identification
 from nsde_torch.training.input_filter import fit_filter
 from nsde_torch.training.progress import Progress

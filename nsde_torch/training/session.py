@@ -27,8 +27,8 @@ from nsde_torch.models.run_directory import METRICS, save
 from nsde_torch.progress import no_bar
 from nsde_torch.recording.clock_and_biases import of_runs
 from nsde_torch.recording.smoothing import smoothing_width
-from nsde_torch.sysid.in_loop import identify_in_loop
-from nsde_torch.sysid.loop_test import feedback_summary
+from nsde_torch.sysid.feedback_test import feedback_summary
+from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.training.options import LossOptions, TrainerOptions
 from nsde_torch.training.prepare import sensor_std
 from nsde_torch.training.progress import Progress

@@ -16,14 +16,14 @@ from nsde_torch.diagnosis.feedback_bias import (
 )
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.inference.steps import steps_of
-from nsde_torch.sysid.loop_test import FACTOR, Answer, LoopTest, leaning
+from nsde_torch.sysid.feedback_test import FACTOR, Answer, FeedbackTest, leaning
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
 
 DRIVEN = {"the input of w_x": ("w_x",), "the input of w_z": ("w_z",)}
 
 
-def loop(*, own: float, elsewhere: float, upper: float = 0.002, between: float = 5.0) -> LoopTest:
+def loop(*, own: float, elsewhere: float, upper: float = 0.002, between: float = 5.0) -> FeedbackTest:
     """A loop whose inputs answer the channel that they drive, and another one, by these shares."""
     ways = list(DRIVEN.items())
     answers = tuple(
@@ -32,7 +32,7 @@ def loop(*, own: float, elsewhere: float, upper: float = 0.002, between: float =
         for channel, share in ((own_channel, own), ("v_y", elsewhere))
     )
     knowledge = tuple(Answer(way, c, 0.0, 0.5, upper=upper) for way, (c,) in ways)
-    return LoopTest(answers, knowledge, driven=DRIVEN, rows=10_000, between={"w_x": between, "w_z": 1.0})
+    return FeedbackTest(answers, knowledge, driven=DRIVEN, rows=10_000, between={"w_x": between, "w_z": 1.0})
 
 
 def test_inputs_made_from_the_logged_measurement_hide_nothing() -> None:
@@ -72,7 +72,7 @@ def test_what_inputs_foretell_in_a_closed_loop_may_be_what_an_effect_explains() 
 
 def test_inputs_that_foretell_leave_open_whether_the_loop_is() -> None:
     knowledge = (Answer("the input of w_x", "w_x", 0.002, 1e-6, upper=0.003),)
-    test = LoopTest((), knowledge, driven=DRIVEN, rows=10_000)
+    test = FeedbackTest((), knowledge, driven=DRIVEN, rows=10_000)
     assert not test.closed
     assert not test.open
     assert test.as_dict()["closed_loop"] is None
@@ -102,7 +102,7 @@ def test_an_effect_is_bent_by_inputs_between_rows_as_far_as_it_leans_along_them(
 
     way = "force"
     answers = (Answer(way, "q_dot", 0.001, 1e-9),)
-    test = LoopTest(answers, (), driven={way: ("q_dot",)}, rows=1000, between={"q_dot": 30.0})
+    test = FeedbackTest(answers, (), driven={way: ("q_dot",)}, rows=1000, between={"q_dot": 30.0})
     lengths = lengths_of_parameters(test, fitted)
     (own,) = fitted.vector.of(product)
     assert allowances(lengths, [own])["q_dot"] == pytest.approx((30.0 * lean[f"{product}.c1"]) ** 2)
@@ -111,7 +111,7 @@ def test_an_effect_is_bent_by_inputs_between_rows_as_far_as_it_leans_along_them(
     assert allowances(lengths_of_parameters(knows, fitted), [own])["q_dot"] == pytest.approx(
         FACTOR**2 * 400 * lean[f"{product}.c1"] ** 2
     )
-    assert lengths_of_parameters(LoopTest(), fitted) == {}
+    assert lengths_of_parameters(FeedbackTest(), fitted) == {}
 
 
 def test_of_effects_that_all_may_be_feedback_the_one_that_brings_least_goes_first(
@@ -149,10 +149,10 @@ def test_of_effects_that_all_may_be_feedback_the_one_that_brings_least_goes_firs
     }
     for name, stub in patches.items():
         monkeypatch.setattr(decision, name, stub)
-    feedback: Any = SimpleNamespace(test=lambda regression: LoopTest(), shown=lambda system, name: False)
+    feedback: Any = SimpleNamespace(test=lambda regression: FeedbackTest(), shown=lambda system, name: False)
     both = joint("friction", "force")
     chosen: Any = decision.Selection(
-        base(), base(*both.names), patches["found_by"](None, both), both, (), LoopTest()
+        base(), base(*both.names), patches["found_by"](None, both), both, (), FeedbackTest()
     )
     search: Any = SimpleNamespace(level=lambda family: 0.01)
     kept = decision.set_aside(search, chosen, feedback)

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from nsde_torch.evaluation.spectra import Disturbance, fit, spectrum
-from nsde_torch.sysid.series import Series
+from nsde_torch.sysid.noise import Series
 
 H, N = 0.01, 6000
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.inference.spread import spread
-from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.shown import shown
+from nsde_torch.sysid.regression import Regression, shown
 
 Array = NDArray[np.float64]
 

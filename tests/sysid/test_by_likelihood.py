@@ -12,9 +12,8 @@ from scipy.signal import butter, filtfilt
 
 from nsde_torch.data.raw import RawRun
 from nsde_torch.recording import assemble
-from nsde_torch.sysid.by_likelihood import by_likelihood
 from nsde_torch.sysid.guard import Guarded, Objection
-from nsde_torch.sysid.in_loop import identify_in_loop
+from nsde_torch.sysid.identify import by_likelihood, identify_in_loop
 from nsde_torch.systems import make_system
 from tests.helpers.encoders import DT, SPRING, encoder_runs
 

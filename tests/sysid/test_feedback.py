@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsde_torch.sysid.feedback import faded, past
-from nsde_torch.sysid.series import Series
+from nsde_torch.sysid.noise import Series, faded, past
 
 TWO = Series(((0, 500), (500, 3000)))
 

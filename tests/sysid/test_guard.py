@@ -12,7 +12,7 @@ import pytest
 import nsde_torch
 from nsde_torch.data import DataSet, RawRun
 from nsde_torch.sysid.guard import Compared, Guarded, _disagreements, _gone
-from nsde_torch.sysid.in_loop import identify_in_loop
+from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.sysid.readings import better_readings
 from nsde_torch.sysid.rough import left_at, rough_fit
 from nsde_torch.sysid.timing import Shifted, shifted_stream

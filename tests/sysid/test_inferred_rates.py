@@ -9,8 +9,7 @@ from nsde_torch.data import Run
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.recording import assemble
 from nsde_torch.sysid import regression
-from nsde_torch.sysid.in_loop import identify_in_loop
-from nsde_torch.sysid.inferred_rates import with_rates
+from nsde_torch.sysid.identify import identify_in_loop, with_rates
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import make_system
 from tests.helpers.encoders import SPRING, encoder_runs

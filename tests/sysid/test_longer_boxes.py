@@ -15,9 +15,8 @@ from nsde_torch.errors import DataError
 from nsde_torch.public_benchmarks.emps import PositioningDrive
 from nsde_torch.recording import assemble
 from nsde_torch.sysid import Identification, identify_in_loop
-from nsde_torch.sysid.guard import Guarded, Objection
-from nsde_torch.sysid.in_loop import in_longer_boxes
-from nsde_torch.sysid.longer_boxes import asks_for_longer_boxes
+from nsde_torch.sysid.guard import Guarded, Objection, asks_for_longer_boxes
+from nsde_torch.sysid.identify import in_longer_boxes
 
 STEP = 1e-3
 GAIN, VISCOUS, DRY, PUSH = 0.02, 2.0, 0.3, 0.05

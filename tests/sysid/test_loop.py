@@ -10,9 +10,9 @@ import pytest
 
 from nsde_torch.data import Run
 from nsde_torch.errors import DataError
-from nsde_torch.sysid.in_loop import identify_in_loop
+from nsde_torch.sysid.feedback_test import feedback_summary
+from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.sysid.instruments import adopted
-from nsde_torch.sysid.loop_test import feedback_summary
 from nsde_torch.sysid.result import Identification
 from nsde_torch.sysid.signals import holm, score_test
 from tests.helpers.rate_loops import CONTROLLERS, GAIN, RateLoop, fly

@@ -8,9 +8,8 @@ import pytest
 from nsde_torch.data import DataSet
 from nsde_torch.data.raw import RawRun
 from nsde_torch.recording import assemble
-from nsde_torch.sysid import narrow_shapes
-from nsde_torch.sysid.narrow_shapes import narrower
-from nsde_torch.sysid.regression import Regression, regression_of
+from nsde_torch.sysid import regression as regressions
+from nsde_torch.sysid.regression import Regression, narrower, regression_of
 from nsde_torch.systems import System, make_system
 
 GAIN, SIZE, WIDTH = 1.0, 0.6, 0.004
@@ -78,6 +77,6 @@ def test_bounds_are_back_where_going_on_leads_nowhere(
     found = regression_of(system, data.runs)
     found.run(20)
     low = found.vector.low.copy()
-    monkeypatch.setattr(narrow_shapes, "MOVED", np.inf)
+    monkeypatch.setattr(regressions, "MOVED", np.inf)
     assert narrower(found, 20) is found
     assert found.vector.low.tolist() == low.tolist()

@@ -10,8 +10,16 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 
-from nsde_torch.sysid.noise import Noise, again, carry_limit, estimate, extended, forgetting, white_noise
-from nsde_torch.sysid.series import Series
+from nsde_torch.sysid.noise import (
+    Noise,
+    Series,
+    again,
+    carry_limit,
+    estimate,
+    extended,
+    forgetting,
+    white_noise,
+)
 
 ONE = Series(((0, 6000),))
 

@@ -16,8 +16,7 @@ from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.simulation import simulated
 from nsde_torch.simulation.flights import fly
 from nsde_torch.simulation.pilot import Pilot, Sticks
-from nsde_torch.sysid.identify import identify
-from nsde_torch.sysid.in_loop import identify_in_loop
+from nsde_torch.sysid.identify import identify, identify_in_loop
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import MACHINES, System, make_plant_system, make_system
 from nsde_torch.systems.parameters import ParameterVector

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsde_torch.sysid.series import Series
+from nsde_torch.sysid.noise import Series
 
 TWO = Series(((0, 7), (7, 12)))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsde_torch.sysid.shown import sentences, shown
+from nsde_torch.sysid.regression import sentences, shown
 
 LABELS, UNITS = ["a", "b", "c"], ["1/s", "m", "1"]
 SCALE = np.array([1.0, 2.0, 0.5])

@@ -15,7 +15,7 @@ from nsde_torch.data import DataSet
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
 from nsde_torch.sysid.identify import identify
-from nsde_torch.sysid.restored_states import smoothers
+from nsde_torch.sysid.smoothed_states import smoothers_of
 from nsde_torch.systems import make_system
 
 Array = NDArray[np.float64]
@@ -152,7 +152,7 @@ def test_the_same_log_is_restored_in_the_same_way() -> None:
 @pytest.mark.slow
 def test_what_was_restored_is_not_restored_again() -> None:
     data = read(swings(5, smooth=FILTERS["butterworth 10 Hz"]), system=SPRING)
-    assert not smoothers(data, SPRING)
+    assert not smoothers_of(data, SPRING)
 
 
 def test_an_unknown_policy_is_refused() -> None:

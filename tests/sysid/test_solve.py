@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from nsde_torch.sysid.shown import bounded_step, shown
+from nsde_torch.sysid.regression import bounded_step, shown
 
 SCALE = np.array([1.0, 10.0, 0.1])
 

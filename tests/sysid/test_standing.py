@@ -8,9 +8,9 @@ import pytest
 from nsde_torch.data import DataSet, Run
 from nsde_torch.recording import assemble
 from nsde_torch.sysid import identify
-from nsde_torch.sysid.in_loop import identify_in_loop
+from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.sysid.result import Identification
-from nsde_torch.sysid.standing import moving, slowest
+from nsde_torch.sysid.standstill import moving, slowest
 from nsde_torch.systems import System, make_system
 from tests.helpers.sticking import STICKING, sticking_runs
 
@@ -41,11 +41,11 @@ def test_physics_of_a_machine_that_sticks_is_right_where_it_moves(
     assert (_off(found) < 1.5).all()
     at = [found.vector.labels.index(name) for name in TRUTH]
     assert found.values[at] == pytest.approx(list(TRUTH.values()), rel=0.03)
-    assert found.as_dict()["standing_share"] == pytest.approx(found.standing)
-    assert f"{found.standing:.0%} of the rows were left out" in found.notes[0]
+    assert found.as_dict()["standing_share"] == pytest.approx(found.standstill)
+    assert f"{found.standstill:.0%} of the rows were left out" in found.notes[0]
     monkeypatch.setattr(identify, "SHARE", 2.0)
     bent = identify_in_loop(system, data.runs)
-    assert not bent.standing
+    assert not bent.standstill
     assert not any("left out" in note for note in bent.notes)
     assert bent.values[at[2]] < 0.7 * TRUTH["viscous_friction.damping"]
 

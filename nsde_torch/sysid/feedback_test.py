@@ -41,13 +41,13 @@ from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.recording.smoothing import smoothing_width
 from nsde_torch.sysid import signals
-from nsde_torch.sysid.noise import extended
+from nsde_torch.sysid.noise import Series, extended
 from nsde_torch.sysid.regression import ITERATIONS, Regression, regression_of
-from nsde_torch.sysid.series import Series
 from nsde_torch.sysid.signals import Direction
 from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
+
 
 ALPHA = 0.01
 """Chance of a finding where there is none, for each of the tests."""
@@ -66,8 +66,7 @@ _NEW = 0.1  # share of an input's variance below which it is nearly a function o
 _FEWEST = 400  # rows
 _NEIGHBOURS = (-2, -1, 0, 1, 2)  # rows of the log whose inputs may have acted
 FACTOR = 3.0
-"""How much more inputs may know of their own step than they are seen to know of later ones (see `in_loop`)."""
-
+"""How much more inputs may know of their own step than they are seen to know of later ones (see `identify`)."""
 NO_INPUT = "no input moves"
 _EITHER = (
     "either the controller saw more than was logged (a faster rate, other sensors) or the inputs act in a way that is "
@@ -92,7 +91,7 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class LoopTest:
+class FeedbackTest:
     """What data say of the loop that they were recorded in."""
 
     answers: tuple[Answer, ...] = ()  # inputs on what the physics left unexplained before
@@ -281,37 +280,37 @@ def _surely(answers: Sequence[Answer]) -> list[Answer]:
     return sorted((a for a in answers if a.chance < ALPHA), key=lambda a: -a.share)
 
 
-def feedback_summary(system: System, runs: Sequence[Run], clock: float = 1.0) -> LoopTest:
+def feedback_summary(system: System, runs: Sequence[Run], clock: float = 1.0) -> FeedbackTest:
     """Test recordings for feedback, against the declared physics fitted to them.
 
     Returns:
         What was found; `why_not` says where nothing could be tested.
     """
     if not runs:
-        return LoopTest(why_not="there is no run")
+        return FeedbackTest(why_not="there is no run")
     why = _smoothed(runs, system.nu)
     if why:
-        return LoopTest(why_not=why)
+        return FeedbackTest(why_not=why)
     if len(still_inputs(runs, system)) == system.nu:
-        return LoopTest(still=tuple(system.input_names), why_not=NO_INPUT)
+        return FeedbackTest(still=tuple(system.input_names), why_not=NO_INPUT)
     try:
         regression = regression_of(system, runs, clock=clock)
         regression.run(ITERATIONS)
     except (ConfigError, DataError, NonFiniteError) as error:
-        return LoopTest(why_not=str(error).rstrip("."))
+        return FeedbackTest(why_not=str(error).rstrip("."))
     return tested(regression, runs)
 
 
-def tested(regression: Regression, runs: Sequence[Run]) -> LoopTest:
+def tested(regression: Regression, runs: Sequence[Run]) -> FeedbackTest:
     """The test by a regression of runs that has settled, or why there is none."""
     system = regression.physics.vector.system
     why = _smoothed(runs, system.nu)
     if why:
-        return LoopTest(why_not=why)
+        return FeedbackTest(why_not=why)
     restored = {name for run in runs for name in run.band}
     names = [regression.physics.names[channel] for channel in regression.rows]
     smoothed = tuple(name for name in names if name.removesuffix(" (body)") in restored)
-    return replace(loop_test(regression, still=still_inputs(runs, system)), smoothed=smoothed)
+    return replace(feedback_test(regression, still=still_inputs(runs, system)), smoothed=smoothed)
 
 
 def still_inputs(runs: Sequence[Run], system: System) -> tuple[str, ...]:
@@ -325,16 +324,16 @@ def _smoothed(runs: Sequence[Run], nu: int) -> str:
     return f"the inputs were smoothed over {width:.2g} s and know the future" if width > 0 else ""
 
 
-def loop_test(regression: Regression, *, still: Sequence[str] = ()) -> LoopTest:
+def feedback_test(regression: Regression, *, still: Sequence[str] = ()) -> FeedbackTest:
     """Test the loop by a fitted regression in weak form."""
     if len(still) == regression.physics.vector.system.nu:
-        return LoopTest(still=tuple(still), why_not=NO_INPUT)
+        return FeedbackTest(still=tuple(still), why_not=NO_INPUT)
     ways = signals.directions(regression)
     series = extended(regression.series)
     if not ways:
-        return LoopTest(still=tuple(still), why_not="no channel is driven by an input alone")
+        return FeedbackTest(still=tuple(still), why_not="no channel is driven by an input alone")
     if len(series) < _FEWEST:
-        return LoopTest(
+        return FeedbackTest(
             still=tuple(still), why_not=f"the runs are too short ({len(series)} steps of at least {_FEWEST})"
         )
     u = np.asarray(regression.physics.steps.u[:, : regression.physics.vector.system.nu])
@@ -342,7 +341,7 @@ def loop_test(regression: Regression, *, still: Sequence[str] = ()) -> LoopTest:
     driven = u @ np.stack([way.weights for way in ways], 1)
     known, among = [*regression.rows], signals.principal(u)
     answers, together = _answers_of(regression, ways, driven, among, series)
-    return LoopTest(
+    return FeedbackTest(
         answers=answers,
         together=together,
         knowledge=_knowledge_of(regression, ways, driven, known, series),

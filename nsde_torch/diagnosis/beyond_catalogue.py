@@ -41,7 +41,8 @@ from nsde_torch.diagnosis.candidates import (
 )
 from nsde_torch.diagnosis.ceiling import functions_beside
 from nsde_torch.diagnosis.decision import of_one_variable
-from nsde_torch.diagnosis.gram_table import GramTable, folds_of
+from nsde_torch.diagnosis.evidence import folds_of
+from nsde_torch.diagnosis.gram_table import GramTable
 from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSearch, JointSelection, coordinate_of
 from nsde_torch.diagnosis.laws import Term, tables, terms_on, with_places
 from nsde_torch.diagnosis.outcome import Outcome
@@ -57,7 +58,6 @@ from nsde_torch.systems import System
 from nsde_torch.systems.vocabulary import seen_by
 
 Array = NDArray[np.float64]
-
 
 _CLOSE = 0.3  # share of the nats of the best term below which no further one is fitted
 

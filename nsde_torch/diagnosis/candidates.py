@@ -16,10 +16,7 @@ def candidate_names(system: System, among: Collection[str] | None = None) -> lis
     """Names of the effects that could be missing from a system and read no channels but its own.
 
     What an effect of the system contains is none of them: beside it, it would be one law in two names.
-
-    Args:
-        system: The machine.
-        among: Names to choose from; None for all.
+    They are chosen from `among`; None for all.
     """
     return sorted(
         name
@@ -141,10 +138,7 @@ def frequencies_in(steps: int) -> float:
 def starts_of(effect: str, labels: Sequence[str], steps: int) -> float:
     """How many starts the best of which was taken: frequencies of the spectrum, or shapes, each for every input.
 
-    Args:
-        effect: Name of the effect.
-        labels: Of its parameters.
-        steps: Length of the longest stretch of the data.
+    `labels` are those of its parameters, `steps` is the length of the longest stretch of the data.
     """
     if "spectrum" in effect_class(effect).relative.values():
         return frequencies_in(steps)

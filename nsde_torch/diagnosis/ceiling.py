@@ -33,7 +33,6 @@ from nsde_torch.systems.vocabulary import named_inputs, vocabulary
 
 Array = NDArray[np.float64]
 
-
 _MOVES = 0.3  # of the largest change of a channel: rows of ports that move it
 
 
@@ -71,9 +70,7 @@ class FunctionGain:
 def functions_beside(at: Optimum, most: int) -> Functions | None:
     """Functions beside the physics of an optimum; None where they would say nothing.
 
-    Args:
-        at: The optimum.
-        most: Most groups of functions of one row.
+    `most` is the largest number of groups of functions of one row.
     """
     space, system = at.of.space, at.of.vector.system
     if not most or len(at.blocks) < FEWEST_BLOCKS:
@@ -134,6 +131,8 @@ def _row(system: System, port: Port, column: int) -> tuple[str, str]:
     rows = dict(vocabulary(type(system)).ports)[port.value]
     return rows.written(port.value)[column], rows.units[column]
 
+
+# ---- the ceiling ---------------------------------------------------------------------------------------
 
 _HALF = 1.645  # standard errors of a 90 % interval
 

@@ -256,6 +256,8 @@ def _difference(of: Scored, first: Array, other: Array, seed: int, decisions: De
     return paired_bootstrap(*pair, blocks, generator=generator, level=INTERVAL_LEVEL)
 
 
+# ---- folds ---------------------------------------------------------------------------------------------
+
 REPLAYED = "replayed"
 """Where the inputs of open-loop predictions come from (`errors.inputs` of `diagnosis.json`)."""
 _NOTHING: dict[str, Any] = {

@@ -49,10 +49,7 @@ class Selection:
 def selection(search: Search, joint: JointSelection | None, system: System) -> Selection:
     """What the joint likelihood selected, with regressions of the declared and of the final physics.
 
-    Args:
-        search: Data and settings.
-        joint: What was selected; None where that could not be computed: nothing.
-        system: The declared physics with first values.
+    Nothing where that could not be computed (`joint` is None).
     """
     if joint is not None and joint.aside:
         system = joint.declared.system

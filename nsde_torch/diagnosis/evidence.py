@@ -41,19 +41,28 @@ Labels = NDArray[np.int64]
 
 
 def folds(regression: Regression, decisions: Decisions = DECISIONS) -> Labels:
-    """Fold of each whitened row: whole runs, or groups of them; of one run or two, stretches of each.
+    """Fold of each whitened row."""
+    owners = regression.owners
+    return regression.whitened_rows(folds_of(decisions, owners, np.arange(len(owners))))
+
+
+def folds_of(decisions: Decisions, owners: Labels, firsts: Labels) -> Labels:
+    """Fold of each block: whole runs, or groups of them; of one run or two, stretches of each.
 
     One run alone does not say what lasts from run to run: what falls with time over two would have to be foretold.
+    `owners` are the numbers of the runs of blocks, `firsts` those of their first steps.
     """
-    _, number = np.unique(regression.owners, return_inverse=True)
+    d = decisions
+    _, number = np.unique(owners, return_inverse=True)
     count = int(number.max()) + 1
-    if count >= decisions.folds_fewest_runs:
-        return regression.whitened_rows((number * min(count, decisions.folds) // count).astype(np.int64))
-    rows, stretches = np.zeros(len(number), dtype=np.int64), decisions.folds_stretches
+    if count >= d.folds_fewest_runs:
+        return np.asarray(number * min(count, d.folds) // count)
+    out = np.zeros(len(number), dtype=np.int64)
     for run in range(count):
         own = np.flatnonzero(number == run)
-        rows[own] = stretches * run + np.arange(len(own)) * stretches // len(own)
-    return regression.whitened_rows(rows)
+        own = own[np.argsort(firsts[own], kind="stable")]
+        out[own] = d.folds_stretches * run + np.arange(len(own)) * d.folds_stretches // len(own)
+    return out
 
 
 def fitted_nats(regression: Regression) -> float:
@@ -92,6 +101,8 @@ def nats_by_channel(before: Regression, after: Regression) -> dict[str, float]:
     first, second = fitted(before), fitted(after)
     return {name: second[name] - first[name] for name in first}
 
+
+# ---- chances -------------------------------------------------------------------------------------------
 
 _NOTHING = 1e-9  # of the largest column: shorter is rounding
 _NEW = 0.03  # of a column's length: what is left beside the others, below which it is one of them
@@ -207,6 +218,9 @@ def independent(z: Array) -> tuple[Array, NDArray[np.int64]]:
 def bonferroni(p: float, comparisons: float) -> float:
     """p value of the best of so many comparisons."""
     return min(1.0, p * comparisons)
+
+
+# ---- what the data could not have shown ----------------------------------------------------------------
 
 
 @dataclass(frozen=True)

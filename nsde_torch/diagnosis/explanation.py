@@ -58,7 +58,6 @@ from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
 
-
 _AT_BOUND = 1e-5  # typical sizes from the bound; values are kept a millionth off it
 
 
@@ -169,6 +168,8 @@ def _remedy(system: System) -> str:
         "system declares; or something that acts is missing from the log"
     )
 
+
+# ---- between runs --------------------------------------------------------------------------------------
 
 _CHANCE = 1e-4
 """Chance of naming zeros that differ between runs that share one."""
@@ -323,6 +324,9 @@ def _columns(regression: Regression, change: Array, owners: NDArray[np.int64]) -
     summed = regression.single.summed(apart, regression.box)
     pairs = zip(regression.noises, regression.rows, strict=True)
     return np.stack([regression.whitened(noise, summed[:, c]) for noise, c in pairs])
+
+
+# ---- all of it -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

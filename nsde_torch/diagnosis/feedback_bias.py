@@ -143,6 +143,9 @@ def shown_by_instruments(found: Identification, effect: str, alpha: float) -> bo
     return bool((np.abs(i.values[own]) > half[own]).any())
 
 
+# ---- vanishing gains -----------------------------------------------------------------------------------
+
+
 def vanishing_gains(regression: Regression) -> frozenset[str]:
     """Labels of the machine's own parameters that stand at the bound 0; those of effects may well be nothing."""
     v, bound = regression.vector, at_bounds(regression)
@@ -165,6 +168,9 @@ def beside_vanishing_gains(outcome: Outcome) -> Outcome:
         return outcome
     reason = f"{', '.join(sorted(gone))} went to nothing, which the loop may hide: what acts on inputs is seen in part"
     return outcome.provisional(lambda f: reason if effect_class(f.name).port is Port.INPUT else "")
+
+
+# ---- behind smoothers ----------------------------------------------------------------------------------
 
 
 def behind_smoothers(search: Search, system: System) -> Search:

@@ -11,7 +11,6 @@ from math import log
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.decisions import Decisions
 from nsde_torch.inference.sensitivity import Grams, half_squares, solved
 
 Array = NDArray[np.float64]
@@ -115,24 +114,3 @@ class GramTable:
             out[rows] = half_squares(blocks[rows], step)
         step = solved(total)
         return out, float(half_squares(total[None], step)[0]), step
-
-
-def folds_of(decisions: Decisions, owners: Labels, firsts: Labels) -> Labels:
-    """Fold of each block: whole runs, or stretches of one or two.
-
-    Args:
-        decisions: Numbers of folds.
-        owners: Number of the run of each block.
-        firsts: Number of its first step.
-    """
-    d = decisions
-    _, number = np.unique(owners, return_inverse=True)
-    count = int(number.max()) + 1
-    if count >= d.folds_fewest_runs:
-        return np.asarray(number * min(count, d.folds) // count)
-    out = np.zeros(len(number), dtype=np.int64)
-    for run in range(count):
-        own = np.flatnonzero(number == run)
-        own = own[np.argsort(firsts[own], kind="stable")]
-        out[own] = d.folds_stretches * run + np.arange(len(own)) * d.folds_stretches // len(own)
-    return out

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from nsde_torch.diagnosis.candidates import alone, candidate_names, effect_of, joined, starts, starts_of
-from nsde_torch.diagnosis.evidence import bonferroni, sum_error
-from nsde_torch.diagnosis.gram_table import GramTable, folds_of
+from nsde_torch.diagnosis.evidence import bonferroni, folds_of, sum_error
+from nsde_torch.diagnosis.gram_table import GramTable
 from nsde_torch.diagnosis.laws import Term, tables, terms_on
 from nsde_torch.diagnosis.search import Search, without_effect
 from nsde_torch.effects import Effect, Law, effect_class

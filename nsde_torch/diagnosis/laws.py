@@ -30,7 +30,6 @@ from nsde_torch.systems.vocabulary import seen_by, vocabulary
 
 Array = NDArray[np.float64]
 
-
 _KNOTS = (0.05, 0.2, 0.5, 0.8, 0.95)  # quantiles that hinges start from
 _WIDTH = 0.05  # of a sign, of the 90 % quantile of the variable
 _TURNS = (1, 2, 3)  # times an angle
@@ -85,6 +84,8 @@ def _of_two(a: str, b: str) -> Iterator[str]:
     for side in ("max", "min"):
         yield from (f"{side}({a}, 0) {b}", f"{a} {side}({b}, 0)")
 
+
+# ---- columns of the likelihood -------------------------------------------------------------------------
 
 _AT_ONCE = 96  # columns of one recursion
 _MOST_VALUES = 20_000  # rows that the first values of shapes are taken from

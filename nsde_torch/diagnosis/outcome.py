@@ -26,7 +26,6 @@ from nsde_torch.systems.parameters import ParameterVector
 
 Array = NDArray[np.float64]
 
-
 _BOUNDS: dict[tuple[bool, bool], Literal["below", "above"]] = {
     (True, False): "below",
     (False, True): "above",

@@ -25,7 +25,6 @@ from nsde_torch.sysid.regression import Regression
 
 Array = NDArray[np.float64]
 
-
 _SHORTEST_S = 1.0  # stretches that are transformed
 _FINER = 8  # points of the grid of frequencies per independent one
 _HIGHEST = 0.4  # of the sampling rate: above, a sinusoid is mostly sampling
@@ -125,6 +124,8 @@ def waves_of(regression: Regression, frequency: float) -> Array:
         waves[a:b, 2 * k], waves[a:b, 2 * k + 1] = np.sin(angle[a:b]), np.cos(angle[a:b])
     return waves
 
+
+# ---- along a variable ----------------------------------------------------------------------------------
 
 COUNTS: Array = np.arange(1.5, 40.5, 0.5)
 """Periods over the range that are tried."""

@@ -250,6 +250,8 @@ class DiagnosisCourse:
         return self._round_s * sum(_ROUNDS[one] for one in _ORDER[self._done :])
 
 
+# ---- stages --------------------------------------------------------------------------------------------
+
 _APART_S = 0.05  # of rows that are looked at where innovations of all rows are not what they should be
 
 
@@ -397,10 +399,7 @@ def _diagnosed(
 def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome:
     """Fit the declared physics, select effects, test what is left, and decide.
 
-    Args:
-        log: The log.
-        search: The search in its runs.
-        before: What was concluded from other rows of them, whose effects are begun with; None: the declared physics.
+    It begins with the effects of what was concluded from other rows of the log (`before`), else with none.
     """
     search.say("fitting the declared physics", 0, 1)
     joint = None if before is None else before.joint

@@ -44,7 +44,6 @@ from nsde_torch.systems.coordinates import check_pushes
 
 Array = NDArray[np.float64]
 
-
 _CHECKED = 50  # rows of the data at which coordinates are checked
 
 
@@ -192,6 +191,9 @@ def with_channels(system: System, runs: Sequence[Run]) -> list[Run]:
     return [replace(run, u=np.column_stack((run.u, *(run.extra[n] for n in have)))) for run in runs]
 
 
+# ---- the recording chain -------------------------------------------------------------------------------
+
+
 def undone(
     data: DataSet,
     runs: Sequence[Run],
@@ -237,6 +239,8 @@ def _structure(outcome: Outcome) -> float:
     return sum(max(d.excess, 0.0) for d in outcome.structured)
 
 
+# ---- inferred rates ------------------------------------------------------------------------------------
+
 _SEVERAL = "the rates of several coordinates were inferred from positions"
 _TURNS = 2  # of fits of the declared physics, and of searches
 
@@ -277,6 +281,8 @@ def not_sure(log: Log, outcome: Outcome) -> Outcome:
 def _at(log: Log, system: System) -> Log:
     return replace(log, runs=tuple(with_rates(system, log.runs, log.recorded.clock)))
 
+
+# ---- standstill ----------------------------------------------------------------------------------------
 
 MUCH_STANDSTILL = 0.3
 """Share of the rows in which a coordinate stands or turns round, beyond which friction may hold it."""

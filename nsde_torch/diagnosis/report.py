@@ -76,7 +76,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-
 EFFECT = "effect_"
 """What the name of a picture of one effect begins with."""
 WITHOUT, WITH = "without it", "with it"
@@ -466,6 +465,8 @@ def _errors(errors: Mapping[str, Any]) -> Figure:
         title=f"Open-loop, inputs replayed from the log: error on {errors['measured_on']} (rms)",
     )
 
+
+# ---- the page ------------------------------------------------------------------------------------------
 
 _DPI = 100  # of the pictures
 

@@ -219,14 +219,8 @@ def _of_variable(
 ) -> list[Dependence]:
     """A channel against one group of functions: in all runs, and of a plain variable in one run alone.
 
-    Args:
-        regression: At its optimum.
-        i: Number of the channel among its rows.
-        name: Of the group.
-        made: Its functions per unit of time (M, q), and which of them are odd (q,).
-        variables: What the residual may depend on.
-        models: Noise models of the channel.
-        labels: Folds and blocks of whitened rows.
+    `made` are the functions per unit of time (M, q), and which of them are odd (q,); `labels` folds and blocks of
+    whitened rows.
     """
     functions, odd = made
     there, own = regression, models.own
@@ -296,13 +290,7 @@ def _in_one_run(
 ) -> Dependence | None:
     """The same variable in the run that stands out.
 
-    Args:
-        regression: Under the noise model of the test of all runs.
-        i: Number of the channel among its rows.
-        group: The functions.
-        in_all: The test of all runs, and the nats that it explains under that model.
-        models: Noise models of the channel.
-        variables: What the residual may depend on.
+    `regression` is under the noise model of the test of all runs; `in_all` that test, and the nats that it explains.
     """
     functions, odd = group.functions[:, :SMOOTH], group.odd[:SMOOTH]
     everywhere, explained = in_all
@@ -372,6 +360,8 @@ def _places(system: System, variables: Regressors) -> list[str]:
     angles = {n for n, unit in zip(system.feature_names, system.feature_units, strict=True) if unit == "rad"}
     return [name for name in variables.columns if name in named | angles]
 
+
+# ---- one run -------------------------------------------------------------------------------------------
 
 _NEW = 1e-3  # of the square of a function: less is nothing that the others do not do
 
@@ -463,6 +453,8 @@ def _by_blocks(z: Array, left: Array, dt: float, decisions: Decisions) -> float:
         return 1.0
     return jackknife(columns, left, block, decisions)
 
+
+# ---- noise models --------------------------------------------------------------------------------------
 
 _SETTLED = 0.5  # nats: turns between parameters and noise model that bring less have converged
 
@@ -556,11 +548,7 @@ class NoiseModels:
     def _left(self, start: _Start, columns: Array, whitened: Array, *, thorough: bool = False) -> FittedNoise:
         """The noise model of what generalised least squares leave; every c is tried if it is to be thorough.
 
-        Args:
-            start: The noise model that weighs rows.
-            columns: What is fitted beside the slopes (M, q).
-            whitened: The same in whitened rows (N, q).
-            thorough: Whether every c is tried.
+        `start` weighs rows, `columns` (M, q) are fitted beside the slopes, `whitened` the same in whitened rows (N, q).
         """
         cross = start.slopes.T @ whitened
         gram = np.block([[start.gram, cross], [cross.T, whitened.T @ whitened]])
@@ -585,6 +573,8 @@ class NoiseModels:
     def _own(self, noise: Noise) -> FittedNoise:
         return FittedNoise(noise, noise.likelihood(len(self._regression.series)))
 
+
+# ---- moments -------------------------------------------------------------------------------------------
 
 _BUMPS_S = (0.25, 1.0)  # widths of bumps
 

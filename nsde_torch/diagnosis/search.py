@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-
 _AT_BOUND = 2e-6  # typical sizes from a bound; the optimiser keeps values a millionth off it
 _MOVES = 1e-6  # of the largest slope of a parameter: below that is rounding
 
@@ -116,6 +115,8 @@ def without_effect(system: System, declared: System, name: str) -> System:
     back = [e for e in declared.effects if e.name in contained and e.name not in left.effect_names]
     return left.with_effects(*back) if back else left  # type: ignore[arg-type]
 
+
+# ---- the search ----------------------------------------------------------------------------------------
 
 _BOX_S = 0.01  # over which steps are summed: what the weak form resolves
 _SHORTEST = 20  # steps of a stretch that is looked at
@@ -320,14 +321,9 @@ def search_in(
         runs: The runs; columns behind the inputs are logged channels (`with_channels`), which the system reads.
         clock: Physical seconds per logged second.
         options: Settings.
-        inputs: Whether the inputs are what acted (see `Search`).
-        channels: Take out what all channels foretell, not the kinematic ones alone, where inputs react to sensors.
-        stages: Stages of the recording chain that found something.
-        moved: Whether channels that were late have been moved.
         decisions: What it decides by; None takes the options'.
-        budgets: How much it tries.
-        say: Told stage, number done and number in all.
-        so_far: Takes what is known after each round.
+
+    All others are those of `Search`.
     """
     box = max(1, int(_BOX_S / (runs[0].dt * clock) + 1e-6))
 

@@ -48,7 +48,6 @@ from nsde_torch.systems import System
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
-
 _BINS, _FEWEST = 18, 4  # of a picture, and blocks of time in one
 _BLOCK_S = 2.0  # for the errors of means in bins
 _OTHERS = " times others"
@@ -165,6 +164,8 @@ def bins(value: Array, residual: Array, block: Labels, *, count: int = _BINS) ->
     return Bins(centre, mean, error)
 
 
+# ---- channels ------------------------------------------------------------------------------------------
+
 _FROM = 0.25  # of half the sampling rate
 _PART = 256  # steps of a periodogram
 
@@ -262,6 +263,8 @@ def _rms(values: Array) -> float:
 
 
 _EXTENT_BINS, _FEWEST_BINS = 24, 6  # means that the extent of a dependence is seen in
+# ---- in words ------------------------------------------------------------------------------------------
+
 _SWING = re.compile(r"periodic_force(\[\w+\])?\.frequency")
 _ENDS = {
     OVER_TIME: "otherwise early in a run than late: something drifts",

@@ -135,6 +135,9 @@ def reason(error: Exception) -> str:
     return said if isinstance(error, NsdeError) else f"{type(error).__name__}: {said}"
 
 
+# ---- going on ------------------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True)
 class Begun:
     """What an earlier diagnosis had selected. Laws beyond the catalogue are none of it: they are looked for anew."""
@@ -161,12 +164,6 @@ def declared_model(spec: SysidSpec) -> dict[str, Any]:
 
 def read_begun(folder: str | Path, data: DataSet, runs: Sequence[str], spec: SysidSpec) -> Begun:
     """What the diagnosis of a folder had selected.
-
-    Args:
-        folder: With `diagnosis.json` and `effects.yaml`.
-        data: The data set of now.
-        runs: Names of its runs that are looked at.
-        spec: The declared model of now.
 
     Raises:
         CheckpointError: there is no diagnosis, or one that came to its end.

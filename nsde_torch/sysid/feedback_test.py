@@ -48,7 +48,6 @@ from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
 
-
 ALPHA = 0.01
 """Chance of a finding where there is none, for each of the tests."""
 _ANSWER_S, _ANSWERS = 0.2, 20  # how long after a disturbance an answer is looked for [s], [rows]

@@ -51,7 +51,6 @@ from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
 
-
 CHANCE = 1e-3
 """Chance of calling two fits of a sound log different."""
 MORE = 0.1
@@ -355,6 +354,8 @@ def _chance(rough: Regression, theta: Array, covariance: Array | None) -> float:
     # Hotelling's law of a mean with an estimated covariance
     return float(fdtrc(count, free, statistic * free / (count * (free + count - 1.0))))
 
+
+# ---- longer boxes --------------------------------------------------------------------------------------
 
 LENGTHS_S = (0.05, 0.2)
 """Length of the boxes, and of those that they are held against [s]: a bias as the root of the length doubles."""

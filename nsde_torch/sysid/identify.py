@@ -67,7 +67,6 @@ from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
 
-
 _TOLD = 4.0  # difference of statistics from which on data tell what inputs do between rows
 
 
@@ -362,6 +361,8 @@ def identification(regression: Regression, method: str, *, standstill: float = 0
     )
 
 
+# ---- by likelihood -------------------------------------------------------------------------------------
+
 MOST = 20_000_000
 """Entries of the covariances of all rows above which the regression's values stay: half an hour of flight at 100 Hz."""
 
@@ -385,7 +386,7 @@ def by_likelihood(
         unless something speaks against them.
     """
     objected = found.guard is not None and found.guard.objections
-    # inputs that answer the states know of noise what a smoother took out of them (`diagnosis.behind_smoothers`)
+    # inputs that answer the states know of noise what a smoother took out of them (`diagnosis.feedback_bias`)
     answered = found.loop is not None and bool(found.loop.closed_loop) and any(run.band for run in runs)
     if objected or answered or entries(system, runs) > MOST:
         return found
@@ -416,6 +417,8 @@ def _with(found: Identification, best: MaximumLikelihood) -> Identification:
     degrees[free] = best.spread.degrees(np.eye(len(free)))
     return replace(found, values=best.theta, covariance=covariance, degrees=degrees, converged=True)
 
+
+# ---- inferred rates ------------------------------------------------------------------------------------
 
 TURNS = 4
 """Times that rates are inferred, at most."""

@@ -374,6 +374,8 @@ def _convolve(lower: Array, values: Array, edges: Labels, out: Array) -> None:
                     out[column, k] += share * values[column, k - j]
 
 
+# ---- what other channels say ---------------------------------------------------------------------------
+
 _FADING = (0.0, 0.5, 0.8, 0.9, 0.95)
 _FEWEST_ROWS = 200  # per column: what is taken out is lost to the parameters, and short data cannot afford it
 _FADING_OF_ALL = (0.0, 0.8, 0.95)

@@ -144,6 +144,8 @@ def _filtered(
     return np.concatenate(pushed), np.concatenate(turned), np.concatenate(block), first
 
 
+# ---- readings of all machines --------------------------------------------------------------------------
+
 MUCH = 0.25
 """Share of what was measured that least squares leave, in the mean of the channels, from which on other readings are
 looked at. It saves time and decides nothing: sound logs of machines in motion leave 0.1 to 0.3."""

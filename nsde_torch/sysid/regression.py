@@ -62,7 +62,6 @@ from nsde_torch.time_limit import check_time
 
 Array = NDArray[np.float64]
 
-
 _SINGULAR = 1e-5
 _UNSEEN = 1e3  # typical sizes
 _PART = 0.05  # of the largest part of a direction: below that a parameter is left out of the sentence
@@ -519,6 +518,8 @@ def _box(width: float | None, dt: float) -> int:
         )
     return round(width / dt)
 
+
+# ---- narrow shapes -------------------------------------------------------------------------------------
 
 MOVED = 0.5
 """Standard errors by which the fit must go on; what goes nearly nowhere says that narrower ones are all alike."""

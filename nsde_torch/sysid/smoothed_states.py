@@ -72,7 +72,6 @@ from nsde_torch.systems import System
 
 Array = NDArray[np.float64]
 
-
 MISFIT, GAIN = 2.0, 3.0
 """Deviance per bin of a spectrum without a smoother, above which one is looked for; and how many times smaller it must
 be behind one. Raw logs have 0.3 to 1.1; logs behind a smoother that cuts at up to a fifth of the rate 4.5 and more."""
@@ -415,6 +414,8 @@ def _contradicted(
     best = int(np.argmin(without))
     return pair[best] if off >= _FAR and without[best] < _NEAR <= without[1 - best] else set()
 
+
+# ---- as they were before -------------------------------------------------------------------------------
 
 ABOVE, ADDED = 100.0, 10.0
 """Times the spectrum of the motion at f_r that the noise above it is; and times that of the log where noise is added.

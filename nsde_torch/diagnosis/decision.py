@@ -71,7 +71,8 @@ def set_aside(search: Search, chosen: Selection, feedback: Feedback) -> Selectio
         # `nsde benchmark emps` the frictions went before a force that brought nothing
         weakest: tuple[float, Found, Base, tuple[str, ...]] | None = None
         for f in found if lengths else ():
-            moved = moved_channels(base.regression, f.name)
+            # what moves nothing (a limit that no input reaches any more) brings nothing
+            moved = moved_channels(base.regression, f.name) or tuple(lengths)
             if not set(moved) & set(lengths):
                 continue
             allowed = allowances(lengths, base.regression.vector.of(f.name))

@@ -114,8 +114,9 @@ def test_an_effect_is_bent_by_inputs_between_rows_as_far_as_it_leans_along_them(
     assert lengths_of_parameters(FeedbackTest(), fitted) == {}
 
 
+@pytest.mark.parametrize("moves", [("q_dot",), ()], ids=["a force", "a limit that is not reached"])
 def test_of_effects_that_all_may_be_feedback_the_one_that_brings_least_goes_first(
-    monkeypatch: pytest.MonkeyPatch,
+    moves: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # beside a force that brings nothing a friction brings less than feedback may hide, and alone far more
     brought = {("friction", "force"): (550.0, -140.0), ("friction",): (1140.0,), ("force",): (1000.0,)}
@@ -142,7 +143,7 @@ def test_of_effects_that_all_may_be_feedback_the_one_that_brings_least_goes_firs
     patches: dict[str, Any] = {
         "base_without": without,
         "nats_by_channel": gained,
-        "moved_channels": lambda regression, name: ("q_dot",),
+        "moved_channels": lambda regression, name: moves if name == "force" else ("q_dot",),
         "lengths_of_parameters": lambda test, r: {"q_dot": np.sqrt(np.array(allowed[r.names]))},
         "found_by": lambda search, of: [SimpleNamespace(name=n) for n in of.names],
         "fitted_system": lambda regression: None,

@@ -211,6 +211,11 @@ class LogLikelihood:
         out._set(system, self.space.steps, self.space.chunks, self.space.disturbances)
         return out
 
+    @property
+    def apart(self) -> bool:
+        """Whether rows between two measurements bring their inputs alone, although they were measured."""
+        return self._least > 1
+
     def keep(self, owner: object, about: Linearisation, at: Pass) -> tuple[Linearisation, Pass]:
         """Keep a pass, in the place of the oldest."""
         self._kept[:] = [(owner, about, at), *self._kept][:_KEPT]

@@ -101,7 +101,10 @@ def with_laws(
     more = laws.selected(joint, ()) if joint.functions is not None and joint.functions.nats else None
     if more is not None:
         return conclude(more)
-    return replace(outcome, joint=joint)
+    kept = outcome.joint  # without what feedback may have made
+    return (
+        replace(outcome, joint=joint) if kept and kept.selected.keys() == joint.selected.keys() else outcome
+    )
 
 
 class _LawSearch:

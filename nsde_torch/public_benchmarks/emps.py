@@ -102,7 +102,7 @@ class Emps(PublicBenchmark):
             "forgi86/sysid-neural-continuous, paper, of Janot, Gautier and Brunot (2019)",
         ),
     )
-    minutes = 2
+    minutes = 6
 
     def paths(self, folder: Path) -> list[Path]:
         """See `PublicBenchmark.paths`."""

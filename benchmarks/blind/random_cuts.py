@@ -31,7 +31,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 import torch
 
-from cli.main import main as nsde
+from nsde_torch.cli.main import main as nsde
 
 Json = dict[str, Any]
 STEPS = {  # of the logs that are cut [s]
@@ -69,9 +69,9 @@ def source(folder: Path, system: str, dt: float, effect: str, seed: int) -> Path
     return out
 
 
-def cut(source: Path, out: Path, rng: np.random.Generator, most: int) -> str:
+def cut(log: Path, out: Path, rng: np.random.Generator, most: int) -> str:
     """Writes one cut; returns what was done to it, in words."""
-    files = sorted(source.glob("*.csv"))
+    files = sorted(log.glob("*.csv"))
     with files[0].open() as stream:
         head = next(csv.reader(stream))
     tables = [np.loadtxt(f, delimiter=",", skiprows=1, ndmin=2) for f in files]
@@ -170,10 +170,10 @@ def one(folder: Path, number: int, seed: int, systems: Sequence[str], most: int)
     system = str(rng.choice(systems))
     dt, effect = float(rng.choice(STEPS[system])), str(rng.choice(EFFECTS[system]))
     place = folder / f"case_{number:03d}"
-    told = cut(source(folder / "sources", system, dt, effect, seed), place / "data", rng, most)
+    done = cut(source(folder / "sources", system, dt, effect, seed), place / "data", rng, most)
     words = [f"system={system}", "data=csv", f"data.path={place / 'data'}", "retrain=false"]
     answer = diagnosed([*words, f"out_dir={place / 'out'}"], place / "screen.txt")
-    answer |= {"case": number, "system": system, "dt": dt, "effect": effect, "cut": told}
+    answer |= {"case": number, "system": system, "dt": dt, "effect": effect, "cut": done}
     answer["fault"] = fault(answer)
     (place / "answer.json").write_text(json.dumps(answer, indent=1))
     return answer

@@ -395,11 +395,9 @@ class _Choice:
         self, view: _View, blocks: Array, groups: Sequence[slice], known: Sequence[float] = ()
     ) -> tuple[Array, list[float]]:
         """Half the squares left of each block by what was fitted without its fold (B,); 1 / tau^2 of the groups."""
-        ridge = list(known)
+        ridge, total = list(known), blocks.sum(0)
         for k in range(len(ridge), len(groups)):
-            ridge += self._ridges(
-                blocks.sum(0), groups[:k], ridge, _columns(groups[k : k + 1])[None]
-            ).tolist()
+            ridge += self._ridges(total, groups[:k], _columns(groups[k : k + 1])[None]).tolist()
         return self._beside(view, blocks, groups, ridge, np.zeros((1, 0), dtype=np.int64))[0][0], ridge
 
     def _beside(
@@ -411,7 +409,7 @@ class _Choice:
         """
         theta, count = 1 + self._optimum.of.space.vector.scale.size, len(columns)
         total = blocks.sum(0)
-        further = self._ridges(total, groups, ridge, columns)
+        further = self._ridges(total, groups, columns)
         first = np.concatenate((np.arange(theta), _columns(groups)))
         index = np.concatenate((np.tile(first, (count, 1)), columns), 1)
         weights = np.zeros((count, index.shape[1] - 1))
@@ -429,18 +427,16 @@ class _Choice:
                 out[:, b] = half_squares(block[rows, across], step)
         return out, further
 
-    def _ridges(
-        self, total: Array, groups: Sequence[slice], ridge: Sequence[float], columns: Labels
-    ) -> Array:
-        """1 / tau^2 of largest marginal likelihood of groups of columns (G, q), each beside the columns before it."""
+    def _ridges(self, total: Array, groups: Sequence[slice], columns: Labels) -> Array:
+        """1 / tau^2 of largest marginal likelihood of groups of columns (G, q), each beside some others."""
+        if not columns.shape[1]:
+            return np.ones(len(columns))
         known = np.concatenate((np.arange(1, 1 + self._optimum.of.space.vector.scale.size), _columns(groups)))
         inverse = np.linalg.pinv(total[known[:, None], known], rcond=_ROUNDING, hermitian=True)
         across = total[known[None, :, None], columns[:, None, :]]
         taken = across.swapaxes(1, 2) @ inverse
         left = total[columns[:, :, None], columns[:, None, :]] - taken @ across
         pull = total[columns, 0] - taken @ total[known, 0]
-        if not columns.shape[1]:
-            return np.ones(len(columns))
         value, turned = np.linalg.eigh(left)
         value, along = value.clip(0.0), np.square(turned.swapaxes(1, 2) @ pull[..., None])[..., 0]
         square = np.square(_VARIANCES[:, None]) / value.max(1).clip(1e-300)

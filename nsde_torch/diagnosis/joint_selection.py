@@ -559,7 +559,7 @@ def _catalogue(
     space = place.at.of.space
     everything = range(len(place.best.vector))
     about = place.at.about
-    base = space.columns(about.x, everything)
+    base = space.columns(about.x, about.slopes, everything)
     tables, entries = [base.float()], []
     at = 1 + base.shape[-1]
     scales = data_sizes(place.system, space.steps)
@@ -609,7 +609,7 @@ def _columns(place: FittedPhysics, name: str, system: System, at: int) -> tuple[
     space.use(theta)
     mine = vector.of(name)
     after = space.after(about.x)
-    moved = space.columns(about.x, mine, after)
+    moved = space.columns(about.x, about.slopes, mine, after)
     shift = (space.missed(about.x, after) - about.missed)[..., None]
     missing = [j for j, label in enumerate(place.best.vector.labels) if label not in vector.labels]
     entry = _Entry(

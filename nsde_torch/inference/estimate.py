@@ -431,7 +431,7 @@ def maximised(
     for _ in range(_TURNS):
         check_time()
         if away > _CLOSE:
-            columns = space.columns(about.x, everything)
+            columns = space.columns(about.x, about.slopes, everything)
         theta, about, at, away = _step(
             problem, grams(space, levels, about, at, columns), theta, levels, about, at
         )
@@ -447,9 +447,11 @@ def maximised(
             levels, at = trial, there
         if settled and at.total < before + gain:
             break
-    about = linearised_about(space, about.x, start)
-    at, columns = problem.filtered(levels, about), space.columns(about.x, everything)
-    beside = level_columns(space, levels, about, start) if nuisances else None
+    beside = None
+    if nuisances:  # to compare physics, slopes less than a standard error away do
+        about = linearised_about(space, about.x, start)
+        at, columns = problem.filtered(levels, about), space.columns(about.x, about.slopes, everything)
+        beside = level_columns(space, levels, about, start)
     final = grams(space, levels, about, at, columns, beside)
     free = _free(vector, theta, final)
     square, predictable = _whiteness(at.white, space)
@@ -482,6 +484,9 @@ def _step(
     for damping in _DAMPINGS:
         check_time()
         change = bounded_change(vector, held, theta, damping)
+        if not np.isfinite(change).all():  # the filter has diverged: there is no way from here
+            away = inf
+            break
         if not damping:
             count = max(int((change != 0).sum()), 1)
             away = float(np.sqrt(max(float(change @ gram @ change), 0.0) / count))

@@ -199,7 +199,7 @@ class _View:
         flat = variables.values(middle.flatten(0, 1), u.flatten(0, 1)).numpy()
         self.values = {name: np.ascontiguousarray(flat[:, k]) for k, name in enumerate(variables.names)}
         self.past = _past(self.space, variables)
-        self.base = self.space.columns(x, range(len(self.space.vector)))
+        self.base = self.space.columns(x, self.about.slopes, range(len(self.space.vector)))
         owners, firsts = self.space.chunks.places()
         order = np.lexsort((firsts, owners))
         self.fold = np.empty(len(order), dtype=np.int64)

@@ -126,7 +126,10 @@ class Posteriors:
         about = linearised_about(of.space, of.space.chunks.y, of.start)
         about, at = of.settled(self.levels, about, of.filtered(self.levels, about), _PASSES)
         k, theirs = len(self.vector), len(beside.vector)
-        columns = (of.space.columns(about.x, range(k)), beside.columns(about.x, range(theirs)))
+        columns = (
+            of.space.columns(about.x, about.slopes, range(k)),
+            beside.columns(about.x, about.slopes, range(theirs)),
+        )
         gram = grams(of.space, self.levels, about, at, torch.cat(columns, -1)).total
         return np.asarray(gram[1 : 1 + k, 1 + k :])
 
@@ -228,7 +231,9 @@ class _Batch:
         at = self._of.filtered(self._levels, about)
         about, at = self._of.settled(self._levels, about, at, self.passes)
         self._x, self.passes = torch.where(torch.isfinite(about.x), about.x, self._x), _AGAIN
-        blocks = grams(space, self._levels, about, at, space.columns(about.x, range(self._k))).blocks
+        blocks = grams(
+            space, self._levels, about, at, space.columns(about.x, about.slopes, range(self._k))
+        ).blocks
         count = len(self._problems)
         whole = np.zeros((count, *blocks.shape[1:]))
         np.add.at(whole, self._block, blocks)

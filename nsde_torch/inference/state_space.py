@@ -6,7 +6,7 @@ states (`memory_along`), and no state of the filter.
 """
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import final
 
 import numpy as np
@@ -26,6 +26,7 @@ from nsde_torch.systems.parameters import ParameterVector
 Array = NDArray[np.float64]
 
 _SMALL = 1e-6  # differences of states and disturbances
+_SHORT_S = 1e-5  # over which errors of an attitude turn by no more than their rate
 _ALIKE, _SOME = 0.999, 500  # cosine of pushes from which one of two is enough, and rows that say so
 _SHARE, _REMEMBERED = (
     1e-7,
@@ -75,6 +76,17 @@ def moved(system: System, x: Tensor, error: Tensor) -> Tensor:
     a, b = q.start, q.stop
     attitude = turned(x[:, a:b], error[:, a : a + 3])
     return torch.cat((x[:, :a] + error[:, :a], attitude, x[:, b:] + error[:, a + 3 :]), 1)
+
+
+def _parted(system: System, x: Tensor, rate: Tensor, y: Tensor, other: Tensor, error: Tensor) -> Tensor:
+    """Rate of the errors (N, ne) of states x from y, from the rates of both (N, nx)."""
+    difference, q = rate - other, system.quaternion
+    if q is None:
+        return difference
+    moved_on = system.error(system.project(x + _SHORT_S * rate), system.project(y + _SHORT_S * other))
+    attitude = slice(q.start, q.start + 3)
+    turns = (moved_on[:, attitude] - error[:, attitude]) / _SHORT_S
+    return torch.cat((difference[:, : q.start], turns, difference[:, q.stop :]), 1)
 
 
 def _rows(values: Tensor) -> Tensor:
@@ -165,30 +177,39 @@ class StateSpace:
             out[rows] = 0.5 * (before + after)
         return self.chunks.cut(out)
 
-    def step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor, d: Tensor) -> Tensor:
-        """States (N, nx) a step later, pushed by d (N or 1, nd) all the while; Runge and Kutta's fourth order."""
+    def rate(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor, d: Tensor) -> Tensor:
+        """Rates of states (N, nx), pushed by d (N or 1, nd)."""
+        return self._of_rows(self._rate, t, x, memory, u, d)
+
+    def step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor) -> Tensor:
+        """States (N, nx) an undisturbed step later; Runge and Kutta's fourth order."""
+        return self._of_rows(self._step, t, x, memory, u, x.new_zeros(1, self.nd))
+
+    def _of_rows(self, function: Callable[..., Tensor], t: Tensor, x: Tensor, *rows: Tensor) -> Tensor:
+        """A function of rows at the values in use, which may differ from stretch to stretch."""
         if not self._many:
-            return self._step(t, x, memory, u, d)
+            return function(t, x, *rows)
         theta = self._now[self.chunks.stretch].repeat(len(x) // self.chunks.count, 1)
 
-        def one(theta: Tensor, *rows: Tensor) -> Tensor:
+        def one(theta: Tensor, *row: Tensor) -> Tensor:
             self.vector.use(theta)
-            return self._step(*(row[None] for row in rows))[0]
+            return function(*(part[None] for part in row))[0]
 
-        after: Tensor = torch.func.vmap(one)(theta, t, x, memory, u, d.expand(len(x), -1))
+        whole = [part.expand(len(x), *part.shape[1:]) for part in rows]
+        after: Tensor = torch.func.vmap(one)(theta, t, x, *whole)
         return after
+
+    def _rate(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor, d: Tensor) -> Tensor:
+        system = self.vector.system
+        forces = forces_on(system, self.disturbances, d.expand(len(x), -1))
+        return system.drift(t, torch.cat((x, memory), 1), u, forces)[:, : self.nx]
 
     def _step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor, d: Tensor) -> Tensor:
         system, h, late = self.vector.system, self.h, self.logged_h
-        forces = forces_on(system, self.disturbances, d.expand(len(x), -1))
-
-        def rate(t: Tensor, x: Tensor) -> Tensor:
-            return system.drift(t, torch.cat((x, memory), 1), u, forces)[:, : self.nx]
-
-        k1 = rate(t, x)
-        k2 = rate(t + 0.5 * late, system.project(x + 0.5 * h * k1))
-        k3 = rate(t + 0.5 * late, system.project(x + 0.5 * h * k2))
-        k4 = rate(t + late, system.project(x + h * k3))
+        k1 = self._rate(t, x, memory, u, d)
+        k2 = self._rate(t + 0.5 * late, system.project(x + 0.5 * h * k1), memory, u, d)
+        k3 = self._rate(t + 0.5 * late, system.project(x + 0.5 * h * k2), memory, u, d)
+        k4 = self._rate(t + late, system.project(x + h * k3), memory, u, d)
         return system.project(x + (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4))
 
     def shifted(self, x: Tensor, error: Tensor) -> Tensor:
@@ -198,41 +219,57 @@ class StateSpace:
     def after(self, x: Tensor) -> Tensor:
         """States a step after some (T, C, nx), undisturbed."""
         t, flat, memory, u = map(_rows, (self.chunks.t, x, self.memory, self.chunks.u))
-        return self.step(t, flat, memory, u, flat.new_zeros(1, self.nd)).view(x.shape)
+        return self.step(t, flat, memory, u).view(x.shape)
 
-    def midway(self, x: Tensor) -> Tensor:
-        """States in the middle of the undisturbed step from some (T, C, nx)."""
-        moved = self.vector.system.error(_rows(self.after(x)), _rows(x))
+    def midway(self, x: Tensor, after: Tensor | None = None) -> Tensor:
+        """States in the middle of the undisturbed step from some (T, C, nx) to those after it, where they are known."""
+        after = self.after(x) if after is None else after
+        moved = self.vector.system.error(_rows(after), _rows(x))
         return self.shifted(x, 0.5 * moved.view(*x.shape[:2], self.ne))
 
     def linearised(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Slopes (T, C, ne, n) of a step at states (T, C, nx) in errors and disturbances, and the states after it."""
-        system = self.vector.system
-        t, flat, memory, u = map(_rows, (self.chunks.t, x, self.memory, self.chunks.u))
-        offset = torch.zeros(1, self.n, dtype=flat.dtype)
-        after = self.step(t, flat, memory, u, offset[:, self.ne :])
-        slopes = after.new_empty(len(flat), self.ne, self.n)
+        """Slopes (T, C, ne, n) of a step at states (T, C, nx) in errors and disturbances, and the states after it.
+
+        With A and B those of the rate in the middle of the step, exp(h A) and h (1 + h A / 2 + ...) B to fourth order.
+        """
+        system, after = self.vector.system, self.after(x)
+        middle = _rows(self.midway(x, after))
+        t, memory, u = self._in_the_middle()
+        offset = torch.zeros(1, self.n, dtype=x.dtype)
+        base = self.rate(t, middle, memory, u, offset[:, self.ne :])
+        pushed = middle.new_empty(len(middle), self.ne, self.n)  # h A, h B
         for j in range(self.n):
             offset.zero_()[0, j] = _SMALL
-            there = moved(system, flat, offset[:, : self.ne].expand(len(flat), -1)) if j < self.ne else flat
-            slopes[..., j] = (
-                system.error(self.step(t, there, memory, u, offset[:, self.ne :]), after) / _SMALL
-            )
-        return slopes.view(*x.shape[:2], self.ne, self.n), after.view(x.shape)
+            error = offset[:, : self.ne].expand(len(middle), -1)
+            there = moved(system, middle, error) if j < self.ne else middle
+            rate = self.rate(t, there, memory, u, offset[:, self.ne :])
+            pushed[..., j] = self.h / _SMALL * _parted(system, there, rate, middle, base, error)
+        a = pushed[..., : self.ne]
+        eye = torch.eye(self.ne, dtype=x.dtype)
+        mean = torch.baddbmm(eye, a, eye + 0.25 * a, alpha=1.0 / 3.0)
+        mean = torch.baddbmm(eye, a, mean, alpha=0.5)
+        slopes = mean @ pushed
+        slopes[..., : self.ne] += eye
+        return slopes.view(*x.shape[:2], self.ne, self.n), after
 
-    def columns(self, x: Tensor, which: Sequence[int], after: Tensor | None = None) -> Tensor:
+    def columns(self, x: Tensor, slopes: Tensor, which: Sequence[int], after: Tensor | None = None) -> Tensor:
         """What some parameters do to a step (T, C, ne, k) at states (T, C, nx).
+
+        What they do to the rate in the middle of the step, carried to its end: second order in h, of directions in
+        which the likelihood is then climbed as it is.
 
         Args:
             x: The states.
+            slopes: Of the step from these (T, C, ne, n).
             which: Numbers of the parameters.
             after: States after the undisturbed step, where they are known.
         """
         system, v = self.vector.system, self.vector
-        t, flat, memory, u = map(_rows, (self.chunks.t, x, self.memory, self.chunks.u))
-        still = flat.new_zeros(1, self.nd)
-        base = _rows(self.after(x) if after is None else after)
-        out = base.new_empty(len(flat), self.ne, len(which))
+        middle = _rows(self.midway(x, after))
+        t, memory, u = self._in_the_middle()
+        still = middle.new_zeros(1, self.nd)
+        base, none = self.rate(t, middle, memory, u, still), middle.new_zeros(1, self.ne)
+        out = base.new_empty(len(middle), self.ne, len(which))
         for i, j in enumerate(which):
             remembers = v.moves_memory[j] and system.nz > system.nx
             by = (_REMEMBERED if remembers else _SHARE) * float(v.scale[j])
@@ -240,9 +277,17 @@ class StateSpace:
             there[..., j] += by
             self._take(there)
             held = _rows(self._memory()) if remembers else memory
-            out[..., i] = system.error(self.step(t, flat, held, u, still), base) / by
+            rate = self.rate(t, middle, held, u, still)
+            out[..., i] = self.h / by * _parted(system, middle, rate, middle, base, none)
         self._take(self.theta)
+        ahead = _rows(slopes[..., : self.ne])
+        out = torch.baddbmm(out, ahead, out, beta=0.5, alpha=0.5)
         return self.passed(out.view(*x.shape[:2], self.ne, len(which)))
+
+    def _in_the_middle(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Time of the middle of each step, memory and input over it, as rows."""
+        t, memory, u = map(_rows, (self.chunks.t, self.memory, self.chunks.u))
+        return t + 0.5 * self.logged_h, memory, u
 
     def missed(self, x: Tensor, after: Tensor) -> Tensor:
         """By how much steps from states (T, C, nx) to others, undisturbed, miss the next rows (T, C, ne)."""

@@ -36,7 +36,7 @@ def test_rehearsed_evidence_is_within_a_factor_of_two_of_what_is_expected_withou
 ) -> None:
     a, b = tie.members[truth], tie.members[1 - truth]
     expected = _nats(tie, truth, Separation(a, b), HOLD)
-    told = tie.rehearsed(truth, HOLD, count=4, seed=truth)
+    told = tie.rehearsed(truth, HOLD, count=8, seed=truth)
     assert expected > 3.0
     assert expected / TWICE < np.median(told.evidence) < expected * TWICE
 

@@ -26,7 +26,7 @@ def slopes(runs: Sequence[Run], levels: Levels, by: Mapping[str, float]) -> tupl
     problem = LogLikelihood(system, runs)
     _, about = problem.first(problem.vector.start)
     about, at = problem.settled(levels, about, problem.filtered(levels, about), 4)
-    columns = problem.space.columns(about.x, range(len(problem.vector)))
+    columns = problem.space.columns(about.x, about.slopes, range(len(problem.vector)))
     gram = grams(problem.space, levels, about, at, columns).total
     error = 1.0 / np.sqrt(np.diag(gram)[1:])
     differences = []
@@ -63,7 +63,9 @@ def test_at_the_truth_the_gram_score_has_no_mean_and_the_gram_matrix_as_its_cova
         problem = LogLikelihood(system, linear_runs(1, 3.0, seed=seed))
         _, about = problem.first(problem.vector.start)
         at = problem.filtered(levels, about)
-        gram = grams(problem.space, levels, about, at, problem.space.columns(about.x, range(3))).total
+        gram = grams(
+            problem.space, levels, about, at, problem.space.columns(about.x, about.slopes, range(3))
+        ).total
         white = np.linalg.solve(np.linalg.cholesky(gram[1:, 1:]), gram[1:, 0])
         scores.append(white)
         squares.append(float(white @ white))

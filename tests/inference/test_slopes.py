@@ -1,0 +1,53 @@
+"""Slopes of a step are those of the step itself: differences of Runge and Kutta's, with the machine's own values."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+import nsde_torch
+from nsde_torch.inference.estimate import LogLikelihood
+from nsde_torch.inference.state_space import StateSpace, moved
+from nsde_torch.systems import make_system
+
+_BY = 1e-6
+
+
+@pytest.fixture(scope="module")
+def space() -> StateSpace:
+    """A hexacopter with drag and motors that lag, at the states of its flight."""
+    made = nsde_torch.simulate("hexacopter", durations=[2.0], seed=3)
+    system = make_system("hexacopter", effects=["linear_drag", "motor_lag"])
+    problem = LogLikelihood(system, nsde_torch.read(made, system=system).runs)
+    problem.space.use(problem.vector.start)
+    return problem.space
+
+
+def test_slopes_in_the_state_are_differences_of_steps(space: StateSpace) -> None:
+    x, system = space.chunks.y, space.vector.system
+    slopes, after = space.linearised(x)
+    torch.testing.assert_close(after, space.after(x))
+    for j in range(space.ne):
+        error = torch.zeros(x[..., 0].numel(), space.ne, dtype=x.dtype)
+        error[:, j] = _BY
+        there = moved(system, x.flatten(0, 1), error).view(x.shape)
+        differences = system.error(space.after(there), after) / _BY
+        np.testing.assert_allclose(slopes[..., j], differences, atol=2e-4)
+
+
+@pytest.mark.parametrize(
+    "label", ["thrust_gain", "roll_gain", "linear_drag.drag[0]", "motor_lag.time_constant"]
+)
+def test_columns_are_differences_of_steps_to_second_order(space: StateSpace, label: str) -> None:
+    x, v = space.chunks.y, space.vector
+    j = v.labels.index(label)
+    slopes, after = space.linearised(x)
+    columns = space.columns(x, slopes, [j])[..., 0]
+    theta, by = space.theta.numpy().copy(), 1e-5 * v.scale[j]
+    theta[j] += by
+    space.use(theta)
+    differences = v.system.error(space.after(x), after) / by
+    theta[j] -= by
+    space.use(theta)
+    assert float((columns - differences).norm()) < 3e-3 * float(differences.norm())

@@ -347,6 +347,8 @@ def _diagnosed(
         partial(without_standstill, log, search, outcome, searched),
         (log, search, outcome),
     )
+    if outcome.joint is not None and outcome.joint.final.at.of.apart:
+        search = search.apart(_APART_S)
     guard = stages.attempt("the comparison with simple fits", partial(guard_of, log, outcome), Guarded())
     course.lap("search")
     course.known(OTHER_ROWS, log, outcome, guard=guard)
@@ -406,6 +408,8 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
     made = log.stages.attempt(SELECTION, partial(_selected, log, search, joint), None)
     if made is None:
         return _concluded(log, search, joint)
+    if made[1].final.at.of.apart:
+        search = search.apart(_APART_S)
     # what tells a dry friction best is how it changes at a turn, which was left out of these rows
     same = joint is not None and joint.selected.keys() == made[1].selected.keys()
     outcome = _concluded(log, search, joint if same else made[1])
@@ -438,7 +442,9 @@ def _selected(
     def known(physics: System, brought: Mapping[str, float]) -> None:
         search.so_far(_so_far(search, declared, physics, brought))
 
-    def of(apart: float) -> tuple[JointSearch, JointSelection]:
+    def of(
+        apart: float, physics: System | None, brought: Mapping[str, float]
+    ) -> tuple[JointSearch, JointSelection]:
         problem = LogLikelihood(system, runs, log.recorded.clock, run_in=True, apart=apart)
         made = JointSearch(search, problem, system, frequencies)
         return made, made.selected(physics, brought, known)
@@ -447,10 +453,10 @@ def _selected(
         search.so_far(undecided(search, declared, declared))
     else:
         known(physics, brought)
-    made, found = of(0.0)
+    made, found = of(0.0, physics, brought)
     if found.final.best.misfit and not smoothed and search.steps.dt < 0.5 * _APART_S:
         search.say(f"rows {_APART_S:g} s apart", 0, 1)
-        other = of(_APART_S)
+        other = of(_APART_S, physics, brought)
         if not other[1].final.best.misfit:
             return other
     return made, found if search is whole else with_suspects(found, whole, log.system)
@@ -469,7 +475,7 @@ def _begun_with(
 
 def _so_far(search: Search, declared: Base, system: System, brought: Mapping[str, float]) -> Outcome:
     """What is known of effects before each is looked at again beside the others."""
-    final = search.base(system, warm=True, like=declared.regression)
+    final = Base(system, search.quick(system, warm=True))
     found = [
         Found(name, Evidence(nats, 0.0, 0.0), (), moved_channels(final.regression, name))
         for name, nats in brought.items()

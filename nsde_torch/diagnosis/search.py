@@ -1,5 +1,6 @@
 """Physics fitted to the data of a diagnosis by regression: how it is searched, and what its fit says of parameters."""
 
+import copy
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -208,6 +209,12 @@ class Search:
         other = self.regression(system, like)
         other.run(self.budgets.refinements)
         return max(best, self._best_noise(Base(system, other)), key=lambda b: b.nats)
+
+    def apart(self, seconds: float) -> "Search":
+        """The same search, its regressions over means of so long."""
+        out = copy.copy(self)
+        out.box = max(self.box, round(seconds / self.steps.dt))
+        return out
 
     def narrower(self, base: Base) -> Base:
         """The same physics, with shapes as narrow as the data have them where they stand at bounds of the search."""

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nsde_torch.effects import Effect, Parametrised, Port
+from nsde_torch.effects import Effect, Parametrised, Port, effect_class
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems.base import System
 
@@ -117,6 +117,12 @@ class ParameterVector:
     def of(self, effect: str) -> list[int]:
         """Numbers of the parameters of an effect."""
         return [j for j, label in enumerate(self.labels) if label.startswith(f"{effect}.")]
+
+    def sizes(self, effect: str) -> list[int]:
+        """Numbers of those parameters of an effect that say how strong it is: at nothing, it does nothing."""
+        cls = effect_class(effect)
+        own = cls.amplitudes or tuple(cls.null)
+        return [j for j in self.of(effect) if own_name(self.labels[j]) in own]
 
     def use(self, theta: Tensor) -> None:
         """Take these values for every following drift of the copy.

@@ -123,7 +123,7 @@ def test_of_effects_that_all_may_be_feedback_the_one_that_brings_least_goes_firs
     allowed = {("friction", "force"): (780.0, 2800.0), ("friction",): (200.0,), ("force",): (200.0,)}
 
     def base(*names: str) -> Any:
-        vector = SimpleNamespace(of=lambda name: [names.index(name)])
+        vector = SimpleNamespace(**dict.fromkeys(("of", "sizes"), lambda name: [names.index(name)]))
         return SimpleNamespace(names=names, regression=SimpleNamespace(names=names, vector=vector))
 
     def joint(*names: str) -> Any:

@@ -168,7 +168,6 @@ class _LawSearch:
         library = tuple(
             t for port, names in wanted.items() for t in terms_on(place.system, place.at, port, names)
         )
-        library = tuple(t for t in library if t.law not in place.system.effect_names)
         best: FittedPhysics | None = None
         fitted: list[Term] = []
         chosen: Term | None = None

@@ -116,7 +116,7 @@ def with_places(system: System, names: Sequence[str]) -> list[str]:
 
 
 def terms_on(system: System, at: Optimum, port: int, names: Sequence[str]) -> list[Term]:
-    """The library of terms of some variables on one row of a port.
+    """The library of terms of some variables on one row of a port, without those that the machine has.
 
     Args:
         system: The machine.
@@ -141,7 +141,8 @@ def terms_on(system: System, at: Optimum, port: int, names: Sequence[str]) -> li
         {text[name]: table[name].numpy() for name in there},
         [text[name] for name in there if units.get(name) == "rad"],
     )
-    return [Term(system.effect_key(f"{on} = c1 {t.text}"), dict(t.start), port) for t in terms]
+    out = [Term(system.effect_key(f"{on} = c1 {t.text}"), dict(t.start), port) for t in terms]
+    return [term for term in out if term.law not in system.effect_names]
 
 
 @torch.no_grad()

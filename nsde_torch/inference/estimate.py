@@ -117,6 +117,11 @@ class MaximumLikelihood:
                 out.append(f"{100 * share:.0f} % of the prediction errors of {name} could be predicted")
         return out
 
+    @property
+    def worst(self) -> float:
+        """How far the innovations are from what they should be, in what `misfit` allows; nan where it diverged."""
+        return float(np.maximum(np.abs(self.square - 1.0) / _LARGE, self.predictable / _WHITE).max())
+
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
         system = self.vector.system

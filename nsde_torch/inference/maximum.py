@@ -6,6 +6,8 @@ Slopes are exact (`nsde_torch.inference.level_slopes`); a few chunks do for H. A
 do not show where they started.
 """
 
+from math import log
+
 import torch
 from torch import Tensor
 
@@ -17,6 +19,8 @@ from nsde_torch.time_limit import check_time
 
 _PRIOR = 0.02  # weight of the first guess: that of a hundredth of a nat for a factor of e
 _DOWN, _UP = 8.0, 6.0  # how far logarithms may go from there
+# without it a steady force is a gust that never ends, and none is missing (drives of bench_friction_drive.py)
+_LONGEST_S = 1.0  # that a disturbance lasts: what lasts longer is structure (`Decisions.noise_memory`)
 _LONGEST_STEP = 3.0
 _TURNS = 12
 _GAIN = 0.5  # nats for which another turn is taken
@@ -51,6 +55,9 @@ def likeliest(
         rows: How many rows are enough; None for as many as memory allows.
     """
     phi, prior = levels.vector(), first.vector()
+    low, high = prior - _DOWN, prior + _UP
+    high[-space.nd :].clamp_max_(log(_LONGEST_S))
+    phi = torch.minimum(torch.maximum(phi, low), high)
     most = _most(space)
     if rows is not None:
         most = min(most, _chunks_of(space, rows))
@@ -77,6 +84,7 @@ def likeliest(
     for _ in range(_TURNS):
         check_time()
         gradient = slope(phi, here)
+        gradient = torch.where((phi >= high) & (gradient > 0), 0.0, gradient)
         if known is not None and float(gradient @ torch.linalg.solve(known, gradient)) < _GAIN:
             break
         if fresh or known is None or float((phi - known_at).abs().max()) > _MOVED:
@@ -84,13 +92,15 @@ def likeliest(
         gained = 0.0
         while damping <= _MOST_DAMPING:
             damped = known + damping * torch.diag(torch.diagonal(known))
-            step = torch.linalg.solve(damped, gradient)
+            free = gradient != 0.0  # levels pressed against their bounds stay there
+            step = torch.zeros_like(phi)
+            step[free] = torch.linalg.solve(damped[free][:, free], gradient[free])
             # shortened as a whole: a step that is clamped level by level may lead down, and levels that had learned a
             # law stayed where they were beside it, 53 nats below (test_levels_that_learned_a_law_let_go_of_it)
             step = step * (_LONGEST_STEP / step.abs().max().clamp_min(_LONGEST_STEP))
             if float(gradient @ step) < _GAIN:  # a whole step brings half of that
                 break
-            trial = torch.minimum(torch.maximum(phi + step, prior - _DOWN), prior + _UP)
+            trial = torch.minimum(torch.maximum(phi + step, low), high)
             there, value = tried(trial)
             if value > best:
                 phi, here, gained, best = trial, there, value - best, value

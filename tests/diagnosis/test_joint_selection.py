@@ -12,10 +12,11 @@ import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import JointSearch, JointSelection
+from nsde_torch.diagnosis.laws import terms_on
 from nsde_torch.diagnosis.search import search_in
-from nsde_torch.inference import LogLikelihood
+from nsde_torch.inference import LogLikelihood, nearly_maximised
 from nsde_torch.systems import make_system
-from tests.inference.springs import linear_runs, rubbing, small_runs
+from tests.inference.springs import linear_runs, rubbing, small_runs, spring
 
 STRIBECK = {"k": 5.06, "b": 0.5, "g": 1.0}
 """Beside these values a Stribeck friction without a dry part explains dry and quadratic friction nearly as well."""
@@ -149,3 +150,20 @@ def test_a_flight_with_drag_is_selected_by_the_likelihood() -> None:
     assert set(found.selected) == {"linear_drag"}
     values = dict(zip(found.final.best.vector.labels, found.final.best.theta, strict=True))
     assert values["linear_drag.drag[0]"] == pytest.approx(0.35, abs=0.06)
+
+
+def test_a_steady_push_is_no_gust_that_never_ends() -> None:
+    found = selected(linear_runs(1, 30.0, gust=0.05, lasts=1e9, white=0.005, seed=2))
+    assert set(found.selected) == {"constant_force"}
+    first = found.rounds[0].look.proposals[0]
+    assert first.name == "constant_force"
+    assert first.nats > 10.0  # 1.2 beside a gust of 81 s
+
+
+def test_terms_of_laws_are_those_that_the_machine_does_not_have() -> None:
+    runs, law = linear_runs(1, 4.0), "force = c1 q_dot^5"
+    with_it = spring(law)
+    at = nearly_maximised(LogLikelihood(with_it, runs))[1]
+    names = [term.law for term in terms_on(with_it, at, 0, ["q_dot"])]
+    assert law not in names
+    assert "force = c1 q_dot^3" in names

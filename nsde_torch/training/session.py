@@ -31,8 +31,7 @@ from nsde_torch.sysid.feedback_test import feedback_summary
 from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.training.options import LossOptions, TrainerOptions
 from nsde_torch.training.prepare import sensor_std
-from nsde_torch.training.progress import Progress
-from nsde_torch.training.task import Fitted, Task
+from nsde_torch.training.task import Fitted, Progress, Task
 
 _LEFT_OUT = 3  # training runs that calibration leaves out in turn, at most
 _AUXILIARY_SHARE = 0.5  # of the gradient steps

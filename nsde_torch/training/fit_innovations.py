@@ -32,7 +32,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.data import Run, Windows
-from nsde_torch.effects import Port
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.evaluation.report import number
 from nsde_torch.evaluation.residuals import Residuals, disturbed_channels, residuals, with_networks
@@ -79,13 +78,12 @@ def fit_innovations(task: Task) -> Fitted:
     if near is not None:  # a law of the inputs that was learned is declared
         spec = replace(spec, learn_lag=False)
         values = {name: value.tolist() for name, (value, _) in near.model.system.all_declared().items()}
-    Windows(
-        task.runs, spec.dt, spec.horizon
-    )  # refuses steps that do not divide, and runs shorter than a window
-    nu = spec.make_system().nu
-    runs = as_applied(task.runs, nu) if spec.filter_reach else list(task.runs)
+    # refuses steps that do not divide, and runs shorter than a window
+    Windows(task.runs, spec.dt, spec.horizon)
+    machine = spec.make_system()
+    runs = as_applied(task.runs, machine.nu) if spec.filter_reach else list(task.runs)
     found = None
-    if not _bare_ports(spec):
+    if set(machine.residual_ports) <= machine.physics_ports:  # no port is all network
         method = "weak" if spec.filter_reach == 0 else "differences"
         found = identified(spec, runs, clock=task.clock, values=values, method=method)
     generator = torch.Generator().manual_seed(task.seed)
@@ -100,7 +98,7 @@ def fit_innovations(task: Task) -> Fitted:
             {"identity": task.identity, **about},
         )
     if model.filter is not None:
-        fit_filter(model.filter, task.runs, runs, nu)
+        fit_filter(model.filter, task.runs, runs, machine.nu)
     progress = Progress(**about["progress"])
     for row in progress.history:
         task.log(int(row["step"]), row)
@@ -113,12 +111,6 @@ def fit_innovations(task: Task) -> Fitted:
         said=about["said"],
         begin=about.get("begin", {}),
     )
-
-
-def _bare_ports(spec: SDESpec) -> set[Port]:
-    """Ports with a residual network and no declared physics."""
-    system = spec.make_system()
-    return set(system.residual_ports) - system.physics_ports
 
 
 def _from_checkpoint(model: NeuralSDE, task: Task) -> dict[str, Any] | None:
@@ -134,11 +126,7 @@ def _from_checkpoint(model: NeuralSDE, task: Task) -> dict[str, Any] | None:
 class _Fit:
     """One fit, in double precision where physics is evaluated and single precision where networks are.
 
-    Args:
-        model: Changed in place.
-        task: Settings.
-        runs: Runs with inputs as they acted.
-        found: Declared physics; None where it is not all that acts on some port.
+    Runs have inputs as they acted; `found` is None where declared physics is not all that acts on some port.
     """
 
     def __init__(self, model: NeuralSDE, task: Task, runs: Sequence[Run], found: Identified | None) -> None:
@@ -268,20 +256,12 @@ class _Fit:
         size = np.sqrt(np.square(left.change[:, left.rows]).mean(0)).clip(1e-300)
         score = learned.score if learned else float(np.log(size).mean())
         steps = learned.steps if learned else 0
-        progress = Progress(
-            step=steps,
-            best_step=steps,
-            best_score=score,
-            history=[{"step": float(steps), "validation": score}],
-            stopped=True,
-        )
         if known is not None:
             parameters = known.parameters()
         else:
-            declared = self.model.system.all_declared().items()
             parameters = {
                 n: {"value": v.tolist(), "half_width_90": [None] * v.numel(), "unit": u}
-                for n, (v, u) in declared
+                for n, (v, u) in self.model.system.all_declared().items()
             }
         networks = learned.networks if learned else {}
         loop = {} if known is None or known.loop is None else {"feedback": known.loop.as_dict()}
@@ -305,13 +285,9 @@ class _Fit:
             },
         }
         said = _summary(found, known, networks)
-        return {
-            "progress": asdict(progress),
-            "parameters": parameters,
-            "facts": facts,
-            "said": said,
-            "begin": self.begin,
-        }
+        progress = Progress(steps, steps, score, [{"step": float(steps), "validation": score}], stopped=True)
+        out = {"progress": asdict(progress), "parameters": parameters, "facts": facts}
+        return {**out, "said": said, "begin": self.begin}
 
 
 def _channel_laws(physics: Physics, found: Residuals, model: NeuralSDE) -> dict[str, Disturbance]:
@@ -332,9 +308,8 @@ def _channel_laws(physics: Physics, found: Residuals, model: NeuralSDE) -> dict[
         attitude = physics.attitude
         turn = rotation_between(attitude, attitude + torch.as_tensor(left[:, q])).numpy()
         law = fit([spectrum(turn, found.series, found.dt)], lasting=False, shortest=shortest)
-        half = Disturbance(
-            0.5 * law.diffusion, 0.0, law.tau, 0.5 * law.sensor
-        )  # a rotation is twice its quaternion
+        # a rotation is twice its quaternion
+        half = Disturbance(0.5 * law.diffusion, 0.0, law.tau, 0.5 * law.sensor)
         out.update(dict.fromkeys(system.state_names[q], half))
     if physics.turned is not None:  # measured in the world, told in the body
         names = system.state_names[physics.turned]

@@ -133,9 +133,8 @@ class Fit(Loop):
             out["far"] = _FAR * torch.relu((declared / far).log()).square().sum()
         if options.decay:
             # a network beside declared physics is kept small; one that is all there is on its port is not
-            beside = [
-                model.residuals[port.value] for port in model.system.physics_ports & set(model.residual_ports)
-            ]
+            ports = model.system.physics_ports & set(model.residual_ports)
+            beside = [model.residuals[port.value] for port in ports]
             if beside:
                 norms = [network.weight_norm() for network in beside]  # type: ignore[operator]
                 out["decay"] = options.decay * torch.stack(norms).sum()

@@ -30,15 +30,10 @@ _LOG = logging.getLogger(__name__)
 
 
 class Loop(ABC):
-    """One optimisation of one model: what kinds of models share.
+    """One optimisation of one model, which is changed in place: what kinds of models share.
 
-    Args:
-        model: Changed in place.
-        optimiser: Of all its parameters; a group's `factor` multiplies the learning rate.
-        options: Settings of the optimisation.
-        seed: Seed of the batches.
-        identity: Hash of all that the numbers depend on; a checkpoint of another is refused.
-        said_every: Steps between lines where there is no terminal to draw a bar on.
+    The `factor` of a group of the optimiser multiplies the learning rate. Where there is no terminal to draw a bar on,
+    a line is said every so many steps.
     """
 
     differ: ClassVar[str] = (

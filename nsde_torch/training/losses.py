@@ -58,11 +58,7 @@ from nsde_torch.training.options import LossOptions
 def paired_score(errors: Tensor) -> Tensor:
     """CRPS and error of the centre of paths with mirrored noise, element by element; see the module docstring.
 
-    Args:
-        errors: Ensemble minus truth (P, ...); P is 1, or even, path p + P / 2 with the mirrored noise of path p.
-
-    Returns:
-        Score (...), in the unit of the errors.
+    Errors are ensemble minus truth (P, ...); P is 1, or even, path p + P / 2 with the mirrored noise of path p.
     """
     p = errors.shape[0]
     if p == 1:
@@ -130,11 +126,7 @@ def distance_losses(
         value, around = eta.link(value), eta.link(around)
     mu = eta.mu(y)
     bound = value[:, None] + (slope[:, None] * offset).sum(-1) + 0.5 * mu[:, None] * radius[..., 0] ** 2
-    return (
-        slope.square().sum(1).mean(),
-        torch.relu(bound - around).square().mean(),
-        (1.0 / mu).mean(),
-    )
+    return slope.square().sum(1).mean(), torch.relu(bound - around).square().mean(), (1.0 / mu).mean()
 
 
 def draw_ball(

@@ -92,14 +92,7 @@ def data_loss(errors: Tensor, scale: Tensor, *, kind: str, early: float, paired:
 
 
 def distance_losses(
-    eta: Distance,
-    features: Tensor,
-    directions: Tensor,
-    share: Tensor,
-    *,
-    kind: str,
-    near: float,
-    far: float,
+    eta: Distance, features: Tensor, directions: Tensor, share: Tensor, *, kind: str, near: float, far: float
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The three distance losses.
 

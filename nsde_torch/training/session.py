@@ -158,12 +158,7 @@ class Training:
     # ---- stages ---------------------------------------------------------------------------------------
 
     def _fit(
-        self,
-        runs: Sequence[Run],
-        seed: int,
-        name: str,
-        options: TrainerOptions,
-        near: Fitted | None = None,
+        self, runs: Sequence[Run], seed: int, name: str, options: TrainerOptions, near: Fitted | None = None
     ) -> Fitted:
         clock = of_runs(self.data.summary.slopes, [r.name for r in runs], measured=self.data.clock_scale)
         task = Task(
@@ -211,9 +206,8 @@ class Training:
         runs = self.split.train
         fitted = Coverage(model, runs, seed=self.seed, compile=self.compile).log_factor()
         new = []
-        short = replace(
-            self.options, steps=max(1, round(self.options.steps * _AUXILIARY_SHARE)), decay_steps=None
-        )
+        steps = max(1, round(self.options.steps * _AUXILIARY_SHARE))
+        short = replace(self.options, steps=steps, decay_steps=None)
         count = min(len(runs), _LEFT_OUT) if len(runs) > 1 else 0
         turns = [round(i) for i in torch.linspace(0, len(runs) - 1, count).tolist()]
         bar = tqdm(turns, desc="calibrating", unit="run", disable=no_bar(self.quiet), leave=False)

@@ -160,7 +160,7 @@ def one(kind: str, seed: int) -> Json:
         told = evidence(system, e.members, [fit], runs, [run], question, {}, clock=1.0)
         plans[name] = {
             "obtained": against(told, right),
-            "obtained_by_quadratics": fit.against(right),
+            "obtained_by_quadratics": against(fit.brought, right),
             "expected": hoped[name],
             "use": float(np.nanmax(e.limits.use(run.x))),
             "excess": fit.excess,

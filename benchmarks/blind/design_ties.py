@@ -38,7 +38,7 @@ from nsde_torch.design.designing import members_of
 from nsde_torch.design.files import write_plan
 from nsde_torch.design.limits import limits_of
 from nsde_torch.design.questions import SURE
-from nsde_torch.design.rehearsal import fit_all
+from nsde_torch.design.rehearsal import against, fit_all
 from nsde_torch.design.rollout import open_loop
 from nsde_torch.design.signals import Signals
 from nsde_torch.systems import System
@@ -240,7 +240,7 @@ def one(machine: str, kind: str, seed: int, wider: float) -> Json:
     for i, (name, fit) in enumerate(zip(tables, fits, strict=True)):
         seen = flown(machine, truth, declared, tables[name], e, 0.0, 1000 * seed + i)
         plans[name] = {
-            "obtained": fit.against(right),
+            "obtained": against(fit.brought, right),
             "expected": hoped[name],
             "use": float(e.limits.use(seen.x).max()),
             "excess": fit.excess,

@@ -17,8 +17,7 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.models import Model, ModelOptions, ModelSpec
 from nsde_torch.models.kind import Choice, ModelKind
 from nsde_torch.options import key
-from nsde_torch.training.progress import Progress
-from nsde_torch.training.task import Fitted, Task
+from nsde_torch.training.task import Fitted, Progress, Task
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from time import perf_counter
 from typing import Any
 
@@ -24,13 +25,7 @@ from nsde_torch.design.limits import limits_of
 from nsde_torch.design.members import Member, fitted_members, physics_with
 from nsde_torch.design.options import DesignOptions
 from nsde_torch.design.paths import Draw, FlownPaths, Flyable, Paths
-from nsde_torch.design.proposals import (
-    Family,
-    Judge,
-    best_of_each,
-    search,
-    worth_of,
-)
+from nsde_torch.design.proposals import Family, Judge, best_of_each, search, worth_of
 from nsde_torch.design.questions import SURE, Question
 from nsde_torch.design.rehearsal import Rehearsed, rehearse
 from nsde_torch.design.rollout import Drive, ModelNoise, open_loop
@@ -96,7 +91,7 @@ def design(
         drive = open_loop
     draw: Draw = Flyable(start, drive, dt) if flies else Member.draws
     draws = [draw(m, options.samples, rng) for m in members]
-    precision = _precision(members[0], question) if question.parameters else None
+    precision = Precision.of(members[0], question.parameters) if question.parameters else None
     judge = Judge(members, precision, limits, start, draws, drive)
     searched = search(
         judge,
@@ -107,36 +102,23 @@ def design(
         rng=rng,
         say=say,
     )
-    finalists = searched.finalists
     usual: list[PlannedRun] = []
     if baselines:
         longest = max(runs, key=len)
         before = longest.x[:, :3] if flies else longest.u
-        made = family.baselines(rng, np.asarray(before))
         say("judging usual inputs", 0, 1)
-        usual = best_of_each(judge, made)
+        usual = best_of_each(judge, family.baselines(rng, np.asarray(before)))
     if precision is None and max([searched.most, *(p.worth for p in usual)]) < APART:
         _check_apart(question, judge, family, rng)
-    plans = [*finalists, *usual]
+    plans = [*searched.finalists, *usual]
     stages = 2 * len(members)
 
     def rehearsed(tables: Sequence[Array], count: int, stage: int) -> list[tuple[Rehearsed, ...]]:
+        fly = partial(rehearse, members, start=start, limits=limits, drive=drive, draw=draw, rng=rng)
         out = []
         for i in range(len(members)):
             say("rehearsing", stage + i, stages)
-            out.append(
-                rehearse(
-                    members,
-                    np.stack(tables),
-                    truth=i,
-                    count=count,
-                    start=start,
-                    limits=limits,
-                    drive=drive,
-                    draw=draw,
-                    rng=rng,
-                )
-            )
+            out.append(fly(np.stack(tables), truth=i, count=count))
         return list(zip(*out, strict=True))
 
     first = rehearsed([p.table for p in plans], options.rehearsals, 0)
@@ -151,7 +133,7 @@ def design(
         question=question,
         members=tuple(members),
         plan=replace(best, rehearsed=again),
-        baselines=tuple(judged[len(finalists) :]),
+        baselines=tuple(judged[len(searched.finalists) :]),
         limits=limits,
         start=start,
         dt=dt / clock,
@@ -178,11 +160,7 @@ def members_of(
 
 
 def check_runs(system: System, runs: Sequence[Run]) -> None:
-    """Refuse runs that an experiment cannot be planned from.
-
-    Raises:
-        DataError: what stands in the way.
-    """
+    """Refuse runs that an experiment cannot be planned from."""
     if any(run.inferred for run in runs):
         names = ", ".join(sorted({n for run in runs for n in run.inferred}))
         raise DataError(
@@ -202,11 +180,7 @@ def check_runs(system: System, runs: Sequence[Run]) -> None:
 
 
 def first_state(system: System, runs: Sequence[Run], given: Mapping[str, float]) -> Array:
-    """Where an experiment begins: at rest where runs began, but for what is given.
-
-    Raises:
-        ConfigError: a name that is no state.
-    """
+    """Where an experiment begins: at rest where runs began, but for what is given."""
     names = list(system.state_names)
     if system.quaternion is not None:  # hovering, in the middle of what was flown
         out = np.zeros(len(names))
@@ -223,26 +197,12 @@ def first_state(system: System, runs: Sequence[Run], given: Mapping[str, float])
     return out
 
 
-def _precision(member: Member, question: Question) -> Precision:
-    v = member.vector
-    columns = []
-    for label in question.parameters:
-        at = [i for i, own in enumerate(v.labels) if own == label or own.startswith(f"{label}[")]
-        if not at:
-            raise ConfigError(f"`parameters` names {label!r}; the physics has: {', '.join(v.labels)}.")
-        columns += at
-    sizes = np.maximum(v.scale[columns], np.abs(member.theta[columns]))
-    return Precision(member, columns, sizes)
-
-
 def _check_apart(question: Question, judge: Judge, family: Family, rng: np.random.Generator) -> None:
-    """Refuse members that say the same of everything that was tried.
-
-    Raises:
-        ConfigError: one equation, or limits within which nothing tells; says which is most in the way.
-    """
+    """Refuse members that say the same of everything that was tried: one equation, or limits in the way."""
     wide = judge.limits.widened(_WIDER)
-    judged = judge.within(wide).judge(replace(family, limits=wide).inputs(family.random(_WIDE_ONES, rng)))
+    judged = replace(judge, limits=wide).judge(
+        replace(family, limits=wide).inputs(family.random(_WIDE_ONES, rng))
+    )
     at = int(judged.told.argmax())
     most = max(float(judged.told[at]), 0.0)
     apart = " from ".join(question.names)

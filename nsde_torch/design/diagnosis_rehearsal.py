@@ -129,9 +129,7 @@ class Rehearsal:
             "inputs": "follow the log" if self.followed else "as logged",
             "left_out": list(self.left_out),
             "effects": {name: self._effect(name) for name in self.names},
-            "others": sorted({n for c in self.again for n in _sure(c) if n not in self.names})
-            if self.names
-            else [],
+            "others": sorted(_sure(*self.again) - set(self.names)) if self.names else [],
             "parameters": {label: self._parameter(label, value) for label, value in self.truth.items()},
             "of_nothing": self._of_nothing(),
             "unexplained": sum(c["verdict"] == "unexplained" for c in self.again),
@@ -140,8 +138,8 @@ class Rehearsal:
 
     def _of_nothing(self) -> list[str] | None:
         """What is named surely of the declared physics alone; None where that was not simulated."""
-        logs = [self.nothing] if self.nothing is not None else [] if self.names else list(self.again)
-        return sorted({name for c in logs for name in _sure(c)}) if logs else None
+        logs = [self.nothing] if self.nothing is not None else [] if self.names else self.again
+        return sorted(_sure(*logs)) if logs else None
 
     def _effect(self, name: str) -> dict[str, int]:
         """In how many logs an effect is named, surely or as a lead, and in how many something tied with it is."""
@@ -200,10 +198,13 @@ def _rehearsed(found: Diagnosis, logs: int, seed: int, say: Say) -> Rehearsal:
         except NsdeError:  # without a damping a machine may go anywhere
             left_out = (*left_out, "the declared physics alone, which leaves the range of the log")
     again: list[Content] = []
+    options = replace(found.options, max_minutes=None)
     for log in [*made, *alone]:
         say("diagnosing a simulated log", len(again), logs + len(alone))
         try:
-            again.append(_diagnosed(found, log))
+            data = assemble(log, found.system, kind="rehearsed", clock="trust")
+            made_again = diagnose(found.system, found.spec, data, data.runs, options)
+            again.append(made_again.content())
         except NsdeError as error:
             return Rehearsal({}, names, followed, (), None, left_out, f"a simulated log is refused: {error}")
     values = {
@@ -286,15 +287,7 @@ def _noise(found: Diagnosis, count: int, steps: int, rng: np.random.Generator) -
     of = LogLikelihood(found.outcome.system, found.recorded.runs, found.recorded.clock, states=True)
     at, space = filtered_at(of), of.space
     levels, _ = likeliest(space, at.levels, at.levels, at.about, of.start)
-    return ModelNoise.of(space, levels).drawn(count, steps, rng)
-
-
-def _diagnosed(found: Diagnosis, log: list[RawRun]) -> Content:
-    """What a diagnosis like the one that was made says of a simulated log."""
-    data = assemble(log, found.system, kind="rehearsed", clock="trust")
-    return diagnose(
-        found.system, found.spec, data, data.runs, replace(found.options, max_minutes=None)
-    ).content()
+    return ModelNoise(space, levels).drawn(count, steps, rng)
 
 
 def _left_out(found: Diagnosis) -> tuple[str, ...]:
@@ -306,9 +299,9 @@ def _left_out(found: Diagnosis) -> tuple[str, ...]:
     return tuple(faults)
 
 
-def _sure(content: Content) -> list[str]:
-    """Effects that a diagnosis names without a doubt."""
-    return [f["name"] for f in content["findings"] if f["kind"] == "effect" and not f["lead"]]
+def _sure(*contents: Content) -> set[str]:
+    """Effects that any of some diagnoses names without a doubt."""
+    return {f["name"] for c in contents for f in c["findings"] if f["kind"] == "effect" and not f["lead"]}
 
 
 def _tied(content: Content) -> set[str]:

@@ -13,6 +13,8 @@ that a refit takes away tells nothing. The standard errors of A's own parameters
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
@@ -20,6 +22,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.design.members import Branch, Member, width_columns
 from nsde_torch.design.rollout import as_run
+from nsde_torch.errors import ConfigError
 from nsde_torch.inference.posterior import LogWithPrior
 
 Array = NDArray[np.float64]
@@ -27,17 +30,23 @@ _PASSES = 1  # simulated states are without noise: further ones moved expected e
 
 
 @final
+@dataclass
 class Separation:
-    """Expected evidence for one member against another.
+    """Expected evidence for one member against another."""
 
-    Args:
-        truth: The member that is true.
-        other: The one that is fitted instead.
-    """
+    truth: Member  # the member that is true
+    other: Member  # the one that is fitted instead
 
-    def __init__(self, truth: Member, other: Member) -> None:
-        self.truth, self.other = truth, other
-        self._follow = _follow(truth, other)
+    def __post_init__(self) -> None:
+        truth, other = self.truth, self.other
+        # how the fit of the other moves with the truth's parameters in the runs there are (k_other, k_truth)
+        log = LogWithPrior(other.log.runs, other.theta, other.known)
+        both = other.posteriors.cross_information(log, truth.system, other.log.run_in)
+        self._follow = np.asarray(np.linalg.solve(other.known, both))
+        if len(truth.branches) > 1:  # widths are followed by branches
+            self._follow[:, width_columns(truth.vector)] = 0.0
+        if len(other.branches) > 1:
+            self._follow[width_columns(other.vector)] = 0.0
 
     def nats(self, states: Array, inputs: Array, thetas: Array) -> Array:
         """Expected evidence (S, C) of experiments in which the truth has parameters `thetas` (S, k).
@@ -53,15 +62,13 @@ class Separation:
             for theta, own, xs, us in zip(thetas, near, states, inputs, strict=True)
             for x, u in zip(xs, us, strict=True)
         ]
-        left = np.array(
-            [b.posteriors.left_by_refit(here) for here in b.posteriors.at_centres(problems, passes=_PASSES)]
-        )
+        found = b.posteriors.at_centres(problems, passes=_PASSES)
+        left = np.array([b.posteriors.left_by_refit(here) for here in found])
         left = left.reshape(len(b.branches), *states.shape[:2])
         # a width that explains the runs worse has that to make good
         worse = np.array([branch.nats - b.nats for branch in b.branches])[:, None, None]
-        return np.asarray(
-            (left - worse).min(0) + np.array([own.nats - self.truth.nats for own in near])[:, None]
-        )
+        nearer = np.array([own.nats - self.truth.nats for own in near])[:, None]
+        return np.asarray((left - worse).min(0) + nearer)
 
     def _there(self, branch: Branch, theta: Array, near: Array) -> Array:
         """Where the other member's fit of the runs there are goes when the truth has some parameters (k,)."""
@@ -76,39 +83,32 @@ class Separation:
 
 
 @final
+@dataclass(frozen=True)
 class Precision:
-    """Expected standard errors of parameters.
+    """Expected standard errors of parameters."""
 
-    Args:
-        member: Physics that has them.
-        columns: Their numbers.
-        sizes: What a good standard error is small beside (len(columns),).
-    """
+    member: Member  # physics that has them
+    columns: list[int]  # their numbers
+    sizes: Array  # what a good standard error is small beside (len(columns),)
 
-    def __init__(self, member: Member, columns: list[int], sizes: Array) -> None:
-        self.member, self.columns, self.sizes = member, columns, sizes
+    @classmethod
+    def of(cls, member: Member, labels: Sequence[str]) -> Precision:
+        """That of the parameters of these labels, or vectors of them, beside what they usually are."""
+        v, columns = member.vector, list[int]()
+        for label in labels:
+            at = [i for i, own in enumerate(v.labels) if own == label or own.startswith(f"{label}[")]
+            if not at:
+                raise ConfigError(f"`parameters` names {label!r}; the physics has: {', '.join(v.labels)}.")
+            columns += at
+        return cls(member, columns, np.maximum(v.scale[columns], np.abs(member.theta[columns])))
 
     def errors(self, states: Array, inputs: Array, theta: Array) -> Array:
         """Standard errors of all parameters (C, k) after experiments with the runs there are; see `Separation.nats`."""
         m = self.member
-        dt = m.log.logged_dt
-        problems = [
-            LogWithPrior((as_run(x, u, dt),), theta, m.known) for x, u in zip(states, inputs, strict=True)
-        ]
+        runs = [as_run(x, u, m.log.logged_dt) for x, u in zip(states, inputs, strict=True)]
+        problems = [LogWithPrior((run,), theta, m.known) for run in runs]
         found = m.posteriors.at_centres(problems, passes=_PASSES)
         return np.array([here.standard_errors for here in found])
-
-
-def _follow(truth: Member, other: Member) -> Array:
-    """How the fit of the other member moves with the truth's parameters in the runs there are (k_other, k_truth)."""
-    log = LogWithPrior(other.log.runs, other.theta, other.known)
-    both = other.posteriors.cross_information(log, truth.system, other.log.run_in)
-    out = np.asarray(np.linalg.solve(other.known, both))
-    if len(truth.branches) > 1:  # widths are followed by branches
-        out[:, width_columns(truth.vector)] = 0.0
-    if len(other.branches) > 1:
-        out[width_columns(other.vector)] = 0.0
-    return out
 
 
 def _width(member: Member, theta: Array) -> float:

@@ -59,37 +59,23 @@ class PlannedRun:
 
 @dataclass(frozen=True)
 class Experiment:
-    """A planned experiment.
+    """A planned experiment."""
 
-    Args:
-        system: Declared system.
-        question: What it is asked.
-        members: What may be true, fitted.
-        plan: What to do.
-        baselines: Usual experiments of the same length and limits, the best size of each.
-        limits: Limits.
-        start: First state (nx,).
-        dt: Step of the log [s].
-        hertz: Lowest and highest frequency of the inputs [Hz]; None of flights.
-        options: Settings.
-        seconds: Time that it took.
-        most: The most that an experiment was worth that was tried, within the limits or beyond.
-        most_use: Largest share of each state's range that this one takes (nx,).
-    """
-
-    system: System
-    question: Question
-    members: tuple[Member, ...]
-    plan: PlannedRun
-    baselines: tuple[PlannedRun, ...]
-    limits: ExperimentLimits
-    start: Array
-    dt: float
-    hertz: tuple[float, float] | None
-    options: DesignOptions
-    seconds: float
-    most: float
-    most_use: Array
+    system: System  # declared system
+    question: Question  # what it is asked
+    members: tuple[Member, ...]  # what may be true, fitted
+    plan: PlannedRun  # what to do
+    baselines: tuple[
+        PlannedRun, ...
+    ]  # usual experiments of the same length and limits, the best size of each
+    limits: ExperimentLimits  # limits
+    start: Array  # first state (nx,)
+    dt: float  # step of the log [s]
+    hertz: tuple[float, float] | None  # lowest and highest frequency of the inputs [Hz]; None of flights
+    options: DesignOptions  # settings
+    seconds: float  # time that it took
+    most: float  # the most that an experiment was worth that was tried, within the limits or beyond
+    most_use: Array  # largest share of each state's range that this one takes (nx,)
 
     @property
     def units(self) -> dict[str, str]:

@@ -41,6 +41,11 @@ class KnownBetter:
     expected: float | None  # what was expected of that; None where nothing was
     unit: str  # of all
 
+    def __str__(self) -> str:
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        said = f"{self.value:.3g} +- {self.after:.2g}{unit} (standard error), {self.before:.2g} before"
+        return said if self.expected is None else f"{said}, {self.expected:.2g} expected"
+
     @property
     def nats(self) -> float:
         """Information gained."""
@@ -66,25 +71,17 @@ class KnownBetter:
 
 @dataclass(frozen=True)
 class Obtained:
-    """What an experiment told.
+    """What an experiment told."""
 
-    Args:
-        question: What it was asked.
-        members: What may be true, as the runs before the experiment had them.
-        nats: Evidence that it brought each member against the best of the others (M,) [nats]; of parameters 0.
-        excess: Mean square of what the best member leaves of it, in units of the noise.
-        expected: What was expected where each member is true, as `design.json` has it; empty where nothing was.
-        parameters: Those that were asked for, by label; empty where members were.
-        doubt: Why no member explains it; None where one does.
-    """
-
-    question: Question
-    members: tuple[Member, ...]
-    nats: tuple[float, ...]
-    excess: float
+    question: Question  # what it was asked
+    members: tuple[Member, ...]  # what may be true, as the runs before the experiment had them
+    nats: tuple[float, ...]  # evidence that it brought each against the best of the others; of parameters 0
+    excess: float  # mean square of what the best member leaves of it, in units of the noise
     expected: tuple[Mapping[str, Any], ...] = ()
+    """What was expected where each member is true, as `design.json` has it; empty where nothing was."""
     parameters: Mapping[str, KnownBetter] = field(default_factory=dict)
-    doubt: str | None = None
+    """Those that were asked for, by label; empty where members were."""
+    doubt: str | None = None  # why no member explains it; None where one does
 
     @property
     def best(self) -> int:
@@ -153,18 +150,17 @@ class Obtained:
     @property
     def report(self) -> str:
         """What it told, in words."""
-        content = self.content()
         if self.parameters:
-            return "\n".join(_known_better(label, p) for label, p in self.parameters.items())
-        name, nats = content["speaks_for"], self.nats[self.best]
+            return "\n".join(f"{label}: {p}" for label, p in self.parameters.items())
+        name, nats, expected = self.question.names[self.best], self.nats[self.best], self.expected_nats
         said = (
             f"the experiment speaks for {name}: {nats:.1f} nats against what else may be true"
             if self.broken
             else f"still tied: {nats:.1f} nats for {name}, where {SURE:g} would break the tie"
         )
-        if content["expected_nats"] is not None:
-            low, high = content["expected_90"]
-            said += f" ({content['expected_nats']:.1f} were expected, {low:.1f} to {high:.1f} in 90 %)"
+        if expected is not None:
+            low, high = expected["low_90"], expected["high_90"]
+            said += f" ({expected['mean']:.1f} were expected, {low:.1f} to {high:.1f} in 90 %)"
         return said if self.surprise is None else f"{said}\nnote: {self.surprise}."
 
 
@@ -244,9 +240,8 @@ def _parameters(
     """What was asked for, before and after; of several experiments by the sum of what each adds to 1 / error^2."""
     v, before = member.vector, np.sqrt(np.diag(member.covariance))
     planned = expected[0]["parameters"] if expected else {}
-    weight = np.sum([1.0 / np.square(f.errors[0]) for f in each], axis=0) - (len(each) - 1) / np.square(
-        before
-    )
+    weight = np.sum([1.0 / np.square(f.errors[0]) for f in each], axis=0)
+    weight -= (len(each) - 1) / np.square(before)
     after = 1.0 / np.sqrt(np.maximum(weight, 1e-6 / np.square(before)))
     value = np.mean([f.thetas[0] for f in each], axis=0)
     return {
@@ -260,9 +255,3 @@ def _parameters(
         for i, label in enumerate(v.labels)
         if any(label == asked or label.startswith(f"{asked}[") for asked in question.parameters)
     }
-
-
-def _known_better(label: str, p: KnownBetter) -> str:
-    unit = "" if p.unit == "1" else f" {p.unit}"
-    said = f"{label}: {p.value:.3g} +- {p.after:.2g}{unit} (standard error), {p.before:.2g} before"
-    return said if p.expected is None else f"{said}, {p.expected:.2g} expected"

@@ -121,15 +121,7 @@ def fitted_members(
     clock: float,
     noise: ModelNoise | None = None,
 ) -> list[Member]:
-    """Fit what may be true to the runs there are.
-
-    Args:
-        named: Physics of each member with first values.
-        noise: Noise of them all; None: that of the likeliest.
-
-    Raises:
-        ConfigError: a member cannot be fitted to the runs.
-    """
+    """Fit what may be true, physics with first values, to the runs there are; without `noise` at the likeliest's."""
     search = search_in(declared, runs, clock, Options(), channels=True)
     fits: list[Regression] = []
     for system, name in zip(named, names, strict=True):
@@ -146,11 +138,7 @@ def fitted_members(
 def physics_with(
     declared: System, effects: Sequence[str], values: dict[str, dict[str, float | list[float]]]
 ) -> System:
-    """Declared physics with effects, at values where there are any.
-
-    Raises:
-        ConfigError: the system cannot have one of them.
-    """
+    """Declared physics with effects, at values where there are any."""
     out = declared
     for name in effects:
         key = declared.effect_key(name)
@@ -165,7 +153,7 @@ def physics_with(
     return out
 
 
-def with_starts(search: Search, system: System, effects: Sequence[str]) -> list[System]:
+def _with_starts(search: Search, system: System, effects: Sequence[str]) -> list[System]:
     """A system with the effects named at each of the first values that their fits are started from."""
     scales = data_sizes(system, search.steps)
     out = [system]
@@ -173,8 +161,7 @@ def with_starts(search: Search, system: System, effects: Sequence[str]) -> list[
         begun = starts(system.without_effects(name), name, scales, [])
         out = [
             base.without_effects(name).with_effects(base.make_effect(name, start))
-            for base in out
-            for start in (begun or [{}])
+            for base, start in product(out, begun or [{}])
         ]
     step = max(1, -(-len(out) // _STARTS))
     return out[::step]
@@ -190,7 +177,7 @@ def _nearest(
     """
     best: Regression | None = None
     why = ""
-    for begun in [system, *with_starts(search, system, own)]:
+    for begun in [system, *_with_starts(search, system, own)]:
         for held in [(), *_one_input_each(ParameterVector(begun), own)]:
             try:
                 fit = _fit(search, begun, like, held)
@@ -233,21 +220,21 @@ def _noise(systems: Sequence[System], log: LogOfRuns) -> ModelNoise:
     for system in systems[1:]:
         found = maximised(of.of(system), best, nuisances=False)[1]
         best = max(best, found, key=lambda f: f.at.total)
-    return ModelNoise.of(best.of.space, best.levels)
+    return ModelNoise(best.of.space, best.levels)
 
 
 def _member(declared: System, name: str, fit: Regression, log: LogOfRuns, noise: ModelNoise) -> Member:
     system, dt = fitted_system(fit), fit.physics.steps.dt
-    own = Posteriors(system, noise.levels, clock=log.clock, disturbances=noise.disturbances)
+    own = Posteriors(system, noise.levels, clock=log.clock, disturbances=noise.space.disturbances)
     prior = prior_information(own.vector)
     given = prior + np.diag(fit.held / np.square(_SURE_OF_HELD * fit.vector.scale))
     fine_dt = Rollouts(system, dt=dt).fine_dt
-    own.vector.low = lower_bounds(fit.vector, fit.theta, dt=dt, fine_dt=fine_dt)
+    own.vector.low = _lower_bounds(fit.vector, fit.theta, dt=dt, fine_dt=fine_dt)
     own.vector.high = fit.vector.high
     begun = [fit.theta, np.where(fit.held, fit.theta, fit.vector.start)]
     tried = [LogWithPrior(log.runs, fit.theta, given)] * len(begun)
     found = max(own.modes(tried, starts=begun, rounds=_ROUNDS, run_in=log.run_in), key=lambda f: f.nats)
-    each = branches(own, log, Branch(found.theta, found.information, found.nats), given)
+    each = _branches(own, log, Branch(found.theta, found.information, found.nats), given)
     theta = each[0].theta
     own.vector.write(system, theta)
     added = tuple(n for n in fit.vector.system.effect_names if n not in declared.effect_names)
@@ -293,7 +280,7 @@ def width_columns(vector: ParameterVector) -> list[int]:
     return [i for i, k in enumerate(vector.labels) if own_name(k) in dry.get(k.partition(".")[0], {})]
 
 
-def lower_bounds(fit: ParameterVector, theta: Array, *, dt: float, fine_dt: float) -> Array:
+def _lower_bounds(fit: ParameterVector, theta: Array, *, dt: float, fine_dt: float) -> Array:
     """Lower bounds (k,) of a filter: widths below what the search looked for, and delays that its steps follow.
 
     `dt` is the step of the log, `fine_dt` that of the filter's integration [s].
@@ -306,20 +293,14 @@ def lower_bounds(fit: ParameterVector, theta: Array, *, dt: float, fine_dt: floa
             dry = [j for j in fit.of(effect) if own_name(fit.labels[j]) in sizes[effect]]
             least = _FOLLOWED * dt * float(np.max(theta[dry], initial=0.0))
             low[i] = min(low[i], max(low[i] / DEEPER, least))
-    return np.maximum(low, followed_delays(fit, fine_dt))
-
-
-def followed_delays(vector: ParameterVector, fine_dt: float) -> Array:
-    """The shortest delays (k,) that steps of the integration follow, -inf of other parameters."""
-    low = np.full(len(vector), -np.inf)
-    late = {str(e.name): e.relative for e in vector.system.effects if isinstance(e, Effect) and e.n_memory}
-    for i, label in enumerate(vector.labels):
+    late = {str(e.name): e.relative for e in fit.system.effects if isinstance(e, Effect) and e.n_memory}
+    for i, label in enumerate(fit.labels):
         if late.get(label.partition(".")[0], {}).get(own_name(label)) == "step":
-            low[i] = _STABLE * fine_dt
+            low[i] = max(low[i], _STABLE * fine_dt)
     return low
 
 
-def branches(own: Posteriors, log: LogOfRuns, best: Branch, prior: Array) -> tuple[Branch, ...]:
+def _branches(own: Posteriors, log: LogOfRuns, best: Branch, prior: Array) -> tuple[Branch, ...]:
     """A member at the widths that its runs leave open, the likeliest first; `prior` is known without data (k, k)."""
     v, theta = own.vector, best.theta
     error = np.sqrt(np.diag(np.linalg.inv(best.known)))
@@ -332,16 +313,17 @@ def branches(own: Posteriors, log: LogOfRuns, best: Branch, prior: Array) -> tup
     rows = np.unique(np.stack([v.inside(row) for row in rows]), axis=0)
     moved = np.abs(np.log(rows[:, columns] / theta[columns])).max(1) > 0.5 * np.log(_RATIO)
     rows = rows[moved]
-    problems = []
-    for row in rows:
-        hold = np.zeros(len(theta))
-        hold[columns] = 1.0 / np.square(_HELD * row[columns])
-        problems.append(LogWithPrior(log.runs, row, prior + np.diag(hold)))
-    told = own.modes(problems, rounds=_BRANCH_ROUNDS, run_in=log.run_in)
+
+    def about(row: Array, share: float) -> Array:
+        """Information (k, k) that holds widths to a share of what they are in a row (k,)."""
+        out = np.zeros(len(theta))
+        out[columns] = 1.0 / np.square(share * row[columns])
+        return np.diag(out)
+
+    problems = [LogWithPrior(log.runs, row, prior + about(row, _HELD)) for row in rows]
     out = [best]
-    for row, fit in zip(rows, told, strict=True):
-        freed = np.zeros(len(theta))
-        freed[columns] = 1.0 / np.square(row[columns]) - 1.0 / np.square(_HELD * row[columns])
-        out.append(Branch(fit.theta, fit.information + np.diag(freed), fit.nats))
+    for row, fit in zip(rows, own.modes(problems, rounds=_BRANCH_ROUNDS, run_in=log.run_in), strict=True):
+        freed = about(row, 1.0) - about(row, _HELD)
+        out.append(Branch(fit.theta, fit.information + freed, fit.nats))
     top = max(b.nats for b in out)
     return tuple(sorted((b for b in out if b.nats > top - _WORST), key=lambda b: -b.nats))

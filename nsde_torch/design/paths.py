@@ -41,7 +41,6 @@ _ROOM = 0.8
 _ACCELERATION = 4.5
 """Largest horizontal acceleration of a first proposal [m/s2]."""
 _TURN = np.pi / 2
-_REST = [(order, 0.0) for order in (1, 2, 3)]
 
 
 def point_times(duration: float) -> Array:
@@ -92,7 +91,8 @@ class Paths:
     def gentle(self, count: int, rng: np.random.Generator) -> Array:
         """Genes of flights that hardly leave their place (count, K, 4)."""
         sizes = np.geomspace(0.02, 0.5, count)[:, None, None]
-        here = self._genes(np.append(self.start[:3], 0.0))
+        middle, half = self._box
+        here = np.append(0.5 + 0.5 * (self.start[:3] - middle) / half, 0.5)
         return np.asarray(here + sizes * (self.random(count, rng) - 0.5))
 
     def mutated(self, genes: Array, rng: np.random.Generator) -> Array:
@@ -122,9 +122,8 @@ class Paths:
     def points(self, genes: Array) -> Array:
         """Points and headings (..., K, 4) [m, rad], the first where the experiment begins."""
         middle, half = self._box
-        out = np.concatenate(
-            (middle + half * (2 * genes[..., :3] - 1), _TURN * (2 * genes[..., 3:] - 1)), axis=-1
-        )
+        places, headings = middle + half * (2 * genes[..., :3] - 1), _TURN * (2 * genes[..., 3:] - 1)
+        out = np.concatenate((places, headings), axis=-1)
         out[..., 0, :] = np.append(self.start[:3], 0.0)
         return np.asarray(out)
 
@@ -136,16 +135,14 @@ class Paths:
         """Wanted positions, velocities, accelerations (3 each), heading and its rate (count, steps, 11) of points."""
         count = len(points)
         flat = np.moveaxis(points, 1, 0).reshape(len(self.times), -1)
-        rest = [(order, np.zeros(flat.shape[1])) for order, _ in _REST]
+        rest = [(order, np.zeros(flat.shape[1])) for order in (1, 2, 3)]
         spline = make_interp_spline(self.times, flat, k=7, bc_type=(rest, rest))
         t = self.dt * np.arange(self.steps, dtype=np.float64)
         p, v, a = (spline(t, order).reshape(self.steps, count, 4).swapaxes(0, 1) for order in (0, 1, 2))
         # a path is linear in its points: what asks for too much tilt or thrust becomes smaller
         side, up = np.linalg.norm(a[..., :2], axis=-1).max(1), np.abs(a[..., 2]).max(1)
-        share = np.minimum(1.0, np.minimum(SIDE / np.maximum(side, 1e-9), UP / np.maximum(up, 1e-9)))[
-            :, None, None
-        ]
-        first = p[:, :1]
+        share = np.minimum(1.0, np.minimum(SIDE / np.maximum(side, 1e-9), UP / np.maximum(up, 1e-9)))
+        share, first = share[:, None, None], p[:, :1]
         p, v, a = first + share * (p - first), share * v, share * a
         return np.concatenate((p[..., :3], v[..., :3], a[..., :3], p[..., 3:], v[..., 3:]), axis=-1)
 
@@ -205,27 +202,19 @@ class Paths:
         room = np.minimum(self.start[:3] - (middle - half), (middle + half) - self.start[:3]).clip(min=0.0)
         return np.concatenate((self.start[:3] + room * unit, np.zeros((len(unit), 1))), 1)
 
-    def _genes(self, point: Array) -> Array:
-        middle, half = self._box
-        return np.append(0.5 + 0.5 * (point[:3] - middle) / half, 0.5 + 0.5 * point[3] / _TURN)
-
 
 @final
+@dataclass(frozen=True)
 class FlownPaths:
-    """A cascade that flies paths, knowing the declared physics alone.
+    """A cascade that flies paths, knowing the declared physics alone."""
 
-    Args:
-        system: Declared physics.
-        dt: Step [s].
-    """
-
-    def __init__(self, system: Multirotor, *, dt: float) -> None:
-        self._system, self._dt = system, dt
+    system: Multirotor  # declared physics
+    dt: float  # step [s]
 
     def __call__(self, tables: Array) -> Drive:
         """Inputs of paths (B, N, 11)."""
         rows = torch.as_tensor(tables)
-        cascade = Cascade(self._system, dt=self._dt)
+        cascade = Cascade(self.system, dt=self.dt)
 
         def drive(k: int, measured: Tensor) -> Tensor:
             p, v, a, yaw = rows[:, k].split((3, 3, 3, 2), 1)
@@ -246,31 +235,22 @@ _TRIES = 4
 
 
 @final
+@dataclass(frozen=True)
 class Flyable:
-    """Draws parameters with which a cascade holds the machine.
+    """Draws parameters with which a cascade holds the machine."""
 
-    Args:
-        start: First state (nx,), hovering.
-        drive: The cascade, of tables as `Paths` makes them (B, N, 11).
-        dt: Step [s].
-    """
-
-    def __init__(self, start: Array, drive: Callable[[Array], Drive], dt: float) -> None:
-        self._start, self._drive, self._dt = start, drive, dt
-        self._table = np.zeros((round(_TIME / dt), 11))
-        self._table[:, :3] = start[:3] + STEP
+    start: Array  # first state (nx,), hovering
+    drive: Callable[[Array], Drive]  # the cascade, of tables as `Paths` makes them (B, N, 11)
+    dt: float  # step [s]
 
     def __call__(self, member: Member, count: int, rng: np.random.Generator) -> Array:
         """Parameters (count, k), the fitted ones first; these again where too few others can be flown."""
         draws = member.draws(_TRIES * count, rng)
-        b = len(draws)
-        states, _, _ = Rollouts(member.system, dt=self._dt).run(
-            draws,
-            np.tile(self._start, (b, 1)),
-            self._drive(np.tile(self._table, (b, 1, 1))),
-            len(self._table),
-        )
-        left = np.linalg.norm(states[:, -1, :3] - self._table[-1, :3], axis=1)
+        table = np.zeros((len(draws), round(_TIME / self.dt), 11))
+        table[..., :3] = self.start[:3] + STEP
+        start, drive = np.tile(self.start, (len(draws), 1)), self.drive(table)
+        states, _, _ = Rollouts(member.system, dt=self.dt).run(draws, start, drive, table.shape[1])
+        left = np.linalg.norm(states[:, -1, :3] - table[:, -1, :3], axis=1)
         near = np.isfinite(states).all((1, 2)) & (left <= max(_NEAR, _MORE * float(np.nan_to_num(left[0]))))
         near[0] = True
         kept = draws[near][:count]

@@ -61,52 +61,28 @@ class Judging(Protocol):
 
 
 @final
+@dataclass
 class Judge:
-    """Flies experiments of every member at every draw, and judges them.
+    """Flies experiments of every member at every draw, and judges them."""
 
-    Args:
-        members: What may be true.
-        precision: What is asked of one member's parameters; None asks which member is true.
-        limits: Limits.
-        start: First state (nx,).
-        draws: Draws of the parameters of each member (S, k).
-        drive: Makes the inputs of a batch of tables (B, N, m).
-    """
+    members: Sequence[Member]  # what may be true
+    precision: Precision | None  # what is asked of one member's parameters; None asks which member is true
+    limits: ExperimentLimits
+    start: Array  # first state (nx,)
+    draws: Sequence[Array]  # draws of the parameters of each member (S, k)
+    drive: Callable[[Array], Drive]  # makes the inputs of a batch of tables (B, N, m)
 
-    def __init__(
-        self,
-        members: Sequence[Member],
-        precision: Precision | None,
-        limits: ExperimentLimits,
-        start: Array,
-        draws: Sequence[Array],
-        drive: Callable[[Array], Drive],
-    ) -> None:
-        self.members, self.precision, self.limits = members, precision, limits
-        self._start, self._draws, self._drive = start, draws, drive
-        dt = members[0].log.dt
-        self._rollouts = [Rollouts(m.system, dt=dt) for m in members]
-        self._pairs = {
-            (i, j): Separation(a, b)
-            for i, a in enumerate(members)
-            for j, b in enumerate(members)
-            if i != j and precision is None
-        }
-
-    def within(self, limits: ExperimentLimits) -> Judge:
-        """The same judge within other limits."""
-        return Judge(self.members, self.precision, limits, self._start, self._draws, self._drive)
+    def __post_init__(self) -> None:
+        members = self.members
+        self._rollouts = [Rollouts(m.system, dt=members[0].log.dt) for m in members]
+        self._pairs = [[Separation(a, b) for b in members if b is not a] for a in members]
 
     def flown(self, member: int, tables: Array) -> tuple[Array, Array]:
         """States (S, C, N + 1, nx) and inputs (S, C, N, nu) of experiments (C, N, m) at every draw of a member."""
-        draws, c = self._draws[member], len(tables)
+        draws, c = self.draws[member], len(tables)
         whole = np.tile(tables, (len(draws), 1, 1))
-        x, _, u = self._rollouts[member].run(
-            np.repeat(draws, c, 0),
-            np.tile(self._start, (len(whole), 1)),
-            self._drive(whole),
-            tables.shape[1],
-        )
+        start, drive = np.tile(self.start, (len(whole), 1)), self.drive(whole)
+        x, _, u = self._rollouts[member].run(np.repeat(draws, c, 0), start, drive, tables.shape[1])
         return x.reshape(len(draws), c, *x.shape[1:]), u.reshape(len(draws), c, *u.shape[1:])
 
     def judge(self, tables: Array) -> Judged:
@@ -124,22 +100,18 @@ class Judge:
 
     def _told(self, i: int, states: Array, inputs: Array, fine: NDArray[np.bool_]) -> list[Array]:
         """What experiments tell where a member is true, one table (S, C) for each other member."""
-        draws = self._draws[i]
-        out = []
+        draws = self.draws[i]
+        tables = 1 if self.precision is not None else len(self.members) - 1
+        out = [np.full((len(draws), len(fine)), -np.inf) for _ in range(tables)]
+        if not fine.any():
+            return out
         if self.precision is not None:
-            worth = np.full((len(draws), len(fine)), -np.inf)
             for s, theta in enumerate(draws):
-                if fine.any():
-                    errors = self.precision.errors(states[s], inputs[s], theta)[:, self.precision.columns]
-                    worth[s, fine] = -np.log(errors / self.precision.sizes).mean(1)
-            return [worth]
-        for j in range(len(self.members)):
-            if i == j:
-                continue
-            nats = np.full((len(draws), len(fine)), -np.inf)
-            if fine.any():
-                nats[:, fine] = self._pairs[i, j].nats(states, inputs, draws)
-            out.append(nats)
+                errors = self.precision.errors(states[s], inputs[s], theta)[:, self.precision.columns]
+                out[0][s, fine] = -np.log(errors / self.precision.sizes).mean(1)
+            return out
+        for table, pair in zip(out, self._pairs[i], strict=True):
+            table[:, fine] = pair.nats(states, inputs, draws)
         return out
 
 
@@ -189,7 +161,7 @@ def search(
         ConfigError: none stays within the limits; says which limit is in the way.
     """
     genes = np.concatenate((family.random(proposals, rng), family.gentle(proposals // 4, rng)))
-    found: list[tuple[float, Array, PlannedRun]] = []
+    found: list[tuple[Array, PlannedRun]] = []
     nearest: tuple[float, int] = (np.inf, 0)
     most, widest = -np.inf, np.zeros(0)
     for generation in range(generations + 1):
@@ -198,23 +170,23 @@ def search(
         judged = judge.judge(tables)
         for k in np.argsort(-judged.worth):
             if np.isfinite(judged.worth[k]):
-                made = PlannedRun("designed", tables[k], (), float(judged.worth[k]))
-                found.append((made.worth, genes[k], made))
+                found.append((genes[k], PlannedRun("designed", tables[k], (), float(judged.worth[k]))))
         top = int(judged.told.argmax())
         if judged.told[top] > most:
             most, widest = float(judged.told[top]), judged.use[top]
         over = np.nan_to_num(judged.use, nan=np.inf)
         at = int(over.max(1).argmin())
         nearest = min(nearest, (float(over[at].max()), int(over[at].argmax())))
-        found = sorted(found, key=lambda f: -f[0])[: max(4 * _PARENTS, keep)]
-        parents = np.stack([g for _, g, _ in found[:_PARENTS]]) if found else family.gentle(_PARENTS, rng)
+        found = sorted(found, key=lambda f: -f[1].worth)[: max(4 * _PARENTS, keep)]
+        parents = np.stack([g for g, _ in found[:_PARENTS]]) if found else family.gentle(_PARENTS, rng)
         fresh = family.mutated(parents[rng.integers(len(parents), size=proposals)], rng)
-        genes = np.concatenate((fresh, _within(family, genes, judged, found, proposals // _SMALLER)))
+        best = found[0][1].worth if found else -np.inf
+        genes = np.concatenate((fresh, _within(family, genes, judged, best, proposals // _SMALLER)))
     say("proposing experiments", generations + 1, generations + 1)
     if not found:
         raise ConfigError(_in_the_way(judge.limits, *nearest))
     kept: list[PlannedRun] = []
-    for _, g, p in found:
+    for g, p in found:
         # rehearsing nearly the same twice says nothing new
         before = [other.table for other in kept]
         new = all(np.linalg.norm(p.table - t) > _ALIKE * np.linalg.norm(t) for t in before)
@@ -223,15 +195,8 @@ def search(
     return Searched(kept, most, widest)
 
 
-def _within(
-    family: Family,
-    genes: Array,
-    judged: Judged,
-    found: Sequence[tuple[float, Array, PlannedRun]],
-    most: int,
-) -> Array:
-    """Genes of what tells much and leaves the limits, as small as would stay inside if motion were in proportion."""
-    worth = found[0][0] if found else -np.inf
+def _within(family: Family, genes: Array, judged: Judged, worth: float, most: int) -> Array:
+    """Genes of what tells more than `worth` and leaves the limits, made so small that it may stay inside."""
     use = np.nan_to_num(judged.use, nan=np.inf).max(1)
     left = np.flatnonzero((use > 1.0 - MARGIN) & (use < 3.0) & (judged.told > worth))
     chosen = left[np.argsort(-judged.told[left])][:most]

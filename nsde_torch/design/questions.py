@@ -35,17 +35,12 @@ _WIDE = 0.5
 
 @dataclass(frozen=True)
 class Question:
-    """What an experiment is asked.
-
-    Args:
-        members: Effects of each member beside the declared physics; one where parameters are asked for.
-        parameters: Labels of the parameters to show; empty where members are.
-        notes: What was left out, in words.
-    """
+    """What an experiment is asked."""
 
     members: tuple[tuple[str, ...], ...]
-    parameters: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    """Effects of each member beside the declared physics; one where parameters are asked for."""
+    parameters: tuple[str, ...] = ()  # labels of the parameters to show; empty where members are
+    notes: tuple[str, ...] = ()  # what was left out, in words
 
     @property
     def kind(self) -> str:
@@ -90,8 +85,7 @@ def question_of(content: Mapping[str, Any], system: System, options: DesignOptio
     effects = list(dict.fromkeys(label.partition(".")[0] for label in lacking))[:MOST]
     labels = [label for label in lacking if label.partition(".")[0] in effects]
     if not labels:
-        both = {**content.get("parameters", {}), **content.get("declared_parameters", {})}
-        labels = wide(both)
+        labels = wide({**content.get("parameters", {}), **content.get("declared_parameters", {})})
     if not labels:
         raise ConfigError(
             "the diagnosis ties nothing, and shows every parameter it asks for: there is nothing to plan. Name what "
@@ -113,9 +107,7 @@ def of_ties(content: Mapping[str, Any]) -> list[Question]:
     return out
 
 
-def able_ties(
-    content: Mapping[str, Any],
-) -> tuple[tuple[tuple[str, ...], ...], tuple[tuple[str, ...], ...]]:
+def able_ties(content: Mapping[str, Any]) -> tuple[tuple[tuple[str, ...], ...], tuple[tuple[str, ...], ...]]:
     """Ties of a diagnosis, each with what was found first: those that inputs may break, and the others."""
     found = _found(content)
     able, beyond = [], []
@@ -197,12 +189,12 @@ def is_effect(name: str) -> bool:
 
 def _known(system: System, name: str) -> str:
     try:
-        effect_class(system.effect_key(name))
+        effect_class(key := system.effect_key(name))
     except (KeyError, ConfigError) as error:
         raise ConfigError(
             f"{name!r} is no effect that {system.name!r} can have: `nsde effects system={system.name}` lists them."
         ) from error
-    return system.effect_key(name)
+    return key
 
 
 LATE = ("input_delay", "motor_lag", "actuator_lag")
@@ -211,25 +203,17 @@ LATE = ("input_delay", "motor_lag", "actuator_lag")
 
 @dataclass(frozen=True)
 class Standing:
-    """What a diagnosis found, and what it leaves open.
+    """What a diagnosis found, and what it leaves open."""
 
-    Args:
-        found: Names of the effects that were found.
-        tied: Names that cannot be told apart, the one that was found first.
-        beyond: The same, where no input tells them apart.
-        leads: Effects that are found provisionally.
-        wide: Labels of the parameters that are not well known, and that more data would show better.
-        confounded: Labels of those that are not well known because feedback or smoothing may have bent them.
-        suspected: Effects that were not found, and that the runs lean to.
-    """
-
-    found: tuple[str, ...]
-    tied: tuple[tuple[str, ...], ...]
-    beyond: tuple[tuple[str, ...], ...]
-    leads: tuple[str, ...]
-    wide: tuple[str, ...]
-    confounded: tuple[str, ...]
-    suspected: tuple[str, ...]
+    found: tuple[str, ...]  # names of the effects that were found
+    tied: tuple[tuple[str, ...], ...]  # names that cannot be told apart, the one that was found first
+    beyond: tuple[tuple[str, ...], ...]  # the same, where no input tells them apart
+    leads: tuple[str, ...]  # effects that are found provisionally
+    wide: tuple[
+        str, ...
+    ]  # labels of the parameters that are not well known, and that more data would show better
+    confounded: tuple[str, ...]  # labels of those that feedback or smoothing may have bent
+    suspected: tuple[str, ...]  # effects that were not found, and that the runs lean to
 
     @property
     def settled(self) -> bool:
@@ -255,15 +239,13 @@ class Standing:
         said = [f"found: {', '.join(self.found) or 'nothing'}"]
         said += [f"tied: {' or '.join(t)}" for t in self.tied]
         said += [f"tied whatever the input: {' or '.join(t)}" for t in self.beyond]
-        if self.leads:
-            said.append(f"no more than leads: {', '.join(self.leads)}")
-        if self.wide:
-            said.append(f"not well known: {', '.join(self.wide)}")
-        if self.confounded:
-            said.append(f"wide by what feedback may hide: {', '.join(self.confounded)}")
-        if self.suspected:
-            said.append(f"suspected: {', '.join(self.suspected)}")
-        return "; ".join(said)
+        lists = {
+            "no more than leads": self.leads,
+            "not well known": self.wide,
+            "wide by what feedback may hide": self.confounded,
+            "suspected": self.suspected,
+        }
+        return "; ".join([*said, *(f"{what}: {', '.join(names)}" for what, names in lists.items() if names)])
 
 
 def standing_of(content: Mapping[str, Any]) -> Standing:
@@ -284,14 +266,8 @@ def suspected(content: Mapping[str, Any]) -> tuple[str, ...]:
     looks = content.get("ranking", ())
     last = max((r["round"] for r in looks), default=0)
     hidden = {n["effect"] for n in content.get("not_shown", ())}
-    leant = {
-        r["effect"]: r["evidence_nats"]
-        for r in looks
-        if r["round"] == last
-        and not r["chosen"]
-        and r["effect"] in hidden
-        and (r.get("evidence_nats") or 0) > SURE
-    }
+    open_ = [r for r in looks if r["round"] == last and not r["chosen"] and r["effect"] in hidden]
+    leant = {r["effect"]: r["evidence_nats"] for r in open_ if (r.get("evidence_nats") or 0) > SURE}
     return tuple(sorted(leant, key=lambda name: -leant[name]))
 
 

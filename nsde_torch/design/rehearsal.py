@@ -40,10 +40,6 @@ class Fits:
     excess: float  # mean square of what the best member leaves, in units of the noise
     moved: float  # how far its parameters are from what the runs say [standard errors of these]
 
-    def against(self, truth: int) -> float:
-        """Evidence for a member against the best of the others [nats]."""
-        return against(self.brought, truth)
-
 
 @dataclass(frozen=True)
 class Rehearsed:
@@ -87,9 +83,8 @@ def _fits(member: Member, each: Sequence[Run]) -> list[tuple[float, Posterior]]:
     found, out = member.posteriors.modes(problems), []
     for first in range(0, len(found), len(branches)):
         fits = found[first : first + len(branches)]
-        nats = weights + [
-            density(f.nats, b.known, f.information) for f, b in zip(fits, branches, strict=True)
-        ]
+        both = zip(fits, branches, strict=True)
+        nats = weights + [density(f.nats, b.known, f.information) for f, b in both]
         out.append((float(np.logaddexp.reduce(nats)), fits[int(nats.argmax())]))
     return out
 
@@ -129,7 +124,7 @@ def rehearse(
     kept = np.flatnonzero(fine)  # a run that is not finite tells nothing
     fits = fit_all(members, [as_run(seen[i], inputs[i], member.log.logged_dt) for i in kept])
     for i, fit in zip(kept, fits, strict=True):
-        evidence[i], errors[i] = fit.against(truth), fit.errors[truth]
+        evidence[i], errors[i] = against(fit.brought, truth), fit.errors[truth]
     use = limits.use(true)
     return [
         Rehearsed(*(part[p * count : (p + 1) * count] for part in (evidence, errors, use, true, inputs)))

@@ -43,29 +43,21 @@ class Disturbances:
 class ModelNoise:
     """Noise of largest likelihood."""
 
+    space: StateSpace  # of the machine as the filter sees it
     levels: Levels
-    disturbances: tuple[tuple[Port, int], ...]  # ports that act, and their columns
-    observed: tuple[int, ...]  # numbers of the measured error channels
-    ne: int
-    h: float
-
-    @classmethod
-    def of(cls, space: StateSpace, levels: Levels) -> ModelNoise:
-        """That of a machine as the filter sees it."""
-        return cls(levels, space.disturbances, tuple(space.observed), space.ne, space.h)
 
     def drawn(self, count: int, steps: int, rng: np.random.Generator) -> Disturbances:
         """What acts on `count` experiments."""
-        levels, nd = self.levels, len(self.disturbances)
-        white, gust, keep = (v.numpy() for v in (levels.white.exp(), levels.gust.exp(), levels.keep(self.h)))
+        space, levels, nd = self.space, self.levels, len(self.space.disturbances)
+        white, gust, keep = (v.numpy() for v in (levels.white.exp(), levels.gust.exp(), levels.keep(space.h)))
         gusts = gust * rng.standard_normal((count, steps, nd))
         for k in range(1, steps):
             gusts[:, k] = keep * gusts[:, k - 1] + np.sqrt(1.0 - keep**2) * gusts[:, k]
-        forces = gusts + white / self.h**0.5 * rng.standard_normal(gusts.shape)
-        errors = np.zeros((count, steps + 1, self.ne))
-        noise = rng.standard_normal((count, steps + 1, len(self.observed)))
-        errors[..., self.observed] = levels.sensor.exp().numpy() * noise
-        return Disturbances(forces, self.disturbances, errors)
+        forces = gusts + white / space.h**0.5 * rng.standard_normal(gusts.shape)
+        errors = np.zeros((count, steps + 1, space.ne))
+        noise = rng.standard_normal((count, steps + 1, len(space.observed)))
+        errors[..., tuple(space.observed)] = levels.sensor.exp().numpy() * noise
+        return Disturbances(forces, space.disturbances, errors)
 
 
 @final

@@ -126,19 +126,15 @@ class Signals:
         period = 4.0 * max(0.5, 2.0 * self.dt)
         place = np.mod(t, period) / period
         doublet = np.where(place < 0.25, 1.0, np.where(place < 0.5, -1.0, 0.0))
+        sines /= np.abs(sines).max(1, keepdims=True)
         waves = {
-            "multisine": sines / np.abs(sines).max(1, keepdims=True),
-            "chirp": np.tile(chirp, (n, 1)),
-            "doublets": np.tile(doublet, (n, 1)),
+            "multisine": (sines, f"8 sines of random phase, {low:.2g} to {top:.2g} Hz"),
+            "chirp": (np.tile(chirp, (n, 1)), f"a chirp from {low:.2g} to {high:.2g} Hz"),
+            "doublets": (np.tile(doublet, (n, 1)), f"a doublet of {period:.2g} s, again and again"),
         }
         sizes = np.array(SCALES)[:, None, None]
-        told = {
-            "multisine": f"8 sines of random phase, {low:.2g} to {top:.2g} Hz",
-            "chirp": f"a chirp from {low:.2g} to {high:.2g} Hz",
-            "doublets": f"a doublet of {period:.2g} s, again and again",
-        }
         out: dict[str, tuple[Array, tuple[str, ...]]] = {
-            name: (self._scaled(sizes * wave.T[None]), (told[name],)) for name, wave in waves.items()
+            name: (self._scaled(sizes * wave.T[None]), (told,)) for name, (wave, told) in waves.items()
         }
         if before is not None:
             again = before[np.arange(self.steps) % len(before)]

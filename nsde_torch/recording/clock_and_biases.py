@@ -58,27 +58,18 @@ _CAUSES = (
 )
 
 
-def _cause(value: float) -> str:
-    for factor, text, tolerance in _CAUSES:
-        if abs(value / factor - 1.0) < tolerance:
-            return text
-    return "other units, signs or frames, or the velocity belongs to another position"
-
-
 def check_units(slopes: Sequence[Slope], names: tuple[str, ...]) -> None:
-    """Refuses pairs of columns that cannot be a position and its rate.
-
-    Raises:
-        DataError: the slope of a well-excited axis is far from 1.
-    """
+    """Refuses pairs of columns that cannot be a position and its rate: the slope of a well-excited axis far from 1."""
+    low, high = IMPLAUSIBLE
     for slope in slopes:
-        low, high = IMPLAUSIBLE
         sure = slope.error < 0.1 * abs(slope.value) and slope.r2 > 0.5
         if sure and not low <= slope.value <= high:
+            causes = [text for factor, text, away in _CAUSES if abs(slope.value / factor - 1.0) < away]
+            causes.append("other units, signs or frames, or the velocity belongs to another position")
             raise DataError(
                 f"run {slope.run!r}: {slope.axis!r} ({slope.group}) changes {slope.value:.4g} times as fast "
                 f"as its rate says (standard error {slope.error:.2g}, {slope.intervals} intervals). Likely "
-                f"cause: {_cause(slope.value)}. All columns are SI, ENU world, FLU body, radians: "
+                f"cause: {causes[0]}. All columns are SI, ENU world, FLU body, radians: "
                 f"{', '.join(names)}."
             )
 
@@ -167,13 +158,9 @@ def wrong_clock(fault: Fault, log: LoggedRuns) -> Detected | None:
     off = Uncertain(pooled.value - 1.0, max(pooled.error, 1e-12), degrees)
     if off.p >= log.level(fault.stage):
         return None
-    pairs = [
-        pair
-        for group, both in pairs_of(system).items()
-        if group != ATTITUDE
-        for pair in zip(*both, strict=True)
-    ]
-    turns = ATTITUDE in pairs_of(system)
+    groups = pairs_of(system)
+    turns = ATTITUDE in groups
+    pairs = [p for group, both in groups.items() if group != ATTITUDE for p in zip(*both, strict=True)]
     single = len(pairs) == 1 and not turns
     what = "positions and attitude" if turns else " and ".join(position for position, _ in pairs)
     moves, says = ("moves", "its rate says") if single else ("move", "their rates say")
@@ -245,11 +232,7 @@ def of_run(values: Mapping[str, Any], run: str) -> dict[str, Any]:
 
 
 def without_biases(run: Run | RawRun, system: SystemInfo, values: Mapping[str, Any]) -> Array:
-    """States (n, nx) of a run less what their sensors read too much.
-
-    Raises:
-        ConfigError: no such state, or no such size.
-    """
+    """States (n, nx) of a run less what their sensors read too much."""
     x = run.x.copy()
     for name, value in of_run(values, run.name).items():
         if name not in system.state_names:

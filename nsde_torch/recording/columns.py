@@ -89,7 +89,8 @@ def unwrap_angles(run: RawRun, system: SystemInfo, report: Report) -> None:
     for k, (name, unit) in enumerate(zip(system.state_names, system.state_units, strict=True)):
         if unit != "rad" or name not in positions:
             continue
-        rate = np.abs(run.x[:, list(system.state_names).index(positions[name])])
+        speed = run.x[:, list(system.state_names).index(positions[name])]
+        rate = np.abs(speed)
         if np.nanmean(rate * step > np.pi / 2) > 0.005:
             raise DataError(
                 f"run {run.name!r}: {positions[name]!r} turns {name!r} by more than a quarter turn between rows "
@@ -101,7 +102,7 @@ def unwrap_angles(run: RawRun, system: SystemInfo, report: Report) -> None:
         wrapped = np.abs(change) > np.pi
         wraps = int(wrapped.sum())
         if wraps >= _WRAPS:  # a wrap leaves what the rate says
-            speed = run.x[good, list(system.state_names).index(positions[name])]
+            speed = speed[good]
             turned = np.remainder(change + np.pi, 2 * np.pi) - np.pi
             off = np.abs(turned - step * 0.5 * (speed[1:] + speed[:-1]))[wrapped]
             if np.nanmean(off > np.pi / 4) > _ODD_WRAPS:
@@ -118,11 +119,7 @@ def unwrap_angles(run: RawRun, system: SystemInfo, report: Report) -> None:
 
 
 def check_norms(run: RawRun, columns: slice, names: tuple[str, ...], report: Report) -> None:
-    """Renormalises small departures of the norm from 1 and reports them.
-
-    Raises:
-        DataError: a norm is off by more than 0.05; the message names the first row and a likely cause.
-    """
+    """Renormalises small departures of the norm from 1 and reports them; refuses a norm that is off by far."""
     q = run.x[:, columns]
     norm = np.linalg.norm(q, axis=1)
     error = np.abs(norm - 1.0)

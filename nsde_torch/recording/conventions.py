@@ -91,8 +91,7 @@ def check_runs(system: SystemInfo, runs: Sequence[Run]) -> None:
 def _own_share(run: Run, i: int, j: int) -> tuple[float, float]:
     """Share of a position's changes that the integral of its rate leaves, and its size over that of the noise."""
     n = max(4, round(_OWN_S / run.dt))
-    gaps, moves = [], []
-    noise = 0.0
+    gaps, moves, noise = [], [], 0.0
     for a, b in run.segments:
         p, v = run.x[a:b, i], run.x[a:b, j]
         if len(p) <= 2 * n:
@@ -102,11 +101,9 @@ def _own_share(run: Run, i: int, j: int) -> tuple[float, float]:
         gaps.append(change - np.diff(whole[::n]))
         moves.append(change)
         noise = max(noise, (2.0 * white(p) ** 2 + n * (run.dt * white(v)) ** 2) ** 0.5)
-    if not gaps:
+    if sum(map(len, gaps)) < 5:
         return 0.0, 0.0
     gap, move = np.concatenate(gaps), np.concatenate(moves)
-    if len(gap) < 5:
-        return 0.0, 0.0
     gap = gap - gap.mean()  # a biased rate is another fault
     size = float(np.sqrt(np.square(gap).mean()))
     return size / max(float(np.sqrt(np.square(move).mean())), 1e-300), size / max(noise, 1e-300)
@@ -142,13 +139,7 @@ def _means(rate: Array) -> Array:
     return 0.5 * (rate[1:] + rate[:-1])
 
 
-def _refuse(
-    parts: Iterable[Array],
-    ways: Mapping[str, _Way],
-    dt: float,
-    most: float,
-    what: str,
-) -> None:
+def _refuse(parts: Iterable[Array], ways: Mapping[str, _Way], dt: float, most: float, what: str) -> None:
     """Refuses if the first way to read the columns leaves more than `most` of the motion, and another one much less."""
     length = max(1, round(INTERVAL_S / dt))
     left, whole, count = dict.fromkeys(ways, 0.0), dict.fromkeys(ways, 0.0), 0

@@ -143,29 +143,21 @@ class Fault(ABC):
     """One kind of fault.
 
     What it does to a run (`simulate`) it must say; what cannot be found, or not undone, is left as it is here.
-
-    Attributes:
-        name: Its name in options (`recording.NAME`), findings and truths.
-        rank: Its place in the chain: faults act, and are looked for and undone, in this order.
-        stage: The stage whose significance level it is tested at (one of `STAGES`); empty where no p
-            value decides.
-        option: Its size in a simulation, declared by `nsde_torch.options.key`; the default is that there is none of it.
-        annotation: Type of the size.
-        remedy: The option of a reader that takes it out, declared by `key`, by name of a state; None: a reader cannot.
-        remedy_first: Whether a reader takes it out before it looks at anything.
-        remedy_smooths: Whether taking it out smooths states, after which no smoother of the log can be identified.
-        mixes_times: Whether a row of the log depends on other rows than its own.
     """
 
-    name: ClassVar[str]
-    rank: ClassVar[int]
+    name: ClassVar[str]  # its name in options (`recording.NAME`), findings and truths
+    rank: ClassVar[int]  # its place in the chain: faults act, and are looked for and undone, in this order
     stage: ClassVar[str] = ""
+    """The stage whose significance level it is tested at (one of `STAGES`); empty where no p value decides."""
     option: ClassVar[Any]
-    annotation: ClassVar[Any] = float
+    """Its size in a simulation, declared by `nsde_torch.options.key`; the default is that there is none of it."""
+    annotation: ClassVar[Any] = float  # type of the size
     remedy: ClassVar[Any] = None
-    remedy_first: ClassVar[bool] = False
+    """The option of a reader that takes it out, declared by `key`, by name of a state; None: a reader cannot."""
+    remedy_first: ClassVar[bool] = False  # whether a reader takes it out before it looks at anything
     remedy_smooths: ClassVar[bool] = False
-    mixes_times: ClassVar[bool] = False
+    """Whether taking it out smooths states, after which no smoother of the log can be identified."""
+    mixes_times: ClassVar[bool] = False  # whether a row of the log depends on other rows than its own
 
     # simulated
 

@@ -133,18 +133,14 @@ def _delay_or_filter(group: str, pieces: Sequence[_Piece], dt: float, delay: _Fi
 
 def _averaged(piece: _Piece, steps: int) -> _Piece:
     """Means of means over so many steps, without the ends."""
-
-    def mean(a: Array) -> Array:
-        return np.asarray(uniform_filter1d(uniform_filter1d(a, steps, axis=0), steps, axis=0)[steps:-steps])
-
-    change, integral, rate = piece
-    return mean(change), mean(integral), mean(rate)
+    once = (uniform_filter1d(a, steps, axis=0) for a in piece)
+    change, integral, rate = (uniform_filter1d(a, steps, axis=0)[steps:-steps] for a in once)
+    return change, integral, rate
 
 
 def _time_of(group: str, pieces: Sequence[_Piece], dt: float, *, filtered: bool) -> _Fit | None:
     """The delay or the filter: what is found to first order is undone, until nothing is found."""
     total = 0.0
-    error, degrees, left = float("inf"), 1, 0.0
     for _ in range(_ITERATIONS):
         data = _intervals([_undone(p, total / dt, dt, filtered=filtered) for p in pieces], dt)
         times = [] if data is None else _times(group, data, dt)
@@ -154,10 +150,10 @@ def _time_of(group: str, pieces: Sequence[_Piece], dt: float, *, filtered: bool)
         total += pooled.value
         if abs(total) > _LONGEST_S:
             return None  # another quantity
-        error, degrees = pooled.error, max(pooled.slopes - 1, _FOLDS - 1)
-        left = sum(log(_rest(data[:, :, int(t.axis)])) for t in times)
-        left *= 0.25 * data.shape[1]  # intervals overlap by half
-    return _Fit(total, error, degrees, left)
+    assert data is not None
+    left = sum(log(_rest(data[:, :, int(t.axis)])) for t in times)
+    left *= 0.25 * data.shape[1]  # intervals overlap by half
+    return _Fit(total, pooled.error, max(pooled.slopes - 1, _FOLDS - 1), left)
 
 
 def _rest(one: Array) -> float:
@@ -332,11 +328,7 @@ def changed(
 
 
 def check_times(name: str, values: Mapping[str, float], system: SystemInfo) -> None:
-    """Refuse times of an option that are of no state, or below 0 s.
-
-    Raises:
-        ConfigError: names the option, and what it was given.
-    """
+    """Refuse times of an option that are of no state, or below 0 s."""
     for channel, value in values.items():
         channel_columns(system, channel)
         if not (isfinite(value) and value >= 0):
@@ -348,11 +340,10 @@ def check_times(name: str, values: Mapping[str, float], system: SystemInfo) -> N
 
 def by_fault(late: Sequence[Latency]) -> dict[str, list[Latency]]:
     """Delays and filters, by the name of the fault and of the option that takes it out; only kinds that there are."""
-    kinds = {
-        "sensor_delay": [d for d in late if not d.filtered],
-        "sensor_lag": [d for d in late if d.filtered],
-    }
-    return {name: some for name, some in kinds.items() if some}
+    out: dict[str, list[Latency]] = {}
+    for d in sorted(late, key=lambda d: d.filtered):
+        out.setdefault("sensor_lag" if d.filtered else "sensor_delay", []).append(d)
+    return out
 
 
 def latency_findings(late: Sequence[Latency], *, action: str = "reported") -> list[Finding]:
@@ -362,10 +353,8 @@ def latency_findings(late: Sequence[Latency], *, action: str = "reported") -> li
         how = "late" if key == "sensor_delay" else "late behind a filter"
         message = ", ".join(f"{d.channel} is {1e3 * d.seconds:.3g} ms {how} against {d.other}" for d in some)
         remedy = ", ".join(f"{d.channel}: {d.seconds:.3g}" for d in some)
-        message += ", by the kinematics"
-        message += (
-            f"; `data.{key}={{{remedy}}}` takes it out" if action == "reported" else " at the log's own rate"
-        )
+        out_by = f"; `data.{key}={{{remedy}}}` takes it out"
+        message += ", by the kinematics" + (out_by if action == "reported" else " at the log's own rate")
         values = {f"{d.channel}_s": d.seconds for d in some}
         out.append(Finding("late_sensor", "", len(some), message, action, values))
     return out
@@ -455,10 +444,8 @@ def whole_sensor_late(
     half = _Z90 * 0.5 * at * step / max(2.0 * rows * curvature, 1e-12) ** 0.5
     if half >= at * step:  # another time would do as well: what it does is no delay's
         return None
-    values = {}
-    for channel in pair:
-        whole = at * step + undone.get(channel, 0.0)
-        values[channel] = (whole, whole - half, whole + half, "s")
+    wholes = {channel: at * step + undone.get(channel, 0.0) for channel in pair}
+    values = {channel: (whole, whole - half, whole + half, "s") for channel, whole in wholes.items()}
     words = (
         f"{' and '.join(pair)} are logged {1e3 * at * step:.3g} ms later than all else: the declared physics fits "
         "better so than with any effects."

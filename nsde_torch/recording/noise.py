@@ -72,11 +72,7 @@ _MOVES = 0.2
 
 
 def off_curve(x: Array) -> Array:
-    """What a cubic through the two neighbours on each side leaves of samples (n,) at equal distances; 0 at the ends.
-
-    Returns:
-        Differences, (n,).
-    """
+    """What a cubic through the two neighbours on each side leaves of samples (n,) at equal distances; 0 at the ends."""
     out = np.zeros_like(x)
     out[2:-2] = x[2:-2] - (4.0 * (x[1:-3] + x[3:-1]) - (x[:-4] + x[4:])) / 6.0
     return out
@@ -136,9 +132,7 @@ def mend_glitches(run: RawRun, system: SystemInfo, report: Report) -> None:
         run.x[:, k] = column
         turned = turned or k in q
         rows = sorted(off)
-        shown = ", ".join(f"{off[row]:+.3g} in row {row}" for row in rows[:3]) + (
-            ", ..." if len(rows) > 3 else ""
-        )
+        shown = ", ".join(f"{off[row]:+.3g} in row {row}" for row in rows[:3]) + ", ..." * (len(rows) > 3)
         text = f"{len(rows)} single samples of {name!r} off by far ({shown})"
         values = {"column": name, "rows": rows, "sizes": [off[row] for row in rows]}
         report(Finding("glitch", run.name, len(rows), text, "interpolated", values))
@@ -293,8 +287,11 @@ def _rows_between_knots(parts: Sequence[Array], logged: Sequence[Array]) -> floa
     moves = [np.abs(np.diff(x))[1:] for x in parts if len(x) > 4]
     if not curved:
         return 0.0
-    curve, move = np.concatenate(curved), np.concatenate(moves)
-    grain = np.concatenate([g[1:-1] for g in _grains(logged) if len(g) > 4])
+    curve, move, whole = (np.concatenate(parts) for parts in (curved, moves, logged))
+    steps = np.zeros_like(whole)  # that the values come in; those of missing values count for nothing
+    steps[np.isfinite(whole)] = grains(whole[np.isfinite(whole)])
+    ends = np.cumsum([len(x) for x in logged])[:-1]
+    grain = np.concatenate([g[1:-1] for g in np.split(steps, ends) if len(g) > 4])
     known = np.isfinite(curve)  # beside a missing value nothing is known
     curve, move, grain = curve[known], move[known], grain[known]
     if len(curve) < _FEWEST:
@@ -307,11 +304,3 @@ def _rows_between_knots(parts: Sequence[Array], logged: Sequence[Array]) -> floa
     moving = move > _MOVES * far
     share = float((curve[moving] < nothing[moving]).mean())
     return 1.0 / (1.0 - share) if _SHARE[0] < share < _SHARE[1] else 0.0
-
-
-def _grains(parts: Sequence[Array]) -> list[Array]:
-    """Steps that the values of a column come in, run by run; those of missing values count for nothing."""
-    whole = np.concatenate(parts)
-    out, known = np.zeros_like(whole), np.isfinite(whole)
-    out[known] = grains(whole[known])
-    return np.split(out, np.cumsum([len(part) for part in parts])[:-1])

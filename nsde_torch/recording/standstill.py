@@ -157,9 +157,9 @@ def _contradicted(run: RawRun, system: SystemInfo) -> Iterator[tuple[str, Array,
     x, names, steps = run.x, system.state_names, np.diff(run.t)
     for a, b in rate_pairs(system):
         changes, fine = np.diff(x[:, a]), quantum(x[:, a])
-        yield repr(names[a]), x[:, a], _false(changes == 0, changes, x[:, b], steps, fine, held_rate=False)
-        held = np.diff(x[:, b]) == 0
-        yield repr(names[b]), x[:, b], _false(held, changes, x[:, b], steps, fine, held_rate=True)
+        for c, held_rate in ((a, False), (b, True)):
+            held = np.diff(x[:, c]) == 0
+            yield repr(names[c]), x[:, c], _false(held, changes, x[:, b], steps, fine, held_rate=held_rate)
     rates, q = rate_columns(system), system.quaternion
     if rates is not None and q is not None:
         turned = increments(x[:, q])
@@ -198,11 +198,7 @@ def _false(same: Mask, changes: Array, rate: Array, steps: Array, fine: float, *
 
 
 def check_constant(system: SystemInfo, runs: Sequence[Run], report: Report) -> None:
-    """Refuses a column that stands still while its partner moves; reports one that stands still in every run.
-
-    Raises:
-        DataError: a column that contradicts its partner.
-    """
+    """Refuses a column that stands still while its partner moves; reports one that stands still in every run."""
     names = list(system.state_names)
     for run in runs:
         for column, other, still, moving in _pairs(system, run):
@@ -268,17 +264,12 @@ def commands_in_motion(runs: Sequence[RawRun], system: SystemInfo) -> float | No
 
 
 def cut_ground(run: RawRun, system: SystemInfo, commands: float, report: Report) -> None:
-    """Drops rows in which a multirotor stands, or touches, the ground; `commands` is the mean command in motion.
-
-    Raises:
-        DataError: it stands there throughout.
-    """
+    """Drops rows in which a multirotor stands, or touches, the ground; `commands` is the mean command in motion."""
     rows = _touching(run, system, _grounded(run, system, commands))
     if not rows.any():
         return
-    where = run.label
     if len(run.t) - rows.sum() < 2:
-        raise DataError(f"{where}: the machine stands on the ground throughout. Leave the run out.")
+        raise DataError(f"{run.label}: the machine stands on the ground throughout. Leave the run out.")
     share = float(run.u[rows].mean()) / commands
     parts = holes(rows)
     seconds = sum(float(run.t[b - 1] - run.t[a]) for a, b in parts)

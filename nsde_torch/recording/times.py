@@ -80,14 +80,11 @@ def fill_missing(run: RawRun, system: SystemInfo, *, gap: float, report: Report)
 
     Dropped rows leave a step in time longer than `gap`, at which the run is then cut. Slow further channels,
     such as a battery voltage logged at 1 Hz, are interpolated over any hole.
-
-    Raises:
-        DataError: a column has no value at all, or no two rows are complete.
     """
     bad_x, bad_u = np.isnan(run.x), np.isnan(run.u)
     for names, bad, data in ((system.state_names, bad_x, run.x), (system.input_names, bad_u, run.u)):
-        empty = np.flatnonzero(bad.all(axis=0)) if len(data) else np.array([], dtype=int)
-        if len(empty):
+        empty = np.flatnonzero(bad.all(axis=0))
+        if len(data) and len(empty):
             raise DataError(
                 f"{run.label}: {names[int(empty[0])]!r} has no value in any row; record the channel, or leave the run "
                 "out."
@@ -119,14 +116,12 @@ def fill_missing(run: RawRun, system: SystemInfo, *, gap: float, report: Report)
         good = ~row_bad
         some = row_bad & ~drop
         run.x, run.u = run.x.copy(), run.u.copy()
-        for k in range(run.x.shape[1]):
-            mend = some & bad_x[:, k]
-            if mend.any():
-                run.x[mend, k] = np.interp(run.t[mend], run.t[good], run.x[good, k])
+        for k, bad in enumerate(bad_x.T):
+            mend = some & bad
+            run.x[mend, k] = np.interp(run.t[mend], run.t[good], run.x[good, k])
         last_good = np.maximum.accumulate(np.where(good, np.arange(n), 0))
-        for k in range(run.u.shape[1]):
-            mend = some & bad_u[:, k]
-            run.u[mend, k] = run.u[last_good[mend], k]
+        for k, bad in enumerate(bad_u.T):
+            run.u[some & bad, k] = run.u[last_good[some & bad], k]
         text = f"{filled} rows with missing values in holes up to {gap:.3g} s"
         report(Finding("missing_values", run.name, filled, text, "interpolated"))
     if drop.any():
@@ -225,14 +220,7 @@ def joined(pieces: list[RawRun]) -> RawRun:
 def uniform(
     run: RawRun, cuts: NDArray[np.int64], *, dt: float, quaternion: slice | None, report: Report
 ) -> tuple[RawRun, tuple[tuple[int, int], ...]]:
-    """The run on the step `dt` in every segment between cuts; segments below two rows are left out.
-
-    Returns:
-        The run and its segments.
-
-    Raises:
-        DataError: no segment is left.
-    """
+    """The run on the step `dt` and its segments between cuts, of which those below two rows are left out."""
     edges = np.concatenate([[0], np.asarray(cuts, dtype=np.int64) + 1, [len(run.t)]])
     bounds = [(int(a), int(b)) for a, b in itertools.pairwise(edges)]
     whole = [(a, b) for a, b in bounds if b - a >= 2 and run.t[b - 1] - run.t[a] >= dt * (1 - JITTER)]

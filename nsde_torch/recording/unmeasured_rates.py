@@ -103,19 +103,15 @@ def _raw(parts: Sequence[tuple[Array, Array, Array]]) -> bool:
 
 def _plain(parts: Sequence[tuple[Array, Array, Array]]) -> tuple[str, float] | None:
     """Which plain difference the rates are, and how far they are from it against a better formula."""
-    off: dict[str, list[Array]] = {"backward": [], "forward": [], "central": []}
-    apart: dict[str, list[Array]] = {"backward": [], "forward": [], "central": []}
+    off, apart = (dict[str, list[Array]](backward=[], forward=[], central=[]) for _ in range(2))
     for t, q, v in parts:
         step = np.diff(q) / np.diff(t)
         backward, forward = step[1:-2], step[2:-1]
         h = np.diff(t)
         central = (h[2:-1] * backward + h[1:-2] * forward) / (h[2:-1] + h[1:-2])  # np.gradient
         wide = (4.0 * central - (q[4:] - q[:-4]) / (t[4:] - t[:-4])) / 3.0
-        for name, made, better in (
-            ("backward", backward, central),
-            ("forward", forward, central),
-            ("central", central, wide),
-        ):
+        made_and_better = (backward, central), (forward, central), (central, wide)
+        for name, (made, better) in zip(off, made_and_better, strict=True):
             off[name].append(np.abs(v[2:-2] - made))
             apart[name].append(np.abs(better - made))
     for name in off:
@@ -133,12 +129,8 @@ def _filtered(parts: Sequence[tuple[Array, Array, Array]]) -> tuple[str, float] 
     if not even:
         return None
     dt = float(np.median(np.diff(even[0][0])))
-    fourths, fifths = [], []
-    for _, q, v in even:
-        d = np.diff(q) - 0.5 * dt * (v[1:] + v[:-1])
-        fourths.append(np.diff(d, 4))
-        fifths.append(np.diff(d, 5))
-    fourth, fifth = _square(fourths), _square(fifths)
+    left_over = [np.diff(q) - 0.5 * dt * (v[1:] + v[:-1]) for _, q, v in even]
+    fourth, fifth = (_square([np.diff(d, n) for d in left_over]) for n in (4, 5))
     if not fifth > _WHITE * fourth > 0:
         return None
     noise = fourth / 252.0
@@ -164,12 +156,7 @@ def _filtered(parts: Sequence[tuple[Array, Array, Array]]) -> tuple[str, float] 
 
 
 def to_infer(system: SystemInfo, raw: Sequence[RawRun], *, policy: str, report: Report) -> tuple[str, ...]:
-    """Rates to infer, derived ones unless `keep`; their columns hold something until `inferred` fills them.
-
-    Raises:
-        ConfigError: an unknown policy.
-        DataError: a rate is missing in some runs only.
-    """
+    """Rates to infer, derived ones unless `keep`; their columns hold something until `inferred` fills them."""
     if policy not in POLICIES:
         raise ConfigError(f"`derived_rates` must be {' or '.join(POLICIES)}; got {policy!r}.")
     without = {run.name: _without(system, run) for run in raw}

@@ -9,14 +9,7 @@ if TYPE_CHECKING:
     from nsde_torch.training.session import Training, train
     from nsde_torch.training.structure import filter_reach, model_spec
 
-__all__ = [
-    "LossOptions",
-    "TrainerOptions",
-    "Training",
-    "filter_reach",
-    "model_spec",
-    "train",
-]
+__all__ = ["LossOptions", "TrainerOptions", "Training", "filter_reach", "model_spec", "train"]
 
 __getattr__ = resolver(
     __name__,

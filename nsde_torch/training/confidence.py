@@ -11,6 +11,8 @@ still held 82 % of 160 true values instead of 90 in a simulation, thirty to fift
 parameter that hardly moves any prediction gets an interval as wide as that is.
 """
 
+from typing import Any
+
 import torch
 from scipy.special import stdtrit
 from torch import Tensor
@@ -38,7 +40,7 @@ def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> di
         name -> `value`, `half_width_90` (lists, one entry per axis; None where no prediction depends on the
         parameter, so that the data cannot show it, or all windows are of one cluster) and `unit`.
     """
-    parameters = _declared(model)
+    parameters = [(name, *_owner(model, name), *told) for name, told in model.system.all_declared().items()]
     out: dict[str, dict[str, object]] = {}
     if not parameters:
         return out
@@ -58,7 +60,8 @@ def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> di
 
     base = errors()
     columns = []
-    for raw in (raw for _, raw, _, _ in parameters):
+    for _, owner, own, _, _ in parameters:
+        raw = owner.raw[own].data
         for i in range(raw.numel()):
             old = raw[i].clone()
             raw[i] = old + 0.02
@@ -84,9 +87,9 @@ def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> di
     alone = inverse.cpu().diagonal() * information.cpu().diagonal() < _COLLINEAR
     shown = alone & (information.diagonal() > _SHOWN * information.diagonal().max()) & (clusters > 1)
     at = 0
-    for name, raw, value, unit in parameters:
-        k = raw.numel()
-        slope = _slope(model, name, raw)
+    for name, owner, own, value, unit in parameters:
+        k = owner.raw[own].numel()
+        slope = _slope(owner, own)
         half = (deviation[at : at + k].to(slope) * slope.abs()).tolist()
         known = [h if s else None for h, s in zip(half, shown[at : at + k].tolist(), strict=True)]
         out[name] = {"value": value.tolist(), "half_width_90": known, "unit": unit}
@@ -99,28 +102,21 @@ def _quantile(clusters: int) -> float:
     return float(stdtrit(max(clusters - 1, 1), 0.5 * (1 + _LEVEL)))
 
 
-def _owner(model: NeuralSDE, name: str) -> tuple[object, str]:
+def _owner(model: NeuralSDE, name: str) -> tuple[Any, str]:
+    """The system or effect that a declared parameter is of, and its name there."""
     effect, dot, own = name.partition(".")
     if not dot:
         return model.system, name
     return next(e for e in model.system.effects if e.name == effect), own
 
 
-def _declared(model: NeuralSDE) -> list[tuple[str, Tensor, Tensor, str]]:
-    rows = []
-    for name, (value, unit) in model.system.all_declared().items():
-        owner, own = _owner(model, name)
-        rows.append((name, owner.raw[own].data, value, unit))  # type: ignore[attr-defined]
-    return rows
-
-
-def _slope(model: NeuralSDE, name: str, raw: Tensor) -> Tensor:
+def _slope(owner: Any, own: str) -> Tensor:
     """d value / d raw."""
-    owner, own = _owner(model, name)
+    raw = owner.raw[own].data
     old = raw.clone()
     raw.add_(1e-3)
-    high = owner.value(own).clone()  # type: ignore[attr-defined]
+    high: Tensor = owner.value(own).clone()
     raw.copy_(old - 1e-3)
-    low = owner.value(own).clone()  # type: ignore[attr-defined]
+    low = owner.value(own).clone()
     raw.copy_(old)
     return (high - low) / 2e-3

@@ -90,8 +90,7 @@ def fit_functions(
             doubt = np.sqrt(found.force(values, k)[1])
             variance += np.square(left.response[:, :, column + j].numpy() * doubt[:, None]).mean(0)
         column += width
-    rows_of_all = space.measurements
-    score = -float(found.blocks[1].sum()) / rows_of_all
+    score = -float(found.blocks[1].sum()) / space.measurements
     chosen = [
         {"port": port.value, "row": j, "variables": list(g.variables), "kind": g.kind}
         for g in found.groups
@@ -121,11 +120,7 @@ def _distil(
     names: Sequence[str],
     variables: Sequence[str],
 ) -> int:
-    """Fit one network to the functions on the rows of its port; nothing but their variables reaches it.
-
-    Returns:
-        Steps of the fit that was kept.
-    """
+    """Fit one network to the functions on the rows of its port, which only their variables reach; steps taken."""
     first, last = network.layers[0], network.layers[-1]
     assert isinstance(first, nn.Linear)
     assert isinstance(last, nn.Linear)
@@ -184,9 +179,8 @@ def _redrawn(network: MLP, generator: torch.Generator) -> None:
         assert isinstance(layer, nn.Linear)
         bound = layer.in_features**-0.5
         drawn = torch.empty_like(layer.weight).uniform_(-bound, bound, generator=generator)
-        layer.weight.copy_(
-            torch.where(layer.weight != 0, drawn, 0.0) if layer is network.layers[0] else drawn
-        )
+        seen = layer.weight != 0 if layer is network.layers[0] else torch.tensor(True)
+        layer.weight.copy_(torch.where(seen, drawn, 0.0))
 
 
 def _least_squares(
@@ -265,9 +259,8 @@ def _signals(phi: Tensor, widths: Sequence[int], y: Tensor) -> list[Tensor]:
 def _slopes(phi: Tensor, widths: Sequence[int], signals: Sequence[Tensor]) -> Tensor:
     """Slopes (N, outputs, weights) of a network in its weights, backwards from its outputs."""
     layers, count = _layers(phi, widths), len(signals[0])
-    back = torch.eye(widths[-1], dtype=phi.dtype).expand(
-        count, -1, -1
-    )  # slopes in what enters the activation
+    # slopes in what enters the activation
+    back = torch.eye(widths[-1], dtype=phi.dtype).expand(count, -1, -1)
     parts: list[Tensor] = []
     for (weight, _), signal in zip(reversed(layers), reversed(signals), strict=True):
         parts = [(back[..., None] * signal[:, None, None, :]).flatten(2), back, *parts]

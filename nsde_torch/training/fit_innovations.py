@@ -29,38 +29,37 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from nsde_torch.data import Run, Windows
-from nsde_torch.effects import Port
-from nsde_torch.errors import CheckpointError, DataError, NonFiniteError
+from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.evaluation.report import number
-from nsde_torch.evaluation.residuals import Residuals, residuals, with_networks
-from nsde_torch.evaluation.spectra import Disturbance
+from nsde_torch.evaluation.residuals import Residuals, disturbed_channels, residuals, with_networks
+from nsde_torch.evaluation.spectra import Disturbance, fit, spectrum
 from nsde_torch.inference import LogLikelihood, Optimum
 from nsde_torch.inference.estimate import nearly_maximised
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.steps import steps_of
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.recording.smoothing import as_applied
+from nsde_torch.rotation import rotation_between
 from nsde_torch.sysid.identify import by_likelihood, entries, identification, identify_in_loop
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import ITERATIONS, Regression
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
-from nsde_torch.training.channel_laws import channel_laws, set_laws
-from nsde_torch.training.checkpoint import read_checkpoint, write_checkpoint
-from nsde_torch.training.fit_distance import fit_distance
 from nsde_torch.training.fit_functions import Distilled, fit_functions
-from nsde_torch.training.input_filter import fit_filter
 from nsde_torch.training.late_inputs import Identified, identified
-from nsde_torch.training.prepare import blind_to_places
-from nsde_torch.training.progress import Progress
-from nsde_torch.training.task import Fitted, Parameters, Task
+from nsde_torch.training.loop import Loop, read_checkpoint, write_checkpoint
+from nsde_torch.training.losses import fit_distance
+from nsde_torch.training.prepare import blind_to_places, fit_filter
+from nsde_torch.training.task import Fitted, Parameters, Progress, Task
 
 Array = NDArray[np.float64]
 
 _DISTANCE_STEPS = 600
+_LEAST = 1e-7  # a diffusion or a sensor that is nothing, in the units of the state
 _ROWS = 20_000  # whose features the distance sees
 _MOST = 20_000_000  # entries of the covariances of all rows that functions are chosen on
 
@@ -79,13 +78,12 @@ def fit_innovations(task: Task) -> Fitted:
     if near is not None:  # a law of the inputs that was learned is declared
         spec = replace(spec, learn_lag=False)
         values = {name: value.tolist() for name, (value, _) in near.model.system.all_declared().items()}
-    Windows(
-        task.runs, spec.dt, spec.horizon
-    )  # refuses steps that do not divide, and runs shorter than a window
-    nu = spec.make_system().nu
-    runs = as_applied(task.runs, nu) if spec.filter_reach else list(task.runs)
+    # refuses steps that do not divide, and runs shorter than a window
+    Windows(task.runs, spec.dt, spec.horizon)
+    machine = spec.make_system()
+    runs = as_applied(task.runs, machine.nu) if spec.filter_reach else list(task.runs)
     found = None
-    if not _bare_ports(spec):
+    if set(machine.residual_ports) <= machine.physics_ports:  # no port is all network
         method = "weak" if spec.filter_reach == 0 else "differences"
         found = identified(spec, runs, clock=task.clock, values=values, method=method)
     generator = torch.Generator().manual_seed(task.seed)
@@ -100,7 +98,7 @@ def fit_innovations(task: Task) -> Fitted:
             {"identity": task.identity, **about},
         )
     if model.filter is not None:
-        fit_filter(model.filter, task.runs, runs, nu)
+        fit_filter(model.filter, task.runs, runs, machine.nu)
     progress = Progress(**about["progress"])
     for row in progress.history:
         task.log(int(row["step"]), row)
@@ -115,23 +113,12 @@ def fit_innovations(task: Task) -> Fitted:
     )
 
 
-def _bare_ports(spec: SDESpec) -> set[Port]:
-    """Ports with a residual network and no declared physics."""
-    system = spec.make_system()
-    return set(system.residual_ports) - system.physics_ports
-
-
 def _from_checkpoint(model: NeuralSDE, task: Task) -> dict[str, Any] | None:
     """What a finished fit left, its weights put into the model; None if there is none."""
-    found = read_checkpoint(task.checkpoint, model.state_dict(), parts=())
+    found = read_checkpoint(task.checkpoint, model.state_dict(), task.identity, parts=(), differ=Loop.differ)
     if found is None:
         return None
     tensors, about = found
-    if about.pop("identity", "") != task.identity:
-        raise CheckpointError(
-            f"checkpoint {task.checkpoint.with_suffix('.safetensors')} is of another training: runs, seed, loss, "
-            "trainer or model differ. Resume with the configuration of the run, or start a new one in another run_dir."
-        )
     model.load_state_dict({k[6:]: v for k, v in tensors.items() if k.startswith("model.")})
     return about
 
@@ -139,11 +126,7 @@ def _from_checkpoint(model: NeuralSDE, task: Task) -> dict[str, Any] | None:
 class _Fit:
     """One fit, in double precision where physics is evaluated and single precision where networks are.
 
-    Args:
-        model: Changed in place.
-        task: Settings.
-        runs: Runs with inputs as they acted.
-        found: Declared physics; None where it is not all that acts on some port.
+    Runs have inputs as they acted; `found` is None where declared physics is not all that acts on some port.
     """
 
     def __init__(self, model: NeuralSDE, task: Task, runs: Sequence[Run], found: Identified | None) -> None:
@@ -177,7 +160,7 @@ class _Fit:
         features = features[torch.linspace(0, len(features) - 1, min(_ROWS, len(features))).round().long()]
         steps = min(_DISTANCE_STEPS, options.steps)
         fit_distance(model, features, loss=self.task.loss, steps=steps, rate=options.lr, seed=self.task.seed)
-        laws = channel_laws(self.physics, left, model)
+        laws = _channel_laws(self.physics, left, model)
         window = model.spec.horizon * model.spec.dt * self.task.clock
         for column, rate in zip(left.rows.tolist(), self._doubt(left, learned), strict=True):
             name = model.system.state_names[column]
@@ -185,7 +168,7 @@ class _Fit:
             diffusion = hypot(laws[name].diffusion, rate * sqrt(window))
             laws[name] = replace(laws[name], diffusion=diffusion)
         if not model.step.deterministic:
-            set_laws(model, laws, left, features)
+            _set_laws(model, laws, left, features)
         return self._about(left, learned, laws)
 
     # ---- stages ---------------------------------------------------------------------------------------
@@ -273,20 +256,12 @@ class _Fit:
         size = np.sqrt(np.square(left.change[:, left.rows]).mean(0)).clip(1e-300)
         score = learned.score if learned else float(np.log(size).mean())
         steps = learned.steps if learned else 0
-        progress = Progress(
-            step=steps,
-            best_step=steps,
-            best_score=score,
-            history=[{"step": float(steps), "validation": score}],
-            stopped=True,
-        )
         if known is not None:
             parameters = known.parameters()
         else:
-            declared = self.model.system.all_declared().items()
             parameters = {
                 n: {"value": v.tolist(), "half_width_90": [None] * v.numel(), "unit": u}
-                for n, (v, u) in declared
+                for n, (v, u) in self.model.system.all_declared().items()
             }
         networks = learned.networks if learned else {}
         loop = {} if known is None or known.loop is None else {"feedback": known.loop.as_dict()}
@@ -310,13 +285,63 @@ class _Fit:
             },
         }
         said = _summary(found, known, networks)
-        return {
-            "progress": asdict(progress),
-            "parameters": parameters,
-            "facts": facts,
-            "said": said,
-            "begin": self.begin,
-        }
+        progress = Progress(steps, steps, score, [{"step": float(steps), "validation": score}], stopped=True)
+        out = {"progress": asdict(progress), "parameters": parameters, "facts": facts}
+        return {**out, "said": said, "begin": self.begin}
+
+
+def _channel_laws(physics: Physics, found: Residuals, model: NeuralSDE) -> dict[str, Disturbance]:
+    """Laws of what is left of every channel beside physics and networks, by the name of the state."""
+    system, q, left = model.system, model.system.quaternion, found.change
+    lasting = {int(found.rows[c]) for c in disturbed_channels(model, found)}
+    forced = set(found.rows.tolist())
+    shortest = 2.0 * model.spec.dt * float(model.clock_scale)
+    out: dict[str, Disturbance] = {}
+    for i, name in enumerate(system.state_names):
+        if q is not None and q.start <= i < q.stop:
+            continue
+        seen = spectrum(left[:, [i]], found.series, found.dt)
+        law = fit([seen], lasting=i in forced, shortest=shortest)
+        # a force that lasts, of a model that has no state for it, is as much diffusion over a window
+        out[name] = law if i in lasting else law.without_memory(model.spec.horizon * shortest / 2.0)
+    if q is not None:
+        attitude = physics.attitude
+        turn = rotation_between(attitude, attitude + torch.as_tensor(left[:, q])).numpy()
+        law = fit([spectrum(turn, found.series, found.dt)], lasting=False, shortest=shortest)
+        # a rotation is twice its quaternion
+        half = Disturbance(0.5 * law.diffusion, 0.0, law.tau, 0.5 * law.sensor)
+        out.update(dict.fromkeys(system.state_names[q], half))
+    if physics.turned is not None:  # measured in the world, told in the body
+        names = system.state_names[physics.turned]
+        sensor, diffusion = (
+            sqrt(np.mean([getattr(out[n], part) ** 2 for n in names])) for part in ("sensor", "diffusion")
+        )
+        out.update({n: Disturbance(diffusion, out[n].std, out[n].tau, sensor) for n in names})
+    return out
+
+
+@torch.no_grad()
+def _set_laws(model: NeuralSDE, laws: dict[str, Disturbance], found: Residuals, features: Tensor) -> None:
+    """Give a model diffusion, disturbances and sensors, so that their mean over the data is that of the laws.
+
+    Its distance is fitted; `features` are of the data (N, nf).
+    """
+    system, clock = model.system, float(model.clock_scale)
+    names = system.state_names
+    sigma = [laws[n].diffusion * sqrt(clock) for n in names]
+    channels = [laws[names[int(found.rows[c])]] for c in disturbed_channels(model, found)]
+    sigma += [law.std * sqrt(2.0 * clock / law.tau) for law in channels]
+    own = torch.tensor(sigma, dtype=torch.float64).clamp_min(_LEAST)
+    if model.h.log_sigma_max.requires_grad:
+        declared = torch.tensor(system.defaults.sigma_max, dtype=torch.float64) * sqrt(clock)
+        least = torch.cat((declared, torch.zeros(len(channels), dtype=torch.float64)))
+        model.h.through(model.eta(features), own, least)
+    if channels:
+        tau = torch.tensor([law.tau for law in channels]) - 2.0 * model.spec.dt
+        model.log_tau.copy_(tau.clamp_min(1e-4).log())
+    if model.spec.measurement:
+        sensors = torch.tensor([laws[n].sensor for n in names]).clamp_min(_LEAST)
+        model.log_measurement_std.copy_(sensors.log())
 
 
 def _shortened(system: System, runs: Sequence[Run]) -> list[Run]:

@@ -7,9 +7,8 @@ from nsde_torch.models.identified import IdentifiedModel, SysidSpec
 from nsde_torch.recording.smoothing import as_applied
 from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.sysid.result import Identification
-from nsde_torch.training.input_filter import fit_filter
-from nsde_torch.training.progress import Progress
-from nsde_torch.training.task import Fitted, Task
+from nsde_torch.training.prepare import fit_filter
+from nsde_torch.training.task import Fitted, Progress, Task
 
 _LEVEL = 0.95
 _UNKNOWN = {True: "not shown by the data", False: "had not settled"}

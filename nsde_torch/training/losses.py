@@ -58,11 +58,7 @@ from nsde_torch.training.options import LossOptions
 def paired_score(errors: Tensor) -> Tensor:
     """CRPS and error of the centre of paths with mirrored noise, element by element; see the module docstring.
 
-    Args:
-        errors: Ensemble minus truth (P, ...); P is 1, or even, path p + P / 2 with the mirrored noise of path p.
-
-    Returns:
-        Score (...), in the unit of the errors.
+    Errors are ensemble minus truth (P, ...); P is 1, or even, path p + P / 2 with the mirrored noise of path p.
     """
     p = errors.shape[0]
     if p == 1:
@@ -96,14 +92,7 @@ def data_loss(errors: Tensor, scale: Tensor, *, kind: str, early: float, paired:
 
 
 def distance_losses(
-    eta: Distance,
-    features: Tensor,
-    directions: Tensor,
-    share: Tensor,
-    *,
-    kind: str,
-    near: float,
-    far: float,
+    eta: Distance, features: Tensor, directions: Tensor, share: Tensor, *, kind: str, near: float, far: float
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The three distance losses.
 
@@ -130,11 +119,7 @@ def distance_losses(
         value, around = eta.link(value), eta.link(around)
     mu = eta.mu(y)
     bound = value[:, None] + (slope[:, None] * offset).sum(-1) + 0.5 * mu[:, None] * radius[..., 0] ** 2
-    return (
-        slope.square().sum(1).mean(),
-        torch.relu(bound - around).square().mean(),
-        (1.0 / mu).mean(),
-    )
+    return slope.square().sum(1).mean(), torch.relu(bound - around).square().mean(), (1.0 / mu).mean()
 
 
 def draw_ball(
@@ -153,3 +138,35 @@ def mu_weight(options: LossOptions, model: NeuralSDE) -> float:
     if options.mu is not None:
         return options.mu
     return model.system.defaults.lambda_mu if options.kind == "paper" else 0.01
+
+
+def distance_terms(
+    model: NeuralSDE, features: Tensor, loss: LossOptions, generator: torch.Generator
+) -> dict[str, Tensor]:
+    """The distance losses at features of data (M, nf), each with its weight."""
+    near = loss.ball_radius or model.system.defaults.ball_radius
+    ball = draw_ball(len(features), loss.ball_samples, features.shape[1], generator, features)
+    gradient, convexity, reward = distance_losses(
+        model.eta, features, *ball, kind=loss.kind, near=near, far=loss.far_radius
+    )
+    return {
+        "gradient": loss.gradient * gradient,
+        "convexity": loss.convexity * convexity,
+        "mu": mu_weight(loss, model) * reward,
+    }
+
+
+def fit_distance(
+    model: NeuralSDE, features: Tensor, *, loss: LossOptions, steps: int, rate: float, seed: int
+) -> None:
+    """Teach the distance of a model what is near and what is far, at features of data (N, nf), by Adam."""
+    generator = torch.Generator().manual_seed(seed)
+    optimiser = torch.optim.Adam(model.eta.parameters(), lr=rate, foreach=True)
+    schedule = torch.optim.lr_scheduler.LinearLR(optimiser, 1.0, 0.1, total_iters=steps)
+    for _ in range(steps):
+        pick = torch.randint(len(features), (loss.points,), generator=generator)
+        near = features[pick.to(features.device)]
+        optimiser.zero_grad(set_to_none=True)
+        torch.stack(list(distance_terms(model, near, loss, generator).values())).sum().backward()
+        optimiser.step()
+        schedule.step()

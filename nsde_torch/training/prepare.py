@@ -1,4 +1,4 @@
-"""Everything that is set from the training data before the first gradient step."""
+"""What is set from the training data without any gradient step."""
 
 from collections.abc import Collection, Sequence
 
@@ -8,6 +8,7 @@ from torch import Tensor
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.errors import ConfigError
+from nsde_torch.models.input_filter import InputFilter
 from nsde_torch.models.neural_sde import NeuralSDE
 
 _ROWS = 20_000
@@ -102,3 +103,33 @@ def error_scale(model: NeuralSDE, windows: Windows) -> Tensor:
         size = rms[at].square().mean().sqrt() * _HOLD_SHARE
         scale[at] = torch.where(size > 1e-9, size, torch.ones_like(size))  # a channel that never moves
     return scale
+
+
+@torch.no_grad()
+def fit_filter(target: InputFilter, logged: Sequence[Run], restored: Sequence[Run], n_inputs: int) -> None:
+    """Set the taps of an input filter, for logs whose inputs were averaged, from inputs that were restored.
+
+    They are those with which the inputs of `logged` runs come nearest to those of the same runs `restored`
+    (`recording.smoothing`), in means over model steps.
+    """
+    reach, rows, wanted = target.reach, [], []
+    stride = max(1, round(target.dt / logged[0].dt))
+    for before, after in zip(logged, restored, strict=True):
+        for a, b in before.segments:
+            count = (b - a) // stride
+            u, v = (
+                run.u[a : a + count * stride, :n_inputs].reshape(count, stride, n_inputs).mean(1)
+                for run in (before, after)
+            )
+            if len(u) <= 2 * reach:
+                continue
+            parts = [u[reach + lag : len(u) - reach + lag] for lag in range(-reach, reach + 1)]
+            rows.append(np.stack(parts, 2).reshape(-1, 2 * reach + 1))
+            wanted.append((v - u)[reach : len(u) - reach].reshape(-1))
+    if not rows:
+        return
+    x, y = np.concatenate(rows), np.concatenate(wanted)
+    centred = x - x.mean(1, keepdims=True)  # the weights' mean does not count
+    ridge = 1e-6 * np.trace(centred.T @ centred) / len(centred.T) * np.eye(len(centred.T))
+    weights = np.linalg.solve(centred.T @ centred + ridge, centred.T @ y)
+    target.weights.copy_(torch.as_tensor(weights - weights.mean()))

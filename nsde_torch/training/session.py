@@ -31,8 +31,7 @@ from nsde_torch.sysid.feedback_test import feedback_summary
 from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.training.options import LossOptions, TrainerOptions
 from nsde_torch.training.prepare import sensor_std
-from nsde_torch.training.progress import Progress
-from nsde_torch.training.task import Fitted, Task
+from nsde_torch.training.task import Fitted, Progress, Task
 
 _LEFT_OUT = 3  # training runs that calibration leaves out in turn, at most
 _AUXILIARY_SHARE = 0.5  # of the gradient steps
@@ -159,12 +158,7 @@ class Training:
     # ---- stages ---------------------------------------------------------------------------------------
 
     def _fit(
-        self,
-        runs: Sequence[Run],
-        seed: int,
-        name: str,
-        options: TrainerOptions,
-        near: Fitted | None = None,
+        self, runs: Sequence[Run], seed: int, name: str, options: TrainerOptions, near: Fitted | None = None
     ) -> Fitted:
         clock = of_runs(self.data.summary.slopes, [r.name for r in runs], measured=self.data.clock_scale)
         task = Task(
@@ -212,9 +206,8 @@ class Training:
         runs = self.split.train
         fitted = Coverage(model, runs, seed=self.seed, compile=self.compile).log_factor()
         new = []
-        short = replace(
-            self.options, steps=max(1, round(self.options.steps * _AUXILIARY_SHARE)), decay_steps=None
-        )
+        steps = max(1, round(self.options.steps * _AUXILIARY_SHARE))
+        short = replace(self.options, steps=steps, decay_steps=None)
         count = min(len(runs), _LEFT_OUT) if len(runs) > 1 else 0
         turns = [round(i) for i in torch.linspace(0, len(runs) - 1, count).tolist()]
         bar = tqdm(turns, desc="calibrating", unit="run", disable=no_bar(self.quiet), leave=False)

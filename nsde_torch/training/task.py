@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -12,7 +13,6 @@ import torch
 from nsde_torch.data import Run
 from nsde_torch.models.model import Model, ModelSpec
 from nsde_torch.training.options import LossOptions, TrainerOptions
-from nsde_torch.training.progress import Progress
 
 Parameters = dict[str, dict[str, object]]
 
@@ -60,8 +60,16 @@ class Task:
         return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def _none() -> Parameters:
-    return {}
+@dataclass
+class Progress:
+    """Where an optimisation stands."""
+
+    step: int = 0  # gradient steps done
+    best_step: int = 0  # step of the kept weights
+    best_score: float = math.inf  # validation score of the kept weights
+    history: list[dict[str, float]] = field(default_factory=list)  # one row per validation
+    stopped: bool = False  # whether early stopping ended it
+    polished: int = 0  # steps done on all windows after that
 
 
 @dataclass
@@ -70,7 +78,7 @@ class Fitted:
 
     model: Model
     progress: Progress  # how the optimisation went
-    parameters: Callable[[], Parameters] = _none
+    parameters: Callable[[], Parameters] = dict
     """Makes the declared parameters with intervals: name -> `value`, `half_width_90`, `unit`."""
     facts: dict[str, Any] = field(default_factory=dict)  # further plain values for `metrics.json`
     said: str = ""

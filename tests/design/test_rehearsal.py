@@ -9,7 +9,7 @@ import pytest
 
 from nsde_torch.data import Run
 from nsde_torch.design.members import Branch
-from nsde_torch.design.rehearsal import fit_all
+from nsde_torch.design.rehearsal import against, fit_all
 from nsde_torch.design.rollout import Rollouts, as_run, open_loop
 from nsde_torch.inference.posterior import LogWithPrior
 from tests.helpers.ties import DT, Tie
@@ -55,7 +55,7 @@ def test_a_member_is_not_worth_more_for_knowing_less(tie: Tie) -> None:
     j = member.vector.labels.index("constant_force.acceleration")
     lost[j, j] = 0.99 / np.linalg.inv(only.known)[j, j]
     vague = replace(member, branches=(Branch(only.theta, only.known - lost, only.nats),))
-    told = [f.against(0) for f in fit_all([sure, vague], [_flown(tie, s) for s in range(4)])]
+    told = [against(f.brought, 0) for f in fit_all([sure, vague], [_flown(tie, s) for s in range(4)])]
     assert np.mean(told) > 0.3
 
 

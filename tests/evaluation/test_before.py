@@ -12,7 +12,7 @@ from nsde_torch.evaluation.open_loop import rollout_squares
 from nsde_torch.evaluation.scores import score
 from nsde_torch.models import IdentifiedModel, NeuralSDE, SDESpec, SysidSpec
 from nsde_torch.systems import make_system
-from nsde_torch.training.fitting import Fit
+from nsde_torch.training.fit_sde import Fit
 from nsde_torch.training.options import LossOptions, TrainerOptions
 from tests.models.test_inputs_before import DT, VALUES, flight
 

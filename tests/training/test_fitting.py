@@ -16,7 +16,7 @@ from safetensors.torch import load_file, save_file
 from nsde_torch.data import Windows
 from nsde_torch.errors import CheckpointError, NonFiniteError
 from nsde_torch.training import LossOptions, TrainerOptions
-from nsde_torch.training.fitting import Fit
+from nsde_torch.training.fit_sde import Fit
 from tests.helpers.toy_systems import DT, Decay, Gusty, decay_runs, make_model
 
 OPTIONS = TrainerOptions(

@@ -7,7 +7,7 @@ import torch
 
 from nsde_torch.data import Run
 from nsde_torch.models.input_filter import InputFilter
-from nsde_torch.training.input_filter import fit_filter
+from nsde_torch.training.prepare import fit_filter
 
 DT = 0.01
 

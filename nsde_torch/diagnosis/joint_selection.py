@@ -324,7 +324,8 @@ class JointSearch:
         if not all(self.needed(n, best, place) for n in self.added(best.system) - self.added(place.system)):
             return None
         # what is there in one run alone (tests/diagnosis/test_one_run.py) is no law of the machine
-        return best if _more(self.search, held_out_density(best.at) - held_out_density(place.at)) else None
+        gained = held_out_density(best.at) - held_out_density(place.at)
+        return best if float(gained.sum()) > least else None
 
     def _holds(self, proposal: Explained, there: FittedPhysics, place: FittedPhysics) -> bool:
         """Whether the likelihood rose as a linearised step promised."""
@@ -490,17 +491,7 @@ def coordinate_of(system: System, effect: Law) -> list[str]:
 
 
 def _accepted(search: Search, proposal: Explained) -> bool:
-    return proposal.p < search.level("effects") and _more(search, proposal.blocks)
-
-
-def _more(search: Search, gained: Array) -> bool:
-    """Whether blocks left out are surely explained better, from nats by block (B,); chi-squared trusts the noise model.
-
-    Beside the friction of EMPS a friction of the place explained 50 +- 28 nats with a chance of 2e-24, and three more
-    effects followed it.
-    """
-    decisions = search.decisions
-    return float(gained.sum()) > max(decisions.least_nats, decisions.alike_errors * sum_error(gained))
+    return proposal.p < search.level("effects") and proposal.nats > search.decisions.least_nats
 
 
 def _in_order(search: Search, look: Look, added: Collection[str]) -> list[Explained]:

@@ -253,9 +253,8 @@ class DiagnosisCourse:
 # ---- stages --------------------------------------------------------------------------------------------
 
 _APART_S = 0.05  # of rows that are looked at where innovations of all rows are not what they should be
-# how far innovations of rows apart may be from that, beside those of all rows: past ones of drive 1 of
-# bench_friction_drive.py predict 8 % and 92 %
-_NEARER = 0.5
+# without it drive 1 of bench_friction_drive.py falls back on all rows, whose past predicts 92 % of innovations, not 8 %
+_NEARER = 0.5  # share of how far innovations of all rows are off, within which those of rows apart have to be
 
 
 def diagnose(

@@ -444,9 +444,7 @@ def _selected(
     def known(physics: System, brought: Mapping[str, float]) -> None:
         search.so_far(_so_far(search, declared, physics, brought))
 
-    def of(
-        apart: float, physics: System | None, brought: Mapping[str, float]
-    ) -> tuple[JointSearch, JointSelection]:
+    def of(apart: float) -> tuple[JointSearch, JointSelection]:
         problem = LogLikelihood(system, runs, log.recorded.clock, run_in=True, apart=apart)
         made = JointSearch(search, problem, system, frequencies)
         return made, made.selected(physics, brought, known)
@@ -455,10 +453,10 @@ def _selected(
         search.so_far(undecided(search, declared, declared))
     else:
         known(physics, brought)
-    made, found = of(0.0, physics, brought)
+    made, found = of(0.0)
     if found.final.best.misfit and not smoothed and search.steps.dt < 0.5 * _APART_S:
         search.say(f"rows {_APART_S:g} s apart", 0, 1)
-        other = of(_APART_S, physics, brought)
+        other = of(_APART_S)
         if other[1].final.best.worst < max(1.0, _NEARER * found.final.best.worst):
             return other
     return made, found if search is whole else with_suspects(found, whole, log.system)

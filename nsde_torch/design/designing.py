@@ -160,7 +160,11 @@ def members_of(
 
 
 def check_runs(system: System, runs: Sequence[Run]) -> None:
-    """Refuse runs that an experiment cannot be planned from."""
+    """Refuse runs that an experiment cannot be planned from.
+
+    Raises:
+        DataError: what stands in the way.
+    """
     if any(run.inferred for run in runs):
         names = ", ".join(sorted({n for run in runs for n in run.inferred}))
         raise DataError(
@@ -180,7 +184,11 @@ def check_runs(system: System, runs: Sequence[Run]) -> None:
 
 
 def first_state(system: System, runs: Sequence[Run], given: Mapping[str, float]) -> Array:
-    """Where an experiment begins: at rest where runs began, but for what is given."""
+    """Where an experiment begins: at rest where runs began, but for what is given.
+
+    Raises:
+        ConfigError: a name that is no state.
+    """
     names = list(system.state_names)
     if system.quaternion is not None:  # hovering, in the middle of what was flown
         out = np.zeros(len(names))

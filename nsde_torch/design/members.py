@@ -121,7 +121,15 @@ def fitted_members(
     clock: float,
     noise: ModelNoise | None = None,
 ) -> list[Member]:
-    """Fit what may be true, physics with first values, to the runs there are; without `noise` at the likeliest's."""
+    """Fit what may be true to the runs there are.
+
+    Args:
+        named: Physics of each member with first values.
+        noise: Noise of them all; None: that of the likeliest.
+
+    Raises:
+        ConfigError: a member cannot be fitted to the runs.
+    """
     search = search_in(declared, runs, clock, Options(), channels=True)
     fits: list[Regression] = []
     for system, name in zip(named, names, strict=True):
@@ -138,7 +146,11 @@ def fitted_members(
 def physics_with(
     declared: System, effects: Sequence[str], values: dict[str, dict[str, float | list[float]]]
 ) -> System:
-    """Declared physics with effects, at values where there are any."""
+    """Declared physics with effects, at values where there are any.
+
+    Raises:
+        ConfigError: the system cannot have one of them.
+    """
     out = declared
     for name in effects:
         key = declared.effect_key(name)

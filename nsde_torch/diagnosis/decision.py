@@ -76,7 +76,7 @@ def set_aside(search: Search, chosen: Selection, feedback: Feedback) -> Selectio
             moved = moved_channels(base.regression, f.name) or tuple(lengths)
             if not set(moved) & set(lengths):
                 continue
-            # not of its shapes: feedback may bend the width of EMPS's friction by 68 standard errors, its size by 21
+            # not of its shapes: feedback may bias the width of EMPS's friction by 68 standard errors, its size by 21
             allowed = allowances(lengths, base.regression.vector.sizes(f.name))
             without = base_without(search, base, chosen.declared, f.name)
             count = len(base.regression.vector.of(f.name))

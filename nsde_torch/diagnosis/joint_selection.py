@@ -658,7 +658,7 @@ def _proposed(
     starts_tried = starts_of(entry.name, entry.labels, longest)
     system = entry.system.with_effects()
     _set(system, entry.labels, values)
-    sizes = effect_class(entry.name).amplitudes or tuple(effect_class(entry.name).null)
+    sizes = effect_class(entry.name).size_names()
     shown = [c for c, label in zip(entry.columns[1:], entry.labels, strict=True) if own_name(label) in sizes]
     labels = [label for label in entry.labels if own_name(label) in sizes]
     errors = dict(zip(labels, table.errors(np.array(shown, dtype=np.int64)).tolist(), strict=True))

@@ -349,8 +349,7 @@ def _diagnosed(
         partial(without_standstill, log, search, outcome, searched),
         (log, search, outcome),
     )
-    if outcome.joint is not None and outcome.joint.final.at.of.apart:
-        search = search.apart(_APART_S)
+    search = _of_the_same_rows(search, outcome.joint)
     guard = stages.attempt("the comparison with simple fits", partial(guard_of, log, outcome), Guarded())
     course.lap("search")
     course.known(OTHER_ROWS, log, outcome, guard=guard)
@@ -410,8 +409,7 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
     made = log.stages.attempt(SELECTION, partial(_selected, log, search, joint), None)
     if made is None:
         return _concluded(log, search, joint)
-    if made[1].final.at.of.apart:
-        search = search.apart(_APART_S)
+    search = _of_the_same_rows(search, made[1])
     # what tells a dry friction best is how it changes at a turn, which was left out of these rows
     same = joint is not None and joint.selected.keys() == made[1].selected.keys()
     outcome = _concluded(log, search, joint if same else made[1])
@@ -460,6 +458,11 @@ def _selected(
         if other[1].final.best.worst < max(1.0, _NEARER * found.final.best.worst):
             return other
     return made, found if search is whole else with_suspects(found, whole, log.system)
+
+
+def _of_the_same_rows(search: Search, joint: JointSelection | None) -> Search:
+    """The search, its regressions over means of the rows that effects were selected on."""
+    return search.apart(_APART_S) if joint is not None and joint.final.at.of.apart else search
 
 
 def _begun_with(

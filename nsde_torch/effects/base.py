@@ -269,6 +269,11 @@ class Effect(Parametrised, ABC):
         return ""
 
     @classmethod
+    def size_names(cls) -> tuple[str, ...]:
+        """Parameters that say how strong it is: at nothing, it does nothing."""
+        return cls.amplitudes or tuple(cls.null)
+
+    @classmethod
     def shared(cls, simpler: "type[Effect]") -> dict[str, str]:
         """Its parameters that are one of an effect that it contains, own name -> name there (see `same`)."""
         names = {name: cls.same.get(name, name) for name in cls.PARAMETERS}

@@ -59,7 +59,11 @@ _CAUSES = (
 
 
 def check_units(slopes: Sequence[Slope], names: tuple[str, ...]) -> None:
-    """Refuses pairs of columns that cannot be a position and its rate: the slope of a well-excited axis far from 1."""
+    """Refuses pairs of columns that cannot be a position and its rate.
+
+    Raises:
+        DataError: the slope of a well-excited axis is far from 1.
+    """
     low, high = IMPLAUSIBLE
     for slope in slopes:
         sure = slope.error < 0.1 * abs(slope.value) and slope.r2 > 0.5
@@ -232,7 +236,11 @@ def of_run(values: Mapping[str, Any], run: str) -> dict[str, Any]:
 
 
 def without_biases(run: Run | RawRun, system: SystemInfo, values: Mapping[str, Any]) -> Array:
-    """States (n, nx) of a run less what their sensors read too much."""
+    """States (n, nx) of a run less what their sensors read too much.
+
+    Raises:
+        ConfigError: no such state, or no such size.
+    """
     x = run.x.copy()
     for name, value in of_run(values, run.name).items():
         if name not in system.state_names:

@@ -119,7 +119,11 @@ def unwrap_angles(run: RawRun, system: SystemInfo, report: Report) -> None:
 
 
 def check_norms(run: RawRun, columns: slice, names: tuple[str, ...], report: Report) -> None:
-    """Renormalises small departures of the norm from 1 and reports them; refuses a norm that is off by far."""
+    """Renormalises small departures of the norm from 1 and reports them.
+
+    Raises:
+        DataError: a norm is off by more than 0.05; the message names the first row and a likely cause.
+    """
     q = run.x[:, columns]
     norm = np.linalg.norm(q, axis=1)
     error = np.abs(norm - 1.0)

@@ -328,7 +328,11 @@ def changed(
 
 
 def check_times(name: str, values: Mapping[str, float], system: SystemInfo) -> None:
-    """Refuse times of an option that are of no state, or below 0 s."""
+    """Refuse times of an option that are of no state, or below 0 s.
+
+    Raises:
+        ConfigError: names the option, and what it was given.
+    """
     for channel, value in values.items():
         channel_columns(system, channel)
         if not (isfinite(value) and value >= 0):

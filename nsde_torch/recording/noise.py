@@ -72,7 +72,11 @@ _MOVES = 0.2
 
 
 def off_curve(x: Array) -> Array:
-    """What a cubic through the two neighbours on each side leaves of samples (n,) at equal distances; 0 at the ends."""
+    """What a cubic through the two neighbours on each side leaves of samples (n,) at equal distances; 0 at the ends.
+
+    Returns:
+        Differences, (n,).
+    """
     out = np.zeros_like(x)
     out[2:-2] = x[2:-2] - (4.0 * (x[1:-3] + x[3:-1]) - (x[:-4] + x[4:])) / 6.0
     return out
@@ -132,7 +136,8 @@ def mend_glitches(run: RawRun, system: SystemInfo, report: Report) -> None:
         run.x[:, k] = column
         turned = turned or k in q
         rows = sorted(off)
-        shown = ", ".join(f"{off[row]:+.3g} in row {row}" for row in rows[:3]) + ", ..." * (len(rows) > 3)
+        shown = ", ".join(f"{off[row]:+.3g} in row {row}" for row in rows[:3])
+        shown += ", ..." if len(rows) > 3 else ""
         text = f"{len(rows)} single samples of {name!r} off by far ({shown})"
         values = {"column": name, "rows": rows, "sizes": [off[row] for row in rows]}
         report(Finding("glitch", run.name, len(rows), text, "interpolated", values))

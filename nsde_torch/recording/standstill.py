@@ -198,7 +198,11 @@ def _false(same: Mask, changes: Array, rate: Array, steps: Array, fine: float, *
 
 
 def check_constant(system: SystemInfo, runs: Sequence[Run], report: Report) -> None:
-    """Refuses a column that stands still while its partner moves; reports one that stands still in every run."""
+    """Refuses a column that stands still while its partner moves; reports one that stands still in every run.
+
+    Raises:
+        DataError: a column that contradicts its partner.
+    """
     names = list(system.state_names)
     for run in runs:
         for column, other, still, moving in _pairs(system, run):
@@ -264,7 +268,11 @@ def commands_in_motion(runs: Sequence[RawRun], system: SystemInfo) -> float | No
 
 
 def cut_ground(run: RawRun, system: SystemInfo, commands: float, report: Report) -> None:
-    """Drops rows in which a multirotor stands, or touches, the ground; `commands` is the mean command in motion."""
+    """Drops rows in which a multirotor stands, or touches, the ground; `commands` is the mean command in motion.
+
+    Raises:
+        DataError: it stands there throughout.
+    """
     rows = _touching(run, system, _grounded(run, system, commands))
     if not rows.any():
         return

@@ -80,6 +80,9 @@ def fill_missing(run: RawRun, system: SystemInfo, *, gap: float, report: Report)
 
     Dropped rows leave a step in time longer than `gap`, at which the run is then cut. Slow further channels,
     such as a battery voltage logged at 1 Hz, are interpolated over any hole.
+
+    Raises:
+        DataError: a column has no value at all, or no two rows are complete.
     """
     bad_x, bad_u = np.isnan(run.x), np.isnan(run.u)
     for names, bad, data in ((system.state_names, bad_x, run.x), (system.input_names, bad_u, run.u)):
@@ -220,7 +223,14 @@ def joined(pieces: list[RawRun]) -> RawRun:
 def uniform(
     run: RawRun, cuts: NDArray[np.int64], *, dt: float, quaternion: slice | None, report: Report
 ) -> tuple[RawRun, tuple[tuple[int, int], ...]]:
-    """The run on the step `dt` and its segments between cuts, of which those below two rows are left out."""
+    """The run on the step `dt` in every segment between cuts; segments below two rows are left out.
+
+    Returns:
+        The run and its segments.
+
+    Raises:
+        DataError: no segment is left.
+    """
     edges = np.concatenate([[0], np.asarray(cuts, dtype=np.int64) + 1, [len(run.t)]])
     bounds = [(int(a), int(b)) for a, b in itertools.pairwise(edges)]
     whole = [(a, b) for a, b in bounds if b - a >= 2 and run.t[b - 1] - run.t[a] >= dt * (1 - JITTER)]

@@ -156,7 +156,12 @@ def _filtered(parts: Sequence[tuple[Array, Array, Array]]) -> tuple[str, float] 
 
 
 def to_infer(system: SystemInfo, raw: Sequence[RawRun], *, policy: str, report: Report) -> tuple[str, ...]:
-    """Rates to infer, derived ones unless `keep`; their columns hold something until `inferred` fills them."""
+    """Rates to infer, derived ones unless `keep`; their columns hold something until `inferred` fills them.
+
+    Raises:
+        ConfigError: an unknown policy.
+        DataError: a rate is missing in some runs only.
+    """
     if policy not in POLICIES:
         raise ConfigError(f"`derived_rates` must be {' or '.join(POLICIES)}; got {policy!r}.")
     without = {run.name: _without(system, run) for run in raw}

@@ -119,9 +119,8 @@ class ParameterVector:
         return [j for j, label in enumerate(self.labels) if label.startswith(f"{effect}.")]
 
     def sizes(self, effect: str) -> list[int]:
-        """Numbers of those parameters of an effect that say how strong it is: at nothing, it does nothing."""
-        cls = effect_class(effect)
-        own = cls.amplitudes or tuple(cls.null)
+        """Numbers of those parameters of an effect that say how strong it is (`Effect.size_names`)."""
+        own = effect_class(effect).size_names()
         return [j for j in self.of(effect) if own_name(self.labels[j]) in own]
 
     def use(self, theta: Tensor) -> None:

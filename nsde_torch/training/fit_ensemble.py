@@ -43,7 +43,13 @@ class Pairs:
 
 
 def nll(model: GaussianEnsemble, inputs: Tensor, changes: Tensor) -> Tensor:
-    """Negative log-likelihood of each member (members,), nats per channel, of its own standardised pairs."""
+    """Negative log-likelihood of each member (members,), nats per channel.
+
+    Args:
+        model: The ensemble.
+        inputs: Standardised inputs, each member its own (members, N, n_in).
+        changes: Standardised changes (members, N, n_change).
+    """
     mean, v = model.standard(inputs)
     return 0.5 * (v + (changes - mean).square() * torch.exp(-v) + math.log(2 * math.pi)).mean((1, 2))
 

@@ -243,7 +243,13 @@ class Loop(ABC):
 
 
 def write_checkpoint(path: Path, tensors: Mapping[str, Tensor], about: Mapping[str, Any]) -> None:
-    """Write `path`.safetensors, whose folder is made; plain values travel in its header."""
+    """Write `path`.safetensors; `about` travels in its header, so that both are of one moment.
+
+    Args:
+        path: File without suffix; its folder is made.
+        tensors: What to keep.
+        about: JSON-able.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(".partial")
     kept = {k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}

@@ -58,7 +58,11 @@ from nsde_torch.training.options import LossOptions
 def paired_score(errors: Tensor) -> Tensor:
     """CRPS and error of the centre of paths with mirrored noise, element by element; see the module docstring.
 
-    Errors are ensemble minus truth (P, ...); P is 1, or even, path p + P / 2 with the mirrored noise of path p.
+    Args:
+        errors: Ensemble minus truth (P, ...); P is 1, or even, path p + P / 2 with the mirrored noise of path p.
+
+    Returns:
+        Score (...), in the unit of the errors.
     """
     p = errors.shape[0]
     if p == 1:
@@ -159,7 +163,16 @@ def distance_terms(
 def fit_distance(
     model: NeuralSDE, features: Tensor, *, loss: LossOptions, steps: int, rate: float, seed: int
 ) -> None:
-    """Teach the distance of a model what is near and what is far, at features of data (N, nf), by Adam."""
+    """Teach the distance of a model what is near and what is far.
+
+    Args:
+        model: Changed in place.
+        features: Features of the data (N, nf).
+        loss: Weights and sizes.
+        steps: Gradient steps.
+        rate: Adam's learning rate.
+        seed: Seed of states and points.
+    """
     generator = torch.Generator().manual_seed(seed)
     optimiser = torch.optim.Adam(model.eta.parameters(), lr=rate, foreach=True)
     schedule = torch.optim.lr_scheduler.LinearLR(optimiser, 1.0, 0.1, total_iters=steps)

@@ -107,10 +107,13 @@ def error_scale(model: NeuralSDE, windows: Windows) -> Tensor:
 
 @torch.no_grad()
 def fit_filter(target: InputFilter, logged: Sequence[Run], restored: Sequence[Run], n_inputs: int) -> None:
-    """Set the taps of an input filter, for logs whose inputs were averaged, from inputs that were restored.
+    """Set the weights of a filter by least squares: logged inputs come nearest to restored ones, in means over steps.
 
-    They are those with which the inputs of `logged` runs come nearest to those of the same runs `restored`
-    (`recording.smoothing`), in means over model steps.
+    Args:
+        target: Changed in place.
+        logged: Runs as logged.
+        restored: The same runs with inputs as they acted.
+        n_inputs: Number of inputs.
     """
     reach, rows, wanted = target.reach, [], []
     stride = max(1, round(target.dt / logged[0].dt))

@@ -25,9 +25,10 @@ from nsde_torch.sysid.regression import Regression
 
 Array = NDArray[np.float64]
 
+HIGHEST = 0.4
+"""Frequency over the rate of the rows above which a sinusoid is mostly sampling."""
 _SHORTEST_S = 1.0  # stretches that are transformed
 _FINER = 8  # points of the grid of frequencies per independent one
-_HIGHEST = 0.4  # of the sampling rate: above, a sinusoid is mostly sampling
 _BAND = 40  # independent ordinates that the level is the median of
 _MEDIANS = 16  # per window
 WHOLE = 0.5 * _BAND
@@ -103,7 +104,7 @@ def lines(
         return []
     fewest = decisions.least_periods if fewest is None else fewest
     frequency, power = periodogram(regression)
-    usable = (frequency > fewest / longest) & (frequency < _HIGHEST / regression.dt)
+    usable = (frequency > fewest / longest) & (frequency < HIGHEST / regression.dt)
     height = np.where(usable, power.max(0), 0.0)
     tried = len(power) * max(1.0, 0.5 * longest / regression.dt)
     out: list[Line] = []

@@ -54,7 +54,7 @@ from nsde_torch.diagnosis.feedback_bias import (
 )
 from nsde_torch.diagnosis.joint_selection import Evidence, JointSearch, JointSelection
 from nsde_torch.diagnosis.outcome import Found, Outcome, undecided
-from nsde_torch.diagnosis.periodicity import lines
+from nsde_torch.diagnosis.periodicity import HIGHEST, lines
 from nsde_torch.diagnosis.reading import (
     Log,
     at_declared,
@@ -444,7 +444,7 @@ def _selected(
 
     def of(apart: float) -> tuple[JointSearch, JointSelection]:
         problem = LogLikelihood(system, runs, log.recorded.clock, run_in=True, apart=apart)
-        made = JointSearch(search, problem, system, frequencies)
+        made = JointSearch(search, problem, system, [f for f in frequencies if f * apart < HIGHEST])
         return made, made.selected(physics, brought, known)
 
     if physics is None:

@@ -66,10 +66,9 @@ class Decisions:
     )
 
     # ---- evidence between models ------------------------------------------------------------------------
-    least_nats: float = key(0.5, "held-out log-likelihood difference that an effect must exceed", unit="nat")
     alike_nats: float = key(
         3.0,
-        "held-out log-likelihood difference within which two candidates are indistinguishable",
+        "held-out log-likelihood difference within which two candidates, or one and none, are indistinguishable",
         unit="nat",
     )
     alike_errors: float = key(2.0, "the same in its standard errors (Vuong 1989)", unit="standard errors")
@@ -86,6 +85,15 @@ class Decisions:
         30.0,
         "nats beyond half a nat per function from which a noise model may have learned a dependence",
         unit="nat",
+    )
+
+    apart_s: float = key(
+        0.05,
+        "time between rows that are looked at alone where the innovations of all rows can be predicted",
+        unit="s",
+    )
+    apart_share: float = key(
+        0.5, "share of how far innovations of all rows are off, within which those of rows apart have to be"
     )
 
     # ---- resolution -------------------------------------------------------------------------------------

@@ -331,7 +331,7 @@ class JointSearch:
     def _holds(self, proposal: Explained, there: FittedPhysics, place: FittedPhysics) -> bool:
         """Whether the likelihood rose as a linearised step promised."""
         risen = there.best.likelihood - place.best.likelihood
-        return risen > max(self.search.decisions.least_nats, _RISES * proposal.nats)
+        return risen > max(0.0, _RISES * proposal.nats)
 
     def _fitted_as_promised(self, proposal: Explained, place: FittedPhysics) -> FittedPhysics:
         """A candidate fitted from where its linearised step ends, or else from where that begins."""
@@ -495,7 +495,7 @@ def coordinate_of(system: System, effect: Law) -> list[str]:
 
 
 def _accepted(search: Search, proposal: Explained) -> bool:
-    return proposal.p < search.level("effects") and proposal.nats > search.decisions.least_nats
+    return proposal.p < search.level("effects") and proposal.nats > 0
 
 
 def _in_order(search: Search, look: Look, added: Collection[str]) -> list[Explained]:
@@ -569,7 +569,7 @@ def _catalogue(
     space = place.at.of.space
     everything = range(len(place.best.vector))
     about = place.at.about
-    base = space.columns(about.x, about.slopes, everything)
+    base = space.columns(about.x, about.slopes, everything, about.after)
     tables, entries = [base.float()], []
     at = 1 + base.shape[-1]
     scales = data_sizes(place.system, space.steps)
@@ -716,7 +716,7 @@ def _compared(search: Search, name: str, rival: str, place: FittedPhysics, there
         chance = chdtrc(max(more, 1), max(2.0 * float(difference.sum()), 0.0))
         return gained if gained > sure and chance < search.decisions.nested_alpha else -1.0
     if rival in effect_class(name).includes and gained > -sure:
-        return max(gained, search.decisions.least_nats)
+        return max(gained, search.decisions.alike_nats)
     return gained if gained > sure else 0.0 if gained > -sure else -1.0
 
 

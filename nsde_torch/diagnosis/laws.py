@@ -158,7 +158,7 @@ def tables(
         levels: Noise levels; None takes those of the optimum.
     """
     space, about = at.of.space, at.about
-    base = space.columns(about.x, about.slopes, range(len(space.vector)))
+    base = space.columns(about.x, about.slopes, range(len(space.vector)), about.after)
     here = at.at
     if levels is None:
         levels = at.levels

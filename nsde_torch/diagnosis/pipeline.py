@@ -252,10 +252,6 @@ class DiagnosisCourse:
 
 # ---- stages --------------------------------------------------------------------------------------------
 
-_APART_S = 0.05  # of rows that are looked at where innovations of all rows are not what they should be
-# without it drive 1 of bench_friction_drive.py falls back on all rows, whose past predicts 92 % of innovations, not 8 %
-_NEARER = 0.5  # share of how far innovations of all rows are off, within which those of rows apart have to be
-
 
 def diagnose(
     system: System,
@@ -452,17 +448,19 @@ def _selected(
     else:
         known(physics, brought)
     made, found = of(0.0)
-    if found.final.best.misfit and not smoothed and search.steps.dt < 0.5 * _APART_S:
-        search.say(f"rows {_APART_S:g} s apart", 0, 1)
-        other = of(_APART_S)
-        if other[1].final.best.worst < max(1.0, _NEARER * found.final.best.worst):
+    apart, share = search.decisions.apart_s, search.decisions.apart_share
+    if found.final.best.misfit and not smoothed and search.steps.dt < 0.5 * apart:
+        search.say(f"rows {apart:g} s apart", 0, 1)
+        other = of(apart)
+        # half: drive 1 of bench_friction_drive.py, where the past predicts 8 % of the innovations apart, 92 % of all
+        if other[1].final.best.worst < max(1.0, share * found.final.best.worst):
             return other
     return made, found if search is whole else with_suspects(found, whole, log.system)
 
 
 def _of_the_same_rows(search: Search, joint: JointSelection | None) -> Search:
     """The search, its regressions over means of the rows that effects were selected on."""
-    return search.apart(_APART_S) if joint is not None and joint.final.at.of.apart else search
+    return search.apart(search.decisions.apart_s) if joint is not None and joint.final.at.of.apart else search
 
 
 def _begun_with(

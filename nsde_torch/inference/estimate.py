@@ -436,7 +436,7 @@ def maximised(
     for _ in range(_TURNS):
         check_time()
         if away > _CLOSE:
-            columns = space.columns(about.x, about.slopes, everything)
+            columns = space.columns(about.x, about.slopes, everything, about.after)
         theta, about, at, away = _step(
             problem, grams(space, levels, about, at, columns), theta, levels, about, at
         )
@@ -455,7 +455,10 @@ def maximised(
     beside = None
     if nuisances:  # to compare physics, slopes less than a standard error away do
         about = linearised_about(space, about.x, start)
-        at, columns = problem.filtered(levels, about), space.columns(about.x, about.slopes, everything)
+        at, columns = (
+            problem.filtered(levels, about),
+            space.columns(about.x, about.slopes, everything, about.after),
+        )
         beside = level_columns(space, levels, about, start)
     final = grams(space, levels, about, at, columns, beside)
     free = _free(vector, theta, final)

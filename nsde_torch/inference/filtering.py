@@ -35,6 +35,7 @@ class Linearisation:
 
     x: Tensor  # states (nx)
     slopes: Tensor  # of the step from each in errors and disturbances (ne, n)
+    after: Tensor  # states an undisturbed step later (nx)
     missed: Tensor  # c, by how much that step misses the next row's state (ne)
     seen: Tensor  # what was measured less the state, in measured channels (m)
     first: Tensor  # error of each chunk's start (C, ne)
@@ -43,9 +44,10 @@ class Linearisation:
 
     def of(self, some: Tensor) -> "Linearisation":
         """That of some chunks."""
-        x, slopes, missed, seen = (part[:, some] for part in (self.x, self.slopes, self.missed, self.seen))
+        parts = (self.x, self.slopes, self.after, self.missed, self.seen)
+        x, slopes, after, missed, seen = (part[:, some] for part in parts)
         measured = None if self.measured is None else self.measured[:, some]
-        return Linearisation(x, slopes, missed, seen, self.first[some], measured)
+        return Linearisation(x, slopes, after, missed, seen, self.first[some], measured)
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,7 @@ def linearised_about(space: StateSpace, x: Tensor, start: Start) -> Linearisatio
     return Linearisation(
         x,
         slopes,
+        after,
         space.missed(x, after),
         system.error(space.chunks.y, x)[..., space.observed],
         system.error(start.x, x[0]),
@@ -91,11 +94,12 @@ def linearised_about(space: StateSpace, x: Tensor, start: Start) -> Linearisatio
 @torch.no_grad()
 def moved_to(space: StateSpace, about: Linearisation, x: Tensor, start: Start) -> Linearisation:
     """The linearisation about other states (T, C, nx), its slopes those that it had."""
-    error = space.vector.system.error
+    error, after = space.vector.system.error, space.after(x)
     return replace(
         about,
         x=x,
-        missed=space.missed(x, space.after(x)),
+        after=after,
+        missed=space.missed(x, after),
         seen=error(space.chunks.y, x)[..., space.observed],
         first=error(start.x, x[0]),
     )
@@ -104,8 +108,8 @@ def moved_to(space: StateSpace, about: Linearisation, x: Tensor, start: Start) -
 @torch.no_grad()
 def with_parameters(space: StateSpace, about: Linearisation) -> Linearisation:
     """The same states and slopes with other parameters in use."""
-    missed = space.missed(about.x, space.after(about.x))
-    return replace(about, missed=missed)
+    after = space.after(about.x)
+    return replace(about, after=after, missed=space.missed(about.x, after))
 
 
 def forced(space: StateSpace, about: Linearisation, disturbance: int, force: Tensor) -> Tensor:

@@ -195,11 +195,11 @@ class _View:
         self.space = at.of.space.some(some)
         self.about, self.start = at.about.of(some), at.of.start
         x, u = self.about.x, self.space.chunks.u
-        middle = self.space.midway(x)
+        middle = self.space.midway(x, self.about.after)
         flat = variables.values(middle.flatten(0, 1), u.flatten(0, 1)).numpy()
         self.values = {name: np.ascontiguousarray(flat[:, k]) for k, name in enumerate(variables.names)}
         self.past = _past(self.space, variables)
-        self.base = self.space.columns(x, self.about.slopes, range(len(self.space.vector)))
+        self.base = self.space.columns(x, self.about.slopes, range(len(self.space.vector)), self.about.after)
         owners, firsts = self.space.chunks.places()
         order = np.lexsort((firsts, owners))
         self.fold = np.empty(len(order), dtype=np.int64)

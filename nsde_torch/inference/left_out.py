@@ -73,7 +73,7 @@ def left_out(optimum: Optimum, folds: Folds, still: NDArray[np.bool_] | None = N
     """
     space, about, kept = optimum.of.space, optimum.about, optimum.at
     steps, chunks, vector = space.steps, space.chunks, space.vector
-    columns = space.columns(about.x, about.slopes, range(len(vector)))
+    columns = space.columns(about.x, about.slopes, range(len(vector)), about.after)
     held = grams(space, optimum.levels, about, kept, columns)
     owner, first = chunks.places()
     of_block = folds.of(owner, steps.t.numpy()[first])

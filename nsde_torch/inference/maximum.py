@@ -20,7 +20,11 @@ from nsde_torch.time_limit import check_time
 _PRIOR = 0.02  # weight of the first guess: that of a hundredth of a nat for a factor of e
 _DOWN, _UP = 8.0, 6.0  # how far logarithms may go from there
 # without it a steady force is a gust that never ends, and none is missing (drives of bench_friction_drive.py)
-_LONGEST_S = 1.0  # that a disturbance lasts: what lasts longer is structure (`Decisions.noise_memory`)
+LONGEST_S = 1.0
+"""That a disturbance lasts, and a noise model remembers [s]: what lasts longer is structure.
+
+Without it a steady force is learned as a gust without end (test_a_steady_push_is_no_gust_that_never_ends).
+"""
 _LONGEST_STEP = 3.0
 _TURNS = 12
 _GAIN = 0.5  # nats for which another turn is taken
@@ -56,7 +60,7 @@ def likeliest(
     """
     phi, prior = levels.vector(), first.vector()
     low, high = prior - _DOWN, prior + _UP
-    high[-space.nd :].clamp_max_(log(_LONGEST_S))
+    high[-space.nd :].clamp_max_(log(LONGEST_S))
     phi = torch.minimum(torch.maximum(phi, low), high)
     most = _most(space)
     if rows is not None:

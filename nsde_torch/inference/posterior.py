@@ -127,7 +127,7 @@ class Posteriors:
         about, at = of.settled(self.levels, about, of.filtered(self.levels, about), _PASSES)
         k, theirs = len(self.vector), len(beside.vector)
         columns = (
-            of.space.columns(about.x, about.slopes, range(k)),
+            of.space.columns(about.x, about.slopes, range(k), about.after),
             beside.columns(about.x, about.slopes, range(theirs)),
         )
         gram = grams(of.space, self.levels, about, at, torch.cat(columns, -1)).total
@@ -232,7 +232,7 @@ class _Batch:
         about, at = self._of.settled(self._levels, about, at, self.passes)
         self._x, self.passes = torch.where(torch.isfinite(about.x), about.x, self._x), _AGAIN
         blocks = grams(
-            space, self._levels, about, at, space.columns(about.x, about.slopes, range(self._k))
+            space, self._levels, about, at, space.columns(about.x, about.slopes, range(self._k), about.after)
         ).blocks
         count = len(self._problems)
         whole = np.zeros((count, *blocks.shape[1:]))

@@ -11,6 +11,7 @@ import pytest
 
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions, Options, Wording
 from nsde_torch.errors import ConfigError
+from nsde_torch.inference.maximum import LONGEST_S
 from tests.helpers.diagnosed import diagnosed
 
 _THRESHOLD = re.compile(r"^_?[A-Z][A-Z_, ]*(: \w+)? = [-\d.(][-\d.e, ()]*(?P<comment> +#.*)?$")
@@ -57,6 +58,11 @@ def test_options_give_the_first_numbers() -> None:
     assert Options(alpha=0.05, max_effects=2).decisions == replace(DECISIONS, alpha=0.05, most_effects=2)
 
 
+def test_noise_of_a_regression_remembers_as_long_as_a_disturbance_lasts() -> None:
+    """One rule in two places, as settings are read without torch."""
+    assert DECISIONS.noise_memory == LONGEST_S
+
+
 def test_a_number_out_of_range_is_refused() -> None:
     with pytest.raises(ConfigError, match="folds"):
         Decisions(folds=1)
@@ -83,5 +89,5 @@ def test_twice_the_budget_finds_the_same(effects: list[Any]) -> None:
 
 @pytest.mark.slow
 def test_what_is_decided_reaches_the_search() -> None:
-    _, content = diagnosed(_SPRING, _FRICTION, decisions=Decisions(least_nats=1e6), **_SHORT)
+    _, content = diagnosed(_SPRING, _FRICTION, decisions=Decisions(alike_nats=1e6), **_SHORT)
     assert (content["verdict"], content["added"]) == ("unexplained", [])

@@ -152,10 +152,7 @@ def filtered(
         covariances: Whether to keep those of the states, for `nsde_torch.inference.level_slopes`.
     """
     rows, count, m = about.seen.shape
-    n, h = space.n, space.h
-    sensor, gust, keep = torch.exp(2.0 * levels.sensor), torch.exp(2.0 * levels.gust), levels.keep(h)
-    begun = torch.cat((start.std.square(), gust))
-    begun[space.observed] = sensor
+    n = space.n
     new = about.seen.new_empty
     whitening, gain, left = new(rows, count, m, m), new(rows, count, n, m), new(0, 0, 0, 0)
     if covariances:
@@ -163,12 +160,7 @@ def filtered(
     measured = torch.zeros(0, 0, 0, dtype=torch.bool) if about.measured is None else about.measured
     kernels.covariances(
         array(about.slopes),
-        array(keep),
-        array(torch.exp(2.0 * levels.white) / h),
-        array(gust * (1.0 - keep.square())),
-        array(sensor),
-        array(begun),
-        np.array(space.observed),
+        *_noise(space, levels, start),
         array(measured),
         array(whitening),
         array(gain),
@@ -176,6 +168,42 @@ def filtered(
     )
     out = with_gains(space, levels, about, whitening, gain, live)
     return replace(out, covariance=left) if covariances else out
+
+
+def _noise(space: StateSpace, levels: Levels, start: Start) -> tuple[NDArray[Any], ...]:
+    """Shares of disturbances that are left after a step, variances of all noise, and numbers of measured errors."""
+    h, sensor, gust = space.h, torch.exp(2.0 * levels.sensor), torch.exp(2.0 * levels.gust)
+    keep = levels.keep(h)
+    begun = torch.cat((start.std.square(), gust))
+    begun[space.observed] = sensor
+    white = torch.exp(2.0 * levels.white) / h
+    parts = keep, white, gust * (1.0 - keep.square()), sensor, begun
+    return (*map(array, parts), np.array(space.observed))
+
+
+@torch.no_grad()
+def within_gate(space: StateSpace, levels: Levels, about: Linearisation, start: Start, gate: float) -> Tensor:
+    """Whether each row measures each channel (T, C, m), of those that it does within a gate.
+
+    The filter goes on without what is beyond it, so that one glitch does not lead it astray.
+
+    Args:
+        space, levels, about, start: See `filtered`.
+        gate: Standard deviations of an innovation.
+    """
+    measured = (
+        torch.ones_like(about.seen, dtype=torch.bool) if about.measured is None else about.measured.clone()
+    )
+    kernels.gated(
+        array(about.slopes),
+        *_noise(space, levels, start),
+        array(about.first),
+        array(about.missed),
+        array(about.seen),
+        gate,
+        array(measured),
+    )
+    return measured
 
 
 @torch.no_grad()

@@ -89,8 +89,7 @@ def covariances(
     rows, count, ne, n = slopes.shape
     m = len(observed)
     each = np.zeros((count, n, n))
-    moved, half = np.empty((ne, n)), np.empty((n, m))
-    seen, inverse, across, here = np.empty((m, m)), np.empty((m, m)), np.empty((m, m)), np.empty(m)
+    moved, seen, known = np.empty((ne, n)), np.empty((m, m)), np.ones(m, dtype=np.bool_)
     for c in range(count):
         for i in range(n):
             each[c, i, i] = start[i]
@@ -104,35 +103,105 @@ def covariances(
         for c in range(count):  # chunks inside: memory is read in its order
             p = each[c]
             _predicted(slopes[k - 1, c], keep, white, gust, p, moved)
-            for i in range(m):
-                for j in range(i + 1):
-                    seen[i, j] = p[observed[i], observed[j]]
-                seen[i, i] += sensor[i]
-            if len(measured):  # a channel that the row does not measure is white noise of its own
-                for i in range(m):
-                    for j in range(i + 1):
-                        if not (measured[k, c, i] and measured[k, c, j]):
-                            seen[i, j] = 1.0 if i == j else 0.0
-            _inverse_triangle(seen, inverse)
-            if len(measured):  # and neither moves the state nor counts
-                for i in range(m):
-                    if not measured[k, c, i]:
-                        inverse[i] = 0.0
-            across[:] = inverse.T
-            for i in range(n):
-                for j in range(m):
-                    here[j] = p[i, observed[j]]
-                for j in range(m):
-                    half[i, j] = _dot(here, inverse[j])
-                for j in range(m):
-                    gain[k, c, i, j] = _dot(half[i], across[j])
-            whitening[k, c] = inverse
-            for i in range(n):
-                for j in range(i + 1):
-                    p[i, j] -= _dot(half[i], half[j])
-                    p[j, i] = p[i, j]
+            _updated(
+                p,
+                sensor,
+                observed,
+                measured[k, c] if len(measured) else known,
+                whitening[k, c],
+                gain[k, c],
+                seen,
+            )
             if len(left):
                 left[k, c] = p
+
+
+@compiled
+def _updated(
+    p: Array,
+    sensor: Array,
+    observed: Labels,
+    measured: NDArray[np.bool_],
+    whitening: Array,
+    gain: Array,
+    seen: Array,
+) -> None:
+    """The covariance p after a row, in place; `whitening` and `gain` are filled, `seen` (m, m) is room to work in."""
+    n, m = gain.shape
+    for i in range(m):
+        for j in range(i + 1):
+            seen[i, j] = p[observed[i], observed[j]]
+        seen[i, i] += sensor[i]
+    for i in range(m):  # a channel that the row does not measure is white noise of its own
+        for j in range(i + 1):
+            if not (measured[i] and measured[j]):
+                seen[i, j] = 1.0 if i == j else 0.0
+    _inverse_triangle(seen, whitening)
+    for i in range(m):  # and neither moves the state nor counts
+        if not measured[i]:
+            whitening[i] = 0.0
+    half = gain  # P H' L^-T until it is the gain
+    for i in range(n):
+        for j in range(m):
+            seen[0, j] = p[i, observed[j]]
+        for j in range(m):
+            half[i, j] = _dot(seen[0], whitening[j])
+    for i in range(n):
+        for j in range(i + 1):
+            p[i, j] -= _dot(half[i], half[j])
+            p[j, i] = p[i, j]
+    seen[:] = whitening.T
+    for i in range(n):
+        for j in range(m):  # L^-1 is triangular: what is read is not yet written
+            gain[i, j] = _dot(half[i, j:], seen[j, j:])
+
+
+@compiled
+def gated(
+    slopes: Array,
+    keep: Array,
+    white: Array,
+    gust: Array,
+    sensor: Array,
+    start: Array,
+    observed: Labels,
+    first: Array,
+    missed: Array,
+    seen: Array,
+    gate: float,
+    measured: NDArray[np.bool_],
+) -> None:
+    """Marks measurements that are further off than `gate` standard deviations as none, and goes on without them.
+
+    Args:
+        slopes, keep, white, gust, sensor, start, observed: As in `covariances`.
+        first, missed, seen: As in `means`.
+        gate: Standard deviations of an innovation.
+        measured: Whether a row measures each channel (T, C, m); what is beyond the gate is set to false.
+    """
+    rows, count, ne, n = slopes.shape
+    m = len(observed)
+    moved, room = np.empty((ne, n)), np.empty((m, m))
+    whitening, gain, mean, error = np.empty((m, m)), np.empty((n, m)), np.empty(n), np.empty(m)
+    for c in range(count):
+        p, left = np.zeros((n, n)), np.zeros(n)
+        for i in range(n):
+            p[i, i] = start[i]
+        left[:ne] = first[c]
+        for k in range(1, rows):
+            for i in range(ne):
+                mean[i] = missed[k - 1, c, i] + _dot(slopes[k - 1, c, i], left)
+            for i in range(ne, n):
+                mean[i] = keep[i - ne] * left[i]
+            _predicted(slopes[k - 1, c], keep, white, gust, p, moved)
+            for j in range(m):
+                o = observed[j]
+                error[j] = seen[k, c, j] - mean[o]
+                if error[j] * error[j] > gate * gate * (p[o, o] + sensor[j]):
+                    measured[k, c, j] = False
+            _updated(p, sensor, observed, measured[k, c], whitening, gain, room)
+            for i in range(n):
+                left[i] = mean[i] + _dot(gain[i], error)
 
 
 @compiled
@@ -374,6 +443,12 @@ def adjoints(
             for e in range(d):
                 for j in range(n):
                     spread[ne + e, j] += keep[e] * turned[ne + e, j]
+            # only one side of it is read above: what rounding made it lopsided by grows from row to row where sensors
+            # are very good (a gradient of 1e65 after 500 rows of NeuroBEM)
+            for i in range(n):
+                for j in range(i):
+                    even = 0.5 * (spread[i, j] + spread[j, i])
+                    spread[i, j], spread[j, i] = even, even
     for c in range(count):
         spread = each_spread[c]
         for j in range(m):  # a chunk starts as uncertain as its sensors and disturbances

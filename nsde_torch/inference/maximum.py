@@ -46,6 +46,7 @@ def likeliest(
     known: Tensor | None = None,
     *,
     rows: int | None = None,
+    also: Tensor | None = None,
 ) -> tuple[Levels, Tensor]:
     """Levels of larger likelihood than the given ones, or these; and their information.
 
@@ -57,6 +58,7 @@ def likeliest(
         start: Where each chunk starts.
         known: The information of levels close by, which tells whether to begin at all.
         rows: How many rows are enough; None for as many as memory allows.
+        also: Numbers of chunks that are among these.
     """
     phi, prior = levels.vector(), first.vector()
     low, high = prior - _DOWN, prior + _UP
@@ -66,6 +68,8 @@ def likeliest(
     if rows is not None:
         most = min(most, _chunks_of(space, rows))
     some = _evenly(space.chunks.count, most)
+    if also is not None:
+        some = torch.unique(torch.cat((some, also)))
     near, live = about.of(some), space.chunks.counted[:, some]
     share = float(space.chunks.counted.sum() / live.sum().clamp_min(1))
     few = _evenly(len(some), _chunks_of(space, _INFORMING))

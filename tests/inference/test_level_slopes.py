@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import nsde_torch
-from nsde_torch.inference import LogLikelihood
+from nsde_torch.inference import LogLikelihood, kernels
 from nsde_torch.inference.filtering import Linearisation, Pass, filtered
 from nsde_torch.inference.level_slopes import level_slopes, score
 from nsde_torch.inference.levels import Levels
@@ -48,3 +48,56 @@ def test_the_score_and_the_slopes_of_the_levels_are_the_filter_s(of: str) -> Non
         turned = (seen[0] @ seen[0].mT - seen[1] @ seen[1].mT) / (2 * SMALL)
         turned = at.whitening @ turned @ at.whitening.mT
         np.testing.assert_allclose(spreads[1:, :, j], turned[1:], atol=1e-5)
+
+
+@pytest.mark.parametrize("precise", [1e-3, 1e-5, 1e-7])
+def test_the_score_holds_over_long_chunks_of_precise_sensors(precise: float) -> None:
+    """Rounding grew from row to row of the pass backwards: slopes of 1e50 and more, and levels that never moved.
+
+    Two masses, each pushed by a disturbance that lasts; of the second the speed is measured too.
+    """
+    rows, dt, observed = 500, 0.01, np.array([0, 1, 3])
+    random = np.random.default_rng(1)
+    slopes = np.zeros((rows, 1, 4, 6))
+    slopes[:, 0, :, :4] = np.eye(4) + dt * np.array(
+        [[0, 0, 1, 0], [0, 0, 0, 1], [-3, 0, -2, 1], [0, 0, 2, -1]]
+    )
+    slopes[:, 0, 2, 4] = slopes[:, 0, 3, 5] = dt
+    keep, white, live = np.full(2, 0.95), np.full(2, 1e-4), np.ones((rows, 1), bool)
+    gust = 1.0 - keep**2
+    missed, seen = np.zeros((rows, 1, 4)), np.zeros((rows, 1, 3))
+    x = np.zeros(6)
+    for k in range(rows - 1):
+        x[:4] = slopes[k, 0] @ x + slopes[k, 0, :, 4:] @ (0.01 * random.standard_normal(2))
+        x[4:] = keep * x[4:] + np.sqrt(gust) * random.standard_normal(2)
+        seen[k + 1, 0] = x[observed] + (precise, precise, 0.1) * random.standard_normal(3)
+
+    def passed(sensor: np.ndarray, pushed: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Log likelihood, and its slopes in the variances of the sensors and of white disturbances."""
+        begun = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+        whitening, gain, spread = (
+            np.zeros((rows, 1, 3, 3)),
+            np.zeros((rows, 1, 6, 3)),
+            np.zeros((rows, 1, 6, 6)),
+        )
+        none = np.zeros((0, 0, 0), bool)
+        kernels.covariances(
+            slopes, keep, pushed, gust, sensor, begun, observed, none, whitening, gain, spread
+        )
+        errors, whitened = np.zeros((rows, 1, 3)), np.zeros((rows, 1, 3))
+        left, nats = np.zeros((rows, 1, 6)), np.zeros((rows, 1))
+        kernels.means(
+            slopes, keep, np.zeros((1, 4)), missed, seen, observed, live, whitening, gain,
+            errors, whitened, left, nats,
+        )  # fmt: skip
+        parts = [np.zeros((1, 3)), *(np.zeros((1, 2)) for _ in range(4))]
+        kernels.adjoints(slopes, keep, observed, whitening, gain, whitened, left, spread, live, *parts)
+        return float(nats[1:].sum()), parts[0][0], parts[1][0]
+
+    sensor = np.array([precise**2, precise**2, 0.01])
+    _, of_sensors, of_white = passed(sensor, white)
+    for j in range(2):
+        up, down = (passed(sensor, white * (1.0 + way * 1e-3 * np.eye(2)[j]))[0] for way in (1.0, -1.0))
+        assert white[j] * of_white[j] == pytest.approx((up - down) / 2e-3, rel=1e-2, abs=1e-2)
+    up, down = (passed(sensor * (1.0 + way * 1e-3 * np.eye(3)[2]), white)[0] for way in (1.0, -1.0))
+    assert sensor[2] * of_sensors[2] == pytest.approx((up - down) / 2e-3, rel=1e-2, abs=1e-2)

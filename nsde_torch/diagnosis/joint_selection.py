@@ -17,7 +17,7 @@ how inputs are held between samples decides. Left out, it makes other effects lo
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import isfinite, log
+from math import inf, isfinite, log
 from typing import final
 
 import numpy as np
@@ -246,9 +246,9 @@ class JointSearch:
     def added(self, system: System) -> frozenset[str]:
         return frozenset(system.effect_names) - self._declared
 
-    def fitted(self, system: System, like: FittedPhysics | None) -> FittedPhysics:
+    def fitted(self, system: System, like: FittedPhysics | None, hopeful: float = -inf) -> FittedPhysics:
         """Physics fitted from its present values, with noise levels near those of other physics; the best so far."""
-        made = fitted_at(self._problem.of(system), system, None if like is None else like.at)
+        made = fitted_at(self._problem.of(system), system, None if like is None else like.at, hopeful)
         added = frozenset(system.effect_names)
         known = self._places.get(added)
         if known is None or made.best.likelihood > known.best.likelihood:
@@ -336,7 +336,9 @@ class JointSearch:
 
     def _fitted_as_promised(self, proposal: Explained, place: FittedPhysics) -> FittedPhysics:
         """A candidate fitted from where its linearised step ends, or else from where that begins."""
-        there = self.fitted(proposal.system, place)
+        # a step to where rows cost a nat each leads nowhere, and fits from there take a minute (a wind on NeuroBEM)
+        hopeful = place.best.likelihood - place.at.of.space.measurements
+        there = self.fitted(proposal.system, place, hopeful)
         if self._holds(proposal, there, place):
             return there
         # an undeclared delay makes a gain of 0, beside which a step of the delay goes anywhere
@@ -477,9 +479,11 @@ def looked(search: Search, place: FittedPhysics, frequencies: Sequence[float] = 
     return Look(tuple(proposals), accepted, _best_pair(table, accepted[:_PAIRED]))
 
 
-def fitted_at(problem: LogLikelihood, system: System, near: Optimum | None) -> FittedPhysics:
+def fitted_at(
+    problem: LogLikelihood, system: System, near: Optimum | None, hopeful: float = -inf
+) -> FittedPhysics:
     """A machine at the optimum of its likelihood."""
-    best, at = nearly_maximised(problem, near)
+    best, at = nearly_maximised(problem, near, hopeful=hopeful)
     out = system.with_effects()
     best.vector.write(out, best.theta)
     return FittedPhysics(out, best, at)

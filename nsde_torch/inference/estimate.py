@@ -420,10 +420,10 @@ def fit(system: System, runs: Sequence[Run], *, clock: float = 1.0) -> MaximumLi
 
 
 def nearly_maximised(
-    problem: LogLikelihood, near: Optimum | None = None
+    problem: LogLikelihood, near: Optimum | None = None, *, hopeful: float = -inf
 ) -> tuple[MaximumLikelihood, Optimum]:
     """As `maximised`, as near to the optimum as comparing physics needs, and intervals at the noise levels found."""
-    return maximised(problem, near, settled_at=_NEAR, gain=_NEAR_GAIN, nuisances=False)
+    return maximised(problem, near, settled_at=_NEAR, gain=_NEAR_GAIN, nuisances=False, hopeful=hopeful)
 
 
 @torch.no_grad()
@@ -436,6 +436,7 @@ def maximised(
     gain: float = _GAIN,
     nuisances: bool = True,
     held: Levels | None = None,
+    hopeful: float = -inf,
 ) -> tuple[MaximumLikelihood, Optimum]:
     """Theta and noise levels of largest likelihood, from the first values of the physics.
 
@@ -445,6 +446,7 @@ def maximised(
         settled_at, gain: Where the iteration ends: standard errors of a step of theta, nats that new levels bring.
         nuisances: Whether intervals allow for noise levels that are not known.
         held: Noise levels that are known and stay; None finds them.
+        hopeful: Log likelihood of the first values below which there is no way from them: they stay.
 
     Raises:
         DataError: known levels are of other disturbances: which ones push alike depends on where a log goes.
@@ -481,6 +483,9 @@ def maximised(
         check_time()
         if away > _CLOSE:
             columns = space.columns(about.x, about.slopes, everything, about.after)
+        if at.total < hopeful:
+            break
+        hopeful = -inf
         theta, about, at, away = _step(
             problem, grams(space, levels, about, at, columns), theta, levels, about, at
         )

@@ -1,0 +1,37 @@
+"""Measurements that nothing explains count as none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nsde_torch.inference import LogLikelihood
+from nsde_torch.inference.estimate import maximised
+from tests.inference.springs import B, K, linear_runs, spring, value
+
+ROWS, FIRST, COUNT = 3000, 1777, 10
+
+
+@pytest.mark.parametrize("by", [1.0, 5.0])
+def test_a_jump_of_ten_rows_is_left_out_and_moves_nothing(by: float) -> None:
+    """As markers jump that a camera system confuses: far off for a moment, and back on the way."""
+    runs = linear_runs(8, ROWS * 0.02, seed=2)
+    x = np.array(runs[1].x)
+    x[FIRST : FIRST + COUNT, 0] += by
+    problem = LogLikelihood(spring(), [runs[0], replace(runs[1], x=x), *runs[2:]])
+    found, _ = maximised(problem)
+    sound, _ = maximised(LogLikelihood(spring(), runs))
+    row = problem.space.chunks.row[problem.glitches.any(-1)]
+    assert sorted(row.tolist()) == [ROWS + FIRST + k for k in range(COUNT)]
+    for name in (K, B):
+        (here, _), (there, error) = value(found, name), value(sound, name)
+        assert here == pytest.approx(there, abs=0.2 * error)
+    assert found.likelihood > sound.likelihood - 10 * COUNT
+
+
+def test_a_sound_log_has_no_glitches() -> None:
+    problem = LogLikelihood(spring(), linear_runs(2, 20.0))
+    maximised(problem)
+    assert not bool(problem.glitches.any())

@@ -184,32 +184,23 @@ def guarded(
     found = Guarded(
         tuple(objections), channels, tuple(vector.labels), tuple(rough.theta.tolist()), chance, tuple(notes)
     )
-    if "least_squares" not in {o.kind for o in objections}:
-        return found
-    found = replace(found, half_90=tuple(_half_widths(rough).tolist()), units=tuple(vector.units))
-    return replace(found, objections=tuple(_with_values(o, found) for o in objections))
+    return _recommended(found, rough) if "least_squares" in {o.kind for o in objections} else found
 
 
-def _with_values(objection: Objection, guard: Guarded) -> Objection:
-    """An objection that recommends least squares, with their values."""
-    if objection.kind != "least_squares":
-        return objection
-    told = []
-    for name, one in guard.to_use.items():
-        ends, unit = one["interval_90"], "" if one["unit"] == "1" else f" {one['unit']}"
-        between = f"90 % interval {ends[0]:.3g} to {ends[1]:.3g}" if ends else "not shown by the data"
-        told.append(f"{name} {one['value']:.3g}{unit} ({between})")
-    return replace(
-        objection, remedy=f"use the values of least squares: {', '.join(told)}; {objection.remedy}"
-    )
-
-
-def _half_widths(rough: Regression) -> Array:
-    """Half-widths of the 90 % intervals of least squares (k,); nan of what the data do not show."""
+def _recommended(found: Guarded, rough: Regression) -> Guarded:
+    """The same with least squares, their 90 % intervals (nan of what the data do not show), and words of them."""
     basis, sure = rough.shown.basis, rough.spread()
     error = np.sqrt(np.clip(np.diag(basis @ sure.covariance @ basis.T), 0.0, None))
-    half = stdtrit(sure.degrees(basis).clip(1.0), 0.95) * error
-    return np.where(rough.shown.known, half, np.nan)
+    half = np.where(rough.shown.known, stdtrit(sure.degrees(basis).clip(1.0), 0.95) * error, np.nan)
+    found = replace(found, half_90=tuple(half.tolist()), units=tuple(rough.vector.units))
+    told = []
+    for name, own in found.to_use.items():
+        ends, unit = own["interval_90"], "" if own["unit"] == "1" else f" {own['unit']}"
+        between = f"90 % interval {ends[0]:.3g} to {ends[1]:.3g}" if ends else "not shown by the data"
+        told.append(f"{name} {own['value']:.3g}{unit} ({between})")
+    (one,) = found.objections  # where least squares are to be used, nothing else is said
+    remedy = f"use the values of least squares: {', '.join(told)}; {one.remedy}"
+    return replace(found, objections=(replace(one, remedy=remedy),))
 
 
 def _faults(

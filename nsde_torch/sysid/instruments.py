@@ -325,10 +325,8 @@ class _Stage:
         out = np.zeros((k, k))
         if chosen and others:
             a = np.einsum("cnj,cnk->jk", self.used(chosen), self.slopes)
-            inside = a[np.ix_(list(chosen), list(chosen))]
-            out[np.ix_(list(chosen), others)] = -np.linalg.lstsq(
-                inside, a[np.ix_(list(chosen), others)], rcond=None
-            )[0]
+            beside = np.ix_(list(chosen), others)
+            out[beside] = -np.linalg.lstsq(a[np.ix_(list(chosen), list(chosen))], a[beside], rcond=None)[0]
         return out
 
     def choose(self) -> tuple[list[int], Array]:

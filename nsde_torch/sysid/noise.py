@@ -140,22 +140,6 @@ class Noise:
         summed = _carry(self.carry, values, series, self.times)
         return _filtered(self.reflection, summed, extended(series)) / self.std
 
-    def log_density(self, white: Array, series: Series) -> Array:
-        """Log density of each row of a column of `whiten` (N + stretches,) [nat], less the constant log(2 pi) / 2.
-
-        The row before each stretch has no density of its own: what it holds is what the unknown error before the first
-        row costs, -log det / 2 of the moving average; rows near a start are as uncertain as their lower order leaves.
-        """
-        longer = extended(series)
-        kept = np.cumsum(np.append(0.0, np.log1p(-np.square(self.reflection))))
-        near = 0.5 * (kept[-1] - kept[np.minimum(longer.place, len(self.reflection))])
-        out = -0.5 * np.square(white) - log(self.std) + near
-        c = self.carry
-        for a, b in longer.edges:
-            spread = np.log((1 - c ** (2 * (b - a))) / (1 - c * c)) if c > 0 else 0.0
-            out[a] = -0.5 * white[a] ** 2 - 0.5 * self.times * spread
-        return np.asarray(out)
-
     def own_slopes(self, residual: Array, series: Series) -> Array:
         """Slopes of the whitened residual (N,) in a and c, (N + stretches, p + 1), up to factors."""
         longer = extended(series)

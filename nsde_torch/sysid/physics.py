@@ -143,7 +143,7 @@ class Physics:
     def slopes(self, theta: Array, which: Sequence[int] | None = None) -> Array:
         """Slopes of the predicted change in each parameter, or in `which` (N, nx, k), from what was known before it."""
         at = torch.as_tensor(theta)
-        middle = self._middle(at)
+        middle = self.middle(theta)
         before = self._forecast(at, middle)
         nx = self.vector.system.nx
         numbers = range(len(at)) if which is None else which
@@ -164,7 +164,10 @@ class Physics:
     @torch.no_grad()
     def middle(self, theta: Array) -> Tensor:
         """State and memory in the middle of each step, as foreseen from some steps earlier (N, nz)."""
-        return self._middle(torch.as_tensor(theta))
+        at = torch.as_tensor(theta)
+        if self._foreseen is None or not torch.equal(self._foreseen[0], at):
+            self._foreseen = (at.clone(), self._foresee(at, *self._memory(at)))
+        return self._foreseen[1]
 
     def in_channels(self, change: Tensor, states: Tensor) -> Tensor:
         """Changes of states (N, nx) in the channels of the residuals, at the attitude of some states (N, nz)."""
@@ -322,12 +325,6 @@ class Physics:
         ends = zip(self._memory_at(theta + aside), self._memory_at(theta - aside), strict=True)
         moved: Tensor = sum(high - low for high, low in ends)  # type: ignore[assignment]
         return moved / (4.0 * small)
-
-    def _middle(self, theta: Tensor) -> Tensor:
-        """`middle` of the values that it was asked for last."""
-        if self._foreseen is None or not torch.equal(self._foreseen[0], theta):
-            self._foreseen = (theta.clone(), self._foresee(theta, *self._memory(theta)))
-        return self._foreseen[1]
 
     def _foresee(self, theta: Tensor, *memory: Tensor) -> Tensor:
         """State in the middle of each step as the model foresees it from `_LEAD` steps earlier, and memory (N, nz)."""

@@ -281,8 +281,16 @@ class Regression:
             )
 
     def carry_limits(self) -> Array:
-        """Largest c of each channel (see `carry_limits`)."""
-        return carry_limits(self.physics, self.theta, self.box)
+        """Largest c of each channel (nx,): sensor noise reaches a rate through every state that it depends on."""
+        physics = self.physics
+        physics.estimate_sensors(physics.residual(self.theta))
+        own, square = physics.state_slopes(self.theta)
+        std = physics.sensor_std.copy()
+        if physics.turned is not None:  # one sensor noise for a velocity that is turned
+            std[physics.turned] = np.sqrt(np.square(std[physics.turned]).mean())
+        others = square @ np.square(std) - np.diag(square) * np.square(std)
+        known = physics.steps.dt * np.sqrt(self.box * others)
+        return np.array([carry_limit(o, k, s, self.dt) for o, k, s in zip(own, known, std, strict=True)])
 
     def times(self, channel: int) -> int:
         """How many times the error of its sensor is differenced in a channel (see `noise`)."""
@@ -309,9 +317,14 @@ class Regression:
                 noises.append(self.law(channel, r, float(self.limits[channel]), orders))
         self.noises = noises
         if self._feedback and self._refined < 3:
-            known = self.known_before(self.physics, self.physics.residual(self.theta))
+            residual = self.physics.residual(self.theta)
+            known = self.physics.kinematic(residual, self.rows)
+            if self._channels:
+                known = np.concatenate((known, residual[:, self.rows]), 1)
             self._past = past(self.single.summed(known, self.box), self.series, channels=self._channels)
-        self._in_noise_units()
+        pairs = list(zip(noises, self.rows, strict=True))
+        self.white = np.stack([self.whitened(n, self.residual[:, [c]])[:, 0] for n, c in pairs])
+        self.slopes = np.stack([self.whitened(n, self.jacobian[:, c]) for n, c in pairs])
         finite = np.isfinite(self.slopes).all((1, 2)) & np.isfinite(self.white).all(1)
         if not finite.all():
             names = ", ".join(self.physics.names[c] for c in self.rows[~finite])
@@ -321,11 +334,6 @@ class Regression:
                 "or resample to a longer step (data.dt)."
             )
         self.shown: Shown = shown(self.slopes.reshape(-1, len(self.vector)), self.vector.scale)
-
-    def _in_noise_units(self) -> None:
-        pairs = list(zip(self.noises, self.rows, strict=True))
-        self.white = np.stack([self.whitened(n, self.residual[:, [c]])[:, 0] for n, c in pairs])
-        self.slopes = np.stack([self.whitened(n, self.jacobian[:, c]) for n, c in pairs])
 
     def _step(self) -> float:
         """One step of theta; returns its length in standard errors."""
@@ -377,11 +385,6 @@ class Regression:
     def whitened(self, noise: Noise, values: Array) -> Array:
         """Columns (N, k) in whitened rows, without what the past of other channels foretells."""
         return self._purged(noise.whiten(values, self.series))
-
-    def known_before(self, physics: Physics, residual: Array) -> Array:
-        """Residuals (N, m) whose past foretells later ones (`noise`), of these or other steps of its physics."""
-        kinematic = physics.kinematic(residual, self.rows)
-        return np.concatenate((kinematic, residual[:, self.rows]), 1) if self._channels else kinematic
 
     def _purged(self, values: Array) -> Array:
         return values - self._past @ (self._past.T @ values) if self._past.size else values
@@ -476,19 +479,6 @@ class Regression:
         return np.asarray(np.einsum("nck,nk->nc", slopes, parts[of_step]))
 
 
-def carry_limits(physics: Physics, theta: Array, box: int) -> Array:
-    """Largest c of each channel (nx,): sensor noise reaches a rate through every state that it depends on."""
-    physics.estimate_sensors(physics.residual(theta))
-    own, square = physics.state_slopes(theta)
-    std = physics.sensor_std.copy()
-    if physics.turned is not None:  # one sensor noise for a velocity that is turned
-        std[physics.turned] = np.sqrt(np.square(std[physics.turned]).mean())
-    others = square @ np.square(std) - np.diag(square) * np.square(std)
-    known = physics.steps.dt * np.sqrt(box * others)
-    dt = physics.steps.dt * box
-    return np.array([carry_limit(o, k, s, dt) for o, k, s in zip(own, known, std, strict=True)])
-
-
 def regression_of(
     system: System,
     runs: Sequence[Run],
@@ -539,14 +529,9 @@ def narrower(regression: Regression, iterations: int) -> Regression:
         v.low[ends] /= _SHARE
         other = copy.copy(regression)
         other.run(iterations)
-        if _errors_between(regression, other) < MOVED:
+        slopes = 0.5 * (regression.slopes + other.slopes)
+        if np.linalg.norm(slopes @ (other.theta - regression.theta)) < MOVED:
             v.low = bounds
             break
         regression = other
     return regression
-
-
-def _errors_between(one: Regression, other: Regression) -> float:
-    """Standard errors that lie between two fits of the same physics."""
-    slopes = 0.5 * (one.slopes + other.slopes)
-    return float(np.linalg.norm(slopes @ (other.theta - one.theta)))

@@ -86,6 +86,11 @@ class Left:
     left: float  # root mean square of what physics leaves of it
     foretold: float  # root mean square of what physics says of it
 
+    @property
+    def share(self) -> float:
+        """log(left / measured), without unit."""
+        return log(max(self.left, 1e-12) / max(self.measured, 1e-12))
+
 
 def left_at(rough: Regression, theta: Array, *, damped: bool = False) -> list[Left]:
     """What the physics leaves at some parameters, channel by channel.
@@ -123,7 +128,7 @@ def share_left(rough: Regression) -> float:
 
     How much the physics leaves of the log.
     """
-    return sum(log(max(c.left, 1e-12) / max(c.measured, 1e-12)) for c in left_at(rough, rough.theta))
+    return sum(c.share for c in left_at(rough, rough.theta))
 
 
 def beginnings(runs: Sequence[Run], clock: float, *, seconds: float, fewest: int) -> list[Run]:

@@ -108,12 +108,10 @@ def score_test(innovation: Array, columns: Array, fitted: Array) -> tuple[float,
 
 def holm(chances: Sequence[float]) -> list[float]:
     """Chances adjusted for their number, in their order."""
-    order = np.argsort(chances)
-    out, worst = [1.0] * len(chances), 0.0
-    for i, k in enumerate(order):
-        worst = max(worst, min(1.0, (len(chances) - i) * chances[k]))
-        out[k] = worst
-    return out
+    order, out = np.argsort(chances), np.empty(len(chances))
+    larger = np.arange(len(chances), 0, -1) * np.asarray(chances, dtype=np.float64)[order]
+    out[order] = np.maximum.accumulate(np.fmin(larger, 1.0))
+    return out.tolist()
 
 
 def principal(values: Array) -> Array:

@@ -93,7 +93,7 @@ def latencies(system: SystemInfo, runs: Sequence[Run], *, clock: float = 1.0) ->
     for group, (positions, rates) in pairs_of(system).items():
         rough = _time_of(group, parts[group], dt, filtered=False) if group in parts else None
         if rough is not None:
-            fit, filtered = _delay_or_filter(group, parts[group], dt, rough)
+            fit, filtered = _delay_or_filter(group, parts[group], dt, rough[0])
             value = fit.value / clock, fit.error / clock, fit.degrees
             out.append(Latency(*value, common_name(positions), common_name(rates), filtered))
     return out
@@ -112,30 +112,27 @@ def surely_late(late: Sequence[Latency], dt: float, *, chance: float = LATE) -> 
     return [one for one in late if one.p * len(late) < chance and one.low > _SURE_STEPS * dt]
 
 
-@dataclass(frozen=True)
-class _Fit(Uncertain):
-    """How late positions are [s], and what is left over [nats]."""
-
-    left: float
+_Fit: TypeAlias = tuple[Uncertain, float]
+"""How late positions are [s], and what is left over [nats]."""
 
 
-def _delay_or_filter(group: str, pieces: Sequence[_Piece], dt: float, delay: _Fit) -> tuple[_Fit, bool]:
+def _delay_or_filter(
+    group: str, pieces: Sequence[_Piece], dt: float, delay: Uncertain
+) -> tuple[Uncertain, bool]:
     """A delay that was roughly found, from averaged channels; or the filter that does the same, and True."""
     steps = round(_AVERAGED * abs(delay.value) / dt)
     if abs(delay.value) <= dt or any(len(rate) < 8 * steps for _, _, rate in pieces):
         return delay, False  # below a step, they are alike
-    smooth = [_averaged(piece, steps) for piece in pieces]
+
+    def averaged(values: Array) -> Array:
+        once = uniform_filter1d(values, steps, axis=0)
+        return np.asarray(uniform_filter1d(once, steps, axis=0)[steps:-steps])
+
+    smooth = [(averaged(change), averaged(integral), averaged(rate)) for change, integral, rate in pieces]
     one, other = (_time_of(group, smooth, dt, filtered=f) for f in (False, True))
     if one is None:
         return delay, False
-    return (other, True) if other is not None and other.left < one.left - _FILTER_NATS else (one, False)
-
-
-def _averaged(piece: _Piece, steps: int) -> _Piece:
-    """Means of means over so many steps, without the ends."""
-    once = (uniform_filter1d(a, steps, axis=0) for a in piece)
-    change, integral, rate = (uniform_filter1d(a, steps, axis=0)[steps:-steps] for a in once)
-    return change, integral, rate
+    return (other[0], True) if other is not None and other[1] < one[1] - _FILTER_NATS else (one[0], False)
 
 
 def _time_of(group: str, pieces: Sequence[_Piece], dt: float, *, filtered: bool) -> _Fit | None:
@@ -153,7 +150,7 @@ def _time_of(group: str, pieces: Sequence[_Piece], dt: float, *, filtered: bool)
     assert data is not None
     left = sum(log(_rest(data[:, :, int(t.axis)])) for t in times)
     left *= 0.25 * data.shape[1]  # intervals overlap by half
-    return _Fit(total, pooled.error, max(pooled.slopes - 1, _FOLDS - 1), left)
+    return Uncertain(total, pooled.error, max(pooled.slopes - 1, _FOLDS - 1)), left
 
 
 def _rest(one: Array) -> float:

@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -103,19 +105,15 @@ def _called(make: Callable[..., Any], name: str, system: SystemInfo, **given: An
 def _split_at_jumps(
     system: SystemInfo, run: RawRun, segments: tuple[tuple[int, int], ...], dt: float, report: Report
 ) -> tuple[tuple[int, int], ...]:
-    out: list[tuple[int, int]] = []
-    jumps: list[kinematics.Jump] = []
-    for start, stop in segments:
-        at = start
-        for jump in kinematics.find_jumps(system, run.x[start:stop], dt=dt):
-            row = start + jump.row
-            jumps.append(kinematics.Jump(row, jump.group, jump.size, jump.missing_s))
-            out.append((at, row + 1))
-            at = row + 1
-        out.append((at, stop))
+    jumps = [
+        replace(jump, row=a + jump.row)
+        for a, b in segments
+        for jump in kinematics.find_jumps(system, run.x[a:b], dt=dt)
+    ]
     if not jumps:
         return segments
-    kept = tuple((a, b) for a, b in out if b - a >= 2)
+    cuts = sorted({row for segment in segments for row in segment} | {jump.row + 1 for jump in jumps})
+    kept = tuple((a, b) for a, b in pairwise(cuts) if b - a >= 2)
     axes = {group: positions for group, (positions, _) in kinematics.pairs_of(system).items()}
     shown = ", ".join(
         f"{j.size:.3g} in {kinematics.called(j.group, axes[j.group])} after row {j.row}, about {j.missing_s:.2g} s lost"

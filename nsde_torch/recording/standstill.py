@@ -313,7 +313,9 @@ def _grounded(run: RawRun, system: SystemInfo, commands: float) -> Mask:
         if run.t[b - 1] - run.t[a] < _FEWEST_S:
             continue
         before, behind = stands[max(0, a - most) : a][::-1], stands[b : b + most]
-        out[a - _run_in(before) : b + _run_in(behind)] = True
+        # up to the first row on each side in which it does not stand
+        first, last = (int(np.argmin(np.append(rows, False))) for rows in (before, behind))
+        out[a - first : b + last] = True
     return out
 
 
@@ -334,8 +336,3 @@ def _at_rest(moved: Array, turned: Array, rows: float) -> Mask:
     size = max(1, round(rows))
     speeds = [np.linalg.norm(uniform_filter1d(c, size, axis=0), axis=1) for c in (moved, turned)]
     return np.asarray((speeds[0] < _REST) & (speeds[1] < _REST))
-
-
-def _run_in(rows: Mask) -> int:
-    """How many rows are True before the first that is not."""
-    return len(rows) if rows.all() else int(np.argmin(rows))

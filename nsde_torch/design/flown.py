@@ -46,26 +46,16 @@ class KnownBetter:
         said = f"{self.value:.3g} +- {self.after:.2g}{unit} (standard error), {self.before:.2g} before"
         return said if self.expected is None else f"{said}, {self.expected:.2g} expected"
 
-    @property
-    def nats(self) -> float:
-        """Information gained."""
-        return float(np.log(self.before / self.after))
-
-    @property
-    def expected_nats(self) -> float | None:
-        """Information that was to be gained."""
-        return None if self.expected is None else float(np.log(self.before / self.expected))
-
     def content(self) -> dict[str, Any]:
-        """Plain containers, for JSON."""
+        """Plain containers, for JSON, with the information that was gained, and was to be gained [nats]."""
         return {
             "value": self.value,
             "unit": self.unit,
             "standard_error_before": self.before,
             "standard_error": self.after,
             "expected_standard_error": self.expected,
-            "nats": self.nats,
-            "expected_nats": self.expected_nats,
+            "nats": float(np.log(self.before / self.after)),
+            "expected_nats": None if self.expected is None else float(np.log(self.before / self.expected)),
         }
 
 

@@ -190,7 +190,9 @@ def _nearest(
     best: Regression | None = None
     why = ""
     for begun in [system, *_with_starts(search, system, own)]:
-        for held in [(), *_one_input_each(ParameterVector(begun), own)]:
+        vector = ParameterVector(begun)
+        each = [alone(name, [vector.labels[j] for j in vector.of(name)]) for name in own]
+        for held in dict.fromkeys([(), *(tuple(chain(*some)) for some in product(*each))]):
             try:
                 fit = _fit(search, begun, like, held)
             except (NsdeError, np.linalg.LinAlgError) as error:
@@ -211,12 +213,6 @@ def _fit(search: Search, system: System, like: Regression | None, held: Sequence
     out = search.regression(system, search.base(system).regression if like is None else like, held=held)
     out.run(search.budgets.iterations)
     return out
-
-
-def _one_input_each(vector: ParameterVector, effects: Sequence[str]) -> list[tuple[str, ...]]:
-    """Labels to hold at nothing, a choice at a time: what effects have one of for every input, but of one input."""
-    each = [alone(name, [vector.labels[j] for j in vector.of(name)]) for name in effects]
-    return [held for held in (tuple(chain(*some)) for some in product(*each)) if held]
 
 
 def _score(fit: Regression) -> float:

@@ -126,11 +126,6 @@ class Noise:
         """Number of parameters besides the size."""
         return len(self.reflection) + (self.carry > 0)
 
-    @property
-    def polynomial(self) -> Array:
-        """Coefficients 1, a_1, ..., a_p of the autoregression (p + 1,)."""
-        return _polynomial(self.reflection)
-
     def likelihood(self, rows: int) -> float:
         """Log likelihood of rows that it was fitted to, less one for each of its parameters (Akaike)."""
         return -rows * log(self.std) - self.parameters

@@ -53,7 +53,6 @@ from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.inference.steps import Steps
 from nsde_torch.rotation import rotate_back, rotation_between
 from nsde_torch.sysid.noise import Noise
-from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
 Array = NDArray[np.float64]
@@ -89,10 +88,13 @@ class Physics:
         vector.limit(data_sizes(vector.system, steps))
         self._lead = _LEAD if foresee else 0
         system = vector.system
-        self.turned = _world_velocity(system)
         self.names, self.units = list(system.state_names), list(system.state_units)
-        if self.turned is not None:
-            for i in range(self.turned.start, self.turned.stop):
+        at = [self.names.index(v) for _, v, frame in system.position_derivatives if frame == "world"]
+        self.turned: slice | None = None
+        """Columns of a velocity in the world, of a system that knows its attitude."""
+        if system.quaternion is not None and len(at) == 3 and at == list(range(at[0], at[0] + 3)):
+            self.turned = slice(at[0], at[0] + 3)
+            for i in at:
                 self.names[i] += " (body)"
         self._starts = steps.starts
         inferred = {j for j, _ in steps.inferred}
@@ -112,12 +114,10 @@ class Physics:
     def _drift(self, t: Tensor, z: Tensor, u: Tensor) -> Tensor:
         """f, with what acts beside it."""
         system = self.vector.system
-        forces = (
-            None
-            if self._forces is None
-            else self._forces(split_columns(z, system.nx, z.shape[1] - system.nx)[0])
-        )
-        return system.drift(t, z, u, forces)
+        if self._forces is None:
+            return system.drift(t, z, u)
+        x, _ = split_columns(z, system.nx, z.shape[1] - system.nx)
+        return system.drift(t, z, u, self._forces(x))
 
     @cached_property
     def attitude(self) -> Tensor:
@@ -176,11 +176,8 @@ class Physics:
 
     def kinematic(self, residual: Array, rows: NDArray[np.int64]) -> Array:
         """Residuals (N, m) of the channels beside `rows`; attitude and position of a turned velocity in the body."""
-        system, rest = (
-            self.vector.system,
-            [i for i in range(residual.shape[1]) if i not in {*rows.tolist(), *self.tied}],
-        )
-        parts, q = [], system.quaternion
+        system, q, parts = self.vector.system, self.vector.system.quaternion, []
+        rest = [i for i in range(residual.shape[1]) if i not in {*rows.tolist(), *self.tied}]
         if q is not None and set(range(q.start, q.stop)) <= set(rest):
             rest = [i for i in rest if not q.start <= i < q.stop]
             after = self.attitude + torch.as_tensor(residual[:, q])
@@ -358,17 +355,6 @@ class Physics:
         a, b = self.turned.start, self.turned.stop
         before, v, after = split_columns(change, a, b - a, change.shape[1] - b)
         return join_columns((before, rotate_back(attitude, v), after))
-
-
-def _world_velocity(system: System) -> slice | None:
-    """Columns of a velocity in the world, of a system that knows its attitude."""
-    if system.quaternion is None:
-        return None
-    names = list(system.state_names)
-    at = [names.index(velocity) for _, velocity, frame in system.position_derivatives if frame == "world"]
-    if len(at) != 3 or at != list(range(at[0], at[0] + 3)):
-        return None
-    return slice(at[0], at[0] + 3)
 
 
 BUMP_S, FEWEST = 0.25, 8

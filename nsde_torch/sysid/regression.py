@@ -97,13 +97,10 @@ def shown(slopes: Array, scale: Array) -> Shown:
     # how many typical sizes the parameters go where the data see one standard deviation
     reach = (np.abs(directions) * (size / scale)[live]).max(1) / np.maximum(values, 1e-300)
     seen = (values > _SINGULAR * values[0]) & (reach < _UNSEEN)
-    basis = np.zeros((k, int(seen.sum())))
-    basis[live] = (directions[seen] * size[live]).T
-    lost = np.zeros((k, int((~seen).sum())))
-    lost[live] = (directions[~seen] * size[live]).T
-    alone = np.zeros((k, int(dead.sum())))
-    alone[np.flatnonzero(dead), np.arange(int(dead.sum()))] = scale[dead]
-    readable = np.concatenate((alone, _readable(lost, scale)), 1)
+    scaled = np.zeros((k, len(live)))
+    scaled[live] = (directions * size[live]).T
+    basis, lost = scaled.compress(seen, 1), scaled.compress(~seen, 1)
+    readable = np.concatenate((np.diag(scale)[:, dead], _readable(lost, scale)), 1)
     known = ~dead
     known[live] &= np.square(directions[~seen]).sum(0) < 1e-6
     condition = float(values[seen][0] / values[seen][-1]) if seen.any() else 1.0

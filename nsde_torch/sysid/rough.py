@@ -10,6 +10,7 @@ feedback that answers what the physics lacks, pull it towards gains that are too
 import copy
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from math import log
 
 import numpy as np
@@ -99,14 +100,13 @@ def left_at(rough: Regression, theta: Array, *, damped: bool = False) -> list[Le
         damped: Whether what goes with a channel's own state is taken out, as a damping would that nobody declared.
     """
     physics = rough.physics
+    states = physics.turn(physics.steps.seen0, physics.attitude).numpy()
     residual, measured, own = (
-        _without_levels(rough, rough.single.summed(values, rough.box) / rough.dt)
-        for values in (
-            physics.residual(theta),
-            physics.measured,
-            physics.turn(physics.steps.seen0, physics.attitude).numpy(),
-        )
+        rough.single.summed(values, rough.box) / rough.dt
+        for values in (physics.residual(theta), physics.measured, states)
     )
+    for values, run in product((residual, measured, own), np.unique(rough.owners)):
+        values[rough.owners == run] -= values[rough.owners == run].mean(0)
     if damped:
         share = (residual * own).sum(0) / np.square(own).sum(0).clip(1e-300)
         residual = residual - share * own
@@ -143,11 +143,4 @@ def beginnings(runs: Sequence[Run], clock: float, *, seconds: float, fewest: int
         a, b = max(run.segments, key=lambda s: s[1] - s[0])
         rows = max(fewest, round(seconds / len(runs) / (run.dt * clock)))
         out.append(replace(run, segments=((a, min(b, a + rows)),)))
-    return out
-
-
-def _without_levels(rough: Regression, values: Array) -> Array:
-    out = values.copy()
-    for run in np.unique(rough.owners):
-        out[rough.owners == run] -= out[rough.owners == run].mean(0)
     return out

@@ -216,22 +216,20 @@ def on_time(found: Sequence[Smoothed], runs: Sequence[Run], system: System, cloc
 
 def sensors_of(system: System) -> list[SensorGroup]:
     """The sensors of a system: positions, velocities, body rates, states of no pair one by one, and the attitude."""
-    pairs = derivative_columns(system)
-    groups = [
-        (tuple(columns), name, k == 1) for name, pair in pairs.items() for k, columns in enumerate(pair)
-    ]
-    rates = rate_columns(system)
-    if rates is not None:
-        groups.append((tuple(range(system.nx)[rates]), ATTITUDE, True))
-    attitude = () if system.quaternion is None else tuple(range(system.nx)[system.quaternion])
-    known = {column for group, *_ in groups for column in group} | set(attitude)
-    groups += [((column,), "", False) for column in range(system.nx) if column not in known]
 
-    def sensor(columns: tuple[int, ...], group: str, rates: bool, *, turns: bool = False) -> SensorGroup:
-        return SensorGroup(columns, tuple(system.state_names[c] for c in columns), group, turns, rates)
+    def sensor(
+        columns: Sequence[int], group: str = "", *, rates: bool = False, turns: bool = False
+    ) -> SensorGroup:
+        return SensorGroup(tuple(columns), tuple(system.state_names[c] for c in columns), group, turns, rates)
 
-    out = [sensor(*group) for group in groups]
-    return [*out, sensor(attitude, ATTITUDE, rates=False, turns=True)] if attitude else out
+    groups = derivative_columns(system)
+    out = [sensor(part, name, rates=k == 1) for name, pair in groups.items() for k, part in enumerate(pair)]
+    if (rates := rate_columns(system)) is not None:
+        out.append(sensor(range(system.nx)[rates], ATTITUDE, rates=True))
+    attitude = range(system.nx)[system.quaternion or slice(0)]
+    known = {column for one in out for column in one.columns} | set(attitude)
+    out += [sensor([column]) for column in range(system.nx) if column not in known]
+    return [*out, sensor(attitude, ATTITUDE, turns=True)] if attitude else out
 
 
 def _smooth(q: Array, dt: float) -> Array:
@@ -327,12 +325,13 @@ def _apart(system: System, runs: Sequence[Run], sensor: SensorGroup, smoother: S
     Of changes of positions and integrals of rates. Where the noise of the partner drowns it, the partner cannot say.
     Where no more is seen than rounding makes, it is no sensor's noise.
     """
-    parts: list[tuple[Array, Array]] = []
-    for run in runs:
-        for a, b in run.segments:
-            for group, _, change, integral in axis_groups(system, np.asarray(run.x[a:b]), dt):
-                if group == sensor.group:
-                    parts.append((change, integral))
+    parts = [
+        (change, integral)
+        for run in runs
+        for a, b in run.segments
+        for group, _, change, integral in axis_groups(system, np.asarray(run.x[a:b]), dt)
+        if group == sensor.group
+    ]
     if not parts:
         return 0.0
     apart, places, integrals = (

@@ -31,7 +31,6 @@ from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import (
     clock_and_biases,
     columns,
-    conventions,
     noise,
     standstill,
     times,
@@ -226,8 +225,6 @@ def assemble(
         if system.quaternion is not None:
             columns.check_signs(run, system.quaternion, report)  # before holes are filled between its signs
         times.fill_missing(run, system, gap=limit, report=report)
-        if system.quaternion is not None:
-            columns.back_to_sphere(run, system.quaternion)
         columns.unwrap_angles(run, whole, report)
         noise.mend_glitches(run, system, report)
         standstill.cut_repeats(run, system, report)
@@ -252,8 +249,8 @@ def assemble(
     _check_twins(runs, report)
     interventions.report_of(runs, report)
     standstill.check_constant(system, runs, report)
-    conventions.check(system, runs)
-    conventions.check_runs(system, runs)
+    columns.check_conventions(system, runs)
+    columns.check_runs(system, runs)
     clock_and_biases.check_units(slopes, tuple(system.state_names))
     scale = clock_and_biases.decide(slopes, policy=clock, report=report)
     runs = unmeasured_rates.inferred(whole, runs, rates, scale)

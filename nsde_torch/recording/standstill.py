@@ -78,14 +78,11 @@ def cut_repeats(run: RawRun, system: SystemInfo, report: Report) -> None:
         run.rows(~frozen)
     drop = np.zeros(len(run.t), dtype=bool)
     for name, column, bad in _contradicted(run, system):
-        ends = {"lowest": column.min(), "highest": column.max()}
-        for value in np.unique(column[bad]):
-            which = next((word for word, end in ends.items() if value == end), None)
-            rows = bad & (column == value)
-            if which is None:
+        for which, value in (("lowest", column.min()), ("highest", column.max())):
+            at_end = column == value
+            if not (bad & at_end).any():
                 continue
-            bad = bad & ~rows
-            rows = _closed(column == value)
+            bad, rows = bad & ~at_end, _closed(at_end)
             text = f"{name} stands at its {which} value {value:.6g}, while its partner moves on: the sensor's end"
             _tell(run, report, "sensor_end", rows, text, {"column": name, "value": float(value)})
             drop |= rows

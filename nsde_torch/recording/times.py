@@ -122,6 +122,10 @@ def fill_missing(run: RawRun, system: SystemInfo, *, gap: float, report: Report)
         for k, bad in enumerate(bad_x.T):
             mend = some & bad
             run.x[mend, k] = np.interp(run.t[mend], run.t[good], run.x[good, k])
+        if (q := system.quaternion) is not None:  # back to the sphere, which lines leave
+            norm = np.linalg.norm(run.x[:, q], axis=1)
+            off = np.abs(norm - 1.0) > 1e-6
+            run.x[off, q] /= norm[off, None]
         last_good = np.maximum.accumulate(np.where(good, np.arange(n), 0))
         for k, bad in enumerate(bad_u.T):
             run.u[some & bad, k] = run.u[last_good[some & bad], k]

@@ -164,7 +164,11 @@ def to_infer(system: SystemInfo, raw: Sequence[RawRun], *, policy: str, report: 
     """
     if policy not in POLICIES:
         raise ConfigError(f"`derived_rates` must be {' or '.join(POLICIES)}; got {policy!r}.")
-    without = {run.name: _without(system, run) for run in raw}
+    without: dict[str, set[str]] = {}
+    for run in raw:
+        empty = np.asarray(np.isnan(run.x).all(axis=0))
+        pairs = rate_pairs(system) if system.quaternion is None else []
+        without[run.name] = {system.state_names[j] for i, j in pairs if empty[j] and not empty[i]}
     absent = {name for names in without.values() for name in names}
     for name in sorted(absent):
         lacking = [run for run, names in without.items() if name in names]
@@ -221,14 +225,6 @@ def inferred(system: SystemInfo, runs: Sequence[Run], names: Collection[str], cl
         for (x, a, b), values in zip(places, found, strict=True):
             x[a:b, j] = values
     return [replace(run, x=x, inferred=unknown) for run, x in zip(runs, states, strict=True)]
-
-
-def _without(system: SystemInfo, run: RawRun) -> set[str]:
-    """Rates of positions without any value in a run."""
-    if system.quaternion is not None:
-        return set()
-    empty = np.asarray(np.isnan(run.x).all(axis=0))
-    return {system.state_names[j] for i, j in rate_pairs(system) if empty[j] and not empty[i]}
 
 
 def _pairs(system: SystemInfo, names: Collection[str]) -> list[tuple[int, int]]:

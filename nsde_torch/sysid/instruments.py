@@ -48,9 +48,7 @@ _LAGS_S = (0.03, 0.1, 0.3, 1.0)  # time constants of what it knows of the past
 _FOLDS = 5
 _ROUNDS, _SETTLED = 10, 0.02  # standard errors
 _BINS = (1, 2, 3, 4, 6, 9, 14, 21, 31, 46)  # rows after a disturbance between which an answer is summed up
-_FOREKNOWN = (
-    1e-8  # share of its variance that is new: below, a signal is known beforehand and answers nothing
-)
+_FOREKNOWN = 1e-8  # share of a signal that is new: below, it is known beforehand and answers nothing
 
 
 @dataclass(frozen=True)

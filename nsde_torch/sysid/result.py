@@ -47,9 +47,8 @@ class Identification:
     guard: Guarded | None = None  # how the fit stands beside simple ones; None where it was not asked for
     finer: "Identification | None" = None
     """The fit over shorter boxes that the guard did not believe; None where these are the first ones."""
-    standstill: float = (
-        0.0  # share of the rows that were left out because what has dry friction stands in them
-    )
+    standstill: float = 0.0
+    """Share of the rows that were left out because what has dry friction stands in them."""
     # the fit of largest likelihood, whose values these are where nothing speaks against it; None where there was
     # none
     likelihood: MaximumLikelihood | None = None

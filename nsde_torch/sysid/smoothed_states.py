@@ -472,7 +472,25 @@ def restored(data: DataSet, found: Sequence[Smoothed]) -> DataSet:
     """
     if not found:
         return data
-    runs = _restored(data.runs, found, data.dt * data.clock_scale)
+    dt, rng = data.dt * data.clock_scale, np.random.default_rng(0)
+    pairs = [(one.smoother, k) for one in found for k in one.behind]
+    ends = [_ENDS / smoother.falls_to(0.7) for smoother, k in pairs if k.restored]
+    out_of_use = int(np.ceil(max(ends, default=0.0) / dt))
+    held = [k for _, k in pairs if k.reach < 0.5 / dt]  # else these rows hold nothing of where it falls
+    band = {name: k.reach for k in held for name in k.sensor.names}
+    low_pass = {name: k.reach for k in held if _louder_above(k) for name in k.sensor.names}
+    runs = []
+    for run in data.runs:
+        x = np.array(run.x)
+        for a, b in run.segments:
+            for smoother, k in pairs:
+                if k.restored or k.reach < 0.5 / dt:
+                    _restore_stretch(x[a:b], smoother, k, dt, rng)
+        inner = [(a + out_of_use, b - out_of_use) for a, b in run.segments]
+        kept = tuple((a, b) for a, b in inner if b - a >= _FEWEST)
+        whole = run.unbroken or run.segments
+        segments = kept or run.segments
+        runs.append(replace(run, x=x, segments=segments, band=band, low_pass=low_pass, unbroken=whole))
     return data.changed(runs, [*data.summary.findings, *(one.finding() for one in found)])
 
 
@@ -498,29 +516,6 @@ def narrowed(runs: Sequence[Run], system: System, clock: float = 1.0) -> list[Ru
                 noise = rng.standard_normal(values.shape) * np.sqrt(level / (2.0 * dt))
                 sensor.with_values(x[a:b], _unsmoothed(values, None, reach, noise, dt), dt)
     return [replace(run, x=x) for run, x in zip(runs, states, strict=True)]
-
-
-def _restored(runs: Sequence[Run], found: Sequence[Smoothed], dt: float) -> list[Run]:
-    rng = np.random.default_rng(0)
-    pairs = [(one.smoother, k) for one in found for k in one.behind]
-    ends = [_ENDS / smoother.falls_to(0.7) for smoother, k in pairs if k.restored]
-    out_of_use = int(np.ceil(max(ends, default=0.0) / dt))
-    held = [k for _, k in pairs if k.reach < 0.5 / dt]  # else these rows hold nothing of where it falls
-    band = {name: k.reach for k in held for name in k.sensor.names}
-    low_pass = {name: k.reach for k in held if _louder_above(k) for name in k.sensor.names}
-    out = []
-    for run in runs:
-        x = np.array(run.x)
-        for a, b in run.segments:
-            for smoother, k in pairs:
-                if k.restored or k.reach < 0.5 / dt:
-                    _restore_stretch(x[a:b], smoother, k, dt, rng)
-        inner = [(a + out_of_use, b - out_of_use) for a, b in run.segments]
-        kept = tuple((a, b) for a, b in inner if b - a >= _FEWEST)
-        whole = run.unbroken or run.segments
-        segments = kept or run.segments
-        out.append(replace(run, x=x, segments=segments, band=band, low_pass=low_pass, unbroken=whole))
-    return out
 
 
 def _louder_above(one: SmoothedSensor) -> bool:

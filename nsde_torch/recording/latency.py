@@ -39,7 +39,7 @@ from nsde_torch.data.kinematics import Slope, Uncertain, axis_groups, jackknife,
 from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import SystemInfo, channel_columns, common_name
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.recording.fault import NATS, Detected, Fault, LoggedRuns, Misfits, Suspect
+from nsde_torch.recording.fault import NATS, Detected, LoggedRuns
 
 Array = NDArray[np.float64]
 _Piece: TypeAlias = tuple[Array, Array, Array]
@@ -361,20 +361,18 @@ def latency_findings(late: Sequence[Latency], *, action: str = "reported") -> li
     return out
 
 
-def found_latency(fault: Fault, log: LoggedRuns, *, filtered: bool) -> Detected | None:
+def found_latency(log: LoggedRuns, *, filtered: bool) -> Detected | None:
     """Channels of a log that are surely delayed, or filtered, as one finding; None for none."""
     late = [d for d in log.once(_surely_late_in) if d.filtered == filtered]
-    return _detected(fault, late) if late else None
+    return _detected(late) if late else None
 
 
-def suspected_latency(fault: Fault, log: LoggedRuns, *, filtered: bool) -> list[Suspect]:
-    """Channels that are late by less than what is sure: half a step may be how a simulator steps."""
-    late, out = log.once(_late_in), []
-    for order, d in enumerate(late):
-        matters = d.p * len(late) < log.level(fault.stage) and d.low > _LEAST_STEPS * log.runs[0].dt
-        if matters and d.filtered == filtered and d not in log.once(_surely_late_in):
-            out.append(Suspect(fault, order, _detected(fault, [d], short=True), {d.channel: -d.seconds}))
-    return out
+def suspected_latency(log: LoggedRuns) -> list[Detected]:
+    """Channels that are late by less than what is sure; physics has to say, as a simulator may step so."""
+    late, sure, level = log.once(_late_in), log.once(_surely_late_in), log.level("lateness")
+    least = _LEAST_STEPS * log.runs[0].dt
+    some = [d for d in late if d.p * len(late) < level and d.low > least and d not in sure]
+    return [_detected([d], short=True) for d in some]
 
 
 def _late_in(log: LoggedRuns) -> list[Latency]:
@@ -385,12 +383,13 @@ def _surely_late_in(log: LoggedRuns) -> list[Latency]:
     return surely_late(log.once(_late_in), log.runs[0].dt, chance=log.level("lateness"))
 
 
-def _detected(fault: Fault, late: Sequence[Latency], *, short: bool = False) -> Detected:
+def _detected(late: Sequence[Latency], *, short: bool = False) -> Detected:
+    (name,) = by_fault(late)
     how = "late behind a filter, against" if late[0].filtered else "later than"
     words = ", ".join(f"{d.channel} is logged {1e3 * d.seconds:.3g} ms {how} {d.other}" for d in late)
     values = {d.channel: (d.seconds, d.low, d.high, "s") for d in late}
     text = f"Channels do not belong to the same time: {words}, as the one is the integral of the other."
-    return Detected(fault.name, values, min(d.p for d in late), text, short)
+    return Detected(name, values, min(d.p for d in late), text, short)
 
 
 # found by physics
@@ -399,7 +398,7 @@ def _detected(fault: Fault, late: Sequence[Latency], *, short: bool = False) -> 
 def whole_sensor_late(
     runs: Sequence[Run],
     system: SystemInfo,
-    misfits: Misfits,
+    misfits: Callable[[Sequence[Run]], Array],
     *,
     rows: int,
     other: float,
@@ -409,7 +408,8 @@ def whole_sensor_late(
 
     Kinematics do not show it, and effects that do the same pay for one channel with another. So it is asked for where
     effects leave structure, has to do better than they, and no channel may pay for it: attitude and rates moved by the
-    time that motors lag behind would otherwise take their place. Arguments are those of `Fault.instead_of_effects`.
+    time that motors lag behind would otherwise take their place. Arguments are those of `chain.instead_of_effects`;
+    `undone` is by how much sensors were late that are on time in the runs.
     """
     pairs = [(common_name(positions), common_name(rates)) for positions, rates in pairs_of(system).values()]
     step = runs[0].dt

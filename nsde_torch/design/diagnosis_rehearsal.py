@@ -185,7 +185,10 @@ def rehearse(
 def _rehearsed(found: Diagnosis, logs: int, seed: int, say: Say) -> Rehearsal:
     outcome, rng = found.outcome, np.random.default_rng([seed, 2026])
     names = tuple(f.name for f in outcome.found)
-    left_out = _left_out(found)
+    left_out = tuple(f"{f.name} of the recording" for f in found.faults)
+    smoothed = sorted({name for run in found.recorded.runs for name in run.band})
+    if smoothed:
+        left_out += (f"the smoother of {', '.join(smoothed)}: simulated states are raw",)
     say("simulating what was found", 0, 1)
     try:
         made, followed = _simulated(found, outcome.system, logs, rng)
@@ -283,15 +286,6 @@ def _raw(
     extra = {name: column[rows] for name, column in run.extra.items()}
     extra |= {name: inputs[:, system.nu + k] for k, name in enumerate(system.exogenous)}
     return RawRun(run.name, run.t[rows], states, inputs[:, : system.nu], extra)
-
-
-def _left_out(found: Diagnosis) -> tuple[str, ...]:
-    """What was found and is not simulated."""
-    faults = [f"{f.name} of the recording" for f in found.faults]
-    smoothed = sorted({name for run in found.recorded.runs for name in run.band})
-    if smoothed:
-        faults.append(f"the smoother of {', '.join(smoothed)}: simulated states are raw")
-    return tuple(faults)
 
 
 def _sure(*contents: Content) -> set[str]:

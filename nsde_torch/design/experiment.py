@@ -65,9 +65,8 @@ class Experiment:
     question: Question  # what it is asked
     members: tuple[Member, ...]  # what may be true, fitted
     plan: PlannedRun  # what to do
-    baselines: tuple[
-        PlannedRun, ...
-    ]  # usual experiments of the same length and limits, the best size of each
+    baselines: tuple[PlannedRun, ...]
+    """Usual experiments of the same length and limits, the best size of each."""
     limits: ExperimentLimits  # limits
     start: Array  # first state (nx,)
     dt: float  # step of the log [s]

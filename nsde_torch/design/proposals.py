@@ -183,7 +183,16 @@ def search(
         genes = np.concatenate((fresh, _within(family, genes, judged, best, proposals // _SMALLER)))
     say("proposing experiments", generations + 1, generations + 1)
     if not found:
-        raise ConfigError(_in_the_way(judge.limits, *nearest))
+        (share, state), limits = nearest, judge.limits
+        name, low, high = limits.states[state], limits.floor[state], limits.ceiling[state]
+        room = f"limits.{name}=[{low:.4g},{high:.4g}]"
+        room += "" if name in limits.given else " (what the runs held)"
+        reached = f"takes {share:.0%} of it" if np.isfinite(share) else "leaves it"
+        raise ConfigError(
+            f"no experiment stays within the limits: what limits it is {room}; the gentlest input tried {reached}, "
+            f"where {1 - MARGIN:.0%} is allowed, as the members do not know all. Widen it, start inside of it "
+            "(start.NAME=...), or plan a shorter experiment (duration=...)."
+        )
     kept: list[PlannedRun] = []
     for g, p in found:
         # rehearsing nearly the same twice says nothing new
@@ -200,18 +209,6 @@ def _within(family: Family, genes: Array, judged: Judged, worth: float, most: in
     left = np.flatnonzero((use > 1.0 - MARGIN) & (use < 3.0) & (judged.told > worth))
     chosen = left[np.argsort(-judged.told[left])][:most]
     return family.shrunk(genes[chosen], (1.0 - 2.0 * MARGIN) / use[chosen])
-
-
-def _in_the_way(limits: ExperimentLimits, share: float, state: int) -> str:
-    name = limits.states[state]
-    low, high = limits.floor[state], limits.ceiling[state]
-    room = f"limits.{name}=[{low:.4g},{high:.4g}]" + ("" if name in limits.given else " (what the runs held)")
-    reached = "leaves it" if not np.isfinite(share) else f"takes {share:.0%} of it"
-    return (
-        f"no experiment stays within the limits: what limits it is {room}; the gentlest input tried {reached}, "
-        f"where {1 - MARGIN:.0%} is allowed, as the members do not know all. Widen it, start inside of it "
-        "(start.NAME=...), or plan a shorter experiment (duration=...)."
-    )
 
 
 # ---- expected --------------------------------------------------------------------------------------------

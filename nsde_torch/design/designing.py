@@ -7,8 +7,6 @@ choose      what tells most in the less favourable rehearsals, whichever member 
 confirm     rehearse it anew: the best of several noisy rehearsals was lucky in them      here
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial

@@ -13,8 +13,6 @@ and Moore, Optimal Control, 1990, chapter 2). A machine that does not stay by it
 a loop, as the measured one was, if not in the same one.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """A planned experiment: what to do, what it is expected to tell, and what one would see."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -145,14 +143,9 @@ class Experiment:
                 "largest_up": float(np.abs(self.plan.table[:, 8]).max()),
                 "unit": "m/s2",
             },
-            "expected": [self._expected(self.plan, i) for i in range(len(self.members))],
+            "expected": self._expected(self.plan),
             "baselines": [
-                {
-                    "name": b.name,
-                    "rehearsals": b.count,
-                    "expected": [self._expected(b, i) for i in range(len(self.members))],
-                }
-                for b in self.baselines
+                {"name": b.name, "rehearsals": b.count, "expected": self._expected(b)} for b in self.baselines
             ],
             "beyond_limits": self._beyond(),
             "sure_nats": SURE,
@@ -169,27 +162,26 @@ class Experiment:
         name = self.system.state_names[i]
         return {"limit": name, "share": float(self.most_use[i]), "worth_nats": self.most}
 
-    def _expected(self, plan: PlannedRun, truth: int) -> dict[str, Any]:
-        member, rehearsed = self.members[truth], plan.rehearsed[truth]
-        v = member.vector
-        now = np.sqrt(np.diag(member.covariance))
-        with np.errstate(invalid="ignore"):
+    def _expected(self, plan: PlannedRun) -> list[dict[str, Any]]:
+        out: list[dict[str, Any]] = []
+        for truth, (member, rehearsed) in enumerate(zip(self.members, plan.rehearsed, strict=True)):
+            v, now = member.vector, np.sqrt(np.diag(member.covariance))
             fine = rehearsed.errors[np.isfinite(rehearsed.errors).all(1)]
-        then = np.median(fine, axis=0) if len(fine) else np.full(len(now), np.nan)
-        out: dict[str, Any] = {
-            "if_true": self.question.names[truth],
-            "log_likelihood_now": member.nats,
-            "parameters": {
+            then = np.median(fine, axis=0).tolist() if len(fine) else [None] * len(now)
+            parameters = {
                 label: {
                     "value": float(member.theta[i]),
                     "standard_error": float(now[i]),
-                    "expected_standard_error": float(then[i]) if np.isfinite(then[i]) else None,
+                    "expected_standard_error": then[i],
                     "unit": v.units[i],
                 }
                 for i, label in enumerate(v.labels)
-            },
-        }
-        if not self.question.parameters:
-            out["nats"] = plan.nats(truth)
-            out["separated"] = plan.separates(truth)
+            }
+            own = {"if_true": self.question.names[truth], "log_likelihood_now": member.nats}
+            tie = (
+                {}
+                if self.question.parameters
+                else {"nats": plan.nats(truth), "separated": plan.separates(truth)}
+            )
+            out.append({**own, "parameters": parameters, **tie})
         return out

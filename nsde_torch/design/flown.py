@@ -5,8 +5,6 @@ errors became: ln(before / after) nats of each, the information gained about a n
 measure of the information provided by an experiment, Annals of Mathematical Statistics 27 (1956)).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -234,14 +232,9 @@ def _parameters(
     weight -= (len(each) - 1) / np.square(before)
     after = 1.0 / np.sqrt(np.maximum(weight, 1e-6 / np.square(before)))
     value = np.mean([f.thetas[0] for f in each], axis=0)
-    return {
-        label: KnownBetter(
-            float(value[i]),
-            float(before[i]),
-            float(after[i]),
-            planned.get(label, {}).get("expected_standard_error"),
-            v.units[i],
-        )
-        for i, label in enumerate(v.labels)
-        if any(label == asked or label.startswith(f"{asked}[") for asked in question.parameters)
-    }
+    out = {}
+    for i, label in enumerate(v.labels):
+        if any(label == asked or label.startswith(f"{asked}[") for asked in question.parameters):
+            error = planned.get(label, {}).get("expected_standard_error")
+            out[label] = KnownBetter(float(value[i]), float(before[i]), float(after[i]), error, v.units[i])
+    return out

@@ -11,8 +11,6 @@ Experiments ask for the ties one after another, then for the leads and wide para
 suspected.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf

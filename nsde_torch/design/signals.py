@@ -8,8 +8,6 @@ that is fine about rest, value = sinh(5 g) / sinh(5): what a machine does may ha
 those that its runs held, a dry friction for one.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

@@ -5,14 +5,11 @@ and are undone only where the declared physics fits better for it: what is half 
 steps.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import DataSet, Run
@@ -21,7 +18,7 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.options import check
 from nsde_torch.recording.fault import NATS, Detected, Fault, LoggedRuns
 from nsde_torch.recording.faults import FAULTS, in_order, recording_options
-from nsde_torch.recording.latency import suspected_latency, whole_sensor_late
+from nsde_torch.recording.latency import Misfits, suspected_latency, whole_sensor_late
 
 
 @final
@@ -164,12 +161,7 @@ def undo(
 
 
 def instead_of_effects(
-    found: Recorded,
-    system: SystemInfo,
-    misfits: Callable[[Sequence[Run]], NDArray[np.float64]],
-    *,
-    rows: int,
-    other: float,
+    found: Recorded, system: SystemInfo, misfits: Misfits, *, rows: int, other: float
 ) -> Recorded | None:
     """The log without the delay of a whole sensor that explains what effects do not; None where there is none.
 

@@ -6,8 +6,6 @@ p and q move as far as v and omega say only if a logged second is one second (`n
 for a rate that reads b too much, the rest is -b T on average.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import Any

@@ -10,8 +10,6 @@ all runs. A log is refused where the expected way leaves much of the motion and 
 one: in sound data the expected way leaves least, whatever the noise, and a wrong unit or clock spoils all alike.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import permutations
 

@@ -20,8 +20,6 @@ A sensor whose position and rate are late alike shows in the declared physics al
 Times are seconds of the log's own clock.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite, log
@@ -44,6 +42,8 @@ from nsde_torch.recording.fault import NATS, Detected, LoggedRuns
 Array = NDArray[np.float64]
 _Piece: TypeAlias = tuple[Array, Array, Array]
 """Changes of positions over steps, integrals of their rates (n - 1, axes), and the rates (n, axes) of a stretch."""
+Misfits: TypeAlias = Callable[[Sequence[Run]], Array]
+"""Negative log likelihood per row [nats] of the declared physics in runs, by channel."""
 
 LATE = 1e-4
 """Chance of calling a sensor late that is on time, when data are read."""
@@ -398,7 +398,7 @@ def _detected(late: Sequence[Latency], *, short: bool = False) -> Detected:
 def whole_sensor_late(
     runs: Sequence[Run],
     system: SystemInfo,
-    misfits: Callable[[Sequence[Run]], Array],
+    misfits: Misfits,
     *,
     rows: int,
     other: float,

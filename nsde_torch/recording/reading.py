@@ -9,8 +9,6 @@ summary
 All of this is done at the rate of the log. A longer step is taken at last.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

@@ -22,8 +22,6 @@ lobe is twelve bins wide, so that a bin of a short window sees a steep flank fro
 sum_g L(f, g) P(g). Without this, windows of 128 rows place a cut-off at 6 of 100 Hz a quarter too high.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -213,18 +211,17 @@ def spectra_of(parts: Sequence[Array], dt: float) -> Spectra | None:
         return None
     rows = _WINDOW if longest >= 3 * _WINDOW else max(_SHORTEST, 2 ** int(np.log2(longest // 3)))
     taper, t = _taper(rows), np.linspace(-1.0, 1.0, rows)
-    squares, count = [], 0
+    squares = []
     for part in parts:
         for a in range(0, len(part) - rows + 1, rows // 2):
             cut = part[a : a + rows]
             cut = cut - polynomial.polyval(t, polynomial.polyfit(t, cut, 1)).T
             squares.append(np.square(np.abs(rfft(taper[:, None] * cut, axis=0))))
-            count += 1
-    if count < _FEWEST:
+    if len(squares) < _FEWEST:
         return None
     power = np.mean(squares, axis=0).T * (2.0 * dt / np.square(taper).sum())
     f, fine = (np.asarray(rfftfreq(n, dt), dtype=np.float64) for n in (rows, _FINER * rows))
-    return Spectra(f[_KEPT], power[:, _KEPT], _EFFECTIVE * count, dt, fine[1:], _lobe(rows))
+    return Spectra(f[_KEPT], power[:, _KEPT], _EFFECTIVE * len(squares), dt, fine[1:], _lobe(rows))
 
 
 def _taper(rows: int) -> Array:

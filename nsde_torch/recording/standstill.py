@@ -25,8 +25,6 @@ next to them in which it still stands as the commands rise or sink, and with tho
 comes down on it and bounces: the last row within 3 s that is less than 5 cm above where it stands, and all before it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

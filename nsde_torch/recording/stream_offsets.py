@@ -16,8 +16,6 @@ time (measured with `benchmarks/bench_streams.py`: a regression on the declared 
 whose commands are on time).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

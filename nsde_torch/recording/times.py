@@ -5,8 +5,6 @@ the new times, inputs the mean of what acted during a step. What is late by less
 rows, nor distinguished from physics: it is taken out before.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace

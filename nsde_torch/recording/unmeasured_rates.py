@@ -15,8 +15,6 @@ differences are recognised by their numbers: q and v agree on them far better th
 derivative.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 

@@ -162,24 +162,17 @@ def guarded(
     theta = regression.theta if theta is None else theta
     if rough is None or len(rough.theta) != len(theta):
         return Guarded()
-    at = {"fit": theta, "least_squares": rough.theta, "first_values": vector.inside(vector.start)}
-    left = {name: left_at(rough, values) for name, values in at.items()}
+    fit, squares, first = (left_at(rough, at) for at in (theta, rough.theta, vector.inside(vector.start)))
     channels = tuple(
         Compared(
-            c.name,
-            per_second(c.unit),
-            c.measured,
-            c.left,
-            s.left,
-            f.left,
-            less=s.foretold < LESS * c.foretold,
+            c.name, per_second(c.unit), c.measured, c.left, s.left, f.left, s.foretold < LESS * c.foretold
         )
-        for c, s, f in zip(left["fit"], left["least_squares"], left["first_values"], strict=True)
+        for c, s, f in zip(fit, squares, first, strict=True)
     )
     objections, notes = _faults(system, runs, clock, rough, regression)
     chance = _chance(rough, theta, covariance)
     if not objections:
-        objections = _disagreements(channels, chance) or _gone(rough, theta, covariance, left["fit"])
+        objections = _disagreements(channels, chance) or _gone(rough, theta, covariance, fit)
         notes += [] if objections else _believed(channels, chance)
     found = Guarded(
         tuple(objections), channels, tuple(vector.labels), tuple(rough.theta.tolist()), chance, tuple(notes)

@@ -37,8 +37,6 @@ the truth and bias friction. What the physics leaves counts as a gust that lasts
 rates. These hang a little on the parameters: they are inferred again until these have settled (`in_turn`).
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -68,6 +66,15 @@ from nsde_torch.systems import System
 Array = NDArray[np.float64]
 
 _TOLD = 4.0  # difference of statistics from which on data tell what inputs do between rows
+
+
+@dataclass(frozen=True)
+class Settled:
+    """A regression after its last step."""
+
+    regression: Regression
+    runs: Sequence[Run]  # its runs, without rows in which what has dry friction stands
+    left_out: float  # share of the rows that were left out of them
 
 
 def identify_in_loop(
@@ -277,15 +284,6 @@ def identify(
     """
     at = settled(system, runs, clock=clock, method=method, width=width, iterations=iterations)
     return identification(at.regression, method, standstill=at.left_out)
-
-
-@dataclass(frozen=True)
-class Settled:
-    """A regression after its last step."""
-
-    regression: Regression
-    runs: Sequence[Run]  # its runs, without rows in which what has dry friction stands
-    left_out: float  # share of the rows that were left out of them
 
 
 def settled(

@@ -36,8 +36,6 @@ that were made from the log, and the slopes that it is compared with were known 
 whatever the laws are (an instrumental variable; Soderstrom and Stoica, 1983), at the price of wider intervals.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, log
@@ -80,7 +78,7 @@ class Series:
         rows = [np.clip(np.arange(a, b) + by, a, b - 1) for a, b in self.edges]
         return np.asarray(values[np.concatenate(rows)])
 
-    def boxes(self, width: int) -> Series:
+    def boxes(self, width: int) -> "Series":
         """Series of the sums that `summed` makes."""
         ends = np.cumsum([(b - a) // width for a, b in self.edges]).tolist()
         return Series(tuple(zip([0, *ends[:-1]], ends, strict=True)))

@@ -31,8 +31,6 @@ How much of each measured rate the physics explains is said in means over test f
 Over single steps sensor noise hides everything; over a quarter of a second it mostly does not.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -105,7 +103,7 @@ class Physics:
         self._foreseen: tuple[Tensor, Tensor] | None = None
         self._forces: Forces | None = None
 
-    def beside(self, forces: Forces) -> Physics:
+    def beside(self, forces: Forces) -> "Physics":
         """The same with forces that no parameter has: of a state (N, nx), by port (N, width)."""
         out = copy.copy(self)
         out._forces, out._foreseen = forces, None
@@ -410,22 +408,12 @@ def explained(physics: Physics, residual: Array, rows: NDArray[np.int64], window
     left = smooth_rate(residual, s.segments, window, s.dt)
     bend = np.sqrt(np.square(np.diff(window, prepend=0.0, append=0.0)).sum()) / s.dt
     out = []
-    for i, channel in enumerate(rows):
-        std, rms = (
-            (0.0, 0.0) if not len(left) else (measured[:, i].std(), np.sqrt(np.square(left[:, i]).mean()))
-        )
-        unit = physics.units[channel]
-        out.append(
-            Channel(
-                name=physics.names[channel],
-                unit=per_second(unit),
-                measured=float(std),
-                residual=float(rms),
-                sensor=float(bend * physics.sensor_std[channel]),
-                r2=float(1.0 - (rms / std) ** 2) if std > 0 else 0.0,
-                noise=None,
-            )
-        )
+    for i, c in enumerate(rows):
+        std = float(measured[:, i].std()) if len(left) else 0.0
+        rms = float(np.sqrt(np.square(left[:, i]).mean())) if len(left) else 0.0
+        r2 = 1.0 - (rms / std) ** 2 if std > 0 else 0.0
+        sensor = float(bend * physics.sensor_std[c])
+        out.append(Channel(physics.names[c], per_second(physics.units[c]), std, rms, sensor, r2, None))
     return out
 
 

@@ -27,8 +27,6 @@ Assumed, not checked: an input or a first state moves the system, and not noise 
 noise), and inputs are those that acted (smoothed ones lose against a noise model: take `differences`).
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -419,7 +417,7 @@ class Regression:
             used += own.shape[1] + self._past.shape[1]
         return np.stack(purged), used
 
-    def at(self, theta: Array) -> Regression:
+    def at(self, theta: Array) -> "Regression":
         """The same at other values, with noise models of the same kind."""
         out = copy.copy(self)
         out.theta = theta
@@ -446,7 +444,7 @@ class Regression:
         memory, times = self.memory, self.times(channel)
         return estimate(left, self.series, limit=limit, orders=orders, memory=memory, times=times)
 
-    def under(self, row: int, law: Noise) -> Regression:
+    def under(self, row: int, law: Noise) -> "Regression":
         """The same with another noise model of channel number `row` of `rows`; theta stays."""
         out = copy.copy(self)
         out.noises, out.white, out.slopes = list(self.noises), self.white.copy(), self.slopes.copy()
@@ -497,13 +495,11 @@ def regression_of(
 
 
 def _box(width: float | None, dt: float) -> int:
-    if width is None:
-        return max(1, int(_BOX_S / dt + 1e-6))
-    if round(width / dt) < 1:
+    if width is not None and round(width / dt) < 1:
         raise ConfigError(
             f"`model.width` must be a step of the data ({dt:.4g} s) or longer; got {width:g} s."
         )
-    return round(width / dt)
+    return max(1, int(_BOX_S / dt + 1e-6)) if width is None else round(width / dt)
 
 
 # ---- narrow shapes -------------------------------------------------------------------------------------

@@ -110,17 +110,12 @@ def left_at(rough: Regression, theta: Array, *, damped: bool = False) -> list[Le
     if damped:
         share = (residual * own).sum(0) / np.square(own).sum(0).clip(1e-300)
         residual = residual - share * own
-    names, units = physics.names, physics.units
-    return [
-        Left(
-            names[c],
-            units[c],
-            float(np.sqrt(np.square(measured[:, c]).mean())),
-            float(np.sqrt(np.square(residual[:, c]).mean())),
-            float(np.sqrt(np.square(measured[:, c] - residual[:, c]).mean())),
-        )
-        for c in rough.rows
-    ]
+    out = []
+    for c in rough.rows:
+        each = (measured[:, c], residual[:, c], measured[:, c] - residual[:, c])
+        sizes = (float(np.sqrt(np.square(values).mean())) for values in each)
+        out.append(Left(physics.names[c], physics.units[c], *sizes))
+    return out
 
 
 def share_left(rough: Regression) -> float:

@@ -41,8 +41,6 @@ smoothers are looked for in the rows as they were logged (`undone_at_own_rate`).
 where the noise that stands in for what a smoother took has no place above half its rate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -529,12 +527,9 @@ def _restore_stretch(
 ) -> None:
     at = int(np.argmin(np.abs(one.seen.f - one.reach)))
     values = one.sensor.values(x, dt)
-    # what moves above is gone: it must not weigh beside the noise that stands in for it
-    level = (
-        one.fit.noise[:, at] + ABOVE * one.fit.motion[:, at]
-        if one.restored
-        else ADDED * one.seen.power[:, at]
-    )
+    level = ADDED * one.seen.power[:, at]
+    if one.restored:  # what moves above is gone: it must not weigh beside the noise that stands in for it
+        level = one.fit.noise[:, at] + ABOVE * one.fit.motion[:, at]
     noise = rng.standard_normal(values.shape) * np.sqrt(level / (2.0 * dt))
     new = _unsmoothed(values, smoother, one.reach, noise, dt) if one.restored else values + noise
     one.sensor.with_values(x, new, dt)

@@ -113,12 +113,9 @@ def _streams(system: System) -> list[tuple[str, list[int], bool]]:
 
 
 def _named(names: list[str]) -> str:
-    groups = list(
-        dict.fromkeys(
-            common_name([n, n]) if n[-2:-1] == "_" and n[-1] in "xyzw123456789" else n for n in names
-        )
-    )
-    return " and ".join(groups)
+    numbered = [n[-2:-1] == "_" and n[-1] in "xyzw123456789" for n in names]
+    groups = [common_name([n, n]) if one else n for n, one in zip(names, numbered, strict=True)]
+    return " and ".join(dict.fromkeys(groups))
 
 
 def _best(

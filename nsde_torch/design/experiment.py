@@ -50,10 +50,6 @@ class PlannedRun:
             out |= {f"low_{level}": mean - half, f"high_{level}": mean + half}
         return out
 
-    def separates(self, truth: int) -> float:
-        """Share of the rehearsals that break the tie for a member."""
-        return float((self.rehearsed[truth].evidence > SURE).mean())
-
 
 @dataclass(frozen=True)
 class Experiment:
@@ -116,6 +112,10 @@ class Experiment:
         """What `design.json` holds."""
         units = self.units
         use = np.max([r.use.max(0) for r in self.plan.rehearsed], axis=0)
+        beyond, at = None, int(self.most_use.argmax())  # the state of which more would tell most
+        if not self.question.parameters and self.most > self.plan.worth and self.most_use[at] > 1.0 - MARGIN:
+            share = float(self.most_use[at])
+            beyond = {"limit": self.system.state_names[at], "share": share, "worth_nats": self.most}
         return {
             "schema": "nsde_torch.design/1",
             "system": self.system.name,
@@ -147,20 +147,12 @@ class Experiment:
             "baselines": [
                 {"name": b.name, "rehearsals": b.count, "expected": self._expected(b)} for b in self.baselines
             ],
-            "beyond_limits": self._beyond(),
+            "beyond_limits": beyond,
             "sure_nats": SURE,
             "rehearsals": self.plan.count,
             "seed": self.options.seed,
             "seconds": self.seconds,
         }
-
-    def _beyond(self) -> dict[str, Any] | None:
-        """What limits the plan: the state of which more would tell most."""
-        i = int(self.most_use.argmax())
-        if self.question.parameters or not self.most > self.plan.worth or self.most_use[i] <= 1.0 - MARGIN:
-            return None
-        name = self.system.state_names[i]
-        return {"limit": name, "share": float(self.most_use[i]), "worth_nats": self.most}
 
     def _expected(self, plan: PlannedRun) -> list[dict[str, Any]]:
         out: list[dict[str, Any]] = []
@@ -168,20 +160,20 @@ class Experiment:
             v, now = member.vector, np.sqrt(np.diag(member.covariance))
             fine = rehearsed.errors[np.isfinite(rehearsed.errors).all(1)]
             then = np.median(fine, axis=0).tolist() if len(fine) else [None] * len(now)
-            parameters = {
-                label: {
-                    "value": float(member.theta[i]),
-                    "standard_error": float(now[i]),
-                    "expected_standard_error": then[i],
-                    "unit": v.units[i],
-                }
-                for i, label in enumerate(v.labels)
+            one: dict[str, Any] = {
+                "if_true": self.question.names[truth],
+                "log_likelihood_now": member.nats,
+                "parameters": {
+                    label: {
+                        "value": float(member.theta[i]),
+                        "standard_error": float(now[i]),
+                        "expected_standard_error": then[i],
+                        "unit": v.units[i],
+                    }
+                    for i, label in enumerate(v.labels)
+                },
             }
-            own = {"if_true": self.question.names[truth], "log_likelihood_now": member.nats}
-            tie = (
-                {}
-                if self.question.parameters
-                else {"nats": plan.nats(truth), "separated": plan.separates(truth)}
-            )
-            out.append({**own, "parameters": parameters, **tie})
+            if not self.question.parameters:  # and the share of the rehearsals that break the tie
+                one |= {"nats": plan.nats(truth), "separated": float((rehearsed.evidence > SURE).mean())}
+            out.append(one)
         return out

@@ -23,7 +23,7 @@ sum_g L(f, g) P(g). Without this, windows of 128 rows place a cut-off at 6 of 10
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from math import log, pi
 from typing import Any
@@ -124,11 +124,6 @@ class SpectrumFit:
     motion: Array  # spectra before the smoother without the sensor's noise (C, F) [unit^2 / Hz]
     noise: Array  # the sensor's noise before the smoother (C, F) [unit^2 / Hz]
     rounding: Array  # what rounding adds behind it (C,) [unit^2 / Hz]
-
-    @property
-    def before(self) -> Array:
-        """Spectra before the smoother (C, F) [unit^2 / Hz]."""
-        return self.motion + self.noise
 
 
 def _warped(f: Array, dt: float) -> Array:
@@ -236,11 +231,6 @@ def _lobe(rows: int) -> Array:
     bins, parts = _FINER * np.arange(rows // 2 + 1)[_KEPT], np.arange(1, fine // 2 + 1)
     lobe = seen[np.abs(bins - parts[:, None])] + seen[(bins + parts[:, None]) % fine]
     return np.asarray(lobe / lobe.sum(0))
-
-
-def joined(some: Sequence[Spectra]) -> Spectra:
-    """Spectra of several sensors as one, on the same frequencies."""
-    return replace(some[0], power=np.concatenate([s.power for s in some]))
 
 
 def fit(seen: Spectra, smoother: Smoother | None, *, steps: int = _LAST) -> SpectrumFit:

@@ -173,7 +173,12 @@ def guarded(
     chance = _chance(rough, theta, covariance)
     if not objections:
         objections = _disagreements(channels, chance) or _gone(rough, theta, covariance, fit)
-        notes += [] if objections else _believed(channels, chance)
+        less = ", ".join(c.name for c in channels if _apart(c) and c.less)
+        if less and not objections and chance < CHANCE:
+            notes.append(
+                f"least squares on means over 0.15 s find less of {less} than the fit: the fit is believed. Feedback "
+                "that answers what the physics lacks, and noise of the states, pull least squares towards nothing"
+            )
     found = Guarded(
         tuple(objections), channels, tuple(vector.labels), tuple(rough.theta.tolist()), chance, tuple(notes)
     )
@@ -306,17 +311,6 @@ def _gone(rough: Regression, theta: Array, covariance: Array | None, now: Sequen
 def _apart(c: Compared) -> bool:
     more = c.fit**2 - c.least_squares**2 > MORE * c.measured**2
     return more or c.fit > TIMES * c.least_squares
-
-
-def _believed(channels: Sequence[Compared], chance: float) -> list[str]:
-    """Where least squares are not believed, and why."""
-    less = [c.name for c in channels if _apart(c) and c.less]
-    if not less or not chance < CHANCE:
-        return []
-    return [
-        f"least squares on means over 0.15 s find less of {', '.join(less)} than the fit: the fit is believed. "
-        "Feedback that answers what the physics lacks, and noise of the states, pull least squares towards nothing"
-    ]
 
 
 def _chance(rough: Regression, theta: Array, covariance: Array | None) -> float:

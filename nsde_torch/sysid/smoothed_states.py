@@ -241,9 +241,7 @@ def group_spectra(sensor: SensorGroup, runs: Sequence[Run], dt: float) -> Spectr
     if not np.any([(part != part[0]).any(0) for part in parts], axis=0).all():
         return None
     found = smoothers.spectra_of(parts, dt)
-    if found is None or not (found.power > 0).all():
-        return None
-    return found
+    return found if found is not None and (found.power > 0).all() else None
 
 
 def _by_smoother(odd: Mapping[SensorGroup, Spectra]) -> list[tuple[tuple[SensorGroup, ...], Likely]]:
@@ -259,7 +257,7 @@ def _by_smoother(odd: Mapping[SensorGroup, Spectra]) -> list[tuple[tuple[SensorG
     for some in dict.fromkeys((tuple(odd), *pairs)):  # two sensors may be all and a pair
         if len(some) < 2 or not set(some) <= left.keys() or len({len(odd[k].f) for k in some}) > 1:
             continue
-        together = smoothers.joined([odd[k] for k in some])
+        together = replace(odd[some[0]], power=np.concatenate([odd[k].power for k in some]))
         tried = [own[k] for k in some if not own[k].smoother.family.differentiates]
         tried.append(smoothers.likeliest(together, rates=all(sensor.rates for sensor in some)))
         common = _best_of(tried, together)
@@ -392,7 +390,7 @@ def _nats(regression: Regression, sensors: Sequence[SensorGroup], smoother: Smoo
 
 def _reach(seen: Spectra, one: SpectrumFit, smoother: Smoother) -> float:
     """Frequency up to which is restored [Hz]."""
-    left = one.before * np.square(np.abs(smoother.response(seen.f)))
+    left = (one.motion + one.noise) * np.square(np.abs(smoother.response(seen.f)))
     rounded = (one.rounding[:, None] > _ROUNDED * left).any(0) & (seen.f > smoother.falls_to(BEGINS))
     deep = min(smoother.falls_to(DEPTH), 0.48 / seen.dt)
     return min(deep, float(seen.f[np.argmax(rounded)])) if rounded.any() else deep

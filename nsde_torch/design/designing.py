@@ -73,18 +73,17 @@ def design(
     members = members_of(system, runs, question, values or {}, clock=clock)
     rng = np.random.default_rng([options.seed, 11])
     dt = members[0].log.dt
-    flies = isinstance(system, Multirotor)
+    pilot = members[0].system
+    flies = isinstance(pilot, Multirotor)
     duration = max(run.duration for run in runs) * clock if options.duration is None else options.duration
     steps = max(round(duration / dt), 10)
-    hertz = options.hertz or (_SLOWEST_SHARE / (steps * dt), _FASTEST_SHARE / dt)
+    low, high = map(float, options.hertz or (_SLOWEST_SHARE / (steps * dt), _FASTEST_SHARE / dt))
     family: Family
     drive: Callable[[Array], Drive]
-    if isinstance(system, Multirotor):
-        pilot = members[0].system
-        assert isinstance(pilot, Multirotor)
+    if isinstance(pilot, Multirotor):
         family, drive = Paths(limits, dt, steps, start), FlownPaths(pilot, dt=dt)
     else:
-        family = Signals(limits, dt, steps, (float(hertz[0]), float(hertz[1])))
+        family = Signals(limits, dt, steps, (low, high))
         drive = open_loop
     draw: Draw = Flyable(start, drive, dt) if flies else Member.draws
     draws = [draw(m, options.samples, rng) for m in members]
@@ -134,7 +133,7 @@ def design(
         limits=limits,
         start=start,
         dt=dt / clock,
-        hertz=None if flies else (float(hertz[0]), float(hertz[1])),
+        hertz=None if flies else (low, high),
         options=options,
         seconds=perf_counter() - began,
         most=most,

@@ -60,15 +60,14 @@ def derived_rates(system: SystemInfo, runs: Sequence[RawRun]) -> list[Derived]:
     """Rates of a system that are made of its positions; of machines that turn freely none are looked for."""
     if system.quaternion is not None:
         return []
-    names, out = list(system.state_names), []
-    for position, rate, _ in system.position_derivatives:
-        i, j = names.index(position), names.index(rate)
+    names, out = system.state_names, []
+    for i, j in rate_pairs(system):
         parts = [part for run in runs for part in _stretches(run, i, j, system.state_units[i] == "rad")]
         if sum(len(t) for t, _, _ in parts) < 200 or not any(np.ptp(v) for _, _, v in parts):
             continue  # too few, or a rate that stands still, of which `standstill` speaks
         found = (_plain(parts) if _raw(parts) else None) or _filtered(parts)
         if found is not None:
-            out.append(Derived(rate, position, *found))
+            out.append(Derived(names[j], names[i], *found))
     return out
 
 

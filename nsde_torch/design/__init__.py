@@ -2,7 +2,7 @@
 
 question    what a diagnosis leaves open, or what the user asks                    questions
 members     what may be true, fitted to the runs there are                         members
-search      inputs within limits, by what they tell whichever member is true       signals, paths, proposals, expected
+search      inputs within limits, by what they tell whichever member is true       signals, paths, proposals
 rehearse    with noise, fitted as the measured run will be                         rehearsal
 report      `Experiment`: what to do, what it would tell, what one would see       experiment, files
 obtain      what a flown experiment told, beside what was expected                 flown

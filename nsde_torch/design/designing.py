@@ -1,13 +1,11 @@
 """From a question to a plan: fit what may be true, search, rehearse the best and the usual, and choose.
 
 fit         members, or the one whose parameters are asked for, to the runs there are     members
-search      inputs within the limits, judged without noise at several draws               proposals, expected
+search      inputs within the limits, judged without noise at several draws               proposals
 rehearse    the best few and the usual ones, with noise, fitted as a measured run is      rehearsal
 choose      what tells most in the less favourable rehearsals, whichever member is true   here
 confirm     rehearse it anew: the best of several noisy rehearsals was lucky in them      here
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -19,13 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.data import Run
-from nsde_torch.design.expected import Precision
 from nsde_torch.design.experiment import Experiment, PlannedRun
 from nsde_torch.design.limits import limits_of
 from nsde_torch.design.members import Member, fitted_members, physics_with
 from nsde_torch.design.options import DesignOptions
 from nsde_torch.design.paths import Draw, FlownPaths, Flyable, Paths
-from nsde_torch.design.proposals import Family, Judge, best_of_each, search, worth_of
+from nsde_torch.design.proposals import Family, Judge, Precision, best_of_each, search, worth_of
 from nsde_torch.design.questions import SURE, Question
 from nsde_torch.design.rehearsal import Rehearsed, rehearse
 from nsde_torch.design.rollout import Drive, ModelNoise, open_loop
@@ -76,24 +73,23 @@ def design(
     members = members_of(system, runs, question, values or {}, clock=clock)
     rng = np.random.default_rng([options.seed, 11])
     dt = members[0].log.dt
-    flies = isinstance(system, Multirotor)
+    pilot = members[0].system
+    flies = isinstance(pilot, Multirotor)
     duration = max(run.duration for run in runs) * clock if options.duration is None else options.duration
     steps = max(round(duration / dt), 10)
-    hertz = options.hertz or (_SLOWEST_SHARE / (steps * dt), _FASTEST_SHARE / dt)
+    low, high = map(float, options.hertz or (_SLOWEST_SHARE / (steps * dt), _FASTEST_SHARE / dt))
     family: Family
     drive: Callable[[Array], Drive]
-    if isinstance(system, Multirotor):
-        pilot = members[0].system
-        assert isinstance(pilot, Multirotor)
+    if isinstance(pilot, Multirotor):
         family, drive = Paths(limits, dt, steps, start), FlownPaths(pilot, dt=dt)
     else:
-        family = Signals(limits, dt, steps, (float(hertz[0]), float(hertz[1])))
+        family = Signals(limits, dt, steps, (low, high))
         drive = open_loop
     draw: Draw = Flyable(start, drive, dt) if flies else Member.draws
     draws = [draw(m, options.samples, rng) for m in members]
     precision = Precision.of(members[0], question.parameters) if question.parameters else None
     judge = Judge(members, precision, limits, start, draws, drive)
-    searched = search(
+    finalists, most, most_use = search(
         judge,
         family,
         proposals=_SEARCH[flies][0] if options.proposals is None else options.proposals,
@@ -108,9 +104,9 @@ def design(
         before = longest.x[:, :3] if flies else longest.u
         say("judging usual inputs", 0, 1)
         usual = best_of_each(judge, family.baselines(rng, np.asarray(before)))
-    if precision is None and max([searched.most, *(p.worth for p in usual)]) < APART:
+    if precision is None and max([most, *(p.worth for p in usual)]) < APART:
         _check_apart(question, judge, family, rng)
-    plans = [*searched.finalists, *usual]
+    plans = [*finalists, *usual]
     stages = 2 * len(members)
 
     def rehearsed(tables: Sequence[Array], count: int, stage: int) -> list[tuple[Rehearsed, ...]]:
@@ -133,15 +129,15 @@ def design(
         question=question,
         members=tuple(members),
         plan=replace(best, rehearsed=again),
-        baselines=tuple(judged[len(searched.finalists) :]),
+        baselines=tuple(judged[len(finalists) :]),
         limits=limits,
         start=start,
         dt=dt / clock,
-        hertz=None if flies else (float(hertz[0]), float(hertz[1])),
+        hertz=None if flies else (low, high),
         options=options,
         seconds=perf_counter() - began,
-        most=searched.most,
-        most_use=searched.use,
+        most=most,
+        most_use=most_use,
     )
 
 

@@ -13,8 +13,6 @@ and Moore, Optimal Control, 1990, chapter 2). A machine that does not stay by it
 a loop, as the measured one was, if not in the same one.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +25,7 @@ from torch import Tensor
 
 from nsde_torch.data import Run
 from nsde_torch.data.raw import RawRun
-from nsde_torch.design.rollout import Disturbances, Drive, ModelNoise, Rollouts, open_loop
+from nsde_torch.design.rollout import Drive, ModelNoise, Rollouts, open_loop
 from nsde_torch.diagnosis.candidates import effect_of, values_of
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.result import Content, Diagnosis
@@ -123,6 +121,8 @@ class Rehearsal:
 
     def content(self) -> dict[str, Any]:
         """The key `rehearsal` of `diagnosis.json`."""
+        # of the declared physics alone; None where that was not simulated
+        alone = [self.nothing] if self.nothing is not None else [] if self.names else self.again
         return {
             "why_not": self.why_not or None,
             "logs": len(self.again),
@@ -131,21 +131,19 @@ class Rehearsal:
             "effects": {name: self._effect(name) for name in self.names},
             "others": sorted(_sure(*self.again) - set(self.names)) if self.names else [],
             "parameters": {label: self._parameter(label, value) for label, value in self.truth.items()},
-            "of_nothing": self._of_nothing(),
+            "of_nothing": sorted(_sure(*alone)) if alone else None,
             "unexplained": sum(c["verdict"] == "unexplained" for c in self.again),
             "not_shown": (self.nothing or self.again[0])["not_shown"] if self.again else [],
         }
-
-    def _of_nothing(self) -> list[str] | None:
-        """What is named surely of the declared physics alone; None where that was not simulated."""
-        logs = [self.nothing] if self.nothing is not None else [] if self.names else self.again
-        return sorted(_sure(*logs)) if logs else None
 
     def _effect(self, name: str) -> dict[str, int]:
         """In how many logs an effect is named, surely or as a lead, and in how many something tied with it is."""
         sure = sum(name in _sure(c) for c in self.again)
         named = sum(name in c["added"] for c in self.again)
-        tied = sum(name not in c["added"] and name in _tied(c) for c in self.again)
+        others = [
+            [o for tie in c["ties"] for o in tie["effects"]] for c in self.again if name not in c["added"]
+        ]
+        tied = sum(any(name in one.split(AND) for one in some) for some in others)
         return {"sure": sure, "lead": named - sure, "tied": tied}
 
     def _parameter(self, label: str, value: float) -> dict[str, Any]:
@@ -185,7 +183,10 @@ def rehearse(
 def _rehearsed(found: Diagnosis, logs: int, seed: int, say: Say) -> Rehearsal:
     outcome, rng = found.outcome, np.random.default_rng([seed, 2026])
     names = tuple(f.name for f in outcome.found)
-    left_out = _left_out(found)
+    left_out = tuple(f"{f.name} of the recording" for f in found.faults)
+    smoothed = sorted({name for run in found.recorded.runs for name in run.band})
+    if smoothed:
+        left_out += (f"the smoother of {', '.join(smoothed)}: simulated states are raw",)
     say("simulating what was found", 0, 1)
     try:
         made, followed = _simulated(found, outcome.system, logs, rng)
@@ -234,7 +235,10 @@ def _simulated(
     count = logs * len(places)
     theta = np.tile(rollouts.vector.start, (count, 1))
     start = np.repeat(np.stack([x[0] for x in states]), logs, 0)
-    noise = _noise(found, count, most - 1, rng)
+    of = LogLikelihood(found.outcome.system, found.recorded.runs, found.recorded.clock, states=True)
+    at, space = filtered_at(of), of.space
+    levels, _ = likeliest(space, at.levels, at.levels, at.about, of.start)
+    noise = ModelNoise(space, levels).drawn(count, most - 1, rng)
     for way in (found.feedback.closed, True):
         drive = following(system, states, inputs, dt=steps.dt, copies=logs) if way else replayed(inputs, logs)
         _, seen, pushed = rollouts.run(theta, start, drive, most - 1, noise, times)
@@ -282,28 +286,6 @@ def _raw(
     return RawRun(run.name, run.t[rows], states, inputs[:, : system.nu], extra)
 
 
-def _noise(found: Diagnosis, count: int, steps: int, rng: np.random.Generator) -> Disturbances:
-    """Noise of largest likelihood."""
-    of = LogLikelihood(found.outcome.system, found.recorded.runs, found.recorded.clock, states=True)
-    at, space = filtered_at(of), of.space
-    levels, _ = likeliest(space, at.levels, at.levels, at.about, of.start)
-    return ModelNoise(space, levels).drawn(count, steps, rng)
-
-
-def _left_out(found: Diagnosis) -> tuple[str, ...]:
-    """What was found and is not simulated."""
-    faults = [f"{f.name} of the recording" for f in found.faults]
-    smoothed = sorted({name for run in found.recorded.runs for name in run.band})
-    if smoothed:
-        faults.append(f"the smoother of {', '.join(smoothed)}: simulated states are raw")
-    return tuple(faults)
-
-
 def _sure(*contents: Content) -> set[str]:
     """Effects that any of some diagnoses names without a doubt."""
     return {f["name"] for c in contents for f in c["findings"] if f["kind"] == "effect" and not f["lead"]}
-
-
-def _tied(content: Content) -> set[str]:
-    """What explains a log as well as an effect that was found."""
-    return {name for tie in content["ties"] for one in tie["effects"] for name in one.split(AND)}

@@ -1,7 +1,5 @@
 """A planned experiment: what to do, what it is expected to tell, and what one would see."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,10 +50,6 @@ class PlannedRun:
             out |= {f"low_{level}": mean - half, f"high_{level}": mean + half}
         return out
 
-    def separates(self, truth: int) -> float:
-        """Share of the rehearsals that break the tie for a member."""
-        return float((self.rehearsed[truth].evidence > SURE).mean())
-
 
 @dataclass(frozen=True)
 class Experiment:
@@ -65,9 +59,8 @@ class Experiment:
     question: Question  # what it is asked
     members: tuple[Member, ...]  # what may be true, fitted
     plan: PlannedRun  # what to do
-    baselines: tuple[
-        PlannedRun, ...
-    ]  # usual experiments of the same length and limits, the best size of each
+    baselines: tuple[PlannedRun, ...]
+    """Usual experiments of the same length and limits, the best size of each."""
     limits: ExperimentLimits  # limits
     start: Array  # first state (nx,)
     dt: float  # step of the log [s]
@@ -119,6 +112,10 @@ class Experiment:
         """What `design.json` holds."""
         units = self.units
         use = np.max([r.use.max(0) for r in self.plan.rehearsed], axis=0)
+        beyond, at = None, int(self.most_use.argmax())  # the state of which more would tell most
+        if not self.question.parameters and self.most > self.plan.worth and self.most_use[at] > 1.0 - MARGIN:
+            share = float(self.most_use[at])
+            beyond = {"limit": self.system.state_names[at], "share": share, "worth_nats": self.most}
         return {
             "schema": "nsde_torch.design/1",
             "system": self.system.name,
@@ -146,51 +143,37 @@ class Experiment:
                 "largest_up": float(np.abs(self.plan.table[:, 8]).max()),
                 "unit": "m/s2",
             },
-            "expected": [self._expected(self.plan, i) for i in range(len(self.members))],
+            "expected": self._expected(self.plan),
             "baselines": [
-                {
-                    "name": b.name,
-                    "rehearsals": b.count,
-                    "expected": [self._expected(b, i) for i in range(len(self.members))],
-                }
-                for b in self.baselines
+                {"name": b.name, "rehearsals": b.count, "expected": self._expected(b)} for b in self.baselines
             ],
-            "beyond_limits": self._beyond(),
+            "beyond_limits": beyond,
             "sure_nats": SURE,
             "rehearsals": self.plan.count,
             "seed": self.options.seed,
             "seconds": self.seconds,
         }
 
-    def _beyond(self) -> dict[str, Any] | None:
-        """What limits the plan: the state of which more would tell most."""
-        i = int(self.most_use.argmax())
-        if self.question.parameters or not self.most > self.plan.worth or self.most_use[i] <= 1.0 - MARGIN:
-            return None
-        name = self.system.state_names[i]
-        return {"limit": name, "share": float(self.most_use[i]), "worth_nats": self.most}
-
-    def _expected(self, plan: PlannedRun, truth: int) -> dict[str, Any]:
-        member, rehearsed = self.members[truth], plan.rehearsed[truth]
-        v = member.vector
-        now = np.sqrt(np.diag(member.covariance))
-        with np.errstate(invalid="ignore"):
+    def _expected(self, plan: PlannedRun) -> list[dict[str, Any]]:
+        out: list[dict[str, Any]] = []
+        for truth, (member, rehearsed) in enumerate(zip(self.members, plan.rehearsed, strict=True)):
+            v, now = member.vector, np.sqrt(np.diag(member.covariance))
             fine = rehearsed.errors[np.isfinite(rehearsed.errors).all(1)]
-        then = np.median(fine, axis=0) if len(fine) else np.full(len(now), np.nan)
-        out: dict[str, Any] = {
-            "if_true": self.question.names[truth],
-            "log_likelihood_now": member.nats,
-            "parameters": {
-                label: {
-                    "value": float(member.theta[i]),
-                    "standard_error": float(now[i]),
-                    "expected_standard_error": float(then[i]) if np.isfinite(then[i]) else None,
-                    "unit": v.units[i],
-                }
-                for i, label in enumerate(v.labels)
-            },
-        }
-        if not self.question.parameters:
-            out["nats"] = plan.nats(truth)
-            out["separated"] = plan.separates(truth)
+            then = np.median(fine, axis=0).tolist() if len(fine) else [None] * len(now)
+            one: dict[str, Any] = {
+                "if_true": self.question.names[truth],
+                "log_likelihood_now": member.nats,
+                "parameters": {
+                    label: {
+                        "value": float(member.theta[i]),
+                        "standard_error": float(now[i]),
+                        "expected_standard_error": then[i],
+                        "unit": v.units[i],
+                    }
+                    for i, label in enumerate(v.labels)
+                },
+            }
+            if not self.question.parameters:  # and the share of the rehearsals that break the tie
+                one |= {"nats": plan.nats(truth), "separated": float((rehearsed.evidence > SURE).mean())}
+            out.append(one)
         return out

@@ -95,7 +95,9 @@ def _of_tie(content: Mapping[str, Any]) -> list[str]:
         "  ".join([" " * width, *(h.rjust(w) for h, w in zip(heads, columns, strict=True))]),
     ]
     for name, expected in rows:
-        cells = [_nats(e["nats"]).rjust(w) for e, w in zip(expected, columns, strict=True)]
+        nats = (e["nats"] for e in expected)
+        said = (f"{n['mean']:.1f} ({n['low_90']:.1f} to {n['high_90']:.1f})" for n in nats)
+        cells = [one.rjust(w) for one, w in zip(said, columns, strict=True)]
         out.append("  ".join([name.ljust(width), *cells]))
     least = min(e["separated"] for e in content["expected"])
     out.append(
@@ -112,10 +114,6 @@ def _of_tie(content: Mapping[str, Any]) -> list[str]:
             f"{wide['worth_nats']:.1f} nats in the less favourable cases"
         )
     return out
-
-
-def _nats(n: Mapping[str, float]) -> str:
-    return f"{n['mean']:.1f} ({n['low_90']:.1f} to {n['high_90']:.1f})"
 
 
 def _of_parameters(content: Mapping[str, Any]) -> list[str]:

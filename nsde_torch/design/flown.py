@@ -5,8 +5,6 @@ errors became: ln(before / after) nats of each, the information gained about a n
 measure of the information provided by an experiment, Annals of Mathematical Statistics 27 (1956)).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -46,26 +44,16 @@ class KnownBetter:
         said = f"{self.value:.3g} +- {self.after:.2g}{unit} (standard error), {self.before:.2g} before"
         return said if self.expected is None else f"{said}, {self.expected:.2g} expected"
 
-    @property
-    def nats(self) -> float:
-        """Information gained."""
-        return float(np.log(self.before / self.after))
-
-    @property
-    def expected_nats(self) -> float | None:
-        """Information that was to be gained."""
-        return None if self.expected is None else float(np.log(self.before / self.expected))
-
     def content(self) -> dict[str, Any]:
-        """Plain containers, for JSON."""
+        """Plain containers, for JSON, with the information that was gained, and was to be gained [nats]."""
         return {
             "value": self.value,
             "unit": self.unit,
             "standard_error_before": self.before,
             "standard_error": self.after,
             "expected_standard_error": self.expected,
-            "nats": self.nats,
-            "expected_nats": self.expected_nats,
+            "nats": float(np.log(self.before / self.after)),
+            "expected_nats": None if self.expected is None else float(np.log(self.before / self.expected)),
         }
 
 
@@ -244,14 +232,9 @@ def _parameters(
     weight -= (len(each) - 1) / np.square(before)
     after = 1.0 / np.sqrt(np.maximum(weight, 1e-6 / np.square(before)))
     value = np.mean([f.thetas[0] for f in each], axis=0)
-    return {
-        label: KnownBetter(
-            float(value[i]),
-            float(before[i]),
-            float(after[i]),
-            planned.get(label, {}).get("expected_standard_error"),
-            v.units[i],
-        )
-        for i, label in enumerate(v.labels)
-        if any(label == asked or label.startswith(f"{asked}[") for asked in question.parameters)
-    }
+    out = {}
+    for i, label in enumerate(v.labels):
+        if any(label == asked or label.startswith(f"{asked}[") for asked in question.parameters):
+            error = planned.get(label, {}).get("expected_standard_error")
+            out[label] = KnownBetter(float(value[i]), float(before[i]), float(after[i]), error, v.units[i])
+    return out

@@ -1,7 +1,5 @@
 """What an experiment may do: lowest and highest values of inputs and states."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -40,7 +38,7 @@ class ExperimentLimits:
         finite = np.asarray(np.isfinite(states).all((-1, -2)))
         return np.where(finite[..., None], share.max(-2), np.nan)
 
-    def widened(self, factor: float) -> ExperimentLimits:
+    def widened(self, factor: float) -> "ExperimentLimits":
         """Ranges so many times as wide about their middles, of the inputs too."""
         out = []
         for low, high in ((self.low, self.high), (self.floor, self.ceiling)):

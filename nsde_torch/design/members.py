@@ -9,8 +9,6 @@ what is drawn comes from all of them, and an experiment is fitted from each. The
 (`ParameterVector.limit`), which is one of the speeds of the runs, is moved down for the slower experiment.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain, product
@@ -48,6 +46,34 @@ _HELD = 0.05  # of a width, while the other parameters are fitted
 _BRANCH_ROUNDS = 6
 _STABLE = 0.9  # delay over step: Runge and Kutta's rule follows the poles of the approximation, 2.45 / delay
 _FOLLOWED = 0.7  # width over what a friction changes of a speed in a step: narrower ones turn round within it
+
+
+@dataclass(frozen=True)
+class Branch:
+    """A member near one width."""
+
+    theta: Array  # parameters (k,)
+    known: Array  # information about them there, that without data included (k, k)
+    nats: float  # log-likelihood of the runs [nats]
+
+
+@dataclass(frozen=True)
+class LogOfRuns:
+    """The runs there are."""
+
+    runs: tuple[Run, ...]
+    clock: float  # physical seconds per logged second
+    run_in: bool  # whether any member remembers, so that the first rows of all only bring up memory
+
+    @property
+    def logged_dt(self) -> float:
+        """Step on the clock of the log [s]."""
+        return self.runs[0].dt
+
+    @property
+    def dt(self) -> float:
+        """Step in physical seconds [s]."""
+        return self.runs[0].dt * self.clock
 
 
 @dataclass(frozen=True)
@@ -190,7 +216,9 @@ def _nearest(
     best: Regression | None = None
     why = ""
     for begun in [system, *_with_starts(search, system, own)]:
-        for held in [(), *_one_input_each(ParameterVector(begun), own)]:
+        vector = ParameterVector(begun)
+        each = [alone(name, [vector.labels[j] for j in vector.of(name)]) for name in own]
+        for held in dict.fromkeys([(), *(tuple(chain(*some)) for some in product(*each))]):
             try:
                 fit = _fit(search, begun, like, held)
             except (NsdeError, np.linalg.LinAlgError) as error:
@@ -211,12 +239,6 @@ def _fit(search: Search, system: System, like: Regression | None, held: Sequence
     out = search.regression(system, search.base(system).regression if like is None else like, held=held)
     out.run(search.budgets.iterations)
     return out
-
-
-def _one_input_each(vector: ParameterVector, effects: Sequence[str]) -> list[tuple[str, ...]]:
-    """Labels to hold at nothing, a choice at a time: what effects have one of for every input, but of one input."""
-    each = [alone(name, [vector.labels[j] for j in vector.of(name)]) for name in effects]
-    return [held for held in (tuple(chain(*some)) for some in product(*each)) if held]
 
 
 def _score(fit: Regression) -> float:
@@ -256,34 +278,6 @@ def _member(declared: System, name: str, fit: Regression, log: LogOfRuns, noise:
 def prior_information(vector: ParameterVector) -> Array:
     """What is known of every parameter without data (k, k): it is of the size that such a parameter has, within ten."""
     return np.diag(1.0 / np.square(10.0 * vector.scale))
-
-
-@dataclass(frozen=True)
-class Branch:
-    """A member near one width."""
-
-    theta: Array  # parameters (k,)
-    known: Array  # information about them there, that without data included (k, k)
-    nats: float  # log-likelihood of the runs [nats]
-
-
-@dataclass(frozen=True)
-class LogOfRuns:
-    """The runs there are."""
-
-    runs: tuple[Run, ...]
-    clock: float  # physical seconds per logged second
-    run_in: bool  # whether any member remembers, so that the first rows of all only bring up memory
-
-    @property
-    def logged_dt(self) -> float:
-        """Step on the clock of the log [s]."""
-        return self.runs[0].dt
-
-    @property
-    def dt(self) -> float:
-        """Step in physical seconds [s]."""
-        return self.runs[0].dt * self.clock
 
 
 def width_columns(vector: ParameterVector) -> list[int]:

@@ -9,8 +9,6 @@ machine. The runs there are were flown: such parameters are none of this machine
 optimum says. A step of the place is flown with each draw, and draws that do not come near are not taken (`Flyable`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property

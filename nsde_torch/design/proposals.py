@@ -3,25 +3,35 @@
 An experiment is worth what it tells in the less favourable draws of the parameters (a fifth of the way up from the
 worst), whichever member is true: for a tie the expected evidence [nats], for parameters the logarithm of how much
 smaller than their usual size the standard errors become. One that leaves a limit under any member and draw is out.
-"""
 
-from __future__ import annotations
+**Expected**, without noise and fits: evidence between members, standard errors.
+
+Member A is true, with parameters a. What B leaves of A's experiment, in units of the noise, is d: innovations of B's
+filter. B's parameters may move, at the price of what the runs there are say of them (information M, about b(a), where
+B's fit goes when A's parameters are a),
+
+    2 nats = min_b |d - J b|^2 + b' M b = d'd - g' (J'J + M)^-1 g,        g = J'd
+
+the likelihood ratio of two regressions with known noise (Atkinson and Fedorov, The design of experiments for
+discriminating between two rival models, Biometrika 62 (1975), with what a refit takes away linearised). A difference
+that a refit takes away tells nothing. The standard errors of A's own parameters are those of J'J + M.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.design.expected import Precision, Separation
 from nsde_torch.design.experiment import PlannedRun
 from nsde_torch.design.limits import MARGIN, ExperimentLimits
-from nsde_torch.design.members import Member
+from nsde_torch.design.members import Branch, Member, width_columns
 from nsde_torch.design.paths import Paths
-from nsde_torch.design.rollout import Drive, Rollouts
+from nsde_torch.design.rollout import Drive, Rollouts, as_run
 from nsde_torch.design.signals import Signals
 from nsde_torch.errors import ConfigError
+from nsde_torch.inference.posterior import LogWithPrior
 
 Array = NDArray[np.float64]
 CAUTIOUS = 0.2
@@ -30,7 +40,108 @@ _MEAN = 0.1
 _PARENTS = 8
 _SMALLER = 4  # of so many proposals, one is what left the limits, made smaller
 _ALIKE = 0.1  # of an experiment's size
+_PASSES = 1  # simulated states are without noise: further ones moved expected evidence by less than 0.1 %
 _NOTHING = -1e9  # what an experiment is worth that is not finite
+
+
+# ---- expected --------------------------------------------------------------------------------------------
+
+
+@final
+@dataclass
+class Separation:
+    """Expected evidence for one member against another."""
+
+    truth: Member  # the member that is true
+    other: Member  # the one that is fitted instead
+
+    def __post_init__(self) -> None:
+        truth, other = self.truth, self.other
+        # how the fit of the other moves with the truth's parameters in the runs there are (k_other, k_truth)
+        log = LogWithPrior(other.log.runs, other.theta, other.known)
+        both = other.posteriors.cross_information(log, truth.system, other.log.run_in)
+        self._follow = np.asarray(np.linalg.solve(other.known, both))
+        if len(truth.branches) > 1:  # widths are followed by branches
+            self._follow[:, width_columns(truth.vector)] = 0.0
+        if len(other.branches) > 1:
+            self._follow[width_columns(other.vector)] = 0.0
+
+    def nats(self, states: Array, inputs: Array, thetas: Array) -> Array:
+        """Expected evidence (S, C) of experiments in which the truth has parameters `thetas` (S, k).
+
+        Of true states (S, C, N + 1, nx) and inputs (S, C, N, nu).
+        """
+        b = self.other
+        dt = b.log.logged_dt
+        near = [nearest(self.truth, theta) for theta in thetas]
+        problems = [
+            LogWithPrior((as_run(x, u, dt),), self._there(branch, theta, own.theta), branch.known)
+            for branch in b.branches
+            for theta, own, xs, us in zip(thetas, near, states, inputs, strict=True)
+            for x, u in zip(xs, us, strict=True)
+        ]
+        found = b.posteriors.at_centres(problems, passes=_PASSES)
+        left = np.array([b.posteriors.left_by_refit(here) for here in found])
+        left = left.reshape(len(b.branches), *states.shape[:2])
+        # a width that explains the runs worse has that to make good
+        worse = np.array([branch.nats - b.nats for branch in b.branches])[:, None, None]
+        nearer = np.array([own.nats - self.truth.nats for own in near])[:, None]
+        return np.asarray((left - worse).min(0) + nearer)
+
+    def _there(self, branch: Branch, theta: Array, near: Array) -> Array:
+        """Where the other member's fit of the runs there are goes when the truth has some parameters (k,)."""
+        a, b = self.truth, self.other
+        there = branch.theta + self._follow @ (theta - near)
+        if len(a.branches) > 1 and len(b.branches) > 1:
+            # runs that leave the widths of both open let a fit have that of the truth, which no branch may have
+            width, columns = _width(a, theta), width_columns(b.vector)
+            if branch is min(b.branches, key=lambda own: abs(np.log(_width(b, own.theta) / width))):
+                there[columns] *= width / _width(b, there)
+        return b.vector.inside(there)
+
+
+@final
+@dataclass(frozen=True)
+class Precision:
+    """Expected standard errors of parameters."""
+
+    member: Member  # physics that has them
+    columns: list[int]  # their numbers
+    sizes: Array  # what a good standard error is small beside (len(columns),)
+
+    @classmethod
+    def of(cls, member: Member, labels: Sequence[str]) -> "Precision":
+        """That of the parameters of these labels, or vectors of them, beside what they usually are."""
+        v, columns = member.vector, list[int]()
+        for label in labels:
+            at = [i for i, own in enumerate(v.labels) if own == label or own.startswith(f"{label}[")]
+            if not at:
+                raise ConfigError(f"`parameters` names {label!r}; the physics has: {', '.join(v.labels)}.")
+            columns += at
+        return cls(member, columns, np.maximum(v.scale[columns], np.abs(member.theta[columns])))
+
+    def errors(self, states: Array, inputs: Array, theta: Array) -> Array:
+        """Standard errors of all parameters (C, k) after experiments with the runs there are; see `Separation.nats`."""
+        m = self.member
+        runs = [as_run(x, u, m.log.logged_dt) for x, u in zip(states, inputs, strict=True)]
+        problems = [LogWithPrior((run,), theta, m.known) for run in runs]
+        found = m.posteriors.at_centres(problems, passes=_PASSES)
+        return np.array([here.standard_errors for here in found])
+
+
+def _width(member: Member, theta: Array) -> float:
+    """Geometric mean of the widths of a member."""
+    return float(np.exp(np.log(theta[width_columns(member.vector)]).mean()))
+
+
+def nearest(member: Member, theta: Array) -> Branch:
+    """The branch of a member whose widths are the nearest to those of some parameters (k,)."""
+    columns = width_columns(member.vector) if len(member.branches) > 1 else []
+    away = [float(np.abs(np.log(b.theta[columns] / theta[columns])).sum()) for b in member.branches]
+    return member.branches[int(np.argmin(away))]
+
+
+# ---- search ---------------------------------------------------------------------------------------------
 
 
 def worth_of(told: Array, axis: int) -> Array:
@@ -49,15 +160,6 @@ class Judged:
     worth: Array  # of each (C,); -inf beyond the limits
     told: Array  # the same, whatever the limits; far below 0 where it was not judged
     use: Array  # largest share of each state's range (C, nx), nan where a state is not finite
-
-
-class Judging(Protocol):
-    """What judges experiments within limits."""
-
-    limits: ExperimentLimits
-
-    def judge(self, tables: Array) -> Judged:
-        """Judge experiments (C, N, m)."""
 
 
 @final
@@ -115,16 +217,7 @@ class Judge:
         return out
 
 
-@dataclass(frozen=True)
-class Searched:
-    """What a search found."""
-
-    finalists: list[PlannedRun]  # the best experiments, the best first
-    most: float  # the most that any experiment told that was tried, within the limits or beyond
-    use: Array  # largest share of each state's range that this one takes (nx,)
-
-
-def best_of_each(judge: Judging, made: Mapping[str, tuple[Array, tuple[str, ...]]]) -> list[PlannedRun]:
+def best_of_each(judge: Judge, made: Mapping[str, tuple[Array, tuple[str, ...]]]) -> list[PlannedRun]:
     """The best of each family of experiments (sizes, N, m), with words; without those that all leave the limits.
 
     All are judged in one batch: a rollout of many costs little more than one of few.
@@ -140,7 +233,7 @@ def best_of_each(judge: Judging, made: Mapping[str, tuple[Array, tuple[str, ...]
 
 
 def search(
-    judge: Judging,
+    judge: Judge,
     family: Family,
     *,
     proposals: int,
@@ -148,7 +241,7 @@ def search(
     keep: int,
     rng: np.random.Generator,
     say: Callable[[str, int, int], None],
-) -> Searched:
+) -> tuple[list[PlannedRun], float, Array]:
     """The best experiments.
 
     Args:
@@ -156,6 +249,10 @@ def search(
         generations: Rounds of changes.
         keep: Number returned.
         say: Told stage, number done and number in all.
+
+    Returns:
+        These, the best first; the most that any told that was tried, within the limits or beyond; and the largest share
+        of each state's range that this one takes (nx,).
 
     Raises:
         ConfigError: none stays within the limits; says which limit is in the way.
@@ -184,7 +281,16 @@ def search(
         genes = np.concatenate((fresh, _within(family, genes, judged, best, proposals // _SMALLER)))
     say("proposing experiments", generations + 1, generations + 1)
     if not found:
-        raise ConfigError(_in_the_way(judge.limits, *nearest))
+        (share, state), limits = nearest, judge.limits
+        name, low, high = limits.states[state], limits.floor[state], limits.ceiling[state]
+        room = f"limits.{name}=[{low:.4g},{high:.4g}]"
+        room += "" if name in limits.given else " (what the runs held)"
+        reached = f"takes {share:.0%} of it" if np.isfinite(share) else "leaves it"
+        raise ConfigError(
+            f"no experiment stays within the limits: what limits it is {room}; the gentlest input tried {reached}, "
+            f"where {1 - MARGIN:.0%} is allowed, as the members do not know all. Widen it, start inside of it "
+            "(start.NAME=...), or plan a shorter experiment (duration=...)."
+        )
     kept: list[PlannedRun] = []
     for g, p in found:
         # rehearsing nearly the same twice says nothing new
@@ -192,7 +298,7 @@ def search(
         new = all(np.linalg.norm(p.table - t) > _ALIKE * np.linalg.norm(t) for t in before)
         if len(kept) < keep and new:
             kept.append(replace(p, words=tuple(family.words(g))))
-    return Searched(kept, most, widest)
+    return kept, most, widest
 
 
 def _within(family: Family, genes: Array, judged: Judged, worth: float, most: int) -> Array:
@@ -201,15 +307,3 @@ def _within(family: Family, genes: Array, judged: Judged, worth: float, most: in
     left = np.flatnonzero((use > 1.0 - MARGIN) & (use < 3.0) & (judged.told > worth))
     chosen = left[np.argsort(-judged.told[left])][:most]
     return family.shrunk(genes[chosen], (1.0 - 2.0 * MARGIN) / use[chosen])
-
-
-def _in_the_way(limits: ExperimentLimits, share: float, state: int) -> str:
-    name = limits.states[state]
-    low, high = limits.floor[state], limits.ceiling[state]
-    room = f"limits.{name}=[{low:.4g},{high:.4g}]" + ("" if name in limits.given else " (what the runs held)")
-    reached = "leaves it" if not np.isfinite(share) else f"takes {share:.0%} of it"
-    return (
-        f"no experiment stays within the limits: what limits it is {room}; the gentlest input tried {reached}, "
-        f"where {1 - MARGIN:.0%} is allowed, as the members do not know all. Widen it, start inside of it "
-        "(start.NAME=...), or plan a shorter experiment (duration=...)."
-    )

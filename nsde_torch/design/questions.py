@@ -11,8 +11,6 @@ Experiments ask for the ties one after another, then for the leads and wide para
 suspected.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
@@ -211,7 +209,7 @@ class Standing:
     leads: tuple[str, ...]  # effects that are found provisionally
     wide: tuple[
         str, ...
-    ]  # labels of the parameters that are not well known, and that more data would show better
+    ]  # labels of parameters that are not well known, and that more data would show better
     confounded: tuple[str, ...]  # labels of those that feedback or smoothing may have bent
     suspected: tuple[str, ...]  # effects that were not found, and that the runs lean to
 

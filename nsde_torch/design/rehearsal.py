@@ -11,8 +11,6 @@ beyond another member's is what it tells. A member that could have said anything
 is worth that it can say this; of the density of what is simulated no other is expected to be larger.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

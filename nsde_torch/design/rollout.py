@@ -5,8 +5,6 @@
 with d and s drawn from the noise levels of the likelihood (`ModelNoise`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil

@@ -8,8 +8,6 @@ that is fine about rest, value = sinh(5 g) / sinh(5): what a machine does may ha
 those that its runs held, a dry friction for one.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -94,12 +92,13 @@ class Signals:
         """What a person reads of the genes (pieces, nu, 6) of one experiment."""
         edges = self.dt * np.linspace(0, self.steps, PIECES + 1).round()
         out = []
-        half, middle = self._half, self._middle
+        half, middle, (low, high) = self._half, self._middle, np.log(self.hertz)
         for p, (a, b) in enumerate(pairwise(edges.tolist())):
             for i, name in enumerate(self.limits.inputs):
-                kind, size, f1, f2 = self._decoded(genes[p, i])
+                g = genes[p, i]
+                f1, f2 = np.exp(low + g[3:5] * (high - low))
                 offset = self._offset(genes[p, :, 1])[i]
-                about, swing = middle[i] + half[i] * offset, half[i] * size
+                about, swing = middle[i] + half[i] * offset, half[i] * float(_fine(g[2]))
                 told = {
                     "hold": f"hold {about:.3g}",
                     "ramp": f"ramp from {about - swing:.3g} to {about + swing:.3g}",
@@ -107,7 +106,7 @@ class Signals:
                     "chirp": f"chirp from {f1:.2g} to {f2:.2g} Hz, +- {swing:.3g} about {about:.3g}",
                     "square": f"to and fro at {f1:.2g} Hz, +- {swing:.3g} about {about:.3g}",
                     "two sines": f"sines of {f1:.2g} and {f2:.2g} Hz, +- {swing:.3g} about {about:.3g}",
-                }[kind]
+                }[KINDS[int(g[0] * len(KINDS))]]
                 out.append(f"{a:.4g} to {b:.4g} s: {name} {told}")
         return out
 
@@ -162,11 +161,6 @@ class Signals:
         """Offsets in [-1, 1] of genes (..., nu): 0.5 is rest, 0 and 1 are the ends of the range."""
         away = _fine(2.0 * gene - 1.0)
         return np.asarray(self._rest + away * np.where(away < 0, 1.0 + self._rest, 1.0 - self._rest))
-
-    def _decoded(self, g: Array) -> tuple[str, float, float, float]:
-        low, high = np.log(self.hertz)
-        f1, f2 = np.exp(low + g[3:5] * (high - low))
-        return KINDS[int(g[0] * len(KINDS))], float(_fine(g[2])), float(f1), float(f2)
 
     def _piece(self, g: Array, t: Array) -> Array:
         """Unit inputs (count, nu, n) of the genes (count, nu, 6) of one piece at times (n,)."""

@@ -9,7 +9,7 @@ from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
     from nsde_torch.recording.chain import Recorded, Recording
-    from nsde_torch.recording.fault import Detected, Fault, LoggedRuns, Suspect
+    from nsde_torch.recording.fault import Detected, Fault, LoggedRuns
     from nsde_torch.recording.faults import FAULTS, RecordingOptions, RemedyOptions
     from nsde_torch.recording.reading import assemble, read
 
@@ -22,7 +22,6 @@ __all__ = [
     "Recording",
     "RecordingOptions",
     "RemedyOptions",
-    "Suspect",
     "assemble",
     "read",
 ]
@@ -38,7 +37,6 @@ __getattr__ = resolver(
         "Recording": "chain",
         "RecordingOptions": "faults",
         "RemedyOptions": "faults",
-        "Suspect": "fault",
         "assemble": "reading",
         "read": "reading",
     },

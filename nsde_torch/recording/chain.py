@@ -5,8 +5,6 @@ and are undone only where the declared physics fits better for it: what is half 
 steps.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, final
@@ -18,8 +16,9 @@ from nsde_torch.data.run import DataSet, Run
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError
 from nsde_torch.options import check
-from nsde_torch.recording.fault import NATS, Detected, Fault, LoggedRuns, Misfits
+from nsde_torch.recording.fault import NATS, Detected, Fault, LoggedRuns
 from nsde_torch.recording.faults import FAULTS, in_order, recording_options
+from nsde_torch.recording.latency import Misfits, suspected_latency, whole_sensor_late
 
 
 @final
@@ -151,28 +150,25 @@ def undo(
         if seen is not None:
             log.take_out(fault, seen)
             found.append(seen)
-    for suspect in sorted((s for fault in in_order() for s in fault.suspects(log)), key=lambda s: s.order):
-        there = log.misfit_with(suspect.fault, suspect.found.plain)
-        back = log.misfit_with(suspect.fault, suspect.against)
-        if there < back - NATS / sum(len(run) for run in log.runs):
-            log.take_out(suspect.fault, suspect.found)
-            found.append(suspect.found)
+    for suspect in suspected_latency(log):
+        fault, values = FAULTS[suspect.name], suspect.plain
+        # what would do as well if it were nothing is the other direction
+        back = log.misfit_with(fault, {channel: -seconds for channel, seconds in values.items()})
+        if log.misfit_with(fault, values) < back - NATS / sum(len(run) for run in log.runs):
+            log.take_out(fault, suspect)
+            found.append(suspect)
     return Recorded(tuple(log.runs), log.clock, tuple(found))
 
 
 def instead_of_effects(
     found: Recorded, system: SystemInfo, misfits: Misfits, *, rows: int, other: float
 ) -> Recorded | None:
-    """The log with a further fault undone that explains what effects do not; None where there is none.
+    """The log without the delay of a whole sensor that explains what effects do not; None where there is none.
 
     Args:
         misfits: Negative log likelihood per row [nats] of the declared physics in runs, by channel.
+        rows: Number of these rows.
         other: The misfit of physics with effects, all channels together.
     """
-    for fault in in_order():
-        undone = found.values(fault.name)
-        better = fault.instead_of_effects(found.runs, system, misfits, rows=rows, other=other, undone=undone)
-        if better is not None:
-            seen, runs = better
-            return replace(found, runs=runs, faults=(*found.faults, seen))
-    return None
+    late = whole_sensor_late(found.runs, system, misfits, rows=rows, other=other, undone=found.delays)
+    return None if late is None else replace(found, runs=late[1], faults=(*found.faults, late[0]))

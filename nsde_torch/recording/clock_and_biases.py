@@ -6,8 +6,6 @@ p and q move as far as v and omega say only if a logged second is one second (`n
 for a rate that reads b too much, the rest is -b T on average.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import Any
@@ -226,23 +224,17 @@ def found_biases(fault: Fault, log: LoggedRuns) -> Detected | None:
     return Detected(fault.name, values, min(bias.p for bias in sure.values()), text)
 
 
-def of_run(values: Mapping[str, Any], run: str) -> dict[str, Any]:
-    """What sensors read too much in a run: what holds in all, and what `{RUN: {STATE: value}}` says of this one."""
-    out = {k: v for k, v in values.items() if not isinstance(v, Mapping)}
-    here = values.get(run)
-    for state, value in here.items() if isinstance(here, Mapping) else ():
-        out[state] = out.get(state, 0.0) + value
-    return out
-
-
 def without_biases(run: Run | RawRun, system: SystemInfo, values: Mapping[str, Any]) -> Array:
-    """States (n, nx) of a run less what their sensors read too much.
+    """States (n, nx) of a run less what their sensors read too much: in all runs, or in this one (`{RUN: {STATE: b}}`).
 
     Raises:
         ConfigError: no such state, or no such size.
     """
-    x = run.x.copy()
-    for name, value in of_run(values, run.name).items():
+    x, biases = run.x.copy(), {k: v for k, v in values.items() if not isinstance(v, Mapping)}
+    here = values.get(run.name)
+    for name, value in here.items() if isinstance(here, Mapping) else ():
+        biases[name] = biases.get(name, 0.0) + value
+    for name, value in biases.items():
         if name not in system.state_names:
             raise ConfigError(
                 f"`sensor_bias` names {name!r}, which is no state; states: {', '.join(system.state_names)}."

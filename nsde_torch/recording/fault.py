@@ -17,20 +17,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.random import Generator
-    from numpy.typing import NDArray
 
     from nsde_torch.data.raw import RawRun
     from nsde_torch.data.run import DataSet, Run
     from nsde_torch.data.system_info import SystemInfo
 
 T = TypeVar("T")
-Misfits: TypeAlias = "Callable[[Sequence[Run]], NDArray[np.float64]]"
-"""Negative log likelihood per row [nats] of the declared physics in runs, by channel."""
 
 STAGES = ("clock", "lateness", "biases", "effects", "structure")
 """In order. The first three are faults of the recording chain, `structure` the tests of what is left."""
@@ -72,17 +68,6 @@ class Detected:
     def plain(self) -> dict[str, float]:
         """The values alone, as `Fault.undo` takes them."""
         return {name: value for name, (value, *_) in self.values.items()}
-
-
-@dataclass(frozen=True)
-class Suspect:
-    """A fault that a log may hold, if the declared physics is better for it."""
-
-    fault: Fault  # what it is of
-    order: int  # suspects are asked for by this number
-    found: Detected  # what is found if physics says so
-    against: Mapping[str, float]
-    """Values that would do as well if it were nothing, those of the other direction."""
 
 
 class LoggedRuns:
@@ -201,29 +186,6 @@ class Fault(ABC):
 
     def detect(self, log: LoggedRuns) -> Detected | None:
         """What the log shows of the fault without any dynamics, faults of lower rank undone; None: nothing."""
-        return None
-
-    def suspects(self, log: LoggedRuns) -> list[Suspect]:
-        """What the log may hold, and the declared physics has to say; asked once all faults were looked for."""
-        return []
-
-    def instead_of_effects(
-        self,
-        runs: Sequence[Run],
-        system: SystemInfo,
-        misfits: Misfits,
-        *,
-        rows: int,
-        other: float,
-        undone: Mapping[str, float],
-    ) -> tuple[Detected, tuple[Run, ...]] | None:
-        """The fault where it explains what effects do not, and the runs without it; None where it does not.
-
-        Args:
-            misfits: Negative log likelihood per row [nats] of the declared physics in runs, by channel.
-            other: The misfit of physics with effects, all channels together.
-            undone: What of this fault is undone in the runs, by the names that `undo` takes.
-        """
         return None
 
     def undo(self, run: Run, system: SystemInfo, values: Mapping[str, float]) -> Run:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 from nsde_torch.errors import ConfigError
 from nsde_torch.lazy import LazyModule
 from nsde_torch.options import documented, key
-from nsde_torch.recording.fault import Detected, Fault, LoggedRuns, Misfits, Suspect
+from nsde_torch.recording.fault import Detected, Fault, LoggedRuns
 
 if TYPE_CHECKING:
     import numpy as np
@@ -66,10 +66,7 @@ class _Latency(Fault):
         return {f"{self.name}_s": {k: v for k, v in value.items() if v}}
 
     def detect(self, log: LoggedRuns) -> Detected | None:
-        return latency.found_latency(self, log, filtered=self.filtered)
-
-    def suspects(self, log: LoggedRuns) -> list[Suspect]:
-        return latency.suspected_latency(self, log, filtered=self.filtered)
+        return latency.found_latency(log, filtered=self.filtered)
 
 
 @final
@@ -114,11 +111,6 @@ class SensorDelay(_Latency):
 
     def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
         run.x = latency.changed(run.x, system, value, lambda x, delay: latency.moved(x, -delay / dt))
-
-    def instead_of_effects(
-        self, runs: Sequence[Run], system: SystemInfo, misfits: Misfits, **known: Any
-    ) -> tuple[Detected, tuple[Run, ...]] | None:
-        return latency.whole_sensor_late(runs, system, misfits, **known)
 
     def undo(self, run: Run, system: SystemInfo, values: Mapping[str, float]) -> Run:
         return latency.on_time(run, system, values)

@@ -20,8 +20,6 @@ A sensor whose position and rate are late alike shows in the declared physics al
 Times are seconds of the log's own clock.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite, log
@@ -39,11 +37,13 @@ from nsde_torch.data.kinematics import Slope, Uncertain, axis_groups, jackknife,
 from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import SystemInfo, channel_columns, common_name
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.recording.fault import NATS, Detected, Fault, LoggedRuns, Misfits, Suspect
+from nsde_torch.recording.fault import NATS, Detected, LoggedRuns
 
 Array = NDArray[np.float64]
 _Piece: TypeAlias = tuple[Array, Array, Array]
 """Changes of positions over steps, integrals of their rates (n - 1, axes), and the rates (n, axes) of a stretch."""
+Misfits: TypeAlias = Callable[[Sequence[Run]], Array]
+"""Negative log likelihood per row [nats] of the declared physics in runs, by channel."""
 
 LATE = 1e-4
 """Chance of calling a sensor late that is on time, when data are read."""
@@ -93,7 +93,7 @@ def latencies(system: SystemInfo, runs: Sequence[Run], *, clock: float = 1.0) ->
     for group, (positions, rates) in pairs_of(system).items():
         rough = _time_of(group, parts[group], dt, filtered=False) if group in parts else None
         if rough is not None:
-            fit, filtered = _delay_or_filter(group, parts[group], dt, rough)
+            fit, filtered = _delay_or_filter(group, parts[group], dt, rough[0])
             value = fit.value / clock, fit.error / clock, fit.degrees
             out.append(Latency(*value, common_name(positions), common_name(rates), filtered))
     return out
@@ -112,30 +112,27 @@ def surely_late(late: Sequence[Latency], dt: float, *, chance: float = LATE) -> 
     return [one for one in late if one.p * len(late) < chance and one.low > _SURE_STEPS * dt]
 
 
-@dataclass(frozen=True)
-class _Fit(Uncertain):
-    """How late positions are [s], and what is left over [nats]."""
-
-    left: float
+_Fit: TypeAlias = tuple[Uncertain, float]
+"""How late positions are [s], and what is left over [nats]."""
 
 
-def _delay_or_filter(group: str, pieces: Sequence[_Piece], dt: float, delay: _Fit) -> tuple[_Fit, bool]:
+def _delay_or_filter(
+    group: str, pieces: Sequence[_Piece], dt: float, delay: Uncertain
+) -> tuple[Uncertain, bool]:
     """A delay that was roughly found, from averaged channels; or the filter that does the same, and True."""
     steps = round(_AVERAGED * abs(delay.value) / dt)
     if abs(delay.value) <= dt or any(len(rate) < 8 * steps for _, _, rate in pieces):
         return delay, False  # below a step, they are alike
-    smooth = [_averaged(piece, steps) for piece in pieces]
+
+    def averaged(values: Array) -> Array:
+        once = uniform_filter1d(values, steps, axis=0)
+        return np.asarray(uniform_filter1d(once, steps, axis=0)[steps:-steps])
+
+    smooth = [(averaged(change), averaged(integral), averaged(rate)) for change, integral, rate in pieces]
     one, other = (_time_of(group, smooth, dt, filtered=f) for f in (False, True))
     if one is None:
         return delay, False
-    return (other, True) if other is not None and other.left < one.left - _FILTER_NATS else (one, False)
-
-
-def _averaged(piece: _Piece, steps: int) -> _Piece:
-    """Means of means over so many steps, without the ends."""
-    once = (uniform_filter1d(a, steps, axis=0) for a in piece)
-    change, integral, rate = (uniform_filter1d(a, steps, axis=0)[steps:-steps] for a in once)
-    return change, integral, rate
+    return (other[0], True) if other is not None and other[1] < one[1] - _FILTER_NATS else (one[0], False)
 
 
 def _time_of(group: str, pieces: Sequence[_Piece], dt: float, *, filtered: bool) -> _Fit | None:
@@ -153,7 +150,7 @@ def _time_of(group: str, pieces: Sequence[_Piece], dt: float, *, filtered: bool)
     assert data is not None
     left = sum(log(_rest(data[:, :, int(t.axis)])) for t in times)
     left *= 0.25 * data.shape[1]  # intervals overlap by half
-    return _Fit(total, pooled.error, max(pooled.slopes - 1, _FOLDS - 1), left)
+    return Uncertain(total, pooled.error, max(pooled.slopes - 1, _FOLDS - 1)), left
 
 
 def _rest(one: Array) -> float:
@@ -364,20 +361,18 @@ def latency_findings(late: Sequence[Latency], *, action: str = "reported") -> li
     return out
 
 
-def found_latency(fault: Fault, log: LoggedRuns, *, filtered: bool) -> Detected | None:
+def found_latency(log: LoggedRuns, *, filtered: bool) -> Detected | None:
     """Channels of a log that are surely delayed, or filtered, as one finding; None for none."""
     late = [d for d in log.once(_surely_late_in) if d.filtered == filtered]
-    return _detected(fault, late) if late else None
+    return _detected(late) if late else None
 
 
-def suspected_latency(fault: Fault, log: LoggedRuns, *, filtered: bool) -> list[Suspect]:
-    """Channels that are late by less than what is sure: half a step may be how a simulator steps."""
-    late, out = log.once(_late_in), []
-    for order, d in enumerate(late):
-        matters = d.p * len(late) < log.level(fault.stage) and d.low > _LEAST_STEPS * log.runs[0].dt
-        if matters and d.filtered == filtered and d not in log.once(_surely_late_in):
-            out.append(Suspect(fault, order, _detected(fault, [d], short=True), {d.channel: -d.seconds}))
-    return out
+def suspected_latency(log: LoggedRuns) -> list[Detected]:
+    """Channels that are late by less than what is sure; physics has to say, as a simulator may step so."""
+    late, sure, level = log.once(_late_in), log.once(_surely_late_in), log.level("lateness")
+    least = _LEAST_STEPS * log.runs[0].dt
+    some = [d for d in late if d.p * len(late) < level and d.low > least and d not in sure]
+    return [_detected([d], short=True) for d in some]
 
 
 def _late_in(log: LoggedRuns) -> list[Latency]:
@@ -388,12 +383,13 @@ def _surely_late_in(log: LoggedRuns) -> list[Latency]:
     return surely_late(log.once(_late_in), log.runs[0].dt, chance=log.level("lateness"))
 
 
-def _detected(fault: Fault, late: Sequence[Latency], *, short: bool = False) -> Detected:
+def _detected(late: Sequence[Latency], *, short: bool = False) -> Detected:
+    (name,) = by_fault(late)
     how = "late behind a filter, against" if late[0].filtered else "later than"
     words = ", ".join(f"{d.channel} is logged {1e3 * d.seconds:.3g} ms {how} {d.other}" for d in late)
     values = {d.channel: (d.seconds, d.low, d.high, "s") for d in late}
     text = f"Channels do not belong to the same time: {words}, as the one is the integral of the other."
-    return Detected(fault.name, values, min(d.p for d in late), text, short)
+    return Detected(name, values, min(d.p for d in late), text, short)
 
 
 # found by physics
@@ -412,7 +408,8 @@ def whole_sensor_late(
 
     Kinematics do not show it, and effects that do the same pay for one channel with another. So it is asked for where
     effects leave structure, has to do better than they, and no channel may pay for it: attitude and rates moved by the
-    time that motors lag behind would otherwise take their place. Arguments are those of `Fault.instead_of_effects`.
+    time that motors lag behind would otherwise take their place. Arguments are those of `chain.instead_of_effects`;
+    `undone` is by how much sensors were late that are on time in the runs.
     """
     pairs = [(common_name(positions), common_name(rates)) for positions, rates in pairs_of(system).values()]
     step = runs[0].dt

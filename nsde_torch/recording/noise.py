@@ -25,8 +25,6 @@ are next to nothing beside those of the other rows, the column was resampled by 
 like a rate of the log is not that of the sensor.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

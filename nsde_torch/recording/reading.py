@@ -9,10 +9,10 @@ summary
 All of this is done at the rate of the log. A longer step is taken at last.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,6 @@ from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import (
     clock_and_biases,
     columns,
-    conventions,
     noise,
     standstill,
     times,
@@ -103,19 +102,15 @@ def _called(make: Callable[..., Any], name: str, system: SystemInfo, **given: An
 def _split_at_jumps(
     system: SystemInfo, run: RawRun, segments: tuple[tuple[int, int], ...], dt: float, report: Report
 ) -> tuple[tuple[int, int], ...]:
-    out: list[tuple[int, int]] = []
-    jumps: list[kinematics.Jump] = []
-    for start, stop in segments:
-        at = start
-        for jump in kinematics.find_jumps(system, run.x[start:stop], dt=dt):
-            row = start + jump.row
-            jumps.append(kinematics.Jump(row, jump.group, jump.size, jump.missing_s))
-            out.append((at, row + 1))
-            at = row + 1
-        out.append((at, stop))
+    jumps = [
+        replace(jump, row=a + jump.row)
+        for a, b in segments
+        for jump in kinematics.find_jumps(system, run.x[a:b], dt=dt)
+    ]
     if not jumps:
         return segments
-    kept = tuple((a, b) for a, b in out if b - a >= 2)
+    cuts = sorted({row for segment in segments for row in segment} | {jump.row + 1 for jump in jumps})
+    kept = tuple((a, b) for a, b in pairwise(cuts) if b - a >= 2)
     axes = {group: positions for group, (positions, _) in kinematics.pairs_of(system).items()}
     shown = ", ".join(
         f"{j.size:.3g} in {kinematics.called(j.group, axes[j.group])} after row {j.row}, about {j.missing_s:.2g} s lost"
@@ -228,8 +223,6 @@ def assemble(
         if system.quaternion is not None:
             columns.check_signs(run, system.quaternion, report)  # before holes are filled between its signs
         times.fill_missing(run, system, gap=limit, report=report)
-        if system.quaternion is not None:
-            columns.back_to_sphere(run, system.quaternion)
         columns.unwrap_angles(run, whole, report)
         noise.mend_glitches(run, system, report)
         standstill.cut_repeats(run, system, report)
@@ -254,8 +247,8 @@ def assemble(
     _check_twins(runs, report)
     interventions.report_of(runs, report)
     standstill.check_constant(system, runs, report)
-    conventions.check(system, runs)
-    conventions.check_runs(system, runs)
+    columns.check_conventions(system, runs)
+    columns.check_runs(system, runs)
     clock_and_biases.check_units(slopes, tuple(system.state_names))
     scale = clock_and_biases.decide(slopes, policy=clock, report=report)
     runs = unmeasured_rates.inferred(whole, runs, rates, scale)

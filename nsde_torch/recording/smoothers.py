@@ -22,10 +22,8 @@ lobe is twelve bins wide, so that a bin of a short window sees a steep flank fro
 sum_g L(f, g) P(g). Without this, windows of 128 rows place a cut-off at 6 of 100 Hz a quarter too high.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from math import log, pi
 from typing import Any
@@ -127,11 +125,6 @@ class SpectrumFit:
     noise: Array  # the sensor's noise before the smoother (C, F) [unit^2 / Hz]
     rounding: Array  # what rounding adds behind it (C,) [unit^2 / Hz]
 
-    @property
-    def before(self) -> Array:
-        """Spectra before the smoother (C, F) [unit^2 / Hz]."""
-        return self.motion + self.noise
-
 
 def _warped(f: Array, dt: float) -> Array:
     return np.asarray(np.tan(pi * dt * np.minimum(f, 0.4999 / dt)))
@@ -213,18 +206,17 @@ def spectra_of(parts: Sequence[Array], dt: float) -> Spectra | None:
         return None
     rows = _WINDOW if longest >= 3 * _WINDOW else max(_SHORTEST, 2 ** int(np.log2(longest // 3)))
     taper, t = _taper(rows), np.linspace(-1.0, 1.0, rows)
-    squares, count = [], 0
+    squares = []
     for part in parts:
         for a in range(0, len(part) - rows + 1, rows // 2):
             cut = part[a : a + rows]
             cut = cut - polynomial.polyval(t, polynomial.polyfit(t, cut, 1)).T
             squares.append(np.square(np.abs(rfft(taper[:, None] * cut, axis=0))))
-            count += 1
-    if count < _FEWEST:
+    if len(squares) < _FEWEST:
         return None
     power = np.mean(squares, axis=0).T * (2.0 * dt / np.square(taper).sum())
     f, fine = (np.asarray(rfftfreq(n, dt), dtype=np.float64) for n in (rows, _FINER * rows))
-    return Spectra(f[_KEPT], power[:, _KEPT], _EFFECTIVE * count, dt, fine[1:], _lobe(rows))
+    return Spectra(f[_KEPT], power[:, _KEPT], _EFFECTIVE * len(squares), dt, fine[1:], _lobe(rows))
 
 
 def _taper(rows: int) -> Array:
@@ -239,11 +231,6 @@ def _lobe(rows: int) -> Array:
     bins, parts = _FINER * np.arange(rows // 2 + 1)[_KEPT], np.arange(1, fine // 2 + 1)
     lobe = seen[np.abs(bins - parts[:, None])] + seen[(bins + parts[:, None]) % fine]
     return np.asarray(lobe / lobe.sum(0))
-
-
-def joined(some: Sequence[Spectra]) -> Spectra:
-    """Spectra of several sensors as one, on the same frequencies."""
-    return replace(some[0], power=np.concatenate([s.power for s in some]))
 
 
 def fit(seen: Spectra, smoother: Smoother | None, *, steps: int = _LAST) -> SpectrumFit:

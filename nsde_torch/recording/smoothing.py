@@ -58,10 +58,9 @@ def smoothing_width(runs: Sequence[Run], n_inputs: int) -> float:
         room = max(0.1 * half, frequency[1] - frequency[0])
         lowest = [log_power[np.abs(frequency - f) <= room].min() for f in nulls]
         scores[n] = score = float(np.min(np.interp(nulls + half, frequency, log_power) - lowest))
-        if score > _DEPTH and score > 1.15 * best:
-            best, width = score, n * dt
-        elif score > 0.8 * best and score > _DEPTH and n * dt > 1.8 * width:
-            # a wider average has the nulls of a narrower one, and more
+        # a wider average has the nulls of a narrower one, and more
+        wider = score > 0.8 * best and n * dt > 1.8 * width
+        if score > _DEPTH and (score > 1.15 * best or wider):
             best, width = max(score, best), n * dt
     # neighbours share the first nulls: the deepest is meant, one sample more or less ruins what is restored
     near = round(width / dt)

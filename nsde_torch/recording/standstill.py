@@ -25,8 +25,6 @@ next to them in which it still stands as the commands rise or sink, and with tho
 comes down on it and bounces: the last row within 3 s that is less than 5 cm above where it stands, and all before it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -78,14 +76,11 @@ def cut_repeats(run: RawRun, system: SystemInfo, report: Report) -> None:
         run.rows(~frozen)
     drop = np.zeros(len(run.t), dtype=bool)
     for name, column, bad in _contradicted(run, system):
-        ends = {"lowest": column.min(), "highest": column.max()}
-        for value in np.unique(column[bad]):
-            which = next((word for word, end in ends.items() if value == end), None)
-            rows = bad & (column == value)
-            if which is None:
+        for which, value in (("lowest", column.min()), ("highest", column.max())):
+            at_end = column == value
+            if not (bad & at_end).any():
                 continue
-            bad = bad & ~rows
-            rows = _closed(column == value)
+            bad, rows = bad & ~at_end, _closed(at_end)
             text = f"{name} stands at its {which} value {value:.6g}, while its partner moves on: the sensor's end"
             _tell(run, report, "sensor_end", rows, text, {"column": name, "value": float(value)})
             drop |= rows
@@ -313,7 +308,9 @@ def _grounded(run: RawRun, system: SystemInfo, commands: float) -> Mask:
         if run.t[b - 1] - run.t[a] < _FEWEST_S:
             continue
         before, behind = stands[max(0, a - most) : a][::-1], stands[b : b + most]
-        out[a - _run_in(before) : b + _run_in(behind)] = True
+        # up to the first row on each side in which it does not stand
+        first, last = (int(np.argmin(np.append(rows, False))) for rows in (before, behind))
+        out[a - first : b + last] = True
     return out
 
 
@@ -334,8 +331,3 @@ def _at_rest(moved: Array, turned: Array, rows: float) -> Mask:
     size = max(1, round(rows))
     speeds = [np.linalg.norm(uniform_filter1d(c, size, axis=0), axis=1) for c in (moved, turned)]
     return np.asarray((speeds[0] < _REST) & (speeds[1] < _REST))
-
-
-def _run_in(rows: Mask) -> int:
-    """How many rows are True before the first that is not."""
-    return len(rows) if rows.all() else int(np.argmin(rows))

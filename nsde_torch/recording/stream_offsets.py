@@ -16,9 +16,7 @@ time (measured with `benchmarks/bench_streams.py`: a regression on the declared 
 whose commands are on time).
 """
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +25,7 @@ from scipy.optimize import brentq
 from scipy.special import chdtrc, ndtri, stdtr
 
 from nsde_torch.data.findings import Finding
+from nsde_torch.data.kinematics import Uncertain
 from nsde_torch.data.run import DataSet
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError
@@ -45,29 +44,19 @@ _LARGEST_S = 0.25  # standard error of an offset that says nothing
 
 
 @dataclass(frozen=True)
-class Offset:
-    """By how much a stream is late in one run."""
-
-    run: str
-    seconds: float  # how late [s of the log]; negative where it is early
-    error: float
-    degrees: float  # degrees of freedom of the error
-
-
-@dataclass(frozen=True)
 class Offsets:
     """Offsets of one stream against another that differ between runs."""
 
     channel: str  # what is moved: the common name of states
     other: str  # what it is late against
-    offsets: tuple[Offset, ...]  # as measured, of each run that can show it
+    offsets: Mapping[str, Uncertain]  # as measured, of each run that can show it [s of the log]
     taken: Mapping[str, float]  # what is taken out, by name of the run [s of the log]
     p: float  # chance of such differences between runs that share one offset
 
     def finding(self) -> Finding:
         """What the data summary says."""
-        errors = {o.run: o.error for o in self.offsets}
-        each = [f"{run} {1e3 * d:+.3g} +- {1e3 * errors[run]:.2g} ms" for run, d in self.taken.items()]
+        errors = {run: 1e3 * o.error for run, o in self.offsets.items()}
+        each = [f"{run} {1e3 * d:+.3g} +- {errors[run]:.2g} ms" for run, d in self.taken.items()]
         shown = ", ".join(each[:8]) + (f", ... ({len(each)} runs)" if len(each) > 8 else "")
         text = (
             f"{self.channel} is late against {self.other} by another time in each run, by the kinematics ({shown}; "
@@ -77,16 +66,19 @@ class Offsets:
         return Finding("stream_offset", "", len(self.taken), text, "taken out", values)
 
 
-def differing(channel: str, other: str, offsets: Sequence[Offset], *, step: float) -> Offsets | None:
-    """Offsets that differ between runs by more than chance, at a `step` [s]; None where one offset would do."""
-    offsets = [o for o in offsets if np.isfinite(o.seconds) and 0 < o.error < _LARGEST_S]
+def differing(channel: str, other: str, offsets: Mapping[str, Uncertain], *, step: float) -> Offsets | None:
+    """Offsets that differ between runs by more than chance, at a `step` [s]; None where one offset would do.
+
+    By run: how late a channel is against another [s of the log]; negative where it is early.
+    """
+    offsets = {r: o for r, o in offsets.items() if np.isfinite(o.value) and 0 < o.error < _LARGEST_S}
     if len(offsets) < FEWEST:
         return None
-    d, s = np.array([(o.seconds, o.error) for o in offsets]).T
+    d, s = np.array([(o.value, o.error) for o in offsets.values()]).T
     weight = 1.0 / np.square(s)
     mean = float((weight * d).sum() / weight.sum())
     # errors of few degrees of freedom: the normal deviate that is as rare
-    z = [-ndtri(stdtr(o.degrees, -abs(o.seconds - mean) / o.error)) for o in offsets]
+    z = [-ndtri(stdtr(o.degrees, -abs(o.value - mean) / o.error)) for o in offsets.values()]
     p = float(chdtrc(len(offsets) - 1, float(np.square(z).sum())))
     between = _between(d, s)
     if p > CHANCE or between**0.5 < LEAST_STEPS * step:
@@ -94,8 +86,7 @@ def differing(channel: str, other: str, offsets: Sequence[Offset], *, step: floa
     weight = 1.0 / (between + np.square(s))
     mean = float((weight * d).sum() / weight.sum())
     drawn = mean + between * weight * (d - mean)
-    taken = {o.run: float(one) for o, one in zip(offsets, drawn, strict=True)}
-    return Offsets(channel, other, tuple(offsets), taken, p)
+    return Offsets(channel, other, offsets, dict(zip(offsets, drawn.tolist(), strict=True)), p)
 
 
 def _between(d: Array, s: Array) -> float:
@@ -124,11 +115,11 @@ def on_one_clock(data: DataSet, system: SystemInfo, *, policy: str = "undo") -> 
     if policy == "keep" or done or len(data.runs) < FEWEST:
         return data
     runs, step = list(data.runs), data.runs[0].dt
-    seen: dict[tuple[str, str], list[Offset]] = {}
+    seen: dict[tuple[str, str], dict[str, Uncertain]] = {}
     for run in runs:
         for one in latencies(system, [run], clock=data.clock_scale):
-            offset = Offset(run.name, -one.seconds, one.error, one.degrees)
-            seen.setdefault((one.other, one.channel), []).append(offset)
+            offset = Uncertain(-one.seconds, one.error, one.degrees)
+            seen.setdefault((one.other, one.channel), {})[run.name] = offset
     found = [o for pair, offsets in seen.items() if (o := differing(*pair, offsets, step=step)) is not None]
     if not found:
         return data

@@ -5,8 +5,6 @@ the new times, inputs the mean of what acted during a step. What is late by less
 rows, nor distinguished from physics: it is taken out before.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
@@ -122,6 +120,10 @@ def fill_missing(run: RawRun, system: SystemInfo, *, gap: float, report: Report)
         for k, bad in enumerate(bad_x.T):
             mend = some & bad
             run.x[mend, k] = np.interp(run.t[mend], run.t[good], run.x[good, k])
+        if (q := system.quaternion) is not None:  # back to the sphere, which lines leave
+            norm = np.linalg.norm(run.x[:, q], axis=1)
+            off = np.abs(norm - 1.0) > 1e-6
+            run.x[off, q] /= norm[off, None]
         last_good = np.maximum.accumulate(np.where(good, np.arange(n), 0))
         for k, bad in enumerate(bad_u.T):
             run.u[some & bad, k] = run.u[last_good[some & bad], k]
@@ -205,19 +207,15 @@ def _mean_held(t: Array, u: Array, grid: Array, dt: float) -> Array:
     return np.stack(columns, 1) / dt if columns else np.zeros((len(grid), 0))
 
 
-def joined(pieces: list[RawRun]) -> RawRun:
-    """Stretches of a run in one."""
-    first = pieces[0]
-    if len(pieces) == 1:
-        return first
-    return RawRun(
-        first.name,
-        np.concatenate([p.t for p in pieces]),
-        np.concatenate([p.x for p in pieces]),
-        np.concatenate([p.u for p in pieces]),
-        extra={k: np.concatenate([p.extra[k] for p in pieces]) for k in first.extra},
-        source=first.source,
-    )
+def joined(pieces: Sequence[RawRun]) -> tuple[RawRun, tuple[tuple[int, int], ...]]:
+    """Stretches of a run in one, and where each is in it."""
+    first, ends = pieces[0], np.cumsum([len(p.t) for p in pieces]).tolist()
+    segments = tuple(zip([0, *ends[:-1]], ends, strict=True))
+    if len(pieces) == 1:  # a long recording must not be held twice
+        return first, segments
+    t, x, u = (np.concatenate([getattr(p, column) for p in pieces]) for column in "txu")
+    extra = {k: np.concatenate([p.extra[k] for p in pieces]) for k in first.extra}
+    return RawRun(first.name, t, x, u, extra=extra, source=first.source), segments
 
 
 def uniform(
@@ -250,28 +248,24 @@ def uniform(
             run.t[a:b] = run.t[a] + dt * np.arange(b - a)
     if all(regular) and not short:
         return run, tuple(whole)
-    pieces, segments, at, changed = [], [], 0, 0
+    pieces, steps = [], []  # of those that were resampled
     for (a, b), same in zip(whole, regular, strict=True):
         if same:
-            extra = {k: v[a:b] for k, v in run.extra.items()}
-            piece = RawRun(run.name, run.t[a:b], run.x[a:b], run.u[a:b], extra=extra, source=run.source)
+            pieces.append(replace(run))
+            pieces[-1].rows(slice(a, b))
         else:
-            piece = resample(run, a, b, dt=dt, quaternion=quaternion)
-            changed += 1
-        pieces.append(piece)
-        segments.append((at, at + len(piece.t)))
-        at += len(piece.t)
-    if changed:
-        steps = [np.diff(run.t[a:b]) for (a, b), same in zip(whole, regular, strict=True) if not same]
+            pieces.append(resample(run, a, b, dt=dt, quaternion=quaternion))
+            steps.append(np.diff(run.t[a:b]))
+    if steps:
         inside = np.concatenate(steps)
         missing, low, high = int(np.maximum(np.rint(inside / dt) - 1, 0).sum()), inside.min(), inside.max()
         text = (
-            f"{changed} of {len(whole)} segments off the step of {dt * 1e3:.4g} ms (steps {low * 1e3:.4g} to "
+            f"{len(steps)} of {len(whole)} segments off the step of {dt * 1e3:.4g} ms (steps {low * 1e3:.4g} to "
             f"{high * 1e3:.4g} ms, {missing} samples dropped)"
         )
         values = {"step_min_s": float(low), "step_max_s": float(high), "dropped_samples": missing}
-        report(Finding("non_uniform_step", run.name, changed, text, "resampled", values))
-    return joined(pieces), tuple(segments)
+        report(Finding("non_uniform_step", run.name, len(steps), text, "resampled", values))
+    return joined(pieces)
 
 
 def is_longer(dt: float | None, own: float) -> bool:
@@ -328,11 +322,8 @@ def _resampled(run: Run, system: SystemInfo, dt: float) -> Run:
             f"{raw.label}: no stretch without a gap is as long as the step of {dt:.4g} s. Set "
             "`dt` to a shorter one."
         )
-    parts = [resample(raw, a, b, dt=dt, quaternion=system.quaternion) for a, b in long]
-    whole = joined(parts)
-    ends = np.cumsum([len(part.t) for part in parts]).tolist()
+    whole, segments = joined([resample(raw, a, b, dt=dt, quaternion=system.quaternion) for a, b in long])
     u = whole.u
     if system.exogenous:
         u = np.column_stack([u, *(whole.extra[name] for name in system.exogenous)])
-    segments = tuple(zip([0, *ends[:-1]], ends, strict=True))
     return replace(run, t=whole.t, x=whole.x, u=u, extra=whole.extra, segments=segments, unbroken=())

@@ -15,8 +15,6 @@ differences are recognised by their numbers: q and v agree on them far better th
 derivative.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
@@ -62,15 +60,14 @@ def derived_rates(system: SystemInfo, runs: Sequence[RawRun]) -> list[Derived]:
     """Rates of a system that are made of its positions; of machines that turn freely none are looked for."""
     if system.quaternion is not None:
         return []
-    names, out = list(system.state_names), []
-    for position, rate, _ in system.position_derivatives:
-        i, j = names.index(position), names.index(rate)
+    names, out = system.state_names, []
+    for i, j in rate_pairs(system):
         parts = [part for run in runs for part in _stretches(run, i, j, system.state_units[i] == "rad")]
         if sum(len(t) for t, _, _ in parts) < 200 or not any(np.ptp(v) for _, _, v in parts):
             continue  # too few, or a rate that stands still, of which `standstill` speaks
         found = (_plain(parts) if _raw(parts) else None) or _filtered(parts)
         if found is not None:
-            out.append(Derived(rate, position, *found))
+            out.append(Derived(names[j], names[i], *found))
     return out
 
 
@@ -164,7 +161,11 @@ def to_infer(system: SystemInfo, raw: Sequence[RawRun], *, policy: str, report: 
     """
     if policy not in POLICIES:
         raise ConfigError(f"`derived_rates` must be {' or '.join(POLICIES)}; got {policy!r}.")
-    without = {run.name: _without(system, run) for run in raw}
+    without: dict[str, set[str]] = {}
+    for run in raw:
+        empty = np.asarray(np.isnan(run.x).all(axis=0))
+        pairs = rate_pairs(system) if system.quaternion is None else []
+        without[run.name] = {system.state_names[j] for i, j in pairs if empty[j] and not empty[i]}
     absent = {name for names in without.values() for name in names}
     for name in sorted(absent):
         lacking = [run for run, names in without.items() if name in names]
@@ -221,14 +222,6 @@ def inferred(system: SystemInfo, runs: Sequence[Run], names: Collection[str], cl
         for (x, a, b), values in zip(places, found, strict=True):
             x[a:b, j] = values
     return [replace(run, x=x, inferred=unknown) for run, x in zip(runs, states, strict=True)]
-
-
-def _without(system: SystemInfo, run: RawRun) -> set[str]:
-    """Rates of positions without any value in a run."""
-    if system.quaternion is not None:
-        return set()
-    empty = np.asarray(np.isnan(run.x).all(axis=0))
-    return {system.state_names[j] for i, j in rate_pairs(system) if empty[j] and not empty[i]}
 
 
 def _pairs(system: SystemInfo, names: Collection[str]) -> list[tuple[int, int]]:

@@ -205,7 +205,7 @@ class FeedbackTest:
         if answers:
             told = "; ".join(
                 f"{a.input} answers what the physics leaves unexplained of {a.channel} within "
-                f"{1e3 * a.within_s:.0f} ms ({_percent(a.share)} of what is new in it)"
+                f"{1e3 * a.within_s:.0f} ms ({a.share:.{0 if a.share >= 0.01 else 1}%} of what is new in it)"
                 for a in answers[:_SHOWN]
             )
             rest = f"; {len(answers) - _SHOWN} further pairs" if len(answers) > _SHOWN else ""
@@ -271,10 +271,6 @@ class FeedbackTest:
         }
 
 
-def _percent(share: float) -> str:
-    return f"{share:.0%}" if share >= 0.01 else f"{share:.1%}"
-
-
 def _surely(answers: Sequence[Answer]) -> list[Answer]:
     return sorted((a for a in answers if a.chance < ALPHA), key=lambda a: -a.share)
 
@@ -309,7 +305,33 @@ def tested(regression: Regression, runs: Sequence[Run]) -> FeedbackTest:
     restored = {name for run in runs for name in run.band}
     names = [regression.physics.names[channel] for channel in regression.rows]
     smoothed = tuple(name for name in names if name.removesuffix(" (body)") in restored)
-    return replace(feedback_test(regression, still=still_inputs(runs, system)), smoothed=smoothed)
+    still, series = still_inputs(runs, system), extended(regression.series)
+    ways = signals.directions(regression) if len(still) < system.nu else []
+    if len(still) == system.nu:
+        why = NO_INPUT
+    elif not ways:
+        why = "no channel is driven by an input alone"
+    elif len(series) < _FEWEST:
+        why = f"the runs are too short ({len(series)} steps of at least {_FEWEST})"
+    if why:
+        return FeedbackTest(still=still, why_not=why, smoothed=smoothed)
+    u = np.asarray(regression.physics.steps.u[:, : system.nu])
+    u = signals.spread_out(regression, signals.box_means(regression, u))
+    driven = u @ np.stack([way.weights for way in ways], 1)
+    among = signals.principal(u)
+    answers, together = _answers_of(regression, ways, driven, among, series)
+    return FeedbackTest(
+        answers=answers,
+        together=together,
+        knowledge=_knowledge_of(regression, ways, driven, series),
+        new=_new_shares(regression, ways, driven, series),
+        driven={way.name: tuple(regression.physics.names[c] for c in way.channels) for way in ways},
+        rows=len(regression.series),
+        between=lengths(regression, ways),
+        made=_made_from_states(regression, ways, driven, among, series),
+        still=still,
+        smoothed=smoothed,
+    )
 
 
 def still_inputs(runs: Sequence[Run], system: System) -> tuple[str, ...]:
@@ -321,36 +343,6 @@ def still_inputs(runs: Sequence[Run], system: System) -> tuple[str, ...]:
 def _smoothed(runs: Sequence[Run], nu: int) -> str:
     width = smoothing_width(runs, nu)
     return f"the inputs were smoothed over {width:.2g} s and know the future" if width > 0 else ""
-
-
-def feedback_test(regression: Regression, *, still: Sequence[str] = ()) -> FeedbackTest:
-    """Test the loop by a fitted regression in weak form."""
-    if len(still) == regression.physics.vector.system.nu:
-        return FeedbackTest(still=tuple(still), why_not=NO_INPUT)
-    ways = signals.directions(regression)
-    series = extended(regression.series)
-    if not ways:
-        return FeedbackTest(still=tuple(still), why_not="no channel is driven by an input alone")
-    if len(series) < _FEWEST:
-        return FeedbackTest(
-            still=tuple(still), why_not=f"the runs are too short ({len(series)} steps of at least {_FEWEST})"
-        )
-    u = np.asarray(regression.physics.steps.u[:, : regression.physics.vector.system.nu])
-    u = signals.spread_out(regression, signals.box_means(regression, u))
-    driven = u @ np.stack([way.weights for way in ways], 1)
-    known, among = [*regression.rows], signals.principal(u)
-    answers, together = _answers_of(regression, ways, driven, among, series)
-    return FeedbackTest(
-        answers=answers,
-        together=together,
-        knowledge=_knowledge_of(regression, ways, driven, known, series),
-        new=_new_shares(regression, ways, driven, series),
-        driven={way.name: tuple(regression.physics.names[c] for c in way.channels) for way in ways},
-        rows=len(regression.series),
-        between=lengths(regression, ways),
-        made=_made_from_states(regression, ways, driven, among, series),
-        still=tuple(still),
-    )
 
 
 # ---- statistics -------------------------------------------------------------------------------------------
@@ -393,8 +385,10 @@ def _answers_of(
             columns = series.lagged(regression.white[i][:, None], range(1, rows + 1))[live]
             score = signals.score_test(new[live, j], signals.binned(columns, _BINS), nothing)
             chance, share = (1.0, 0.0) if known else score
-            within = regression.dt * _within(new[live, j], columns)
-            found.append(Answer(way.name, regression.physics.names[channel], share, chance, within))
+            size = np.square(columns.T @ new[live, j]) / np.maximum(np.square(columns).sum(0), 1e-300)
+            within = int(np.searchsorted(np.cumsum(size), _MOST_OF_IT * size.sum())) + 1  # rows
+            name = regression.physics.names[channel]
+            found.append(Answer(way.name, name, share, chance, regression.dt * within))
             own += [chance] if channel in way.channels else []
     statistic = -2.0 * float(np.log(np.maximum(own, 1e-300)).sum())
     return _adjusted(found), float(chi2.sf(statistic, 2 * len(own))) if own else 1.0
@@ -419,14 +413,8 @@ def _made_from_states(
     )
 
 
-def _within(new: Array, columns: Array) -> int:
-    """Rows by which most of an answer has come."""
-    size = np.square(columns.T @ new) / np.maximum(np.square(columns).sum(0), 1e-300)
-    return int(np.searchsorted(np.cumsum(size), _MOST_OF_IT * size.sum())) + 1
-
-
 def _knowledge_of(
-    regression: Regression, ways: Sequence[Direction], driven: Array, known: Sequence[int], series: Series
+    regression: Regression, ways: Sequence[Direction], driven: Array, series: Series
 ) -> tuple[Answer, ...]:
     """What inputs at and before a step foretell of the innovations of each channel that they drive."""
     rows = max(2, min(_KNOWN, round(_KNOWN_S / regression.dt)))
@@ -435,7 +423,7 @@ def _knowledge_of(
     for j, way in enumerate(ways):
         columns = series.lagged(driven[:, [j]], range(rows + 1))[live]
         for channel in way.channels:
-            i = known.index(channel)
+            i = [*regression.rows].index(channel)
             fitted = signals.basis_of(regression.fitted_columns(i)[live])
             chance, share = signals.score_test(regression.white[i][live], columns, fitted)
             found.append(Answer(way.name, regression.physics.names[channel], share, chance))
@@ -500,26 +488,22 @@ def leaning(regression: Regression) -> Array:
     The share, as a length, of what weighs the rows of a channel in the estimate that lies along what inputs do that are
     linear functions of the states and of the inputs of neighbouring rows.
     """
-    acts = _neighbours(regression)
-    out = np.zeros((len(regression.rows), len(regression.vector)))
-    for i, weighs in enumerate(signals.row_weights(regression)):
-        size = np.linalg.norm(weighs, axis=0)
-        along = signals.basis_of(regression.whitened(regression.noises[i], acts[:, i]))
-        out[i] = np.linalg.norm(along.T @ weighs, axis=0) / np.where(size > 0, size, np.inf)
-    return out
-
-
-def _neighbours(regression: Regression) -> Array:
-    """What inputs change in each box that are those of neighbouring rows, or a state (M, channels, columns)."""
     system, s = regression.physics.vector.system, regression.physics.steps
     x, u = s.x0[:, : system.nx].numpy(), s.u[:, : system.nu].numpy()
     size = 1e-3 * max(float(np.abs(u).max()), 1e-3)
-    columns = []
+    columns = []  # what such inputs change in each box (M, channels)
     for way in signals.directions(regression):
         slope = signals.input_slopes(regression, way.weights, size, torch.arange(len(s)))
         v = u @ way.weights
         v = v - v.mean()
-        columns += [slope * regression.single.shifted(v, by)[:, None] for by in _NEIGHBOURS]
-        columns += [slope * own[:, None] for own in (x - x.mean(0)).T]
-    summed = [regression.single.summed(column, regression.box) * s.dt for column in columns]
-    return np.stack(summed, 2) if summed else np.zeros((len(regression.series), len(regression.rows), 0))
+        changes = [slope * regression.single.shifted(v, by)[:, None] for by in _NEIGHBOURS]
+        changes += [slope * own[:, None] for own in (x - x.mean(0)).T]
+        columns += [regression.single.summed(change, regression.box) * s.dt for change in changes]
+    none = np.zeros((len(regression.series), len(regression.rows), 0))
+    acts = np.stack(columns, 2) if columns else none
+    out = np.zeros((len(regression.rows), len(regression.vector)))
+    for i, weighs in enumerate(signals.row_weights(regression)):
+        length = np.linalg.norm(weighs, axis=0)
+        along = signals.basis_of(regression.whitened(regression.noises[i], acts[:, i]))
+        out[i] = np.linalg.norm(along.T @ weighs, axis=0) / np.where(length > 0, length, np.inf)
+    return out

@@ -162,54 +162,43 @@ def guarded(
     theta = regression.theta if theta is None else theta
     if rough is None or len(rough.theta) != len(theta):
         return Guarded()
-    at = {"fit": theta, "least_squares": rough.theta, "first_values": vector.inside(vector.start)}
-    left = {name: left_at(rough, values) for name, values in at.items()}
+    fit, squares, first = (left_at(rough, at) for at in (theta, rough.theta, vector.inside(vector.start)))
     channels = tuple(
         Compared(
-            c.name,
-            per_second(c.unit),
-            c.measured,
-            c.left,
-            s.left,
-            f.left,
-            less=s.foretold < LESS * c.foretold,
+            c.name, per_second(c.unit), c.measured, c.left, s.left, f.left, s.foretold < LESS * c.foretold
         )
-        for c, s, f in zip(left["fit"], left["least_squares"], left["first_values"], strict=True)
+        for c, s, f in zip(fit, squares, first, strict=True)
     )
     objections, notes = _faults(system, runs, clock, rough, regression)
     chance = _chance(rough, theta, covariance)
     if not objections:
-        objections = _disagreements(channels, chance) or _gone(rough, theta, covariance, left["fit"])
-        notes += [] if objections else _believed(channels, chance)
+        objections = _disagreements(channels, chance) or _gone(rough, theta, covariance, fit)
+        less = ", ".join(c.name for c in channels if _apart(c) and c.less)
+        if less and not objections and chance < CHANCE:
+            notes.append(
+                f"least squares on means over 0.15 s find less of {less} than the fit: the fit is believed. Feedback "
+                "that answers what the physics lacks, and noise of the states, pull least squares towards nothing"
+            )
     found = Guarded(
         tuple(objections), channels, tuple(vector.labels), tuple(rough.theta.tolist()), chance, tuple(notes)
     )
-    if "least_squares" not in {o.kind for o in objections}:
-        return found
-    found = replace(found, half_90=tuple(_half_widths(rough).tolist()), units=tuple(vector.units))
-    return replace(found, objections=tuple(_with_values(o, found) for o in objections))
+    return _recommended(found, rough) if "least_squares" in {o.kind for o in objections} else found
 
 
-def _with_values(objection: Objection, guard: Guarded) -> Objection:
-    """An objection that recommends least squares, with their values."""
-    if objection.kind != "least_squares":
-        return objection
-    told = []
-    for name, one in guard.to_use.items():
-        ends, unit = one["interval_90"], "" if one["unit"] == "1" else f" {one['unit']}"
-        between = f"90 % interval {ends[0]:.3g} to {ends[1]:.3g}" if ends else "not shown by the data"
-        told.append(f"{name} {one['value']:.3g}{unit} ({between})")
-    return replace(
-        objection, remedy=f"use the values of least squares: {', '.join(told)}; {objection.remedy}"
-    )
-
-
-def _half_widths(rough: Regression) -> Array:
-    """Half-widths of the 90 % intervals of least squares (k,); nan of what the data do not show."""
+def _recommended(found: Guarded, rough: Regression) -> Guarded:
+    """The same with least squares, their 90 % intervals (nan of what the data do not show), and words of them."""
     basis, sure = rough.shown.basis, rough.spread()
     error = np.sqrt(np.clip(np.diag(basis @ sure.covariance @ basis.T), 0.0, None))
-    half = stdtrit(sure.degrees(basis).clip(1.0), 0.95) * error
-    return np.where(rough.shown.known, half, np.nan)
+    half = np.where(rough.shown.known, stdtrit(sure.degrees(basis).clip(1.0), 0.95) * error, np.nan)
+    found = replace(found, half_90=tuple(half.tolist()), units=tuple(rough.vector.units))
+    told = []
+    for name, own in found.to_use.items():
+        ends, unit = own["interval_90"], "" if own["unit"] == "1" else f" {own['unit']}"
+        between = f"90 % interval {ends[0]:.3g} to {ends[1]:.3g}" if ends else "not shown by the data"
+        told.append(f"{name} {own['value']:.3g}{unit} ({between})")
+    (one,) = found.objections  # where least squares are to be used, nothing else is said
+    remedy = f"use the values of least squares: {', '.join(told)}; {one.remedy}"
+    return replace(found, objections=(replace(one, remedy=remedy),))
 
 
 def _faults(
@@ -322,17 +311,6 @@ def _gone(rough: Regression, theta: Array, covariance: Array | None, now: Sequen
 def _apart(c: Compared) -> bool:
     more = c.fit**2 - c.least_squares**2 > MORE * c.measured**2
     return more or c.fit > TIMES * c.least_squares
-
-
-def _believed(channels: Sequence[Compared], chance: float) -> list[str]:
-    """Where least squares are not believed, and why."""
-    less = [c.name for c in channels if _apart(c) and c.less]
-    if not less or not chance < CHANCE:
-        return []
-    return [
-        f"least squares on means over 0.15 s find less of {', '.join(less)} than the fit: the fit is believed. "
-        "Feedback that answers what the physics lacks, and noise of the states, pull least squares towards nothing"
-    ]
 
 
 def _chance(rough: Regression, theta: Array, covariance: Array | None) -> float:

@@ -37,12 +37,10 @@ the truth and bias friction. What the physics leaves counts as a gust that lasts
 rates. These hang a little on the parameters: they are inferred again until these have settled (`in_turn`).
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +48,7 @@ from numpy.typing import NDArray
 from nsde_torch.data import Run
 from nsde_torch.data.system_info import rate_pairs
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
-from nsde_torch.inference import LogLikelihood, MaximumLikelihood, Optimum, maximised
+from nsde_torch.inference import LogLikelihood, Optimum, maximised
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.states import filtered_at
 from nsde_torch.inference.steps import inferred_columns
@@ -68,6 +66,15 @@ from nsde_torch.systems import System
 Array = NDArray[np.float64]
 
 _TOLD = 4.0  # difference of statistics from which on data tell what inputs do between rows
+
+
+@dataclass(frozen=True)
+class Settled:
+    """A regression after its last step."""
+
+    regression: Regression
+    runs: Sequence[Run]  # its runs, without rows in which what has dry friction stands
+    left_out: float  # share of the rows that were left out of them
 
 
 def identify_in_loop(
@@ -110,11 +117,13 @@ def identify_in_loop(
     if instruments or any(run.inferred for run in runs):
         begun = None  # of other columns
 
-    fit = partial(_over_boxes, clock=clock, method=method, iterations=iterations, instruments=instruments)
-
     def over(width: float | None) -> Identification:
-        first = begun if width is None else None
-        return in_turn(system, runs, clock, partial(fit, width=width, begun=first))
+        def fit(machine: System, rows: Sequence[Run]) -> Identification:
+            at = begun if width is None else None
+            at = at or settled(machine, rows, clock=clock, method=method, width=width, iterations=iterations)
+            return _over_boxes(at, clock, method, width, instruments)
+
+        return in_turn(system, runs, clock, fit)
 
     found = over(None)
     if method != "weak":
@@ -127,18 +136,9 @@ def identify_in_loop(
 
 
 def _over_boxes(
-    system: System,
-    runs: Sequence[Run],
-    *,
-    clock: float,
-    method: str,
-    width: float | None,
-    iterations: int,
-    instruments: Sequence[str],
-    begun: Settled | None,
+    at: Settled, clock: float, method: str, width: float | None, instruments: Sequence[str]
 ) -> Identification:
     """As `identify_in_loop`, over boxes of one length, whatever the guard says of it."""
-    at = begun or settled(system, runs, clock=clock, method=method, width=width, iterations=iterations)
     regression, runs = at.regression, at.runs
     found = identification(regression, method, standstill=at.left_out)
     if method != "weak":
@@ -231,18 +231,12 @@ def hangs_on_band(
     half = narrowed(runs, regression.physics.vector.system, clock)
     if half is None:
         return np.zeros(len(regression.vector))
-    return 2.0 * _changed(regression, half, clock, width)
-
-
-def _changed(regression: Regression, runs: Sequence[Run], clock: float, width: float | None) -> Array:
-    """What parameters (k,) change by in other runs or boxes; nan where nothing settles there."""
-    system = copy.deepcopy(regression.physics.vector.system)
     try:
-        other = regression_of(system, runs, clock=clock, width=width)
+        other = regression_of(copy.deepcopy(regression.physics.vector.system), half, clock=clock, width=width)
         other.run(ITERATIONS)
     except (DataError, NonFiniteError):
         return np.full(len(regression.vector), np.nan)
-    return np.asarray(np.abs(regression.theta - other.theta))
+    return np.asarray(2.0 * np.abs(regression.theta - other.theta))
 
 
 def largest_bias(regression: Regression, hidden: Mapping[str, float | Array]) -> Array:
@@ -292,15 +286,6 @@ def identify(
     return identification(at.regression, method, standstill=at.left_out)
 
 
-@dataclass(frozen=True)
-class Settled:
-    """A regression after its last step."""
-
-    regression: Regression
-    runs: Sequence[Run]  # its runs, without rows in which what has dry friction stands
-    left_out: float  # share of the rows that were left out of them
-
-
 def settled(
     system: System,
     runs: Sequence[Run],
@@ -314,20 +299,19 @@ def settled(
 
     Rows in which what has dry friction stands are left out, once the noise of its speed is known (`standstill`).
     """
-    regression = regression_of(system, runs, clock=clock, method=method, width=width)
-    regression.run(iterations)
-    regression = narrower(regression, iterations)
+
+    def fitted(runs: Sequence[Run], start: Array | None = None) -> Regression:
+        out = regression_of(system, runs, clock=clock, method=method, width=width, start=start)
+        out.run(iterations)
+        return narrower(out, iterations)
+
+    regression = fitted(runs)
     speeds = slowest(system, regression.physics.sensor_std, runs) if method == "weak" else {}
     some, share = moving(runs, speeds)
-    if share < SHARE:
-        return Settled(regression, runs, 0.0)
-    try:
-        again = regression_of(system, some, clock=clock, method=method, width=width, start=regression.theta)
-        again.run(iterations)
-        again = narrower(again, iterations)
-    except (DataError, NonFiniteError):  # too little is left
-        return Settled(regression, runs, 0.0)
-    return Settled(again, some, share)
+    if share >= SHARE:
+        with suppress(DataError, NonFiniteError):  # too little is left
+            return Settled(fitted(some, regression.theta), some, share)
+    return Settled(regression, runs, 0.0)
 
 
 def identification(regression: Regression, method: str, *, standstill: float = 0.0) -> Identification:
@@ -400,22 +384,19 @@ def by_likelihood(
     except (DataError, NonFiniteError, np.linalg.LinAlgError):
         return found
     found = replace(found, likelihood=best, optimum=at)
-    return found if best.objections else _with(found, best)
-
-
-def entries(system: System, runs: Sequence[Run]) -> int:
-    """Entries of the covariances of all rows of some runs."""
-    return sum(len(run) for run in runs) * len(system.error_names) ** 2
-
-
-def _with(found: Identification, best: MaximumLikelihood) -> Identification:
-    """The identification with values, and the covariance of those that are free."""
+    if best.objections:
+        return found
     free = best.free
     covariance, degrees = found.covariance.copy(), found.degrees.copy()
     covariance[free], covariance[:, free] = 0.0, 0.0
     covariance[np.ix_(free, free)] = best.spread.covariance
     degrees[free] = best.spread.degrees(np.eye(len(free)))
     return replace(found, values=best.theta, covariance=covariance, degrees=degrees, converged=True)
+
+
+def entries(system: System, runs: Sequence[Run]) -> int:
+    """Entries of the covariances of all rows of some runs."""
+    return sum(len(run) for run in runs) * len(system.error_names) ** 2
 
 
 # ---- inferred rates ------------------------------------------------------------------------------------

@@ -48,9 +48,7 @@ _LAGS_S = (0.03, 0.1, 0.3, 1.0)  # time constants of what it knows of the past
 _FOLDS = 5
 _ROUNDS, _SETTLED = 10, 0.02  # standard errors
 _BINS = (1, 2, 3, 4, 6, 9, 14, 21, 31, 46)  # rows after a disturbance between which an answer is summed up
-_FOREKNOWN = (
-    1e-8  # share of its variance that is new: below, a signal is known beforehand and answers nothing
-)
+_FOREKNOWN = 1e-8  # share of a signal that is new: below, it is known beforehand and answers nothing
 
 
 @dataclass(frozen=True)
@@ -325,10 +323,8 @@ class _Stage:
         out = np.zeros((k, k))
         if chosen and others:
             a = np.einsum("cnj,cnk->jk", self.used(chosen), self.slopes)
-            inside = a[np.ix_(list(chosen), list(chosen))]
-            out[np.ix_(list(chosen), others)] = -np.linalg.lstsq(
-                inside, a[np.ix_(list(chosen), others)], rcond=None
-            )[0]
+            beside = np.ix_(list(chosen), others)
+            out[beside] = -np.linalg.lstsq(a[np.ix_(list(chosen), list(chosen))], a[beside], rcond=None)[0]
         return out
 
     def choose(self) -> tuple[list[int], Array]:

@@ -36,8 +36,6 @@ that were made from the log, and the slopes that it is compared with were known 
 whatever the laws are (an instrumental variable; Soderstrom and Stoica, 1983), at the price of wider intervals.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, log
@@ -80,7 +78,7 @@ class Series:
         rows = [np.clip(np.arange(a, b) + by, a, b - 1) for a, b in self.edges]
         return np.asarray(values[np.concatenate(rows)])
 
-    def boxes(self, width: int) -> Series:
+    def boxes(self, width: int) -> "Series":
         """Series of the sums that `summed` makes."""
         ends = np.cumsum([(b - a) // width for a, b in self.edges]).tolist()
         return Series(tuple(zip([0, *ends[:-1]], ends, strict=True)))
@@ -126,11 +124,6 @@ class Noise:
         """Number of parameters besides the size."""
         return len(self.reflection) + (self.carry > 0)
 
-    @property
-    def polynomial(self) -> Array:
-        """Coefficients 1, a_1, ..., a_p of the autoregression (p + 1,)."""
-        return _polynomial(self.reflection)
-
     def likelihood(self, rows: int) -> float:
         """Log likelihood of rows that it was fitted to, less one for each of its parameters (Akaike)."""
         return -rows * log(self.std) - self.parameters
@@ -139,22 +132,6 @@ class Noise:
         """Filtered columns (N, k) in units of `std`, one row more per stretch than there were: (N + stretches, k)."""
         summed = _carry(self.carry, values, series, self.times)
         return _filtered(self.reflection, summed, extended(series)) / self.std
-
-    def log_density(self, white: Array, series: Series) -> Array:
-        """Log density of each row of a column of `whiten` (N + stretches,) [nat], less the constant log(2 pi) / 2.
-
-        The row before each stretch has no density of its own: what it holds is what the unknown error before the first
-        row costs, -log det / 2 of the moving average; rows near a start are as uncertain as their lower order leaves.
-        """
-        longer = extended(series)
-        kept = np.cumsum(np.append(0.0, np.log1p(-np.square(self.reflection))))
-        near = 0.5 * (kept[-1] - kept[np.minimum(longer.place, len(self.reflection))])
-        out = -0.5 * np.square(white) - log(self.std) + near
-        c = self.carry
-        for a, b in longer.edges:
-            spread = np.log((1 - c ** (2 * (b - a))) / (1 - c * c)) if c > 0 else 0.0
-            out[a] = -0.5 * white[a] ** 2 - 0.5 * self.times * spread
-        return np.asarray(out)
 
     def own_slopes(self, residual: Array, series: Series) -> Array:
         """Slopes of the whitened residual (N,) in a and c, (N + stretches, p + 1), up to factors."""

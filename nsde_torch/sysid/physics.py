@@ -31,8 +31,6 @@ How much of each measured rate the physics explains is said in means over test f
 Over single steps sensor noise hides everything; over a quarter of a second it mostly does not.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -53,7 +51,6 @@ from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.inference.steps import Steps
 from nsde_torch.rotation import rotate_back, rotation_between
 from nsde_torch.sysid.noise import Noise
-from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
 Array = NDArray[np.float64]
@@ -89,10 +86,13 @@ class Physics:
         vector.limit(data_sizes(vector.system, steps))
         self._lead = _LEAD if foresee else 0
         system = vector.system
-        self.turned = _world_velocity(system)
         self.names, self.units = list(system.state_names), list(system.state_units)
-        if self.turned is not None:
-            for i in range(self.turned.start, self.turned.stop):
+        at = [self.names.index(v) for _, v, frame in system.position_derivatives if frame == "world"]
+        self.turned: slice | None = None
+        """Columns of a velocity in the world, of a system that knows its attitude."""
+        if system.quaternion is not None and len(at) == 3 and at == list(range(at[0], at[0] + 3)):
+            self.turned = slice(at[0], at[0] + 3)
+            for i in at:
                 self.names[i] += " (body)"
         self._starts = steps.starts
         inferred = {j for j, _ in steps.inferred}
@@ -103,7 +103,7 @@ class Physics:
         self._foreseen: tuple[Tensor, Tensor] | None = None
         self._forces: Forces | None = None
 
-    def beside(self, forces: Forces) -> Physics:
+    def beside(self, forces: Forces) -> "Physics":
         """The same with forces that no parameter has: of a state (N, nx), by port (N, width)."""
         out = copy.copy(self)
         out._forces, out._foreseen = forces, None
@@ -112,12 +112,10 @@ class Physics:
     def _drift(self, t: Tensor, z: Tensor, u: Tensor) -> Tensor:
         """f, with what acts beside it."""
         system = self.vector.system
-        forces = (
-            None
-            if self._forces is None
-            else self._forces(split_columns(z, system.nx, z.shape[1] - system.nx)[0])
-        )
-        return system.drift(t, z, u, forces)
+        if self._forces is None:
+            return system.drift(t, z, u)
+        x, _ = split_columns(z, system.nx, z.shape[1] - system.nx)
+        return system.drift(t, z, u, self._forces(x))
 
     @cached_property
     def attitude(self) -> Tensor:
@@ -143,7 +141,7 @@ class Physics:
     def slopes(self, theta: Array, which: Sequence[int] | None = None) -> Array:
         """Slopes of the predicted change in each parameter, or in `which` (N, nx, k), from what was known before it."""
         at = torch.as_tensor(theta)
-        middle = self._middle(at)
+        middle = self.middle(theta)
         before = self._forecast(at, middle)
         nx = self.vector.system.nx
         numbers = range(len(at)) if which is None else which
@@ -164,7 +162,10 @@ class Physics:
     @torch.no_grad()
     def middle(self, theta: Array) -> Tensor:
         """State and memory in the middle of each step, as foreseen from some steps earlier (N, nz)."""
-        return self._middle(torch.as_tensor(theta))
+        at = torch.as_tensor(theta)
+        if self._foreseen is None or not torch.equal(self._foreseen[0], at):
+            self._foreseen = (at.clone(), self._foresee(at, *self._memory(at)))
+        return self._foreseen[1]
 
     def in_channels(self, change: Tensor, states: Tensor) -> Tensor:
         """Changes of states (N, nx) in the channels of the residuals, at the attitude of some states (N, nz)."""
@@ -173,11 +174,8 @@ class Physics:
 
     def kinematic(self, residual: Array, rows: NDArray[np.int64]) -> Array:
         """Residuals (N, m) of the channels beside `rows`; attitude and position of a turned velocity in the body."""
-        system, rest = (
-            self.vector.system,
-            [i for i in range(residual.shape[1]) if i not in {*rows.tolist(), *self.tied}],
-        )
-        parts, q = [], system.quaternion
+        system, q, parts = self.vector.system, self.vector.system.quaternion, []
+        rest = [i for i in range(residual.shape[1]) if i not in {*rows.tolist(), *self.tied}]
         if q is not None and set(range(q.start, q.stop)) <= set(rest):
             rest = [i for i in rest if not q.start <= i < q.stop]
             after = self.attitude + torch.as_tensor(residual[:, q])
@@ -323,12 +321,6 @@ class Physics:
         moved: Tensor = sum(high - low for high, low in ends)  # type: ignore[assignment]
         return moved / (4.0 * small)
 
-    def _middle(self, theta: Tensor) -> Tensor:
-        """`middle` of the values that it was asked for last."""
-        if self._foreseen is None or not torch.equal(self._foreseen[0], theta):
-            self._foreseen = (theta.clone(), self._foresee(theta, *self._memory(theta)))
-        return self._foreseen[1]
-
     def _foresee(self, theta: Tensor, *memory: Tensor) -> Tensor:
         """State in the middle of each step as the model foresees it from `_LEAD` steps earlier, and memory (N, nz)."""
         self.vector.use(theta)
@@ -361,17 +353,6 @@ class Physics:
         a, b = self.turned.start, self.turned.stop
         before, v, after = split_columns(change, a, b - a, change.shape[1] - b)
         return join_columns((before, rotate_back(attitude, v), after))
-
-
-def _world_velocity(system: System) -> slice | None:
-    """Columns of a velocity in the world, of a system that knows its attitude."""
-    if system.quaternion is None:
-        return None
-    names = list(system.state_names)
-    at = [names.index(velocity) for _, velocity, frame in system.position_derivatives if frame == "world"]
-    if len(at) != 3 or at != list(range(at[0], at[0] + 3)):
-        return None
-    return slice(at[0], at[0] + 3)
 
 
 BUMP_S, FEWEST = 0.25, 8
@@ -427,22 +408,12 @@ def explained(physics: Physics, residual: Array, rows: NDArray[np.int64], window
     left = smooth_rate(residual, s.segments, window, s.dt)
     bend = np.sqrt(np.square(np.diff(window, prepend=0.0, append=0.0)).sum()) / s.dt
     out = []
-    for i, channel in enumerate(rows):
-        std, rms = (
-            (0.0, 0.0) if not len(left) else (measured[:, i].std(), np.sqrt(np.square(left[:, i]).mean()))
-        )
-        unit = physics.units[channel]
-        out.append(
-            Channel(
-                name=physics.names[channel],
-                unit=per_second(unit),
-                measured=float(std),
-                residual=float(rms),
-                sensor=float(bend * physics.sensor_std[channel]),
-                r2=float(1.0 - (rms / std) ** 2) if std > 0 else 0.0,
-                noise=None,
-            )
-        )
+    for i, c in enumerate(rows):
+        std = float(measured[:, i].std()) if len(left) else 0.0
+        rms = float(np.sqrt(np.square(left[:, i]).mean())) if len(left) else 0.0
+        r2 = 1.0 - (rms / std) ** 2 if std > 0 else 0.0
+        sensor = float(bend * physics.sensor_std[c])
+        out.append(Channel(physics.names[c], per_second(physics.units[c]), std, rms, sensor, r2, None))
     return out
 
 

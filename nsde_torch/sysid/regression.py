@@ -27,8 +27,6 @@ Assumed, not checked: an input or a first state moves the system, and not noise 
 noise), and inputs are those that acted (smoothed ones lose against a noise model: take `differences`).
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -97,13 +95,10 @@ def shown(slopes: Array, scale: Array) -> Shown:
     # how many typical sizes the parameters go where the data see one standard deviation
     reach = (np.abs(directions) * (size / scale)[live]).max(1) / np.maximum(values, 1e-300)
     seen = (values > _SINGULAR * values[0]) & (reach < _UNSEEN)
-    basis = np.zeros((k, int(seen.sum())))
-    basis[live] = (directions[seen] * size[live]).T
-    lost = np.zeros((k, int((~seen).sum())))
-    lost[live] = (directions[~seen] * size[live]).T
-    alone = np.zeros((k, int(dead.sum())))
-    alone[np.flatnonzero(dead), np.arange(int(dead.sum()))] = scale[dead]
-    readable = np.concatenate((alone, _readable(lost, scale)), 1)
+    scaled = np.zeros((k, len(live)))
+    scaled[live] = (directions * size[live]).T
+    basis, lost = scaled.compress(seen, 1), scaled.compress(~seen, 1)
+    readable = np.concatenate((np.diag(scale)[:, dead], _readable(lost, scale)), 1)
     known = ~dead
     known[live] &= np.square(directions[~seen]).sum(0) < 1e-6
     condition = float(values[seen][0] / values[seen][-1]) if seen.any() else 1.0
@@ -281,8 +276,16 @@ class Regression:
             )
 
     def carry_limits(self) -> Array:
-        """Largest c of each channel (see `carry_limits`)."""
-        return carry_limits(self.physics, self.theta, self.box)
+        """Largest c of each channel (nx,): sensor noise reaches a rate through every state that it depends on."""
+        physics = self.physics
+        physics.estimate_sensors(physics.residual(self.theta))
+        own, square = physics.state_slopes(self.theta)
+        std = physics.sensor_std.copy()
+        if physics.turned is not None:  # one sensor noise for a velocity that is turned
+            std[physics.turned] = np.sqrt(np.square(std[physics.turned]).mean())
+        others = square @ np.square(std) - np.diag(square) * np.square(std)
+        known = physics.steps.dt * np.sqrt(self.box * others)
+        return np.array([carry_limit(o, k, s, self.dt) for o, k, s in zip(own, known, std, strict=True)])
 
     def times(self, channel: int) -> int:
         """How many times the error of its sensor is differenced in a channel (see `noise`)."""
@@ -309,9 +312,14 @@ class Regression:
                 noises.append(self.law(channel, r, float(self.limits[channel]), orders))
         self.noises = noises
         if self._feedback and self._refined < 3:
-            known = self.known_before(self.physics, self.physics.residual(self.theta))
+            residual = self.physics.residual(self.theta)
+            known = self.physics.kinematic(residual, self.rows)
+            if self._channels:
+                known = np.concatenate((known, residual[:, self.rows]), 1)
             self._past = past(self.single.summed(known, self.box), self.series, channels=self._channels)
-        self._in_noise_units()
+        pairs = list(zip(noises, self.rows, strict=True))
+        self.white = np.stack([self.whitened(n, self.residual[:, [c]])[:, 0] for n, c in pairs])
+        self.slopes = np.stack([self.whitened(n, self.jacobian[:, c]) for n, c in pairs])
         finite = np.isfinite(self.slopes).all((1, 2)) & np.isfinite(self.white).all(1)
         if not finite.all():
             names = ", ".join(self.physics.names[c] for c in self.rows[~finite])
@@ -321,11 +329,6 @@ class Regression:
                 "or resample to a longer step (data.dt)."
             )
         self.shown: Shown = shown(self.slopes.reshape(-1, len(self.vector)), self.vector.scale)
-
-    def _in_noise_units(self) -> None:
-        pairs = list(zip(self.noises, self.rows, strict=True))
-        self.white = np.stack([self.whitened(n, self.residual[:, [c]])[:, 0] for n, c in pairs])
-        self.slopes = np.stack([self.whitened(n, self.jacobian[:, c]) for n, c in pairs])
 
     def _step(self) -> float:
         """One step of theta; returns its length in standard errors."""
@@ -378,11 +381,6 @@ class Regression:
         """Columns (N, k) in whitened rows, without what the past of other channels foretells."""
         return self._purged(noise.whiten(values, self.series))
 
-    def known_before(self, physics: Physics, residual: Array) -> Array:
-        """Residuals (N, m) whose past foretells later ones (`noise`), of these or other steps of its physics."""
-        kinematic = physics.kinematic(residual, self.rows)
-        return np.concatenate((kinematic, residual[:, self.rows]), 1) if self._channels else kinematic
-
     def _purged(self, values: Array) -> Array:
         return values - self._past @ (self._past.T @ values) if self._past.size else values
 
@@ -419,7 +417,7 @@ class Regression:
             used += own.shape[1] + self._past.shape[1]
         return np.stack(purged), used
 
-    def at(self, theta: Array) -> Regression:
+    def at(self, theta: Array) -> "Regression":
         """The same at other values, with noise models of the same kind."""
         out = copy.copy(self)
         out.theta = theta
@@ -446,7 +444,7 @@ class Regression:
         memory, times = self.memory, self.times(channel)
         return estimate(left, self.series, limit=limit, orders=orders, memory=memory, times=times)
 
-    def under(self, row: int, law: Noise) -> Regression:
+    def under(self, row: int, law: Noise) -> "Regression":
         """The same with another noise model of channel number `row` of `rows`; theta stays."""
         out = copy.copy(self)
         out.noises, out.white, out.slopes = list(self.noises), self.white.copy(), self.slopes.copy()
@@ -476,19 +474,6 @@ class Regression:
         return np.asarray(np.einsum("nck,nk->nc", slopes, parts[of_step]))
 
 
-def carry_limits(physics: Physics, theta: Array, box: int) -> Array:
-    """Largest c of each channel (nx,): sensor noise reaches a rate through every state that it depends on."""
-    physics.estimate_sensors(physics.residual(theta))
-    own, square = physics.state_slopes(theta)
-    std = physics.sensor_std.copy()
-    if physics.turned is not None:  # one sensor noise for a velocity that is turned
-        std[physics.turned] = np.sqrt(np.square(std[physics.turned]).mean())
-    others = square @ np.square(std) - np.diag(square) * np.square(std)
-    known = physics.steps.dt * np.sqrt(box * others)
-    dt = physics.steps.dt * box
-    return np.array([carry_limit(o, k, s, dt) for o, k, s in zip(own, known, std, strict=True)])
-
-
 def regression_of(
     system: System,
     runs: Sequence[Run],
@@ -510,13 +495,11 @@ def regression_of(
 
 
 def _box(width: float | None, dt: float) -> int:
-    if width is None:
-        return max(1, int(_BOX_S / dt + 1e-6))
-    if round(width / dt) < 1:
+    if width is not None and round(width / dt) < 1:
         raise ConfigError(
             f"`model.width` must be a step of the data ({dt:.4g} s) or longer; got {width:g} s."
         )
-    return round(width / dt)
+    return max(1, int(_BOX_S / dt + 1e-6)) if width is None else round(width / dt)
 
 
 # ---- narrow shapes -------------------------------------------------------------------------------------
@@ -539,14 +522,9 @@ def narrower(regression: Regression, iterations: int) -> Regression:
         v.low[ends] /= _SHARE
         other = copy.copy(regression)
         other.run(iterations)
-        if _errors_between(regression, other) < MOVED:
+        slopes = 0.5 * (regression.slopes + other.slopes)
+        if np.linalg.norm(slopes @ (other.theta - regression.theta)) < MOVED:
             v.low = bounds
             break
         regression = other
     return regression
-
-
-def _errors_between(one: Regression, other: Regression) -> float:
-    """Standard errors that lie between two fits of the same physics."""
-    slopes = 0.5 * (one.slopes + other.slopes)
-    return float(np.linalg.norm(slopes @ (other.theta - one.theta)))

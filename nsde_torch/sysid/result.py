@@ -47,9 +47,8 @@ class Identification:
     guard: Guarded | None = None  # how the fit stands beside simple ones; None where it was not asked for
     finer: "Identification | None" = None
     """The fit over shorter boxes that the guard did not believe; None where these are the first ones."""
-    standstill: float = (
-        0.0  # share of the rows that were left out because what has dry friction stands in them
-    )
+    standstill: float = 0.0
+    """Share of the rows that were left out because what has dry friction stands in them."""
     # the fit of largest likelihood, whose values these are where nothing speaks against it; None where there was
     # none
     likelihood: MaximumLikelihood | None = None
@@ -147,7 +146,7 @@ class Identification:
 
     def parameters(self) -> dict[str, dict[str, object]]:
         """Declared parameters as `metrics.json` holds them."""
-        half = [h if np.isfinite(h) else None for h in self.half_widths(0.9).tolist()]
+        half = _finite(self.half_widths(0.9))
         why = "something speaks against the fit" if self.converged else "the fit had not settled"
         note = {} if self.believed else {"note": f"no interval: {why}"}
         return {
@@ -162,18 +161,28 @@ class Identification:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
-        v, se, half = self.vector, self.standard_errors, self.half_widths(0.95)
+        v, errors, half = self.vector, _finite(self.standard_errors), _finite(self.half_widths(0.95))
         each = {
             label: {
                 "value": float(self.values[i]),
                 "unit": v.units[i],
-                "standard_error": float(se[i]) if np.isfinite(se[i]) else None,
-                "interval_95": [float(self.values[i] - half[i]), float(self.values[i] + half[i])]
-                if np.isfinite(half[i])
-                else None,
+                "standard_error": errors[i],
+                "interval_95": None if h is None else [float(self.values[i] - h), float(self.values[i] + h)],
                 "degrees_of_freedom": float(self.degrees[i]),
             }
-            for i, label in enumerate(v.labels)
+            for i, (label, h) in enumerate(zip(v.labels, half, strict=True))
+        }
+        finer, doubt = self.finer, self.doubt
+        asked_for = {
+            "standing_share": self.standstill or None,
+            "guard": self.guard and self.guard.as_dict(),
+            "finer": finer and finer.guard and {"box_s": finer.box_s, "guard": finer.guard.as_dict()},
+            "likelihood": self.likelihood and self.likelihood.as_dict(),
+            "feedback": self.loop and self.loop.as_dict(),
+            "instruments": self.instrumented and self.instrumented.as_dict(),
+            "feedback_may_bias_by": None
+            if doubt is None
+            else dict(zip(v.labels, _finite(doubt), strict=True)),
         }
         return {
             "method": self.method,
@@ -190,24 +199,10 @@ class Identification:
             "channels": {c.name: c.as_dict() for c in self.channels},
             "test_function_s": self.width_s,
             "unexplained": self.unexplained,
-            **({"standing_share": self.standstill} if self.standstill else {}),
-            **({} if self.guard is None else {"guard": self.guard.as_dict()}),
-            **(
-                {}
-                if self.finer is None or self.finer.guard is None
-                else {"finer": {"box_s": self.finer.box_s, "guard": self.finer.guard.as_dict()}}
-            ),
-            **({} if self.likelihood is None else {"likelihood": self.likelihood.as_dict()}),
-            **({} if self.loop is None else {"feedback": self.loop.as_dict()}),
-            **({} if self.instrumented is None else {"instruments": self.instrumented.as_dict()}),
-            **(
-                {}
-                if self.doubt is None
-                else {
-                    "feedback_may_bias_by": {  # null: by anything
-                        name: d if np.isfinite(d) else None
-                        for name, d in zip(v.labels, self.doubt.tolist(), strict=True)
-                    }
-                }
-            ),
+            **{name: part for name, part in asked_for.items() if part is not None},
         }
+
+
+def _finite(values: Array) -> list[float | None]:
+    """Values for JSON, where null is anything or nothing known."""
+    return [v if np.isfinite(v) else None for v in values.tolist()]

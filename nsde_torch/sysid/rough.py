@@ -10,6 +10,7 @@ feedback that answers what the physics lacks, pull it towards gains that are too
 import copy
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from math import log
 
 import numpy as np
@@ -86,6 +87,11 @@ class Left:
     left: float  # root mean square of what physics leaves of it
     foretold: float  # root mean square of what physics says of it
 
+    @property
+    def share(self) -> float:
+        """log(left / measured), without unit."""
+        return log(max(self.left, 1e-12) / max(self.measured, 1e-12))
+
 
 def left_at(rough: Regression, theta: Array, *, damped: bool = False) -> list[Left]:
     """What the physics leaves at some parameters, channel by channel.
@@ -94,28 +100,22 @@ def left_at(rough: Regression, theta: Array, *, damped: bool = False) -> list[Le
         damped: Whether what goes with a channel's own state is taken out, as a damping would that nobody declared.
     """
     physics = rough.physics
+    states = physics.turn(physics.steps.seen0, physics.attitude).numpy()
     residual, measured, own = (
-        _without_levels(rough, rough.single.summed(values, rough.box) / rough.dt)
-        for values in (
-            physics.residual(theta),
-            physics.measured,
-            physics.turn(physics.steps.seen0, physics.attitude).numpy(),
-        )
+        rough.single.summed(values, rough.box) / rough.dt
+        for values in (physics.residual(theta), physics.measured, states)
     )
+    for values, run in product((residual, measured, own), np.unique(rough.owners)):
+        values[rough.owners == run] -= values[rough.owners == run].mean(0)
     if damped:
         share = (residual * own).sum(0) / np.square(own).sum(0).clip(1e-300)
         residual = residual - share * own
-    names, units = physics.names, physics.units
-    return [
-        Left(
-            names[c],
-            units[c],
-            float(np.sqrt(np.square(measured[:, c]).mean())),
-            float(np.sqrt(np.square(residual[:, c]).mean())),
-            float(np.sqrt(np.square(measured[:, c] - residual[:, c]).mean())),
-        )
-        for c in rough.rows
-    ]
+    out = []
+    for c in rough.rows:
+        each = (measured[:, c], residual[:, c], measured[:, c] - residual[:, c])
+        sizes = (float(np.sqrt(np.square(values).mean())) for values in each)
+        out.append(Left(physics.names[c], physics.units[c], *sizes))
+    return out
 
 
 def share_left(rough: Regression) -> float:
@@ -123,7 +123,7 @@ def share_left(rough: Regression) -> float:
 
     How much the physics leaves of the log.
     """
-    return sum(log(max(c.left, 1e-12) / max(c.measured, 1e-12)) for c in left_at(rough, rough.theta))
+    return sum(c.share for c in left_at(rough, rough.theta))
 
 
 def beginnings(runs: Sequence[Run], clock: float, *, seconds: float, fewest: int) -> list[Run]:
@@ -138,11 +138,4 @@ def beginnings(runs: Sequence[Run], clock: float, *, seconds: float, fewest: int
         a, b = max(run.segments, key=lambda s: s[1] - s[0])
         rows = max(fewest, round(seconds / len(runs) / (run.dt * clock)))
         out.append(replace(run, segments=((a, min(b, a + rows)),)))
-    return out
-
-
-def _without_levels(rough: Regression, values: Array) -> Array:
-    out = values.copy()
-    for run in np.unique(rough.owners):
-        out[rough.owners == run] -= out[rough.owners == run].mean(0)
     return out

@@ -14,7 +14,6 @@ so that a run in which little is asked for seems weaker. A difference is told on
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,16 +95,15 @@ def _differences(
     basis, tests = regression.shown.basis, len(parts) * len(regression.vector)
     gains = np.flatnonzero(regression.shown.known & (regression.vector.low >= 0.0)).tolist()
     out = {}
-    for r, one in parts.items():
+    for r, (own, variance, _) in parts.items():
         rest = [parts[s] for s in parts if s != r]
         try:
-            back = np.linalg.inv(np.sum([o.square for o in rest], axis=0))
+            back = np.linalg.inv(np.sum([square for *_, square in rest], axis=0))
         except np.linalg.LinAlgError:
             continue
-        mean = back @ np.sum([o.square @ o.moved for o in rest], axis=0)
-        scatter = np.sum([o.square @ o.covariance @ o.square for o in rest], axis=0)
-        own, variance = one.moved, one.covariance
-        weights = np.array([np.diag(basis @ parts[s].square @ basis.T) for s in parts if s != r])
+        mean = back @ np.sum([square @ moved for moved, _, square in rest], axis=0)
+        scatter = np.sum([square @ covariance @ square for _, covariance, square in rest], axis=0)
+        weights = np.array([np.diag(basis @ square @ basis.T) for *_, square in rest])
         shares = np.array([answered[s] for s in parts if s != r])
         bias = answered[r] + (shares * weights).sum(0) / np.maximum(weights.sum(0), 1e-300)
         between = basis @ (variance + back @ scatter @ back) @ basis.T
@@ -162,16 +160,10 @@ def _left_alone(rough: Regression, rows: NDArray[np.bool_]) -> Array:
     return np.asarray(white - slopes @ np.linalg.lstsq(flat, white.reshape(-1), rcond=None)[0])
 
 
-@dataclass(frozen=True)
-class _Alone:
-    """One run: how far it moves the parameters, the covariance of that, and X' X."""
-
-    moved: Array
-    covariance: Array
-    square: Array
-
-
-def _alone(regression: Regression, rows: NDArray[np.bool_], blocks: NDArray[np.int64]) -> _Alone | None:
+def _alone(
+    regression: Regression, rows: NDArray[np.bool_], blocks: NDArray[np.int64]
+) -> tuple[Array, Array, Array] | None:
+    """How far one run moves the parameters, the covariance of that, and X' X; None where it shows too little."""
     slopes = regression.slopes[:, rows] @ regression.shown.basis
     white = regression.white[:, rows]
     flat = slopes.reshape(white.size, -1)
@@ -184,4 +176,4 @@ def _alone(regression: Regression, rows: NDArray[np.bool_], blocks: NDArray[np.i
         return None
     if not (np.isfinite(own).all() and np.isfinite(sure.covariance).all()):
         return None
-    return _Alone(own, sure.covariance, square)
+    return own, sure.covariance, square

@@ -10,7 +10,7 @@ judged by Holm's chances (Scandinavian Journal of Statistics 6 (1979)).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -108,12 +108,10 @@ def score_test(innovation: Array, columns: Array, fitted: Array) -> tuple[float,
 
 def holm(chances: Sequence[float]) -> list[float]:
     """Chances adjusted for their number, in their order."""
-    order = np.argsort(chances)
-    out, worst = [1.0] * len(chances), 0.0
-    for i, k in enumerate(order):
-        worst = max(worst, min(1.0, (len(chances) - i) * chances[k]))
-        out[k] = worst
-    return out
+    order, out = np.argsort(chances), np.empty(len(chances))
+    larger = np.arange(len(chances), 0, -1) * np.asarray(chances, dtype=np.float64)[order]
+    out[order] = np.maximum.accumulate(np.fmin(larger, 1.0))
+    return out.tolist()
 
 
 def principal(values: Array) -> Array:
@@ -174,9 +172,9 @@ def directions(regression: Regression) -> list[Direction]:
         weights = mean / length
         same = [k for k, d in enumerate(out) if abs(float(d.weights @ weights)) > _SAME]
         if same:
-            known = out[same[0]]
-            channels, gains = (*known.channels, int(channel)), (*known.slopes, float(mean @ known.weights))
-            out[same[0]] = Direction(known.name, known.weights, channels, gains)
+            d = out[same[0]]
+            gains = (*d.slopes, float(mean @ d.weights))
+            out[same[0]] = replace(d, channels=(*d.channels, int(channel)), slopes=gains)
             continue
         name = system.input_names[0] if system.nu == 1 else f"the input of {physics.names[channel]}"
         out.append(Direction(name, weights, (int(channel),), (length,)))

@@ -41,8 +41,6 @@ smoothers are looked for in the rows as they were logged (`undone_at_own_rate`).
 where the noise that stands in for what a smoother took has no place above half its rate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -216,22 +214,20 @@ def on_time(found: Sequence[Smoothed], runs: Sequence[Run], system: System, cloc
 
 def sensors_of(system: System) -> list[SensorGroup]:
     """The sensors of a system: positions, velocities, body rates, states of no pair one by one, and the attitude."""
-    pairs = derivative_columns(system)
-    groups = [
-        (tuple(columns), name, k == 1) for name, pair in pairs.items() for k, columns in enumerate(pair)
-    ]
-    rates = rate_columns(system)
-    if rates is not None:
-        groups.append((tuple(range(system.nx)[rates]), ATTITUDE, True))
-    attitude = () if system.quaternion is None else tuple(range(system.nx)[system.quaternion])
-    known = {column for group, *_ in groups for column in group} | set(attitude)
-    groups += [((column,), "", False) for column in range(system.nx) if column not in known]
 
-    def sensor(columns: tuple[int, ...], group: str, rates: bool, *, turns: bool = False) -> SensorGroup:
-        return SensorGroup(columns, tuple(system.state_names[c] for c in columns), group, turns, rates)
+    def sensor(
+        columns: Sequence[int], group: str = "", *, rates: bool = False, turns: bool = False
+    ) -> SensorGroup:
+        return SensorGroup(tuple(columns), tuple(system.state_names[c] for c in columns), group, turns, rates)
 
-    out = [sensor(*group) for group in groups]
-    return [*out, sensor(attitude, ATTITUDE, rates=False, turns=True)] if attitude else out
+    groups = derivative_columns(system)
+    out = [sensor(part, name, rates=k == 1) for name, pair in groups.items() for k, part in enumerate(pair)]
+    if (rates := rate_columns(system)) is not None:
+        out.append(sensor(range(system.nx)[rates], ATTITUDE, rates=True))
+    attitude = range(system.nx)[system.quaternion or slice(0)]
+    known = {column for one in out for column in one.columns} | set(attitude)
+    out += [sensor([column]) for column in range(system.nx) if column not in known]
+    return [*out, sensor(attitude, ATTITUDE, turns=True)] if attitude else out
 
 
 def _smooth(q: Array, dt: float) -> Array:
@@ -245,9 +241,7 @@ def group_spectra(sensor: SensorGroup, runs: Sequence[Run], dt: float) -> Spectr
     if not np.any([(part != part[0]).any(0) for part in parts], axis=0).all():
         return None
     found = smoothers.spectra_of(parts, dt)
-    if found is None or not (found.power > 0).all():
-        return None
-    return found
+    return found if found is not None and (found.power > 0).all() else None
 
 
 def _by_smoother(odd: Mapping[SensorGroup, Spectra]) -> list[tuple[tuple[SensorGroup, ...], Likely]]:
@@ -263,7 +257,7 @@ def _by_smoother(odd: Mapping[SensorGroup, Spectra]) -> list[tuple[tuple[SensorG
     for some in dict.fromkeys((tuple(odd), *pairs)):  # two sensors may be all and a pair
         if len(some) < 2 or not set(some) <= left.keys() or len({len(odd[k].f) for k in some}) > 1:
             continue
-        together = smoothers.joined([odd[k] for k in some])
+        together = replace(odd[some[0]], power=np.concatenate([odd[k].power for k in some]))
         tried = [own[k] for k in some if not own[k].smoother.family.differentiates]
         tried.append(smoothers.likeliest(together, rates=all(sensor.rates for sensor in some)))
         common = _best_of(tried, together)
@@ -327,12 +321,13 @@ def _apart(system: System, runs: Sequence[Run], sensor: SensorGroup, smoother: S
     Of changes of positions and integrals of rates. Where the noise of the partner drowns it, the partner cannot say.
     Where no more is seen than rounding makes, it is no sensor's noise.
     """
-    parts: list[tuple[Array, Array]] = []
-    for run in runs:
-        for a, b in run.segments:
-            for group, _, change, integral in axis_groups(system, np.asarray(run.x[a:b]), dt):
-                if group == sensor.group:
-                    parts.append((change, integral))
+    parts = [
+        (change, integral)
+        for run in runs
+        for a, b in run.segments
+        for group, _, change, integral in axis_groups(system, np.asarray(run.x[a:b]), dt)
+        if group == sensor.group
+    ]
     if not parts:
         return 0.0
     apart, places, integrals = (
@@ -395,7 +390,7 @@ def _nats(regression: Regression, sensors: Sequence[SensorGroup], smoother: Smoo
 
 def _reach(seen: Spectra, one: SpectrumFit, smoother: Smoother) -> float:
     """Frequency up to which is restored [Hz]."""
-    left = one.before * np.square(np.abs(smoother.response(seen.f)))
+    left = (one.motion + one.noise) * np.square(np.abs(smoother.response(seen.f)))
     rounded = (one.rounding[:, None] > _ROUNDED * left).any(0) & (seen.f > smoother.falls_to(BEGINS))
     deep = min(smoother.falls_to(DEPTH), 0.48 / seen.dt)
     return min(deep, float(seen.f[np.argmax(rounded)])) if rounded.any() else deep
@@ -473,7 +468,25 @@ def restored(data: DataSet, found: Sequence[Smoothed]) -> DataSet:
     """
     if not found:
         return data
-    runs = _restored(data.runs, found, data.dt * data.clock_scale)
+    dt, rng = data.dt * data.clock_scale, np.random.default_rng(0)
+    pairs = [(one.smoother, k) for one in found for k in one.behind]
+    ends = [_ENDS / smoother.falls_to(0.7) for smoother, k in pairs if k.restored]
+    out_of_use = int(np.ceil(max(ends, default=0.0) / dt))
+    held = [k for _, k in pairs if k.reach < 0.5 / dt]  # else these rows hold nothing of where it falls
+    band = {name: k.reach for k in held for name in k.sensor.names}
+    low_pass = {name: k.reach for k in held if _louder_above(k) for name in k.sensor.names}
+    runs = []
+    for run in data.runs:
+        x = np.array(run.x)
+        for a, b in run.segments:
+            for smoother, k in pairs:
+                if k.restored or k.reach < 0.5 / dt:
+                    _restore_stretch(x[a:b], smoother, k, dt, rng)
+        inner = [(a + out_of_use, b - out_of_use) for a, b in run.segments]
+        kept = tuple((a, b) for a, b in inner if b - a >= _FEWEST)
+        whole = run.unbroken or run.segments
+        segments = kept or run.segments
+        runs.append(replace(run, x=x, segments=segments, band=band, low_pass=low_pass, unbroken=whole))
     return data.changed(runs, [*data.summary.findings, *(one.finding() for one in found)])
 
 
@@ -501,29 +514,6 @@ def narrowed(runs: Sequence[Run], system: System, clock: float = 1.0) -> list[Ru
     return [replace(run, x=x) for run, x in zip(runs, states, strict=True)]
 
 
-def _restored(runs: Sequence[Run], found: Sequence[Smoothed], dt: float) -> list[Run]:
-    rng = np.random.default_rng(0)
-    pairs = [(one.smoother, k) for one in found for k in one.behind]
-    ends = [_ENDS / smoother.falls_to(0.7) for smoother, k in pairs if k.restored]
-    out_of_use = int(np.ceil(max(ends, default=0.0) / dt))
-    held = [k for _, k in pairs if k.reach < 0.5 / dt]  # else these rows hold nothing of where it falls
-    band = {name: k.reach for k in held for name in k.sensor.names}
-    low_pass = {name: k.reach for k in held if _louder_above(k) for name in k.sensor.names}
-    out = []
-    for run in runs:
-        x = np.array(run.x)
-        for a, b in run.segments:
-            for smoother, k in pairs:
-                if k.restored or k.reach < 0.5 / dt:
-                    _restore_stretch(x[a:b], smoother, k, dt, rng)
-        inner = [(a + out_of_use, b - out_of_use) for a, b in run.segments]
-        kept = tuple((a, b) for a, b in inner if b - a >= _FEWEST)
-        whole = run.unbroken or run.segments
-        segments = kept or run.segments
-        out.append(replace(run, x=x, segments=segments, band=band, low_pass=low_pass, unbroken=whole))
-    return out
-
-
 def _louder_above(one: SmoothedSensor) -> bool:
     """Whether the noise that stands above the band of a sensor is surely louder than its own below."""
     at = int(np.argmin(np.abs(one.seen.f - one.reach)))
@@ -535,12 +525,9 @@ def _restore_stretch(
 ) -> None:
     at = int(np.argmin(np.abs(one.seen.f - one.reach)))
     values = one.sensor.values(x, dt)
-    # what moves above is gone: it must not weigh beside the noise that stands in for it
-    level = (
-        one.fit.noise[:, at] + ABOVE * one.fit.motion[:, at]
-        if one.restored
-        else ADDED * one.seen.power[:, at]
-    )
+    level = ADDED * one.seen.power[:, at]
+    if one.restored:  # what moves above is gone: it must not weigh beside the noise that stands in for it
+        level = one.fit.noise[:, at] + ABOVE * one.fit.motion[:, at]
     noise = rng.standard_normal(values.shape) * np.sqrt(level / (2.0 * dt))
     new = _unsmoothed(values, smoother, one.reach, noise, dt) if one.restored else values + noise
     one.sensor.with_values(x, new, dt)

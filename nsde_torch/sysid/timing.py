@@ -15,7 +15,6 @@ together do the same as a shift, and none is advised.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import log
 
 import numpy as np
 
@@ -114,12 +113,9 @@ def _streams(system: System) -> list[tuple[str, list[int], bool]]:
 
 
 def _named(names: list[str]) -> str:
-    groups = list(
-        dict.fromkeys(
-            common_name([n, n]) if n[-2:-1] == "_" and n[-1] in "xyzw123456789" else n for n in names
-        )
-    )
-    return " and ".join(groups)
+    numbered = [n[-2:-1] == "_" and n[-1] in "xyzw123456789" for n in names]
+    groups = [common_name([n, n]) if one else n for n, one in zip(names, numbered, strict=True)]
+    return " and ".join(dict.fromkeys(groups))
 
 
 def _best(
@@ -140,24 +136,21 @@ def _best(
             read = _mover(system, at / dt, states, inputs)
             start = rough.theta
             fitted = rough_fit(system, [read(r) for r in runs], clock, iterations=_ITERATIONS, start=start)
-            known[at] = {}
-            if fitted is not None and len(fitted.rows) >= len(rough.rows):
-                known[at] = {
-                    c.name: log(max(c.left, 1e-12) / max(c.measured, 1e-12))
-                    for c in left_at(fitted, fitted.theta, damped=True)
-                }
+            if fitted is None or len(fitted.rows) < len(rough.rows):
+                known[at] = {}
+            else:
+                known[at] = {c.name: c.share for c in left_at(fitted, fitted.theta, damped=True)}
         return known[at]
 
     def score(seconds: float) -> float:
         return sum(shares(seconds).values()) if shares(seconds) else float("inf")
 
     middle = 0.0
-    while abs(middle) < MOST_S:
+    while True:
         before, here, after = score(middle - STEP_S), score(middle), score(middle + STEP_S)
-        if here <= min(before, after):
+        if here <= min(before, after) or abs(middle) >= MOST_S:
             break
         middle += STEP_S if after < before else -STEP_S
-    before, here, after = score(middle - STEP_S), score(middle), score(middle + STEP_S)
     bend = before + after - 2.0 * here
     if not (np.isfinite(bend) and bend > 0):
         return None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from nsde_torch.design.expected import Precision, Separation
+from nsde_torch.design.proposals import Precision, Separation
 from nsde_torch.design.rollout import Rollouts
 from tests.helpers.ties import DT, Tie
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,10 +10,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from nsde_torch.data import DataSet, RawRun
+from nsde_torch.data.kinematics import Uncertain
 from nsde_torch.errors import ConfigError
 from nsde_torch.recording import assemble
 from nsde_torch.recording.latency import filtered, latencies
-from nsde_torch.recording.stream_offsets import Offset, differing, on_one_clock
+from nsde_torch.recording.stream_offsets import differing, on_one_clock
 from tests.helpers.data_systems import HEXACOPTER
 from tests.helpers.flights import flight
 
@@ -79,8 +79,8 @@ def test_one_run_has_nothing_to_differ_from() -> None:
 
 
 def test_an_unsure_run_is_drawn_to_the_others() -> None:
-    sure = [Offset(f"run_{k}", d, 0.0005, 40) for k, d in enumerate((0.0, 0.010, 0.004, 0.012))]
-    found = differing("w", "q", [*sure, Offset("unsure", 0.060, 0.050, 10)], step=0.01)
+    sure = {f"run_{k}": Uncertain(d, 0.0005, 40) for k, d in enumerate((0.0, 0.010, 0.004, 0.012))}
+    found = differing("w", "q", {**sure, "unsure": Uncertain(0.060, 0.050, 10)}, step=0.01)
     assert found is not None
     assert found.taken["run_1"] == pytest.approx(0.010, abs=1e-4)
     assert found.taken["unsure"] == pytest.approx(0.007, abs=0.003)
@@ -88,7 +88,8 @@ def test_an_unsure_run_is_drawn_to_the_others() -> None:
 
 def test_one_run_that_is_far_surer_than_the_others_does_not_hide_what_differs() -> None:
     late = ((0.0188, 7e-5), (0.0036, 2e-4), (0.0019, 8e-4), (0.0111, 5e-5))
-    found = differing("w", "q", [Offset(str(k), d, e, 19) for k, (d, e) in enumerate(late)], step=0.01)
+    offsets = {str(k): Uncertain(d, e, 19) for k, (d, e) in enumerate(late)}
+    found = differing("w", "q", offsets, step=0.01)
     assert found is not None
     assert found.taken["0"] == pytest.approx(0.0188, abs=1e-4)
     assert found.taken["2"] == pytest.approx(0.0019, abs=3e-4)
@@ -99,9 +100,9 @@ def test_chance_differences_are_told_once_in_ten_thousand() -> None:
     told = 0
     for _ in range(2000):
         errors = rng.uniform(0.0005, 0.004, 6)
-        offsets = [
-            Offset(str(k), e * t, e, 19)
+        offsets = {
+            str(k): Uncertain(e * t, e, 19)
             for k, (e, t) in enumerate(zip(errors, rng.standard_t(19, 6), strict=True))
-        ]
-        told += differing("w", "q", [replace(o) for o in offsets], step=0.01) is not None
+        }
+        told += differing("w", "q", offsets, step=0.01) is not None
     assert told <= 2

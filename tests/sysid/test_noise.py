@@ -5,10 +5,7 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-import pytest
-from scipy.linalg import toeplitz
 from scipy.signal import lfilter
-from scipy.stats import multivariate_normal
 
 from nsde_torch.sysid.noise import (
     Noise,
@@ -111,25 +108,6 @@ def test_a_row_near_the_start_of_a_stretch_is_predicted_from_as_many_as_there_ar
             expected = sum(polynomial[j] * stretch[n - j] for j in range(order + 1))
             scale = np.sqrt(np.prod(1.0 - np.square(reflection[order:])))
             np.testing.assert_allclose(found[first + n], scale * expected, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("carry", "reflection"), [(0.0, ()), (0.9, ()), (0.995, ()), (0.0, (-0.7,)), (0.8, (-0.6, 0.2))]
-)
-def test_the_log_density_of_rows_is_that_of_all_of_them_together(
-    carry: float, reflection: tuple[float, ...]
-) -> None:
-    n, std, a = 200, 0.7, np.array([1.0])
-    for k in reflection:
-        a = np.append(a, 0.0) + k * np.append(0.0, a[::-1])
-    answer = std * lfilter([1.0, -carry], a, np.eye(1, 4000)[0])
-    covariance = toeplitz([answer[: len(answer) - k] @ answer[k:] for k in range(n)])
-    r = lfilter([1.0, -carry], a, std * np.random.default_rng(4).normal(size=2000))[-n:]
-    law, series = Noise(carry, np.array(reflection), std), Series(((0, n),))
-    said = law.log_density(law.whiten(r[:, None], series)[:, 0], series).sum() - 0.5 * n * np.log(2 * np.pi)
-    truth = multivariate_normal(np.zeros(n), covariance).logpdf(r)
-    # an autoregression starts as if the row before its first were known: nearly the same
-    assert said == pytest.approx(truth, abs=2.5 if reflection else 1e-6)
 
 
 def test_what_the_past_gives_to_the_last_digit_has_no_law_and_warns_of_nothing() -> None:

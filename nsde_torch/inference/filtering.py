@@ -8,7 +8,7 @@ the machine inside the loop over rows.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
@@ -18,6 +18,8 @@ from torch import Tensor
 from nsde_torch.inference import kernels
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.state_space import StateSpace
+
+Noise: TypeAlias = tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]
 
 
 @dataclass(frozen=True)
@@ -170,15 +172,15 @@ def filtered(
     return replace(out, covariance=left) if covariances else out
 
 
-def _noise(space: StateSpace, levels: Levels, start: Start) -> tuple[NDArray[Any], ...]:
+def _noise(space: StateSpace, levels: Levels, start: Start) -> Noise:
     """Shares of disturbances that are left after a step, variances of all noise, and numbers of measured errors."""
     h, sensor, gust = space.h, torch.exp(2.0 * levels.sensor), torch.exp(2.0 * levels.gust)
     keep = levels.keep(h)
     begun = torch.cat((start.std.square(), gust))
     begun[space.observed] = sensor
     white = torch.exp(2.0 * levels.white) / h
-    parts = keep, white, gust * (1.0 - keep.square()), sensor, begun
-    return (*map(array, parts), np.array(space.observed))
+    added = gust * (1.0 - keep.square())
+    return array(keep), array(white), array(added), array(sensor), array(begun), np.array(space.observed)
 
 
 @torch.no_grad()

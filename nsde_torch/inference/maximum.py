@@ -47,6 +47,7 @@ def likeliest(
     *,
     rows: int | None = None,
     also: Tensor | None = None,
+    whole: bool = False,
 ) -> tuple[Levels, Tensor]:
     """Levels of larger likelihood than the given ones, or these; and their information.
 
@@ -59,12 +60,14 @@ def likeliest(
         known: The information of levels close by, which tells whether to begin at all.
         rows: How many rows are enough; None for as many as memory allows.
         also: Numbers of chunks that are among these.
+        whole: Whether to take all of them, part after part.
     """
     phi, prior = levels.vector(), first.vector()
     low, high = prior - _DOWN, prior + _UP
     high[-space.nd :].clamp_max_(log(LONGEST_S))
     phi = torch.minimum(torch.maximum(phi, low), high)
-    most = _most(space)
+    at_once = _most(space)
+    most = space.chunks.count if whole else at_once
     if rows is not None:
         most = min(most, _chunks_of(space, rows))
     some = _evenly(space.chunks.count, most)
@@ -74,17 +77,30 @@ def likeliest(
     share = float(space.chunks.counted.sum() / live.sum().clamp_min(1))
     few = _evenly(len(some), _chunks_of(space, _INFORMING))
     enough = float(live.sum() / live[:, few].sum().clamp_min(1)) * share
+    parts = torch.arange(len(some)).split(at_once)
 
-    def tried(values: Tensor) -> tuple[Pass, float]:
-        here = filtered(space, levels.like(values), near, start, live, covariances=True)
-        return here, share * here.total - 0.5 * _PRIOR * float((values - prior).square().sum())
+    def passed(values: Tensor, part: Tensor, covariances: bool = True) -> Pass:
+        return filtered(
+            space, levels.like(values), near.of(part), start, live[:, part], covariances=covariances
+        )
 
-    def slope(values: Tensor, here: Pass) -> Tensor:
-        pulled = score(space, levels.like(values), near, here, live).sum(0)
+    def tried(values: Tensor) -> tuple[Pass | None, float]:
+        """What is to be large, and the pass where it is a single one."""
+        passes = [passed(values, part, covariances=len(parts) == 1) for part in parts]
+        total = share * sum(one.total for one in passes)
+        here = passes[0] if len(parts) == 1 else None
+        return here, total - 0.5 * _PRIOR * float((values - prior).square().sum())
+
+    def slope(values: Tensor, here: Pass | None) -> Tensor:
+        pulled = torch.zeros_like(values)
+        for part in parts:
+            one = here or passed(values, part)
+            pulled += score(space, levels.like(values), near.of(part), one, live[:, part]).sum(0)
         return share * pulled - _PRIOR * (values - prior)
 
-    def information(values: Tensor, here: Pass) -> Tensor:
-        found = _information(space, levels.like(values), near.of(few), here.of(few), live[:, few])
+    def information(values: Tensor, here: Pass | None) -> Tensor:
+        one = passed(values, few) if here is None else here.of(few)
+        found = _information(space, levels.like(values), near.of(few), one, live[:, few])
         return enough * found + _PRIOR * torch.eye(len(values), dtype=values.dtype)
 
     here, best = tried(phi)

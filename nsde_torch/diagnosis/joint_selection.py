@@ -185,7 +185,7 @@ class JointSearch:
         self.libraries: dict[str, tuple[Term, ...]] = {}
         self._instead: dict[str, tuple[Term, ...]] = {}
         self._first = self.fitted(system, None)
-        self._problem = self._first.at.of  # without the glitches that were found beside the declared physics
+        self._problem = self._first.at.of  # without the outliers that were found beside the declared physics
 
     @property
     def tries_laws(self) -> bool:

@@ -344,7 +344,26 @@ def named(first: Sequence[str], shown: ShownEffects) -> str:
 
 def _warnings(found: Diagnosis) -> list[dict[str, Any]]:
     guards = [one.as_dict() for one in found.explanation.guard.objections]
-    return [*({"parameter": None, **one} for one in guards), *map(asdict, found.explanation.warned)]
+    general = [{"parameter": None, **one} for one in (*guards, *outlier_warnings(found))]
+    return [*general, *map(asdict, found.explanation.warned)]
+
+
+def outlier_warnings(found: Diagnosis) -> list[dict[str, str]]:
+    """Measurements that the likelihood left out."""
+    joint = found.outcome.joint
+    times = {} if joint is None else joint.final.at.of.outlier_times
+    if not times:
+        return []
+    told = "; ".join(
+        f"{len(t)} of {found.runs[run]!r}, from t = {t[0]:.6g} to {t[-1]:.6g} s" for run, t in times.items()
+    )
+    return [
+        {
+            "kind": "outliers",
+            "sentence": f"rows hold outliers that no noise of the others explains: {told}. They were left out",
+            "remedy": "look at the log there: a marker that jumps or an estimator that restarts is no motion",
+        }
+    ]
 
 
 def _findings(found: Diagnosis) -> list[dict[str, Any]]:

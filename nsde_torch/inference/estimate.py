@@ -55,10 +55,10 @@ _SETTLED, _GAIN = (
     0.5,
 )  # standard errors that theta may still move by, nats that new noise levels may bring
 _NEAR, _NEAR_GAIN = 0.3, 1.0  # the same, where physics are compared
-# the glitch of a camera system (1 cm, 0.4 m/s, ten rows of 17,000: NanoBench, B2_circle_fast_rep2) cost a flight of
+# the outlier of a camera system (1 cm, 0.4 m/s, ten rows of 17,000: NanoBench, B2_circle_fast_rep2) cost a flight of
 # which all else is sound 4,700,000 nats
-_GATE = 8.0  # standard deviations of an innovation, beyond which a measurement is a glitch
-_RARE = 0.01  # largest share of rows with glitches: more of them are noise, or physics
+_GATE = 8.0  # standard deviations of an innovation, beyond which a measurement is an outlier
+_RARE = 0.01  # largest share of rows with outliers: more of them are noise, or physics
 _ODD = 5  # chunks of smallest likelihood
 _CLOSE = 1.0  # those of a step beyond which slopes of the physics are made anew: they take most of the time
 _STUCK = 0.5  # those below which a step that is no better is rounding
@@ -290,17 +290,26 @@ class LogLikelihood:
         return out.square().mean()
 
     @property
-    def glitches(self) -> Tensor:
+    def outliers(self) -> Tensor:
         """Whether a measurement counts as none because nothing explains it (T, C, m)."""
         logged, now = self._logged(), self.space.measured
         lost = torch.zeros_like(logged) if now is None else logged & ~now
         return lost & self.space.chunks.counted[..., None]
 
+    @property
+    def outlier_times(self) -> dict[int, list[float]]:
+        """Logged times of rows with outliers, in order, by number of the run [s]."""
+        chunks, runs = self.space.chunks, self.space.steps.runs
+        out: dict[int, list[float]] = {}
+        for k, c in self.outliers.any(-1).nonzero().tolist():
+            out.setdefault(runs[int(chunks.stretch[c])], []).append(float(chunks.t[k, c]))
+        return {run: sorted(times) for run, times in sorted(out.items())}
+
     def _logged(self) -> Tensor:
         """Whether a row logs each measured channel (T, C, m)."""
         return self.space.chunks.since[..., None] % torch.tensor(self.space.every) == 0
 
-    def without_glitches(self, levels: Levels, about: Linearisation) -> Linearisation | None:
+    def without_outliers(self, levels: Levels, about: Linearisation) -> Linearisation | None:
         """The linearisation without measurements far beyond their noise; None where these are those known before.
 
         Noise levels are those of all rows, so that what is far beyond them is rare. Where it is not, it is noise of
@@ -473,7 +482,7 @@ def maximised(
             if not at.total > begun:  # some rows are like no others, of which these levels were found
                 odd = torch.argsort(at.rows.sum(0))[:_ODD]
                 levels, known = likeliest(space, first, first, about, start, also=odd)
-                within = problem.without_glitches(levels, about)
+                within = problem.without_outliers(levels, about)
                 if within is not None:
                     about = within
                     levels, known = likeliest(space, levels, first, about, start)
@@ -563,10 +572,9 @@ def _step(
                 return theta + change, near, after, away
     space.use(theta)
     if away > _CLOSE:
+        # steps may have been held against a filter about states that it has left since (an outlier of NanoBench)
         near, there = problem.settled(levels, about, at, 1)
-        if (
-            there.total < at.total - _LOST
-        ):  # steps were held against a filter about states that it left (a glitch)
+        if there.total < at.total - _LOST:
             return theta, near, there, away
     return theta, *problem.followed(levels, about, at), away if away > _STUCK else 0.0
 

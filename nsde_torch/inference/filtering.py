@@ -187,7 +187,7 @@ def _noise(space: StateSpace, levels: Levels, start: Start) -> Noise:
 def within_gate(space: StateSpace, levels: Levels, about: Linearisation, start: Start, gate: float) -> Tensor:
     """Whether each row measures each channel (T, C, m), of those that it does within a gate.
 
-    The filter goes on without what is beyond it, so that one glitch does not lead it astray.
+    The filter goes on without what is beyond it, so that one outlier does not lead it astray.
 
     Args:
         space, levels, about, start: See `filtered`.

@@ -23,15 +23,16 @@ def test_a_jump_of_ten_rows_is_left_out_and_moves_nothing(by: float) -> None:
     problem = LogLikelihood(spring(), [runs[0], replace(runs[1], x=x), *runs[2:]])
     found, _ = maximised(problem)
     sound, _ = maximised(LogLikelihood(spring(), runs))
-    row = problem.space.chunks.row[problem.glitches.any(-1)]
+    row = problem.space.chunks.row[problem.outliers.any(-1)]
     assert sorted(row.tolist()) == [ROWS + FIRST + k for k in range(COUNT)]
+    assert problem.outlier_times == {1: runs[1].t[FIRST : FIRST + COUNT].tolist()}
     for name in (K, B):
         (here, _), (there, error) = value(found, name), value(sound, name)
         assert here == pytest.approx(there, abs=0.2 * error)
     assert found.likelihood > sound.likelihood - 10 * COUNT
 
 
-def test_a_sound_log_has_no_glitches() -> None:
+def test_a_sound_log_has_no_outliers() -> None:
     problem = LogLikelihood(spring(), linear_runs(2, 20.0))
     maximised(problem)
-    assert not bool(problem.glitches.any())
+    assert not bool(problem.outliers.any())

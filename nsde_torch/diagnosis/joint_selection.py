@@ -505,6 +505,7 @@ def _accepted(search: Search, proposal: Explained) -> bool:
 
 def _in_order(search: Search, look: Look, added: Collection[str]) -> list[Explained]:
     """Candidates, the best first: one of a pair that explains surely more than the best alone, then what is simpler."""
+    # surely: on the EMPS drive a friction by place, 50 +- 28 nats, led to four effects more
     ranked, pair = [p for p in look.accepted if p.nats > _sure(search, p.blocks)], look.pair
     if not ranked:
         return []

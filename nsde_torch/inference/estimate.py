@@ -314,6 +314,10 @@ class LogLikelihood:
 
         Noise levels are those of all rows, so that what is far beyond them is rare. Where it is not, it is noise of
         another kind, or physics, and stays.
+
+        Args:
+            levels: Noise levels.
+            about: What the filter is linearised about.
         """
         logged, counted = self._logged(), self.space.chunks.counted
         measured = within_gate(self.space, levels, replace(about, measured=logged), self.start, _GATE)

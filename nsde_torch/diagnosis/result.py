@@ -354,13 +354,13 @@ def outlier_warnings(found: Diagnosis) -> list[dict[str, str]]:
     times = {} if joint is None else joint.final.at.of.outlier_times
     if not times:
         return []
-    told = "; ".join(
+    listed = "; ".join(
         f"{len(t)} of {found.runs[run]!r}, from t = {t[0]:.6g} to {t[-1]:.6g} s" for run, t in times.items()
     )
     return [
         {
             "kind": "outliers",
-            "sentence": f"rows hold outliers that no noise of the others explains: {told}. They were left out",
+            "sentence": f"rows hold outliers that no noise of the others explains: {listed}. They were left out",
             "remedy": "look at the log there: a marker that jumps or an estimator that restarts is no motion",
         }
     ]

@@ -317,13 +317,14 @@ class JointSearch:
 
         What is there in one run alone (tests/diagnosis/test_one_run.py) is no law of the machine.
         """
-        best, last = None, held_out_density(place.at)
+        best, last = None, None
         for proposal in _simpler_first(proposals[:_TRIED]):
             there = self.fitted(proposal.system, place)
             new = self.added(there.system) - self.added(place.system)
             if there.best.likelihood > place.best.likelihood and all(
                 self.needed(n, there, place) for n in new
             ):
+                last = held_out_density(place.at) if last is None else last
                 density = held_out_density(there.at)
                 if float((density - last).sum()) > _sure(self.search, density - last):
                     best, last = there, density
@@ -336,7 +337,7 @@ class JointSearch:
 
     def _fitted_as_promised(self, proposal: Explained, place: FittedPhysics) -> FittedPhysics:
         """A candidate fitted from where its linearised step ends, or else from where that begins."""
-        # a step to where rows cost a nat each leads nowhere, and fits from there take a minute (a wind on NeuroBEM)
+        # a step to where each value costs a nat leads nowhere, and fits from there take a minute (a wind on NeuroBEM)
         hopeful = place.best.likelihood - place.at.of.space.measurements
         there = self.fitted(proposal.system, place, hopeful)
         if self._holds(proposal, there, place):

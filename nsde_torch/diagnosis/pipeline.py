@@ -440,6 +440,7 @@ def _selected(
 
     def of(apart: float) -> tuple[JointSearch, JointSelection]:
         problem = LogLikelihood(system, runs, log.recorded.clock, run_in=True, apart=apart)
+        # a force of 12.5 Hz was named in rows of 20 Hz (drive 0 of bench_friction_drive.py)
         made = JointSearch(search, problem, system, [f for f in frequencies if f * apart < HIGHEST])
         return made, made.selected(physics, brought, known)
 

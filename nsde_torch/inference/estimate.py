@@ -192,7 +192,6 @@ class LogLikelihood:
         disturbances: tuple[tuple[Port, int], ...] | None = None,
     ) -> None:
         self._unknown = inferred_columns(system, runs)
-        self._measured: Tensor | None = None
         self._kept: list[tuple[object, Linearisation, Pass]] = []
         shortest, fewest = (_SHORTEST_OF_STATES, 1) if states else (_SHORTEST, _FEWEST)
         steps = steps_of(
@@ -221,6 +220,7 @@ class LogLikelihood:
         """That of the same rows under other physics of the machine, which is disturbed on the same ports."""
         out = copy.copy(self)
         out._set(system, self.space.steps, self.space.chunks, self.space.disturbances)
+        out.space.measured = self.space.measured  # without the same outliers
         return out
 
     @property
@@ -260,8 +260,6 @@ class LogLikelihood:
         every = [max(self._least, rows_between(self._band, names[i], steps.dt)) for i in observed]
         band = {i: self._band[name] for i, name in enumerate(names) if name in self._band}
         self.space = StateSpace(self.vector, steps, chunks, observed, every, band, disturbances)
-        if self._measured is not None:
-            self.space.measured = self._measured
         std = torch.ones(self.space.ne, dtype=torch.float64)
         for j, value in unknown.items():
             std[inner.error_names.index(inner.state_names[j])] = _UNKNOWN * value
@@ -292,7 +290,7 @@ class LogLikelihood:
     @property
     def outliers(self) -> Tensor:
         """Whether a measurement counts as none because nothing explains it (T, C, m)."""
-        logged, now = self._logged(), self.space.measured
+        logged, now = self.space.logged, self.space.measured
         lost = torch.zeros_like(logged) if now is None else logged & ~now
         return lost & self.space.chunks.counted[..., None]
 
@@ -305,12 +303,8 @@ class LogLikelihood:
             out.setdefault(runs[int(chunks.stretch[c])], []).append(float(chunks.t[k, c]))
         return {run: sorted(times) for run, times in sorted(out.items())}
 
-    def _logged(self) -> Tensor:
-        """Whether a row logs each measured channel (T, C, m)."""
-        return self.space.chunks.since[..., None] % torch.tensor(self.space.every) == 0
-
     def without_outliers(self, levels: Levels, about: Linearisation) -> Linearisation | None:
-        """The linearisation without measurements far beyond their noise; None where these are those known before.
+        """The linearisation without measurements far beyond their noise; None where there are none, or too many.
 
         Noise levels are those of all rows, so that what is far beyond them is rare. Where it is not, it is noise of
         another kind, or physics, and stays.
@@ -319,14 +313,12 @@ class LogLikelihood:
             levels: Noise levels.
             about: What the filter is linearised about.
         """
-        logged, counted = self._logged(), self.space.chunks.counted
-        measured = within_gate(self.space, levels, replace(about, measured=logged), self.start, _GATE)
-        lost = (logged & ~measured).any(-1) & counted
-        if float(lost.sum()) > _RARE * float(counted.sum()):
-            measured = logged
-        if bool((measured == (logged if about.measured is None else about.measured)).all()):
+        counted = self.space.chunks.counted
+        measured = within_gate(self.space, levels, about, self.start, _GATE)
+        lost = (self.space.logged & ~measured).any(-1)
+        if not bool(lost.any()) or float((lost & counted).sum()) > _RARE * float(counted.sum()):
             return None
-        self._measured = self.space.measured = measured
+        self.space.measured = measured
         return replace(about, measured=measured)
 
     def filtered(self, levels: Levels, about: Linearisation) -> Pass:

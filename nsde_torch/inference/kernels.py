@@ -189,10 +189,7 @@ def gated(
             p[i, i] = start[i]
         left[:ne] = first[c]
         for k in range(1, rows):
-            for i in range(ne):
-                mean[i] = missed[k - 1, c, i] + _dot(slopes[k - 1, c, i], left)
-            for i in range(ne, n):
-                mean[i] = keep[i - ne] * left[i]
+            _ahead(slopes[k - 1, c], keep, missed[k - 1, c], left, mean)
             _predicted(slopes[k - 1, c], keep, white, gust, p, moved)
             for j in range(m):
                 o = observed[j]
@@ -202,6 +199,16 @@ def gated(
             _updated(p, sensor, observed, measured[k, c], whitening, gain, room)
             for i in range(n):
                 left[i] = mean[i] + _dot(gain[i], error)
+
+
+@compiled
+def _ahead(a: Array, keep: Array, missed: Array, left: Array, mean: Array) -> None:
+    """`mean` is filled with what a step makes of the errors that are left after a row."""
+    ne, n = a.shape
+    for i in range(ne):
+        mean[i] = missed[i] + _dot(a[i], left)
+    for i in range(ne, n):
+        mean[i] = keep[i - ne] * left[i]
 
 
 @compiled
@@ -285,10 +292,7 @@ def means(
     for k in range(rows):
         for c in range(count):
             if k:
-                for i in range(ne):
-                    p[i] = missed[k - 1, c, i] + _dot(slopes[k - 1, c, i], left[k - 1, c])
-                for i in range(ne, n):
-                    p[i] = keep[i - ne] * left[k - 1, c, i]
+                _ahead(slopes[k - 1, c], keep, missed[k - 1, c], left[k - 1, c], p)
             else:
                 p[:] = 0.0
                 p[:ne] = first[c]
@@ -443,12 +447,12 @@ def adjoints(
             for e in range(d):
                 for j in range(n):
                     spread[ne + e, j] += keep[e] * turned[ne + e, j]
-            # only one side of it is read above: what rounding made it lopsided by grows from row to row where sensors
-            # are very good (a gradient of 1e65 after 500 rows of NeuroBEM)
+            # only one side of it is read above: the asymmetry that rounding makes grows from row to row where sensors
+            # are very precise (a gradient of 1e65 after 500 rows of NeuroBEM)
             for i in range(n):
                 for j in range(i):
-                    even = 0.5 * (spread[i, j] + spread[j, i])
-                    spread[i, j], spread[j, i] = even, even
+                    both = 0.5 * (spread[i, j] + spread[j, i])
+                    spread[i, j], spread[j, i] = both, both
     for c in range(count):
         spread = each_spread[c]
         for j in range(m):  # a chunk starts as uncertain as its sensors and disturbances

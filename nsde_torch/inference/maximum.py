@@ -19,11 +19,11 @@ from nsde_torch.time_limit import check_time
 
 _PRIOR = 0.02  # weight of the first guess: that of a hundredth of a nat for a factor of e
 _DOWN, _UP = 8.0, 6.0  # how far logarithms may go from there
-# without it a steady force is a gust that never ends, and none is missing (drives of bench_friction_drive.py)
 LONGEST_S = 1.0
 """That a disturbance lasts, and a noise model remembers [s]: what lasts longer is structure.
 
-Without it a steady force is learned as a gust without end (test_a_steady_push_is_no_gust_that_never_ends).
+Without it a steady force is learned as a gust without end, and not named (bench_friction_drive.py,
+test_a_steady_push_is_no_gust_that_never_ends).
 """
 _LONGEST_STEP = 3.0
 _TURNS = 12
@@ -86,9 +86,9 @@ def likeliest(
 
     def tried(values: Tensor) -> tuple[Pass | None, float]:
         """What is to be large, and the pass where it is a single one."""
-        passes = [passed(values, part, covariances=len(parts) == 1) for part in parts]
-        total = share * sum(one.total for one in passes)
-        here = passes[0] if len(parts) == 1 else None
+        here = passed(values, parts[0]) if len(parts) == 1 else None
+        each = [here] if here else (passed(values, part, covariances=False) for part in parts)
+        total = share * sum(one.total for one in each)
         return here, total - 0.5 * _PRIOR * float((values - prior).square().sum())
 
     def slope(values: Tensor, here: Pass | None) -> Tensor:

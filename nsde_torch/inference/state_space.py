@@ -109,7 +109,7 @@ class StateSpace:
 
     Attributes:
         ne, nd, n: Number of errors of the state, of disturbances, and of both.
-        measured: Whether a row measures each observed channel (T, C, m); None where all do.
+        measured: Whether a row measures each observed channel (T, C, m), outliers not; None where all do.
     """
 
     def __init__(
@@ -131,8 +131,12 @@ class StateSpace:
         self.nd = len(self.disturbances)
         self.n = self.ne + self.nd
         self.every, self.band = list(every), dict(band)
-        rows = chunks.since[..., None] % torch.tensor(self.every) == 0
-        self.measured = None if max(self.every) == 1 else rows
+        self.measured = None if max(self.every) == 1 else self.logged
+
+    @property
+    def logged(self) -> Tensor:
+        """Whether a row logs each observed channel (T, C, m)."""
+        return self.chunks.since[..., None] % torch.tensor(self.every) == 0
 
     def some(self, which: Tensor) -> "StateSpace":
         """The same machine, with the values in use, over some of the chunks."""

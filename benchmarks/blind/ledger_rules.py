@@ -144,13 +144,6 @@ RULES = (
         argument(0),
         marked(0),
     ),
-    Rule(
-        "valued",
-        "values are fitted at states that are smoothed less",
-        ("search.Search.valued",),
-        argument(1),
-        other_than(1),
-    ),
     # ---- findings that become leads, and the verdict
     Rule(
         "beside_vanishing_gains",
@@ -293,13 +286,6 @@ RULES = (
         ("joint_selection._in_order",),
         lambda original, search, look, added: list(look.accepted),
         lambda result, search, look, added: _names(result) != _names(look.accepted),
-    ),
-    Rule(
-        "narrower",
-        "shapes narrower than the search has them",
-        ("search.narrower",),
-        argument(0),
-        other_than(0),
     ),
     # ---- noise models
     Rule(

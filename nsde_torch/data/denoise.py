@@ -26,12 +26,11 @@ _SAMPLE_PIECES = 50  # pieces that lambda is chosen on, at most
 _LAMBDAS = 10.0 ** np.arange(-0.5, 8.1, 0.5)
 
 
-def denoised(runs: Sequence[Run], *, share: float = 1.0) -> tuple[list[Array], Array]:
+def denoised(runs: Sequence[Run]) -> tuple[list[Array], Array]:
     """States of runs without white sensor noise.
 
     Args:
         runs: Runs of one data set; their gaps are not smoothed over.
-        share: Share of the penalty of least score that is taken.
 
     Returns:
         States (n, nx) of each run, as measured in segments of fewer than ten rows; and the standard deviation of their
@@ -39,8 +38,7 @@ def denoised(runs: Sequence[Run], *, share: float = 1.0) -> tuple[list[Array], A
     """
     pieces = [p for run in runs for p in _pieces(run)]
     nx = runs[0].x.shape[1]
-    chosen = [_choose([x[:, channel] for x, _ in pieces]) for channel in range(nx)]
-    best = [None if penalty is None else share * penalty for penalty in chosen]
+    best = [_choose([x[:, channel] for x, _ in pieces]) for channel in range(nx)]
     out = []
     for run in runs:
         smooth = np.array(run.x, dtype=np.float64)

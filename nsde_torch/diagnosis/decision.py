@@ -20,8 +20,8 @@ from nsde_torch.diagnosis.feedback_bias import (
     chance_beyond,
     lengths_of_parameters,
 )
-from nsde_torch.diagnosis.joint_selection import JointSelection
-from nsde_torch.diagnosis.outcome import Found, Outcome, Verdict, base_without, found_by
+from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSelection
+from nsde_torch.diagnosis.outcome import Found, Outcome, Verdict, found_by
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.residual_tests import Dependence, beyond_chance, dependences, variables_of
 from nsde_torch.diagnosis.search import Base, Search, bent_shape, fitted_system, moved_channels
@@ -52,13 +52,17 @@ def selection(search: Search, joint: JointSelection | None, system: System) -> S
 
     Nothing where that could not be computed (`joint` is None).
     """
-    if joint is not None and joint.aside:
-        system = joint.declared.system
-    declared = search.base(system)
-    if joint is None or not joint.selected:
+    if joint is None:
+        declared = search.base(system)
         return Selection(declared, declared, [], joint)
-    final = search.narrower(search.base(joint.final.system, warm=True, like=declared.regression))
+    declared = at(search, joint.declared)
+    final = at(search, joint.final) if joint.selected else declared
     return Selection(declared, final, found_by(search, joint), joint)
+
+
+def at(search: Search, place: FittedPhysics) -> Base:
+    """Fitted physics, and a regression at its values."""
+    return search.at(place.system, place.best)
 
 
 def set_aside(search: Search, chosen: Selection, feedback: Feedback) -> Selection:
@@ -78,7 +82,7 @@ def set_aside(search: Search, chosen: Selection, feedback: Feedback) -> Selectio
                 continue
             # not of its shapes: feedback may bias the width of EMPS's friction by 68 standard errors, its size by 21
             allowed = allowances(lengths, base.regression.vector.sizes(f.name))
-            without = base_without(search, base, chosen.declared, f.name)
+            without = at(search, joint.selected[f.name].without)
             count = len(base.regression.vector.of(f.name))
             nats = nats_by_channel(without.regression, base.regression)
             brought = {channel: 2.0 * value for channel, value in nats.items()}

@@ -188,6 +188,11 @@ class JointSearch:
         self._problem = self._first.at.of  # without the outliers that were found beside the declared physics
 
     @property
+    def declared(self) -> FittedPhysics:
+        """The declared physics, with what is shorter than a step."""
+        return self._first
+
+    @property
     def tries_laws(self) -> bool:
         """Whether laws may be tried: not where the user says what may be."""
         return self.search.candidates is None and self.search.budgets.laws > 0
@@ -196,18 +201,20 @@ class JointSearch:
         self,
         begun: System | None = None,
         brought: Mapping[str, float] | None = None,
-        so_far: Callable[[System, Mapping[str, float]], None] = lambda system, nats: None,
+        so_far: Callable[[FittedPhysics, FittedPhysics, Mapping[str, float]], None] = lambda *known: None,
     ) -> JointSelection:
         """Effects selected by the likelihood.
 
         Args:
             begun: The physics with effects that were selected before, which are added to; None: the declared physics.
             brought: What each of these brought [nats].
-            so_far: Takes the physics after each effect that is added, and what each of these brought [nats].
+            so_far: Takes the declared physics, those after each effect that is added, and what each of the effects
+                brought [nats].
         """
         brought = dict(brought or {})
         most = self.search.decisions.most_effects
         place = self._first if begun is None else self._declared_if_short(self.fitted(begun, self._first))
+        so_far(self._first, place, brought)
         for count in range(len(self.added(place.system)), most):
             names = candidate_names(place.system, self.search.candidates)
             count_of = f"{len(names)} effect{'s' if len(names) > 1 else ''}"
@@ -219,7 +226,7 @@ class JointSearch:
                 break
             brought[name], place = better.best.likelihood - place.best.likelihood, better
             place = self._declared_if_short(place)
-            so_far(place.system, {n: nats for n, nats in brought.items() if n in self.added(place.system)})
+            so_far(self._first, place, brought)
         return self.concluded(place)
 
     def concluded(self, place: FittedPhysics) -> JointSelection:

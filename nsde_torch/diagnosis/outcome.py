@@ -154,11 +154,6 @@ class Outcome:
         """The outcome, each effect provisional for the reason that `why` gives, "" for none; the first one stays."""
         return replace(self, found=[replace(f, provisional=f.provisional or why(f)) for f in self.found])
 
-    def fitted_again(self, final: Base) -> "Outcome":
-        """The outcome with another fit of its final physics, which is the declared one where nothing was added."""
-        same = self.final is self.declared
-        return replace(self, final=final, declared=final if same else self.declared)
-
     def without(self, effect: str) -> System:
         """The physics with everything that was added but one effect; the declared physics where that is all."""
         if len(self.found) == 1:
@@ -233,11 +228,3 @@ def undecided(
         levels=search.levels(),
         decisions=search.decisions,
     )
-
-
-def base_without(search: Search, base: Base, declared: Base, name: str) -> Base:
-    """The physics without an effect that was added, fitted again; the declared one where it was the only one."""
-    rest = without_effect(fitted_system(base.regression), declared.system, name)
-    if rest.effect_names == declared.system.effect_names:
-        return declared
-    return search.base(rest, warm=True, like=base.regression)

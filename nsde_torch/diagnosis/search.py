@@ -3,7 +3,7 @@
 import copy
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -14,11 +14,12 @@ from nsde_torch.diagnosis.candidates import on_coordinates
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions, Options
 from nsde_torch.diagnosis.evidence import fitted_nats
 from nsde_torch.effects import Effect, Law, effect_class, register
-from nsde_torch.inference.steps import UNDERSMOOTHED, Steps, steps_of
+from nsde_torch.inference import MaximumLikelihood
+from nsde_torch.inference.steps import Steps, steps_of
 from nsde_torch.recording.fault import STAGES, level
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.physics import Physics
-from nsde_torch.sysid.regression import Regression, narrower
+from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector, own_name
 
@@ -152,7 +153,6 @@ class Search:
         moved: Whether channels that were late have been moved.
         decisions: What it decides by, but for alpha.
         budgets: How much it tries.
-        rough: Makes the data with states that are smoothed less, at which values are fitted; None for the same.
         say: Told what is going on: stage, number done, number in all.
         so_far: Takes what is known after each round.
     """
@@ -171,12 +171,10 @@ class Search:
         moved: bool = False,
         decisions: Decisions = DECISIONS,
         budgets: Budgets = BUDGETS,
-        rough: Callable[[], Steps] | None = None,
         say: Callable[[str, int, int], None] = lambda stage, done, total: None,
         so_far: "Callable[[Outcome], None]" = lambda outcome: None,
     ) -> None:
         self.steps, self.box, self.alpha = steps, box, alpha
-        self._rough = rough
         self.decisions, self.budgets = replace(decisions, alpha=alpha), budgets
         self.candidates, self.say, self.so_far = candidates, say, so_far
         self.feedback, self.channels, self.inputs, self.moved = feedback, channels, inputs, moved
@@ -195,20 +193,27 @@ class Search:
         """Steps of the longest stretch of the data."""
         return max(b - a for a, b in self.steps.segments)
 
-    def base(self, system: System, *, warm: bool = False, like: Regression | None = None) -> Base:
-        """The regression of a system, with noise models of its own.
+    def base(self, system: System) -> Base:
+        """The regression of a system, with noise models of its own: what first values are."""
+        return self._best_noise(Base(system, self.quick(system)))
 
-        Args:
-            system: Physics.
-            warm: Whether its values are near their optimum.
-            like: A regression of physics close to it, whose noise models may be better than those found from nothing.
+    def at(self, system: System, best: MaximumLikelihood) -> Base:
+        """Physics at the values of largest likelihood: of its regression, the noise models alone are fitted.
+
+        Values of its own would be others where a noise model learns the physics: of racing flights whose states were
+        smoothed (NeuroBEM), the thrust was a tenth of what the likelihood has.
         """
-        best = self._best_noise(Base(system, self.quick(system, warm=warm)))
-        if like is None:
-            return best
-        other = self.regression(system, like)
-        other.run(self.budgets.refinements)
-        return max(best, self._best_noise(Base(system, other)), key=lambda b: b.nats)
+        vector = ParameterVector(system)
+        physics = Physics(vector, self.steps)
+        vector.low, vector.high = best.vector.low, best.vector.high  # those of the rows of the likelihood
+        out = self._of(system, physics, start=best.theta, warm=True)
+        out.converged = True
+        white = out.own_noises(0)
+        rows = len(out.series)
+        if _likelihood(white, rows) >= _likelihood(out.noises, rows) + self.budgets.noise_nats:
+            for row, law in enumerate(white):
+                out = out.under(row, law)
+        return Base(system, out)
 
     def apart(self, seconds: float) -> "Search":
         """The same search, its regressions over means of so long."""
@@ -216,22 +221,9 @@ class Search:
         out.box = max(self.box, round(seconds / self.steps.dt))
         return out
 
-    def narrower(self, base: Base) -> Base:
-        """The same physics, with shapes as narrow as the data have them where they stand at bounds of the search."""
-        return Base(base.system, narrower(base.regression, self.budgets.iterations))
-
-    def valued(self, base: Base) -> Base:
-        """The same physics fitted at states that are smoothed less, which bend its values less."""
-        if self._rough is None:
-            return base
-        regression = self.regression(fitted_system(base.regression), base.regression, steps=self._rough())
-        regression.run(self.budgets.iterations)
-        regression = narrower(regression, self.budgets.iterations)
-        return Base(base.system, regression) if regression.converged else base
-
-    def quick(self, system: System, *, warm: bool = False) -> Regression:
+    def quick(self, system: System) -> Regression:
         """The regression of a system alone, without what candidates are compared by."""
-        regression = self.regression(system, warm=warm)
+        regression = self.regression(system)
         regression.run(self.budgets.iterations)
         return regression
 
@@ -243,7 +235,7 @@ class Search:
             known = _likelihood(base.regression.noises, rows)
             if _likelihood(models, rows) < known + self.budgets.noise_nats:
                 continue
-            other = self.regression(base.system, base.regression, base.regression.theta, models)
+            other = self.regression(base.system, base.regression, models)
             other.run(self.budgets.refinements)
             base = max(base, Base(base.system, other), key=lambda b: b.nats)
         return base
@@ -252,51 +244,47 @@ class Search:
         self,
         system: System,
         before: Regression | None = None,
-        start: Array | None = None,
         noises: Sequence[Noise] | None = None,
         held: Collection[str] = (),
-        warm: bool = False,
-        steps: Steps | None = None,
     ) -> Regression:
         """A regression that has not run yet.
 
         Args:
             system: Physics.
             before: A regression that lends it its values and noise models; None for neither.
-            start: First values (k,); None takes those of `before`.
             noises: Noise models; None takes those of `before`.
             held: Labels of parameters that stay at their first values.
-            warm: Whether the values of the system are near their optimum.
-            steps: Other steps of the same rows; None takes those of the search.
         """
-        vector = ParameterVector(system)
-        physics = Physics(vector, self.steps if steps is None else steps)
-        rows = dynamic_rows(system)
+        physics = Physics(ParameterVector(system), self.steps)
         if before is None:
-            return Regression(
-                physics,
-                box=self.box,
-                rows=rows,
-                origin=system,
-                held=held,
-                feedback=self.feedback,
-                channels=self.channels,
-                warm=warm,
-                memory_s=self.decisions.noise_memory,
-            )
+            return self._of(system, physics, held=held)
         physics.sensor_std = before.physics.sensor_std
-        models = before.noises if noises is None else noises
-        first = carried(vector, before) if start is None else start
+        first = carried(physics.vector, before)
+        return self._of(
+            system, physics, start=first, noises=before.noises if noises is None else noises, held=held
+        )
+
+    def _of(
+        self,
+        system: System,
+        physics: Physics,
+        *,
+        start: Array | None = None,
+        noises: Sequence[Noise] | None = None,
+        held: Collection[str] = (),
+        warm: bool = False,
+    ) -> Regression:
         return Regression(
             physics,
             box=self.box,
-            rows=rows,
-            start=first,
-            noises=models,
+            rows=dynamic_rows(system),
+            start=start,
+            noises=noises,
             origin=system,
             held=held,
             feedback=self.feedback,
             channels=self.channels,
+            warm=warm,
             memory_s=self.decisions.noise_memory,
         )
 
@@ -334,21 +322,18 @@ def search_in(
     """
     box = max(1, int(_BOX_S / (runs[0].dt * clock) + 1e-6))
 
-    def steps(share: float) -> Steps:
-        return steps_of(
-            system,
-            runs,
-            clock=clock,
-            smooth=False,
-            denoise=system.sensor_noise,
-            share=share,
-            shortest=max(box, _SHORTEST),
-            run_in=True,
-            differences=box,
-        )
-
+    steps = steps_of(
+        system,
+        runs,
+        clock=clock,
+        smooth=False,
+        denoise=system.sensor_noise,
+        shortest=max(box, _SHORTEST),
+        run_in=True,
+        differences=box,
+    )
     return Search(
-        steps(1.0),
+        steps,
         box=box,
         alpha=options.alpha,
         candidates=None
@@ -361,7 +346,6 @@ def search_in(
         moved=moved,
         decisions=options.decisions if decisions is None else decisions,
         budgets=budgets,
-        rough=partial(steps, UNDERSMOOTHED) if system.sensor_noise else None,
         say=say,
         so_far=so_far,
     )

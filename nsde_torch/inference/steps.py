@@ -30,12 +30,6 @@ RUN_IN_S, RUN_IN_SHARE = 0.4, 0.1
 """Time in which memory comes up, eight time constants of a motor [s]; of short segments, a share of their rows."""
 
 
-UNDERSMOOTHED = 0.1
-"""Share of the best penalty for states at which values are fitted: the best estimate of a state, whose bias is as large
-as its noise, bends them (twice a standard error of a quadratic damping at 15 rad/s); with a tenth of the bias, noise is
-a third larger. Evidence is compared at the best ones."""
-
-
 @dataclass(frozen=True)
 class Steps:
     """Steps of some runs, segment after segment (float64)."""
@@ -92,7 +86,6 @@ def steps_of(
     shortest: int = 1,
     run_in: bool | None = None,
     denoise: bool = False,
-    share: float = 1.0,
     differences: int = 1,
     low_passed: bool = False,
 ) -> Steps:
@@ -105,7 +98,6 @@ def steps_of(
         smooth: Whether white sensor noise is taken out of the states and of their changes.
         shortest: Segments of fewer steps are left out.
         denoise: Whether it is taken out of the states alone, at which physics is evaluated.
-        share: Share of the penalty that estimates the states best (`denoised`).
         differences: Rows over which positions are differenced where their rates were inferred; 0 takes these as
             inferred.
         run_in: Whether to keep the first steps of each segment for memory alone; None: where an effect has any.
@@ -125,7 +117,7 @@ def steps_of(
         low_passed_states(system, run, clock) if low_passed and run.low_pass else np.asarray(run.x)
         for run in runs
     ]
-    clean = list(denoised(runs, share=share)[0]) if smooth or denoise else seen
+    clean = list(denoised(runs)[0]) if smooth or denoise else seen
     unknown = inferred_columns(system, runs) if differences else {}
     if unknown:
         clean = [np.array(x) for x in clean]

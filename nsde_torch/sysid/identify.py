@@ -362,12 +362,12 @@ def by_likelihood(
     """An identification, its values and intervals by the likelihood.
 
     Args:
-        near: The same machine where a fit of it has ended, and the optimum there.
+        near: The same machine where a fit of it has ended, whose values `found` has, and the optimum there.
         held: Noise levels that are known; None finds them.
 
     Returns:
         `found` with `likelihood`, and its values and intervals of all that the data show and that stands at no bound,
-        unless something speaks against them.
+        where it settled and nothing speaks against it; or, with `near`, that does not speak against `found` as well.
     """
     objected = found.guard is not None and found.guard.objections
     # inputs that answer the states know of noise what a smoother took out of them (`diagnosis.feedback_bias`)
@@ -384,7 +384,7 @@ def by_likelihood(
     except (DataError, NonFiniteError, np.linalg.LinAlgError):
         return found
     found = replace(found, likelihood=best, optimum=at)
-    if best.objections:
+    if not best.settled or (best.misfit and near is None):
         return found
     free = best.free
     covariance, degrees = found.covariance.copy(), found.degrees.copy()

@@ -200,7 +200,7 @@ def flown() -> tuple[dict[str, Any], dict[str, tuple[str, ...]]]:
     runs = search_in(declared, found.recorded.runs, 1.0, Options())
     for name in ("angular_damping", "thrust_curve"):
         effect = declared.make_effect(name)
-        moves[name] = moved_channels(runs.quick(declared.with_effects(effect), warm=True), name)
+        moves[name] = moved_channels(runs.quick(declared.with_effects(effect)), name)
     return found.content(), moves
 
 

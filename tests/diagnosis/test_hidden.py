@@ -129,19 +129,22 @@ def test_of_effects_that_all_may_be_feedback_the_one_that_brings_least_goes_firs
     def joint(*names: str) -> Any:
         look = SimpleNamespace(look=SimpleNamespace(proposals=[None]))
         return SimpleNamespace(
-            names=names, rounds=[look], less=lambda name: joint(*(n for n in names if n != name))
+            names=names,
+            rounds=[look],
+            less=lambda name: joint(*(n for n in names if n != name)),
+            selected={name: SimpleNamespace(without=without(names, name)) for name in names},
         )
 
-    def without(search: Any, of: Any, declared: Any, name: str) -> Any:
-        out = base(*(n for n in of.names if n != name))
-        out.regression.left_out, out.regression.of = name, of.names
+    def without(names: tuple[str, ...], name: str) -> Any:
+        out = base(*(n for n in names if n != name))
+        out.regression.left_out, out.regression.of = name, names
         return out
 
     def gained(before: Any, after: Any) -> dict[str, float]:
         return {"q_dot": 0.5 * brought[after.names][after.names.index(before.left_out)]}
 
     patches: dict[str, Any] = {
-        "base_without": without,
+        "at": lambda search, place: place,
         "nats_by_channel": gained,
         "moved_channels": lambda regression, name: moves if name == "force" else ("q_dot",),
         "lengths_of_parameters": lambda test, r: {"q_dot": np.sqrt(np.array(allowed[r.names]))},

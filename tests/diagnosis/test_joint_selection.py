@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import butter, lfilter, sosfiltfilt
 
 import nsde_torch
 from nsde_torch.data import Run
+from nsde_torch.diagnosis import pipeline
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import JointSearch, JointSelection
 from nsde_torch.diagnosis.laws import terms_on
@@ -110,6 +113,36 @@ def test_a_diagnosis_reports_the_nats_of_the_likelihood() -> None:
     low, high = found.parameters["coulomb_friction.size"]["interval_90"]
     assert high - low < 0.1
     assert low - 0.01 < 0.3 < high + 0.01
+    outcome = found.outcome
+    for base, place in ((outcome.declared, outcome.joint.declared), (outcome.final, outcome.joint.final)):
+        np.testing.assert_array_equal(base.regression.theta, place.best.theta)
+
+
+@pytest.mark.parametrize("smoothed", [True, False])
+def test_behind_a_smoother_the_declared_physics_decides_which_rows_are_looked_at(smoothed: bool) -> None:
+    machine = replace(rubbing(0.3), noise=(0.0, 0.0))
+    rng, runs = np.random.default_rng(3), []
+    for one in small_runs(machine, 3, 8.0, seed=4):
+        noise = rng.normal(size=one.x.shape) * np.array([0.002, 0.006])
+        if smoothed:  # over four rows
+            noise = lfilter(np.ones(4) / 2.0, 1.0, noise, axis=0)
+        runs.append(replace(one, x=one.x + noise, band={"q_dot": 0.5 / one.dt}))
+    system, said = make_system("mass_spring_damper"), list[str]()
+    search = search_in(system, runs, 1.0, Options(), say=lambda stage, done, total: said.append(stage))
+    feedback = SimpleNamespace(test=lambda regression: SimpleNamespace(closed_loop=False))
+    log: Any = SimpleNamespace(
+        runs=runs,
+        slowest={},
+        system=system,
+        begun=None,
+        feedback=feedback,
+        recorded=SimpleNamespace(clock=1.0),
+    )
+    _, found = pipeline._selected(log, search)
+    assert found.final.at.of.apart == smoothed
+    assert set(found.selected) == {"coulomb_friction"}
+    rounds = [stage for stage in said if stage.startswith("round 1")]
+    assert len(rounds) == 1  # nothing was selected twice
 
 
 @pytest.mark.slow

@@ -39,7 +39,7 @@ def rubbing() -> Search:
 def rubbed(rubbing: Search) -> Base:
     """The physics with dry friction, fitted."""
     found = {"coulomb_friction": {"size": 0.3, "width": 0.002}}
-    return rubbing.base(spring("coulomb_friction", **found), warm=True)
+    return rubbing.base(spring("coulomb_friction", **found))
 
 
 def test_what_an_effect_contains_is_not_tried_beside_it() -> None:

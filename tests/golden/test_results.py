@@ -73,7 +73,7 @@ def test_train_learns_what_it_did(
     found = of_the_data(json.loads(Path("run/metrics.json").read_text()))
     close = 1e-2
     if model == "nsde":
-        # when a network's fit to its functions ends hangs on rounding; beyond the data networks then differ by percents,
+        # when a network's fit to its functions ends hangs on rounding; beyond the data networks differ by percents,
         # and of nine windows one lies inside an interval or not
         for steps in ("steps", "best_step"):
             del found[steps]

@@ -12,6 +12,7 @@ import pytest
 
 # Each part may import itself and what it names here.
 BASE = {
+    "arrays",
     "errors",
     "columns",
     "rotation",
@@ -29,6 +30,7 @@ MACHINES = {*BASE, "systems", "effects"}
 LEARNED = {*MACHINES, "data", "recording", "sde", "models", "plots"}
 TRAINED = {"inference", "sysid", "evaluation", "training"}
 MAY_IMPORT = {
+    "arrays": set(),
     "errors": set(),
     "jit": set(),
     "lazy": set(),

@@ -13,14 +13,12 @@ from typing import final
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array
 from nsde_torch.errors import ConfigError
 from nsde_torch.rotation import rotation_between
 from nsde_torch.systems.multirotor import GRAVITY
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

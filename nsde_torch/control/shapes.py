@@ -11,13 +11,11 @@ supplement's Figures 17 and 18 (32 deg; for the lemniscate 32 deg of roll and 19
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.control.options import CircleOptions, HoverOptions, LemniscateOptions
 from nsde_torch.control.reference import FlightPath
 from nsde_torch.errors import ConfigError
-
-Array = NDArray[np.float64]
 
 GRID = 0.01
 """Step of references [s]."""

@@ -14,9 +14,9 @@ from math import radians, sqrt, tan
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
+from nsde_torch.arrays import Array
 from nsde_torch.control.options import WaypointOptions
 from nsde_torch.control.reference import FlightPath
 from nsde_torch.control.shapes import GRID
@@ -24,7 +24,6 @@ from nsde_torch.data.csv_rows import csv_rows
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.systems.multirotor import GRAVITY
 
-Array = NDArray[np.float64]
 _REST = [(order, np.zeros(4)) for order in (1, 2, 3)]
 
 _LIMITS = WaypointOptions()

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.places import (
     LONGEST,
     check_names,
@@ -23,8 +23,6 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import DataSet
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import DataError
-
-Array = NDArray[np.float64]
 
 TIME = "t"
 

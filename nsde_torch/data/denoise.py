@@ -14,12 +14,10 @@ h is the weight of a measurement in its own smooth value, by the equivalent kern
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.run import Run
-
-Array = NDArray[np.float64]
 
 _PIECE, _OVERLAP, _FEWEST = 1000, 50, 10
 _SAMPLE_PIECES = 50  # pieces that lambda is chosen on, at most

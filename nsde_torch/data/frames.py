@@ -10,11 +10,9 @@ their own inverses, so the same functions lead back.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.quaternion import multiply
-
-Array = NDArray[np.float64]
 
 _WORLD = np.array([0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0])
 _BODY = np.array([0.0, 1.0, 0.0, 0.0])

@@ -12,12 +12,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.findings import Finding, Report
 from nsde_torch.errors import DataError
-
-Array = NDArray[np.float64]
 
 RELATIVE_RANK = 1e-5
 

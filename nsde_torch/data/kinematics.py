@@ -35,10 +35,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import percentile_filter
 from scipy.special import stdtr, stdtrit
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.quaternion import increments
 from nsde_torch.data.system_info import RATE_NAMES, SystemInfo, derivative_columns, rate_columns
-
-Array = NDArray[np.float64]
 
 JUMP_SIGMAS = 10.0
 JUMP_ISOLATION = 4.0

@@ -15,14 +15,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.data.unpickler import read_pickle
 from nsde_torch.errors import ConfigError, DataError
-
-Array = NDArray[np.float64]
 
 CARTPOLE_FORCE = 25.0
 """Newtons for one unit of the published cartpole input."""

@@ -10,15 +10,13 @@ from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.errors import DataError, ShapeError
 
 if TYPE_CHECKING:
     from nsde_torch.data.findings import Finding
     from nsde_torch.data.summary import DataSummary
-
-Array = NDArray[np.float64]
 
 
 def _frozen(name: str, value: object, ndim: int) -> Array:

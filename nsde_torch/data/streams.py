@@ -12,10 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.quaternion import continuous_signs, slerp
 from nsde_torch.errors import DataError
-
-Array = NDArray[np.float64]
 
 PAUSE_S = 0.25
 """Shortest pause [s]."""

@@ -18,10 +18,9 @@ from dataclasses import dataclass
 from math import log10, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-Array = NDArray[np.float64]
+from nsde_torch.arrays import Array
 
 _SLOWEST_S = 0.15  # longest time constant of a filter: what it forgets in
 _LARGEST = 30.0  # tracking index: the position as it is

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import ulog_flight, ulog_setpoints
 from nsde_torch.data.findings import Finding
 from nsde_torch.data.frames import attitude_to_enu, swap_body, swap_world
@@ -28,8 +28,6 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.data.streams import Stream, attitudes, held, linear
 from nsde_torch.data.system_info import SystemInfo, rate_columns
 from nsde_torch.errors import ConfigError, DataError
-
-Array = NDArray[np.float64]
 
 STATE_NAMES = ("p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z")
 SOURCES = ("auto", "odometry", "attitude")

@@ -15,9 +15,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.raw import holes
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Fields = Mapping[str, Array]
 

@@ -13,11 +13,9 @@ Sticks are outside the loop while a pilot flies by them; setpoints are in the mo
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.frames import attitude_to_enu
-
-Array = NDArray[np.float64]
 
 TOPICS = ("manual_control_setpoint", "vehicle_attitude_setpoint", "vehicle_rates_setpoint")
 _STICKS = {  # column -> field of PX4 1.14 and later, field before

@@ -14,8 +14,8 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.design.experiment import Experiment, PlannedRun
 from nsde_torch.design.limits import limits_of
@@ -31,7 +31,6 @@ from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.systems import Multirotor, System
 from nsde_torch.threads import one_thread
 
-Array = NDArray[np.float64]
 FINALISTS = 3
 CONFIRMED = 2
 """Rehearsals of the plan that was chosen, over those that it was chosen by."""

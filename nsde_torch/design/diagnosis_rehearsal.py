@@ -20,9 +20,9 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.data.raw import RawRun
 from nsde_torch.design.rollout import Drive, ModelNoise, Rollouts, open_loop
@@ -37,8 +37,6 @@ from nsde_torch.inference.states import filtered_at
 from nsde_torch.progress import Say, reported
 from nsde_torch.recording import assemble
 from nsde_torch.systems import System
-
-Array = NDArray[np.float64]
 
 _LEAST = 1e-6  # spread of a column that does not vary
 

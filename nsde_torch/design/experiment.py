@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from nsde_torch.arrays import Array
 from nsde_torch.design.limits import MARGIN, ExperimentLimits
 from nsde_torch.design.members import Member
 from nsde_torch.design.options import DesignOptions
@@ -16,7 +16,6 @@ from nsde_torch.design.questions import SURE, Question
 from nsde_torch.design.rehearsal import Rehearsed
 from nsde_torch.systems import System
 
-Array = NDArray[np.float64]
 LEVELS = (90, 99)
 """Levels of the intervals of expected evidence [%]; outside of the last one, evidence is not what was expected."""
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from nsde_torch.design.experiment import Experiment
 
-Array = NDArray[np.float64]
 RESULT, PLAN, PICTURE = "design.json", "plan.csv", "design.png"
 _OFTEN = 0.8  # share of the rehearsals that break a tie from which a plan is called reliable
 _STATES = 4  # that are drawn

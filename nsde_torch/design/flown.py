@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.design.designing import check_runs, members_of
 from nsde_torch.design.experiment import LEVELS
@@ -21,7 +21,6 @@ from nsde_torch.design.rehearsal import Fits, against, density, fit_all
 from nsde_torch.errors import DataError
 from nsde_torch.systems import System
 
-Array = NDArray[np.float64]
 STRANGE = 2.0
 """Mean square of what the best member leaves of an experiment, in units of the noise, from which it is another
 machine's."""

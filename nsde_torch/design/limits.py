@@ -5,13 +5,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import System
 
-Array = NDArray[np.float64]
 MARGIN = 0.05
 """Part of a range that states keep from its ends: noise, and what the members do not know."""
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from itertools import chain, product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.design.rollout import ModelNoise, Rollouts
 from nsde_torch.diagnosis.candidates import alone, starts
@@ -31,7 +31,6 @@ from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector, own_name
 
-Array = NDArray[np.float64]
 _ROUNDS = 12
 _STARTS = 8
 """First values that the fit of a member is tried from."""

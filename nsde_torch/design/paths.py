@@ -16,17 +16,15 @@ from typing import final
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from torch import Tensor
 
+from nsde_torch.arrays import Array
 from nsde_torch.control.cascade import Cascade
 from nsde_torch.design.limits import ExperimentLimits
 from nsde_torch.design.members import Member
 from nsde_torch.design.rollout import Drive, Rollouts
 from nsde_torch.systems import Multirotor
-
-Array = NDArray[np.float64]
 
 GAP = 1.0
 """Time between points [s]."""

@@ -24,6 +24,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.design.experiment import PlannedRun
 from nsde_torch.design.limits import MARGIN, ExperimentLimits
 from nsde_torch.design.members import Branch, Member, width_columns
@@ -33,7 +34,6 @@ from nsde_torch.design.signals import Signals
 from nsde_torch.errors import ConfigError
 from nsde_torch.inference.posterior import LogWithPrior
 
-Array = NDArray[np.float64]
 CAUTIOUS = 0.2
 """Quantile over draws of the parameters that an experiment is judged by."""
 _MEAN = 0.1

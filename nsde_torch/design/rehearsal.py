@@ -15,8 +15,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.design.limits import ExperimentLimits
 from nsde_torch.design.members import Member
@@ -24,8 +24,6 @@ from nsde_torch.design.paths import Draw
 from nsde_torch.design.rollout import Drive, Rollouts, as_run
 from nsde_torch.inference.posterior import LogWithPrior, Posterior
 from nsde_torch.threads import one_thread
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from typing import final
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.effects import Port
 from nsde_torch.inference.levels import Levels
@@ -22,7 +22,6 @@ from nsde_torch.inference.state_space import StateSpace, forces_on, moved
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
-Array = NDArray[np.float64]
 Drive = Callable[[int, Tensor], Tensor]
 """Inputs (B, nu) from the number of the step and the measured states (B, nx)."""
 _SUBSTEPS = 8

@@ -12,11 +12,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.design.limits import ExperimentLimits
-
-Array = NDArray[np.float64]
 
 KINDS = ("hold", "ramp", "sine", "chirp", "square", "two sines")
 PIECES = 4

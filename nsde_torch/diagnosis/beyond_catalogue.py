@@ -30,7 +30,6 @@ from itertools import combinations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.candidates import (
     Start,
@@ -56,8 +55,6 @@ from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.steps import Steps
 from nsde_torch.systems import System
 from nsde_torch.systems.vocabulary import seen_by
-
-Array = NDArray[np.float64]
 
 _CLOSE = 0.3  # share of the nats of the best term below which no further one is fitted
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.evidence import sum_error
 from nsde_torch.diagnosis.feedback_bias import allowances_of_tests
 from nsde_torch.diagnosis.outcome import Outcome
@@ -30,8 +30,6 @@ from nsde_torch.inference.functions import Functions, Variables, held_out_densit
 from nsde_torch.sysid.feedback_test import FeedbackTest
 from nsde_torch.systems import System
 from nsde_torch.systems.vocabulary import named_inputs, vocabulary
-
-Array = NDArray[np.float64]
 
 _MOVES = 0.3  # of the largest change of a channel: rows of ports that move it
 

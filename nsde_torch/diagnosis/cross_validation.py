@@ -28,9 +28,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array, Labels
 from nsde_torch.data import Run, Windows
 from nsde_torch.diagnosis.ceiling import optimum_of
 from nsde_torch.diagnosis.decisions import DECISIONS, INTERVAL_LEVEL, Decisions
@@ -49,9 +49,6 @@ from nsde_torch.models.identified import IdentifiedModel, SysidSpec
 from nsde_torch.sysid.physics import Physics, bump, per_second, smooth_rate
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
-
-Array = NDArray[np.float64]
-Labels = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc, stdtr
 
+from nsde_torch.arrays import Array, Labels
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.effects import effect_class
 from nsde_torch.sysid.regression import Regression
@@ -35,9 +36,6 @@ from nsde_torch.systems.parameters import own_name
 
 if TYPE_CHECKING:
     from nsde_torch.diagnosis.joint_selection import JointSelection
-
-Array = NDArray[np.float64]
-Labels = NDArray[np.int64]
 
 
 def folds(regression: Regression, decisions: Decisions = DECISIONS) -> Labels:

@@ -35,6 +35,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtri
 
+from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.decisions import Decisions
 from nsde_torch.diagnosis.feedback_bias import unmeasured_gains
@@ -55,8 +56,6 @@ from nsde_torch.sysid.guard import Guarded
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.standstill import moving
 from nsde_torch.systems import System
-
-Array = NDArray[np.float64]
 
 _AT_BOUND = 1e-5  # typical sizes from the bound; values are kept a millionth off it
 

@@ -34,6 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.candidates import candidate_names
 from nsde_torch.diagnosis.joint_selection import JointSelection, looked
 from nsde_torch.diagnosis.search import Search, at_bounds
@@ -45,8 +46,6 @@ from nsde_torch.systems import System
 
 if TYPE_CHECKING:
     from nsde_torch.diagnosis.outcome import Outcome
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,8 @@ from math import log
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array, Labels
 from nsde_torch.inference.sensitivity import Grams, half_squares, solved
-
-Array = NDArray[np.float64]
-Labels = NDArray[np.int64]
 
 # without it a law linear in the speed was fitted beside a viscous damping, whose rounding it explained
 _NEW = 0.03  # share of a column that must be left: less is nothing that the physics cannot do already

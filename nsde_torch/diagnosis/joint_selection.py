@@ -22,9 +22,9 @@ from typing import final
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from nsde_torch.arrays import Array, Labels
 from nsde_torch.diagnosis.candidates import alone, candidate_names, effect_of, joined, starts, starts_of
 from nsde_torch.diagnosis.evidence import bonferroni, folds_of, sum_error
 from nsde_torch.diagnosis.gram_table import GramTable
@@ -40,9 +40,6 @@ from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector, own_name
 from nsde_torch.time_limit import check_time
-
-Array = NDArray[np.float64]
-Labels = NDArray[np.int64]
 
 _RISES = 0.3  # share of the nats of a linearised step that the likelihood has to rise by once a candidate is fitted
 _TRIED = 3  # candidates that are fitted to the end before a round ends

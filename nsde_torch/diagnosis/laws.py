@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.candidates import Start
 from nsde_torch.diagnosis.regressors import machine_variables
 from nsde_torch.inference import Optimum
@@ -27,8 +27,6 @@ from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.sensitivity import Grams, grams
 from nsde_torch.systems import System
 from nsde_torch.systems.vocabulary import seen_by, vocabulary
-
-Array = NDArray[np.float64]
 
 _KNOTS = (0.05, 0.2, 0.5, 0.8, 0.95)  # quantiles that hinges start from
 _WIDTH = 0.05  # of a sign, of the 90 % quantile of the variable

@@ -6,9 +6,9 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.decisions import DECISIONS, INTERVAL_LEVEL, Decisions
 from nsde_torch.diagnosis.feedback_bias import FeedbackBiased, lengths_of_parameters
 from nsde_torch.diagnosis.joint_selection import Evidence, JointSelection
@@ -23,8 +23,6 @@ from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
-
-Array = NDArray[np.float64]
 
 _BOUNDS: dict[tuple[bool, bool], Literal["below", "above"]] = {
     (True, False): "below",

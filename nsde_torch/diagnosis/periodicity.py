@@ -17,13 +17,11 @@ from dataclasses import dataclass
 from math import exp, log
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.sysid.noise import extended
 from nsde_torch.sysid.regression import Regression
-
-Array = NDArray[np.float64]
 
 HIGHEST = 0.4
 """Frequency over the rate of the rows above which a sinusoid is mostly sampling."""

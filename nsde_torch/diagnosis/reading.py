@@ -21,6 +21,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.candidates import candidate_names, check_candidates, on_coordinates
 from nsde_torch.diagnosis.decisions import Budgets, Decisions, Options
@@ -41,8 +42,6 @@ from nsde_torch.sysid.result import Identification
 from nsde_torch.sysid.standstill import SHARE, moving, slowest
 from nsde_torch.systems import System
 from nsde_torch.systems.coordinates import check_pushes
-
-Array = NDArray[np.float64]
 
 _CHECKED = 50  # rows of the data at which coordinates are checked
 

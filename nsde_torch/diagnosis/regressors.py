@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.diagnosis.evidence import orthonormal
 from nsde_torch.sysid.noise import Series
@@ -22,7 +23,6 @@ from nsde_torch.systems import System
 from nsde_torch.systems.names import MIXED
 from nsde_torch.systems.vocabulary import named_inputs
 
-Array = NDArray[np.float64]
 Functions: TypeAlias = Callable[[], tuple[Array, NDArray[np.bool_]]]
 """Makes the functions of a group (M, q), and which of them are odd (q,): all of them at once take 100 MB."""
 

@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.effect_importance import Importance, ShownEffects
 from nsde_torch.diagnosis.files import picture_file
@@ -73,8 +74,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from nsde_torch.diagnosis.result import Content, Diagnosis
-
-Array = NDArray[np.float64]
 
 EFFECT = "effect_"
 """What the name of a picture of one effect begins with."""

@@ -41,6 +41,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.special import chdtrc, fdtrc, ndtr
 
+from nsde_torch.arrays import Array, Labels
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
 from nsde_torch.diagnosis.evidence import (
     bonferroni,
@@ -67,9 +68,6 @@ from nsde_torch.sysid.noise import Noise, Series, estimate, first_guess
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.time_limit import check_time
-
-Array = NDArray[np.float64]
-Labels = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

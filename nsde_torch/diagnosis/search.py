@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.diagnosis.candidates import on_coordinates
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions, Options
@@ -25,8 +26,6 @@ from nsde_torch.systems.parameters import ParameterVector, own_name
 
 if TYPE_CHECKING:
     from nsde_torch.diagnosis.outcome import Outcome
-
-Array = NDArray[np.float64]
 
 _AT_BOUND = 2e-6  # typical sizes from a bound; the optimiser keeps values a millionth off it
 _MOVES = 1e-6  # of the largest slope of a parameter: below that is rounding

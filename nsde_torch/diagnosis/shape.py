@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.signal import welch
 
+from nsde_torch.arrays import Array, Labels
 from nsde_torch.diagnosis.decisions import Wording
 from nsde_torch.diagnosis.periodicity import best_repeat, waves_of
 from nsde_torch.diagnosis.regressors import BEFORE, BY_RUN, OVER_TIME, Regressors, own_space, projected
@@ -44,9 +45,6 @@ from nsde_torch.diagnosis.residual_tests import Dependence
 from nsde_torch.sysid.physics import bump, per_second, smooth_rate
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
-
-Array = NDArray[np.float64]
-Labels = NDArray[np.int64]
 
 _BINS, _FEWEST = 18, 4  # of a picture, and blocks of time in one
 _BLOCK_S = 2.0  # for the errors of means in bins

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.evaluation.report import number, table
@@ -30,8 +30,6 @@ from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.recording.smoothing import as_applied
 from nsde_torch.sysid.physics import Physics, bump, explained
 from nsde_torch.systems.parameters import ParameterVector
-
-Array = NDArray[np.float64]
 
 
 @torch.no_grad()

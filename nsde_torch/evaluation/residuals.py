@@ -15,12 +15,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array
 from nsde_torch.effects import Port
 from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.sysid.noise import Series
 from nsde_torch.sysid.physics import Physics
-
-Array = NDArray[np.float64]
 
 _MOVES = 1e-6  # of the largest slope: below that a port does not move a channel
 

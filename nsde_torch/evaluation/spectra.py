@@ -15,12 +15,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from nsde_torch.arrays import Array
 from nsde_torch.sysid.noise import Series
-
-Array = NDArray[np.float64]
 
 _BINS = 240
 _LEAST = 1e-5  # of the residual's standard deviation: what is smaller is nothing

@@ -5,9 +5,9 @@ from math import pi
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from nsde_torch import plots
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run, Windows
 from nsde_torch.evaluation.before import inputs_before
 from nsde_torch.evaluation.metrics import evaluate
@@ -15,8 +15,6 @@ from nsde_torch.experiments.outcome import Check, ExperimentOutcome
 from nsde_torch.experiments.sampled import prediction, rollout
 from nsde_torch.models.model import Model
 from nsde_torch.models.neural_sde import NeuralSDE
-
-Array = NDArray[np.float64]
 
 _X_DOT, _THETA, _THETA_DOT = 1, 2, 3
 _GRID = 90

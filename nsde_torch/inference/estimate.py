@@ -15,9 +15,9 @@ from typing import Any, final
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array, Labels
 from nsde_torch.data import Run
 from nsde_torch.effects import Port
 from nsde_torch.errors import DataError, NonFiniteError
@@ -44,9 +44,6 @@ from nsde_torch.inference.steps import Steps, inferred_columns, steps_of
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 from nsde_torch.time_limit import check_time
-
-Array = NDArray[np.float64]
-Labels = NDArray[np.int64]
 
 _TURNS = 12
 _FIRST_ROWS = 1000  # enough for noise levels beside a first theta

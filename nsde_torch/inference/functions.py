@@ -20,9 +20,9 @@ from math import log
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from nsde_torch.arrays import Array, Labels
 from nsde_torch.inference.estimate import Optimum
 from nsde_torch.inference.filtering import Pass, filtered, forced, with_parameters
 from nsde_torch.inference.levels import Levels
@@ -33,9 +33,6 @@ from nsde_torch.inference.state_space import StateSpace
 from nsde_torch.systems import System
 from nsde_torch.systems.vocabulary import named_inputs
 from nsde_torch.time_limit import check_time
-
-Array = NDArray[np.float64]
-Labels = NDArray[np.int64]
 
 _FOLDS = 5
 # without these two a spring of which nothing is missing learns functions (tests/inference/test_functions.py)

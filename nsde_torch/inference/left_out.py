@@ -18,6 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array, Labels
 from nsde_torch.data.system_info import rate_columns, rate_pairs
 from nsde_torch.inference.estimate import Optimum, bounded_change
 from nsde_torch.inference.filtering import Linearisation, Pass, with_gains, with_parameters
@@ -27,8 +28,6 @@ from nsde_torch.rotation import matrix
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
-Array = NDArray[np.float64]
-Labels = NDArray[np.int64]
 _KNOWN = 1e-3  # share of what all rows say of a parameter below which those of the other folds do not move it
 
 

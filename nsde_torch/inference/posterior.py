@@ -12,8 +12,8 @@ from typing import final
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.effects import Port
 from nsde_torch.inference.estimate import LogLikelihood
@@ -22,8 +22,6 @@ from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.sensitivity import grams
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
-
-Array = NDArray[np.float64]
 
 _ROUNDS = 8
 _SETTLED = 0.002  # nats that a step promises: `design` calls two fits one equation below 0.05

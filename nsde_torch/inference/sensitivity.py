@@ -16,13 +16,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array
 from nsde_torch.inference import kernels
 from nsde_torch.inference.filtering import Linearisation, Pass, array
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.spread import Spread
 from nsde_torch.inference.state_space import StateSpace
-
-Array = NDArray[np.float64]
 
 _WHOLE = 0.999  # share of what is known of a direction that one block may bring, for it to be left out
 _RANK = 1e-10

@@ -15,9 +15,9 @@ from functools import reduce
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from nsde_torch.arrays import Array
+
 Kind = Literal["polynomial", "signed", "product", "smooth", "fine", "varying", "past"]
 
 _SIGN = 0.05  # of the root mean square: what a sign is rounded over

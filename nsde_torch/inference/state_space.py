@@ -9,11 +9,10 @@ import copy
 from collections.abc import Callable, Mapping, Sequence
 from typing import final
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array
 from nsde_torch.effects import Port
 from nsde_torch.inference.chunks import Chunks
 from nsde_torch.inference.low_pass import low_passed
@@ -22,8 +21,6 @@ from nsde_torch.inference.steps import Steps
 from nsde_torch.rotation import turned
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
-
-Array = NDArray[np.float64]
 
 _SMALL = 1e-6  # differences of states and disturbances
 _SHORT_S = 1e-5  # over which errors of an attitude turn by no more than their rate

@@ -5,17 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.inference.estimate import LogLikelihood
 from nsde_torch.inference.filtering import Linearisation, Pass, filtered
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.systems.parameters import ParameterVector
-
-Array = NDArray[np.float64]
 
 _PASSES = 3  # until the states have settled
 

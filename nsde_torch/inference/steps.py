@@ -10,9 +10,9 @@ from itertools import pairwise
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array
 from nsde_torch.columns import by_column
 from nsde_torch.data import Run
 from nsde_torch.data.denoise import denoised
@@ -20,7 +20,6 @@ from nsde_torch.errors import DataError
 from nsde_torch.inference.low_pass import low_passed_states
 from nsde_torch.systems import System
 
-Array = NDArray[np.float64]
 _Stretch = tuple[int, int, int]  # run, first row, last row + 1
 
 MOST = 300_000

@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from nsde_torch.arrays import Array
 from nsde_torch.errors import ShapeError
 from nsde_torch.plots.calibration import TARGET
 from nsde_torch.plots.euler import with_angles
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 _ROOM = 4.0  # how far a band may go beyond the range of what was measured, in such ranges
 
 

@@ -8,8 +8,8 @@ from math import ceil
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.errors import ShapeError
 from nsde_torch.plots.style import (
     BLUE,
@@ -29,8 +29,6 @@ from nsde_torch.plots.style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 BEFORE, AFTER = VERMILLION, BLUE
 _POINTS = 1500

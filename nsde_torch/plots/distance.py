@@ -8,15 +8,15 @@ from math import ceil
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from nsde_torch.arrays import Array
 from nsde_torch.errors import ShapeError
 from nsde_torch.plots.style import BLACK, VERMILLION, key, panels, styled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 TRAIN_SHOWN, HELD_OUT_SHOWN = 400, 150
 """Data points drawn; more hide the map and each other."""
 

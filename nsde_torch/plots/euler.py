@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from nsde_torch.arrays import Array
+
 ANGLES = ("roll", "pitch", "yaw")
 
 

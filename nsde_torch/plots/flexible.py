@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.plots.style import BLUE, GREY, key, label, panels, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 _HALF = 1.645  # standard errors of a 90 % interval
 _POINTS = 400  # of the data that are drawn

@@ -7,15 +7,14 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.errors import ShapeError
 from nsde_torch.plots.style import BLACK, BLUE, GREEN, GREY, VERMILLION, legend_below, panels, styled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 Curve = Sequence[Mapping[str, float]]
 
 _TITLE = 14  # letters on a line above a panel

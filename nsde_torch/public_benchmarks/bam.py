@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import DataError
 from nsde_torch.public_benchmarks.benchmark import (
@@ -34,8 +34,6 @@ from nsde_torch.public_benchmarks.servo import STEP, ServoPendulum
 from nsde_torch.public_benchmarks.servo_friction import swing
 from nsde_torch.public_benchmarks.work import Work
 from nsde_torch.systems.options import system_options
-
-Array = NDArray[np.float64]
 
 HOME = "data/feetech/STS_3250"
 COMMIT = "140d9c5"

@@ -11,12 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
+from nsde_torch.arrays import Array
 from nsde_torch.public_benchmarks.work import Work
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

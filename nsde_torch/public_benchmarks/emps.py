@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Parameter, Port
 from nsde_torch.errors import DataError
@@ -33,8 +33,6 @@ from nsde_torch.public_benchmarks.output_error import output_error, simulated, w
 from nsde_torch.public_benchmarks.work import Work
 from nsde_torch.systems import Defaults, ErrorGroup, OneDegreeOfFreedom, ResidualPort
 from nsde_torch.systems.options import system_options
-
-Array = NDArray[np.float64]
 
 RATE_HZ = 1000.0
 ROWS = 5  # of the log to one of what is diagnosed

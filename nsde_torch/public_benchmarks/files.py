@@ -7,11 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.errors import DataError
-
-Array = NDArray[np.float64]
 
 _POINTER = b"version https://git-lfs"
 

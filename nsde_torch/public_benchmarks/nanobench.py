@@ -20,9 +20,9 @@ from typing import Any, final
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from nsde_torch.api.reading import read
+from nsde_torch.arrays import Array
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import DataError
 from nsde_torch.public_benchmarks.benchmark import (
@@ -44,8 +44,6 @@ from nsde_torch.public_benchmarks.work import Work
 from nsde_torch.sysid.identify import identify
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import system_options
-
-Array = NDArray[np.float64]
 
 FULL = 65535.0
 """Motor command of full thrust."""

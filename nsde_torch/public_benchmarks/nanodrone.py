@@ -15,8 +15,8 @@ from typing import Any, final
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import DataError
 from nsde_torch.public_benchmarks.benchmark import (
@@ -32,8 +32,6 @@ from nsde_torch.public_benchmarks.output_error import output_error, simulated, t
 from nsde_torch.public_benchmarks.work import Work
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import system_options
-
-Array = NDArray[np.float64]
 
 STEP = 0.01
 HORIZON = 50

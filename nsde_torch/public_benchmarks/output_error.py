@@ -20,6 +20,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.sde.integrate import rollout
 from nsde_torch.sde.protocol import Calculus, Time
@@ -27,7 +28,6 @@ from nsde_torch.sde.registry import make_step
 from nsde_torch.systems.base import System
 from nsde_torch.systems.parameters import ParameterVector
 
-Array = NDArray[np.float64]
 Say = Callable[[str, int, int], None]
 
 _STEP = 1e-6

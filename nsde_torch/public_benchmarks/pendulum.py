@@ -15,9 +15,9 @@ from typing import Any, final
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Parameter, Port
 from nsde_torch.errors import DataError
@@ -33,8 +33,6 @@ from nsde_torch.public_benchmarks.output_error import Stretches, output_error, s
 from nsde_torch.public_benchmarks.work import Work
 from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
 from nsde_torch.systems.options import system_options
-
-Array = NDArray[np.float64]
 
 STEP = 0.004  # both runs are brought to it: they have 2 and 3 ms
 SECONDS = 0.5

@@ -17,11 +17,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.public_benchmarks.servo import DUTY_LIMIT, GRAVITY, STEP
-
-Array = NDArray[np.float64]
 
 
 def budget(p: Mapping[str, float], motor: Array, weight: Array, speed: Array) -> Array:

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.effects import Parameter, Port
 from nsde_torch.public_benchmarks.benchmark import (
     BenchmarkMetric,
@@ -32,8 +32,6 @@ from nsde_torch.public_benchmarks.output_error import output_error, simulated, t
 from nsde_torch.public_benchmarks.work import Work
 from nsde_torch.systems import Defaults, ErrorGroup, OneDegreeOfFreedom, ResidualPort
 from nsde_torch.systems.options import system_options
-
-Array = NDArray[np.float64]
 
 STEP = 2.0**14 / 1e7  # [s]
 FINER = 2  # steps of the integrator in a sample: 17 a period at resonance

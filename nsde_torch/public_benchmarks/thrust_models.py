@@ -13,9 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from nsde_torch.arrays import Array
 
 GRAVITY = 9.81
 SAMPLES, DEGREE = 15, 3

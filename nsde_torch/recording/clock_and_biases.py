@@ -11,8 +11,8 @@ from math import isfinite
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.kinematics import (
     ATTITUDE,
@@ -31,8 +31,6 @@ from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording.fault import Detected, Fault, LoggedRuns
-
-Array = NDArray[np.float64]
 
 POLICIES = ("rescale", "trust", "refuse")
 MIN_DEPARTURE = 0.01

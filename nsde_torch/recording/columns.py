@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.mapping.checks import LEAN, SUSPECT, VECTORS, checks
 from nsde_torch.data.mapping.misread import percent
@@ -25,8 +25,6 @@ from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_columns
 from nsde_torch.errors import DataError, ShapeError
 from nsde_torch.recording.noise import white
-
-Array = NDArray[np.float64]
 
 _WRAPS, _ODD_WRAPS = 5, 0.3  # fewest wraps, and share of them that the rate contradicts
 _LARGEST = 1e15  # of a state or an input, in any unit: a simulation that diverged, a word read as a float

@@ -26,12 +26,12 @@ from math import isfinite, log
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.findings import Finding
 from nsde_torch.data.kinematics import Slope, Uncertain, axis_groups, jackknife, pairs_of, pool, rates_of
 from nsde_torch.data.run import Run
@@ -39,7 +39,6 @@ from nsde_torch.data.system_info import SystemInfo, channel_columns, common_name
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording.fault import NATS, Detected, LoggedRuns
 
-Array = NDArray[np.float64]
 _Piece: TypeAlias = tuple[Array, Array, Array]
 """Changes of positions over steps, integrals of their rates (n - 1, axes), and the rates (n, axes) of a stretch."""
 Misfits: TypeAlias = Callable[[Sequence[Run]], Array]

@@ -32,12 +32,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import percentile_filter
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.system_info import SystemInfo, rate_pairs
 from nsde_torch.errors import DataError
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _CURVE = 1.39  # what a cubic leaves of white noise, over its standard deviation

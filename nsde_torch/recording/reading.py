@@ -16,8 +16,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import inputs, interventions, kinematics
 from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.raw import RawRun
@@ -37,8 +37,6 @@ from nsde_torch.recording import (
 from nsde_torch.recording.fault import Fault
 from nsde_torch.recording.faults import in_order, remedies
 from nsde_torch.recording.latency import late_channels, latency_findings, surely_late
-
-Array = NDArray[np.float64]
 
 SHORT_S = 2.0 * kinematics.MIN_INTERVALS * kinematics.INTERVAL_S
 """Runs shorter than this are measured together against the clock [s]; each alone has too few intervals."""

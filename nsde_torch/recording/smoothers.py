@@ -34,9 +34,9 @@ from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 from scipy.signal import get_window, savgol_coeffs
 
+from nsde_torch.arrays import Array
 from nsde_torch.recording.smoothing import mean_weights
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _POWERS = (2, 4, 6, 8)

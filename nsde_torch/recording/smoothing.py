@@ -16,15 +16,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.ndimage import convolve1d
 from scipy.signal import welch
 from scipy.sparse.linalg import splu
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.run import Run
-
-Array = NDArray[np.float64]
 
 _CURVED = 3e-3  # c: what the log of a command rounds off
 _NULLS = 4

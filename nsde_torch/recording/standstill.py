@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.quaternion import increments
 from nsde_torch.data.raw import RawRun, holes
@@ -40,7 +41,6 @@ from nsde_torch.errors import DataError
 from nsde_torch.recording.noise import quantum, white
 from nsde_torch.recording.times import GAP_STEPS
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FEWEST = 5

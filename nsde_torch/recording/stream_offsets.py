@@ -20,18 +20,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import chdtrc, ndtri, stdtr
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.findings import Finding
 from nsde_torch.data.kinematics import Uncertain
 from nsde_torch.data.run import DataSet
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError
 from nsde_torch.recording.latency import latencies, on_time
-
-Array = NDArray[np.float64]
 
 POLICIES = ("undo", "keep")
 CHANCE = 1e-4

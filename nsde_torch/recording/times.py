@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.quaternion import slerp
 from nsde_torch.data.raw import RawRun, holes
@@ -21,8 +22,6 @@ from nsde_torch.data.summary import summarise
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import DataError
 from nsde_torch.recording.latency import Latency, by_fault, latency_findings, on_time
-
-Array = NDArray[np.float64]
 
 GAP_STEPS = 2.5
 """Steps without a row from which on the time between two rows is a gap, unless the caller says how long."""

@@ -20,16 +20,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import SystemInfo, changed, rate_pairs
 from nsde_torch.data.tracking import rates
 from nsde_torch.errors import ConfigError, DataError
-
-Array = NDArray[np.float64]
 
 POLICIES = ("infer", "keep")
 SHARE = 0.1

@@ -14,14 +14,12 @@ from typing import final
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array
 from nsde_torch.errors import ConfigError
 from nsde_torch.simulation.make import Making
 from nsde_torch.simulation.plant import Plant
-
-Array = NDArray[np.float64]
 
 COLUMN = "battery_voltage"
 FULL, SWING, LOAD = 16.8, 3.0, 1.2

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.control.cascade import Cascade
 from nsde_torch.data.quaternion import euler_zyx
 from nsde_torch.data.raw import RawRun
@@ -23,8 +23,6 @@ from nsde_torch.simulation.make import Making, make_plant, noise_generator, plan
 from nsde_torch.simulation.pilot import Path, Pilot, Sticks, figures
 from nsde_torch.systems import Multirotor
 from nsde_torch.systems.machines import Effects, machine, make_plant_system
-
-Array = NDArray[np.float64]
 
 DURATIONS = (73.0, 66.0, 64.0)
 """Lengths of the flights of the supplement [s]."""

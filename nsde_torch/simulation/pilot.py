@@ -23,13 +23,11 @@ from dataclasses import dataclass, replace
 from math import pi
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 from scipy.ndimage import gaussian_filter1d
 
+from nsde_torch.arrays import Array
 from nsde_torch.errors import ConfigError
-
-Array = NDArray[np.float64]
 
 TARGETS = (1.71, 2.7, 18.0, 23.0, 13.0, 23.0, 24.0, 80.0)
 """95 % quantile and maximum of speed [m/s] and of |roll|, |pitch|, |yaw| [deg] (supplement, Figure 15)."""

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.control.waypoints import from_csv
 from nsde_torch.data.csv_rows import csv_rows
 from nsde_torch.data.raw import RawRun
@@ -22,7 +22,6 @@ from nsde_torch.simulation.pilot import Path as Wanted
 from nsde_torch.simulation.recorder import record
 from nsde_torch.systems.machines import Effects, machine
 
-Array = NDArray[np.float64]
 PLAN, DESIGN = "plan.csv", "design.json"
 
 

@@ -6,13 +6,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
 from nsde_torch.simulation.plant import Plant
 
-Array = NDArray[np.float64]
 Control = Callable[[float, torch.Tensor], torch.Tensor]
 
 

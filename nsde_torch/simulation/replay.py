@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.interventions import COLUMN
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
@@ -32,8 +32,6 @@ from nsde_torch.simulation.make import Making, make_plant, noise_generator, plan
 from nsde_torch.simulation.options import ReplayOptions
 from nsde_torch.simulation.plant import Plant
 from nsde_torch.systems.machines import Effects, machine
-
-Array = NDArray[np.float64]
 
 GAP_ROWS = 10
 """Rows that lie between two interventions of one run, at least; a reader splits it there."""

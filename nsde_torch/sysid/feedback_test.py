@@ -34,9 +34,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.recording.smoothing import smoothing_width
@@ -45,8 +45,6 @@ from nsde_torch.sysid.noise import Series, extended
 from nsde_torch.sysid.regression import ITERATIONS, Regression, regression_of
 from nsde_torch.sysid.signals import Direction
 from nsde_torch.systems import System
-
-Array = NDArray[np.float64]
 
 ALPHA = 0.01
 """Chance of a finding where there is none, for each of the tests."""

@@ -37,9 +37,9 @@ from math import log
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtrc, stdtrit
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.sysid.physics import per_second
 from nsde_torch.sysid.readings import better_readings
@@ -48,8 +48,6 @@ from nsde_torch.sysid.rough import Left, Objection, left_at, rough_fit
 from nsde_torch.sysid.run_differences import odd_run, unexplained_runs
 from nsde_torch.sysid.timing import shifted_stream
 from nsde_torch.systems import System
-
-Array = NDArray[np.float64]
 
 CHANCE = 1e-3
 """Chance of calling two fits of a sound log different."""

@@ -43,8 +43,8 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.data.system_info import rate_pairs
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
@@ -62,8 +62,6 @@ from nsde_torch.sysid.signals import row_weights
 from nsde_torch.sysid.smoothed_states import narrowed
 from nsde_torch.sysid.standstill import SHARE, moving, slowest
 from nsde_torch.systems import System
-
-Array = NDArray[np.float64]
 
 _TOLD = 4.0  # difference of statistics from which on data tell what inputs do between rows
 

@@ -28,6 +28,7 @@ from scipy.special import stdtrit
 from scipy.stats import chi2
 from scipy.stats import t as student
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.errors import DataError
 from nsde_torch.inference.spread import Spread
@@ -36,8 +37,6 @@ from nsde_torch.sysid.feedback_test import ALPHA, FeedbackTest, own_innovations
 from nsde_torch.sysid.noise import extended
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
-
-Array = NDArray[np.float64]
 
 MISSING = 1e-3
 """Chance below which instruments show that an effect is missing."""

@@ -44,10 +44,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from nsde_torch.arrays import Array, Labels
 from nsde_torch.jit import compiled
-
-Array = NDArray[np.float64]
-Labels = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

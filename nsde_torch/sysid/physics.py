@@ -43,6 +43,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from torch import Tensor
 
+from nsde_torch.arrays import Array
 from nsde_torch.columns import join_columns, split_columns, take_rows
 from nsde_torch.data.system_info import rate_pairs
 from nsde_torch.effects import Port
@@ -52,9 +53,6 @@ from nsde_torch.inference.steps import Steps
 from nsde_torch.rotation import rotate_back, rotation_between
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.systems.parameters import ParameterVector
-
-Array = NDArray[np.float64]
-
 
 Forces = Callable[[Tensor], Mapping[Port, Tensor]]
 _LEAD = 5  # steps from which a state is foreseen: sensor noise of one step biases, that of older ones hardly

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.data.quaternion import multiply
 from nsde_torch.data.system_info import derivative_columns, rate_columns
@@ -36,9 +37,6 @@ from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.rough import Objection, beginnings, left_at, rough_fit, share_left
 from nsde_torch.systems import System
 from nsde_torch.systems.multirotor import Multirotor
-
-Array = NDArray[np.float64]
-
 
 Places = tuple[int, ...]
 BANDS_S = ((0.02, 0.3), (0.1, 1.0))

@@ -37,6 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.inference.spread import Spread, spread
@@ -57,8 +58,6 @@ from nsde_torch.sysid.physics import Physics
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 from nsde_torch.time_limit import check_time
-
-Array = NDArray[np.float64]
 
 _SINGULAR = 1e-5
 _UNSEEN = 1e3  # typical sizes

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from nsde_torch.arrays import Array
 from nsde_torch.inference import MaximumLikelihood, Optimum
 from nsde_torch.sysid.feedback_test import FACTOR, FeedbackTest
 from nsde_torch.sysid.guard import Guarded, of_longer_boxes
@@ -15,8 +16,6 @@ from nsde_torch.sysid.physics import Channel
 from nsde_torch.sysid.regression import Shown, sentences
 from nsde_torch.sysid.standstill import in_words
 from nsde_torch.systems.parameters import ParameterVector
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from itertools import product
 from math import log
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.inference.steps import steps_of
@@ -23,8 +23,6 @@ from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
-
-Array = NDArray[np.float64]
 
 MEANS_S = 0.15
 """Length of the boxes [s]."""

@@ -19,14 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtr
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.errors import NsdeError
 from nsde_torch.inference.spread import spread
 from nsde_torch.sysid.physics import per_second
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.rough import Objection
-
-Array = NDArray[np.float64]
 
 SHARE = 0.1
 """Relative difference that batteries, air and what is missing make, beside the share s^2 that is left."""

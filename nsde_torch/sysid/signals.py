@@ -18,10 +18,9 @@ import torch
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from nsde_torch.arrays import Array
 from nsde_torch.sysid.noise import Series, extended
 from nsde_torch.sysid.regression import Regression
-
-Array = NDArray[np.float64]
 
 _ROWS = 4000  # steps that the mixing of the inputs is read from
 _SAME = 0.99  # cosine between directions that are one

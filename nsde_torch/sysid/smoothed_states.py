@@ -47,9 +47,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.fft import irfft, rfft, rfftfreq
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import DataSet, Finding, Run, SystemInfo
 from nsde_torch.data.kinematics import ATTITUDE, axis_groups
 from nsde_torch.data.quaternion import conjugate, multiply, rotation_vector
@@ -67,8 +67,6 @@ from nsde_torch.sysid import signals
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.rough import rough_fit
 from nsde_torch.systems import System
-
-Array = NDArray[np.float64]
 
 MISFIT, GAIN = 2.0, 3.0
 """Deviance per bin of a spectrum without a smoother, above which one is looked for; and how many times smaller it must

@@ -12,14 +12,12 @@ from typing import final
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array
 from nsde_torch.effects import Effect, Parametrised, Port, effect_class
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems.base import System
-
-Array = NDArray[np.float64]
 
 _BEYOND = 4.0  # times the grid of a shape, at which it does not matter any more
 

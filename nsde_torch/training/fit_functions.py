@@ -14,17 +14,15 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from nsde_torch.arrays import Array
 from nsde_torch.effects import Port
 from nsde_torch.evaluation.residuals import Residuals
 from nsde_torch.inference import Optimum
 from nsde_torch.inference.functions import BasisGroup, Functions, learned, seen_by_networks
 from nsde_torch.models.networks import MLP
 from nsde_torch.models.neural_sde import NeuralSDE
-
-Array = NDArray[np.float64]
 
 _ROWS, _BEYOND = 1000, 300  # points of the data that a network is fitted at, and points beyond their range
 _REACH, _FADE = 4.0, 1.0  # half ranges that those go to, and over which the force fades

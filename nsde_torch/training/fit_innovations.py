@@ -28,9 +28,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run, Windows
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.evaluation.report import number
@@ -55,8 +55,6 @@ from nsde_torch.training.loop import Loop, read_checkpoint, write_checkpoint
 from nsde_torch.training.losses import fit_distance
 from nsde_torch.training.prepare import blind_to_places, fit_filter
 from nsde_torch.training.task import Fitted, Parameters, Progress, Task
-
-Array = NDArray[np.float64]
 
 _DISTANCE_STEPS = 600
 _LEAST = 1e-7  # a diffusion or a sensor that is nothing, in the units of the state

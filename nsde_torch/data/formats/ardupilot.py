@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.formats.log import StreamLog, unreadable
 from nsde_torch.data.streams import Stream, ordered
 from nsde_torch.errors import DataError
-
-Array = NDArray[np.float64]
 
 _TYPES = {
     "a": ("<i2", 32), "b": ("i1", 1), "B": ("u1", 1), "h": ("<i2", 1), "H": ("<u2", 1), "i": ("<i4", 1),

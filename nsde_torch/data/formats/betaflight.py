@@ -12,13 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.formats.log import StreamLog, lacking, unreadable
 from nsde_torch.data.streams import Stream, ordered
 from nsde_torch.errors import DataError
-
-Array = NDArray[np.float64]
 
 # it tells of every file, and of every event that it does not know
 logging.getLogger("orangebox").setLevel(logging.CRITICAL)

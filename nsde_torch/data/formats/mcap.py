@@ -9,14 +9,12 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.formats.log import StreamLog, lacking, unreadable
 from nsde_torch.data.formats.ros import log_of, seconds_since, stream_of
 from nsde_torch.data.formats.ros_layout import Fields, UnsupportedMessageError
 from nsde_torch.data.streams import Stream, ordered
-
-Array = NDArray[np.float64]
 
 _LARGEST = 1 << 20  # bytes of a message
 _MEMORY = 3 << 28  # bytes of messages that are kept

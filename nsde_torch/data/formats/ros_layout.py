@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from nsde_torch.arrays import Array
+
 Fields = Mapping[str, Sequence[tuple[str, tuple[int, Any]]]]
 """Types by name: names of their fields, and of each the kind and what it is of, as rosbags has them."""
 

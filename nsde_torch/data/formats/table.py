@@ -14,14 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.formats.arrays import Arrays, read_hdf5, read_mat, read_npz, read_parquet
 from nsde_torch.data.formats.clock import UNNAMED, ClockOf, found, time_column, timed
 from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.formats.text import header, read_text
 from nsde_torch.data.places import files_of
 from nsde_torch.errors import DataError
-
-Array = NDArray[np.float64]
 
 TEXT = (".csv", ".tsv", ".txt")
 _READ = {

@@ -15,14 +15,12 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.formats.clock import UNNAMED
 from nsde_torch.data.formats.log import unreadable
 from nsde_torch.data.places import LONGEST, check_names, count_rows, refuse_larger
 from nsde_torch.errors import DataError
-
-Array = NDArray[np.float64]
 
 _MARKS = (",", ";", "\t")
 _COMMENT = ("#", "%")

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.findings import Finding
 from nsde_torch.data.formats.clock import SECONDS
 from nsde_torch.data.formats.log import StreamLog
@@ -24,8 +24,6 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.data.streams import Stream, attitudes, commands, linear
 from nsde_torch.data.system_info import RATE_NAMES, SystemInfo
 from nsde_torch.errors import ConfigError, DataError
-
-Array = NDArray[np.float64]
 
 SLOWEST = 4.0
 """Slowest rate of a state, or of an input of a machine without motors of its own [Hz]."""

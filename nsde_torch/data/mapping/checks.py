@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.frames import attitude_between
 from nsde_torch.data.mapping.kinematic import (
     NOISY_VELOCITY,
@@ -39,8 +39,6 @@ from nsde_torch.data.mapping.misread import (
 from nsde_torch.data.quaternion import conjugate
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_columns, rate_pairs
-
-Array = NDArray[np.float64]
 
 LEAN = "lean and acceleration"
 """Name of the check of gravity, where the others are of kinematics alone."""

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.formats.log import StreamLog, full
 from nsde_torch.data.mapping import names as kinds
 from nsde_torch.data.mapping.files import LogFile
@@ -16,8 +16,6 @@ from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping
 from nsde_torch.data.mapping.names import Named
 from nsde_torch.data.streams import moving
 from nsde_torch.data.system_info import SystemInfo
-
-Array = NDArray[np.float64]
 
 _BATTERY = re.compile(r"(^|[^a-z])(vbat|v_bat|bat_?volt\w*|battery_?voltage|voltage_v|volt)$")
 _CRAZYFLIE = re.compile(r"state_?estimate|pm_?\.?vbat|motor_m[1-4]", re.I)

@@ -14,11 +14,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.quaternion import conjugate, increments, rotate
-
-Array = NDArray[np.float64]
 
 INTERVAL_S = 0.25
 SOUND_ATTITUDE, SOUND_VELOCITY = 0.25, 0.05

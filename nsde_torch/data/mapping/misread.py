@@ -14,8 +14,8 @@ from itertools import combinations
 from math import pi
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.formats.clock import SECONDS
 from nsde_torch.data.mapping.kinematic import (
     NOISY_VELOCITY,
@@ -29,8 +29,6 @@ from nsde_torch.data.mapping.kinematic import (
 from nsde_torch.data.mapping.mapping import LogMapping
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.system_info import SystemInfo, rate_columns, rate_pairs
-
-Array = NDArray[np.float64]
 
 BETTER = 10.0
 """Times less that another reading of the columns must leave."""

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.formats.clock import ClockOf
 from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.mapping import nameless
@@ -34,8 +34,6 @@ from nsde_torch.data.mapping.single import propose_single
 from nsde_torch.data.quaternion import from_euler_zyx
 from nsde_torch.data.streams import Stream, attitudes, linear, moving
 from nsde_torch.data.system_info import SystemInfo
-
-Array = NDArray[np.float64]
 
 _SENSOR = ("gyro", "imu", "gyr")
 _MOST = 6  # sources of one quantity that are compared

@@ -152,7 +152,6 @@ def decide(search: Search, chosen: Selection, feedback: Feedback) -> Outcome:
         structured=left,
         hidden=chosen.hidden,
         test=tested,
-        hangs=feedback.hangs(base.regression),
         levels=levels,
         decisions=search.decisions,
     )

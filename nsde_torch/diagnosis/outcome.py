@@ -118,8 +118,8 @@ class Outcome:
     hidden: tuple[FeedbackBiased, ...] = ()  # effects that are not named because feedback may have made them
     test: FeedbackTest = field(default_factory=FeedbackTest)
     """What the data say of the loop that they were recorded in, by `final`."""
-    hangs: Array | None = None
-    """How far parameters of `final` hang on the band up to which smoothed states were restored (k,)."""
+    of_band: Array | None = None
+    """How far parameters of `final` depend on the band up to which smoothed states were restored (k,)."""
     # estimates to print in place of those of `final`: by signals from outside the loop, or of largest likelihood
     printed: Identification | None = None
     levels: Mapping[str, float] = field(default_factory=dict)
@@ -187,7 +187,7 @@ class Outcome:
         of_effects = np.array([label.partition(".")[0] in found for label in r.vector.labels], dtype=bool)
         by_sensors = largest_bias(r, lengths_of_parameters(self.test, r))
         bias = np.where(of_effects, by_sensors, hidden_bias(r, self.test))
-        return bias if self.hangs is None else np.maximum(bias, self.hangs)
+        return bias if self.of_band is None else np.maximum(bias, self.of_band)
 
     @cached_property
     def spread(self) -> Spread:

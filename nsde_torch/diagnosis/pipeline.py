@@ -50,6 +50,7 @@ from nsde_torch.diagnosis.explanation import Explanation, explained
 from nsde_torch.diagnosis.feedback_bias import (
     behind_smoothers,
     beside_vanishing_gains,
+    dependence_on_band,
     not_sure_behind_smoothers,
     with_suspects,
 )
@@ -463,7 +464,7 @@ def _selected(
 
 def _of_the_same_rows(search: Search, joint: JointSelection | None) -> Search:
     """The search, its regressions over means of the rows that effects were selected on."""
-    return search.apart(search.decisions.apart_s) if joint is not None and joint.final.at.of.apart else search
+    return search if joint is None else search.apart(joint.final.at.of.apart_s)
 
 
 def _begun_with(
@@ -513,6 +514,9 @@ def _read_again(log: Log, search: Search, outcome: Outcome) -> tuple[Log, Search
 
 def _identified(log: Log, outcome: Outcome) -> tuple[Outcome, Identification | None]:
     """The outcome, with the estimates to print: by signals from outside the loop, or of largest likelihood."""
+    clock = log.recorded.clock
+    if outcome.joint is not None:
+        outcome = replace(outcome, of_band=dependence_on_band(outcome.joint.final, log.runs, clock))
     if log.options.instruments and not outcome.test.why_not:
         log.say("estimates from signals outside the loop", 0, 1)
         found = log.identified(outcome.system)
@@ -527,8 +531,6 @@ def _identified(log: Log, outcome: Outcome) -> tuple[Outcome, Identification | N
     regressed = identification(outcome.final.regression, "weak")
     regressed = replace(regressed, doubt=outcome.doubt, loop=outcome.test)
     final = outcome.joint.final
-    likeliest = by_likelihood(
-        regressed, outcome.system, log.runs, log.recorded.clock, (final.system, final.at)
-    )
+    likeliest = by_likelihood(regressed, outcome.system, log.runs, clock, (final.system, final.at))
     outcome = replace(outcome, optimum=likeliest.optimum)
     return (outcome if likeliest.likelihood is None else replace(outcome, printed=likeliest)), None

@@ -19,7 +19,6 @@ from math import log
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from nsde_torch.arrays import Array
 from nsde_torch.data import DataSet, Run
@@ -35,7 +34,7 @@ from nsde_torch.recording.chain import Recorded, instead_of_effects, undo
 from nsde_torch.recording.fault import level
 from nsde_torch.recording.unmeasured_rates import measured_part
 from nsde_torch.sysid.feedback_test import FeedbackTest, tested
-from nsde_torch.sysid.identify import hangs_on_band, identify_in_loop, with_rates
+from nsde_torch.sysid.identify import identify_in_loop, with_rates
 from nsde_torch.sysid.instruments import with_columns
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.result import Identification
@@ -86,16 +85,13 @@ class Log:
     @property
     def feedback(self) -> Feedback:
         """What is asked of the loop that the log was recorded in."""
-        return Feedback(self._feedback_test, self._shown, self._hangs)
+        return Feedback(self._feedback_test, self._shown)
 
     def identified(self, physics: System) -> Identification:
         """Physics identified as `nsde sysid` does: with signals from outside the loop where there are any."""
         return identify_in_loop(
             physics, self.runs, clock=self.recorded.clock, instruments=self.options.instruments
         )
-
-    def _hangs(self, regression: Regression) -> NDArray[np.float64]:
-        return hangs_on_band(regression, self.runs, clock=self.recorded.clock)
 
     def _feedback_test(self, regression: Regression) -> FeedbackTest:
         if self.recorded.inputs_restored:

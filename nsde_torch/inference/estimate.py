@@ -173,6 +173,9 @@ class LogLikelihood:
         apart: Least time from one measurement to the next [s]; rows between bring their inputs alone.
         disturbances: Columns of the ports on which the machine is disturbed; None: all that push in ways of their own.
 
+    Attributes:
+        apart_s: `apart`.
+
     Raises:
         DataError: no run, no stretch that is long enough, or nothing moves.
     """
@@ -202,6 +205,7 @@ class LogLikelihood:
             low_passed=True,
         )
         self._band = band_of(runs)
+        self.apart_s = apart
         self._least = max(1, round(apart / steps.dt))
         slowest = max((rows_between(self._band, name, steps.dt) for name in self._band), default=1)
         slowest = max(slowest, self._least)
@@ -219,11 +223,6 @@ class LogLikelihood:
         out._set(system, self.space.steps, self.space.chunks, self.space.disturbances)
         out.space.measured = self.space.measured  # without the same outliers
         return out
-
-    @property
-    def apart(self) -> bool:
-        """Whether rows between two measurements bring their inputs alone, although they were measured."""
-        return self._least > 1
 
     def keep(self, owner: object, about: Linearisation, at: Pass) -> tuple[Linearisation, Pass]:
         """Keep a pass, in the place of the oldest."""

@@ -369,7 +369,12 @@ def by_likelihood(
     """
     objected = found.guard is not None and found.guard.objections
     # inputs that answer the states know of noise what a smoother took out of them (`diagnosis.feedback_bias`)
-    answered = found.loop is not None and bool(found.loop.closed_loop) and any(run.band for run in runs)
+    answered = (
+        near is None
+        and found.loop is not None
+        and bool(found.loop.closed_loop)
+        and any(run.band for run in runs)
+    )
     if objected or answered or entries(system, runs) > MOST:
         return found
     machine = copy.deepcopy(system)

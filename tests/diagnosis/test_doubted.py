@@ -56,5 +56,5 @@ def test_where_physics_explains_next_to_nothing_what_is_found_is_a_lead_and_the_
 
 def test_an_effect_that_may_be_nothing_by_its_interval_is_a_lead(sure: Outcome) -> None:
     assert sized(sure).found == sure.found
-    wide = replace(sure, hangs=np.full(len(sure.final.regression.vector), 10.0))
+    wide = replace(sure, of_band=np.full(len(sure.final.regression.vector), 10.0))
     assert [f.provisional for f in sized(wide).found] == ["its size may be nothing by its interval"]

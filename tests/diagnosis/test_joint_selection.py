@@ -139,7 +139,7 @@ def test_behind_a_smoother_the_declared_physics_decides_which_rows_are_looked_at
         recorded=SimpleNamespace(clock=1.0),
     )
     _, found = pipeline._selected(log, search)
-    assert found.final.at.of.apart == smoothed
+    assert found.final.at.of.apart_s == (0.05 if smoothed else 0.0)
     assert set(found.selected) == {"coulomb_friction"}
     rounds = [stage for stage in said if stage.startswith("round 1")]
     assert len(rounds) == 1  # nothing was selected twice

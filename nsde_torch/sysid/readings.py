@@ -19,7 +19,7 @@ another axis or of another sign, whose gain is 0. Orders of public racing flight
 the physics left of means over 0.15 s, and are thousands of nats apart here.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
@@ -171,15 +171,6 @@ class Reading:
     read: Callable[[Run], Run]  # the runs, read like that
 
 
-def _better(
-    words: Sequence[str], remedies: Sequence[str], channels: Iterable[tuple[str, str, float, float]]
-) -> Objection:
-    """What is told of readings: of each channel name, unit, and what is left as the columns are and by the first."""
-    told = ", ".join(f"{n} {a:.3g} to {b:.3g} {unit}" for n, unit, a, b in channels)
-    sentence = f"With {' or '.join(words)} the declared physics leaves much less of the rates ({told})"
-    return Objection("reading", sentence, " or ".join(dict.fromkeys(remedies)))
-
-
 def better_readings(system: System, runs: Sequence[Run], clock: float, rough: Regression) -> Objection | None:
     """The reading of the columns in which the declared physics leaves least, if much less than in theirs."""
     return _much_better(system, runs, clock, rough) or _propellers(system, runs, clock)
@@ -208,8 +199,13 @@ def _much_better(system: System, runs: Sequence[Run], clock: float, rough: Regre
     if after is None or not share_left(after) < share_left(rough) - log(LESS):
         return None
     left = zip(now, left_at(after, after.theta), strict=False)
-    told = [(a.name, a.unit, a.left, b.left) for a, b in left]
-    return _better([one.words for one in alike], [one.remedy for one in alike], told)
+    told = ", ".join(f"{a.name} {a.left:.3g} to {b.left:.3g} {a.unit}" for a, b in left)
+    words = " or ".join(one.words for one in alike)
+    return Objection(
+        "reading",
+        f"With {words} the declared physics leaves much less of the rates ({told})",
+        " or ".join(dict.fromkeys(one.remedy for one in alike)),
+    )
 
 
 def _propellers(system: System, runs: Sequence[Run], clock: float) -> Objection | None:
@@ -223,9 +219,12 @@ def _propellers(system: System, runs: Sequence[Run], clock: float) -> Objection 
     found = motor_orders(system, runs, clock, [tuple(range(system.nu))])
     if not found or found[0].yaw > 0 or not found[0].surely_better(found[1]):
         return None
-    remedy = f"write system.options.yaw_direction={-system.yaw_direction}"
-    left = ("w_z", "rad/s2", found[1].left[2], found[0].left[2])
-    return _better(["propellers that turn the other way"], [remedy], [left])
+    best, other = found[:2]
+    sentence = (
+        f"With propellers that turn the other way the moments of the motors are {best.nats - other.nats:.0f} nats "
+        f"likelier, and leave {best.left[2]:.3g} rad/s2 of w_z where they leave {other.left[2]:.3g}"
+    )
+    return Objection("reading", sentence, f"write system.options.yaw_direction={-system.yaw_direction}")
 
 
 # ---- readings ------------------------------------------------------------------------------------------

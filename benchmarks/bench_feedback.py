@@ -5,7 +5,7 @@ the package in it: tests/helpers/rate_loops.py). True gain 100 rad/s2; one run o
 acts on the logged states, on sensors of its own, or at 1 kHz on sensors of its own; or inputs are played (open). The
 actuator has no lag, a lag of 40 ms that is declared, or the same lag undeclared.
 
-    closed, foretold   how often the loop is said to be closed, and inputs to know more than the log
+    closed, predictive   how often the loop is said to be closed, and inputs to know more than the log
     gain, bias         mean estimate and its bias; 90 % intervals: mean half-width and how many hold the truth
     sticks             the same with the logged stick as an instrument; how often its estimate is printed
     others             a stick that answers the machine has to be refused, one that moves nothing must not be used
@@ -60,14 +60,14 @@ def main() -> None:
         return
     rows: list[dict[str, Any]] = []
     print(
-        "controller lag        | closed foretold |  gain bias%  +-  holds | sticks: gain bias%  +-  holds printed"
+        "controller lag        | closed predictive |  gain bias%  +-  holds | sticks: gain bias%  +-  holds printed"
     )
     for controller in CONTROLLERS:
         for name, (lag, told) in LAGS.items():
             rows.append({"controller": controller, "lag": name, **case(controller, seeds, lag, told)})
             r = rows[-1]
             print(
-                f"{controller:10s} {name:10s} |  {r['closed']:4.0%}   {r['foretold']:4.0%}   | "
+                f"{controller:10s} {name:10s} |  {r['closed']:4.0%}   {r['predictive']:4.0%}   | "
                 f"{line(r['without'])} |   {line(r['sticks'])}  {r['printed']:4.0%}",
                 flush=True,
             )
@@ -89,7 +89,7 @@ def case(controller: str, seeds: range, lag: bool, told: bool) -> dict[str, Any]
     loops = [found.loop for found in plain]
     return {
         "closed": float(np.mean([loop is not None and loop.closed for loop in loops])),
-        "foretold": float(np.mean([loop is not None and loop.foretold for loop in loops])),
+        "predictive": float(np.mean([loop is not None and loop.predictive for loop in loops])),
         "without": figures(plain),
         "sticks": figures(sticks),
         "printed": float(np.mean([by_instruments(found) for found in sticks])),
@@ -105,7 +105,7 @@ def hexacopters(controller: str, seeds: range) -> dict[str, Any]:
         plain, found = (identify_in_loop(system, runs, instruments=names) for names in ((), STICKS))
         assert found.instrumented is not None
         assert found.loop is not None
-        told.append((found.loop.closed, found.loop.foretold, adopted(found.instrumented, found.loop)))
+        told.append((found.loop.closed, found.loop.predictive, adopted(found.instrumented, found.loop)))
         for name, true in TRUTH.items():
             j = found.vector.labels.index(name)
             rows[name].append(
@@ -117,13 +117,13 @@ def hexacopters(controller: str, seeds: range) -> dict[str, Any]:
                     bool(abs(found.values[j] - true) <= found.half_widths(LEVEL)[j]),
                 )
             )
-    closed, foretold, printed = np.mean(told, axis=0)
-    print(f"{controller}: closed {closed:.0%}, foretold {foretold:.0%}, by instruments {printed:.0%}")
+    closed, predictive, printed = np.mean(told, axis=0)
+    print(f"{controller}: closed {closed:.0%}, predictive {predictive:.0%}, by instruments {printed:.0%}")
     print("                          bias without, holds | with sticks: bias, +-, holds")
     out: dict[str, Any] = {
         "controller": controller,
         "closed": closed,
-        "foretold": foretold,
+        "predictive": predictive,
         "printed": printed,
     }
     for name, of_seeds in rows.items():

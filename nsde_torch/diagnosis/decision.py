@@ -235,7 +235,7 @@ def _of_many(f: Found, tested: FeedbackTest) -> str:
     """Why a law beyond the catalogue is provisional: there are so many that they need more than an effect does."""
     if not is_law(f.name):
         return ""
-    if tested.foretold:
+    if tested.predictive:
         return "inputs know what the log does not, and a law may stand for that"
     return "other laws explain as much" if any(map(is_law, f.ties)) else ""
 

@@ -32,7 +32,7 @@ class Wording:
         0.8, "share of the log-likelihood in one run that makes it a matter of that run"
     )
     one_run_fewest: int = key(3, "fewest runs of which one can be the odd one", low=2)
-    holds_share: float = key(0.5, "share of what is foretold that must hold elsewhere to be the same there")
+    holds_share: float = key(0.5, "share of what is predicted that must hold elsewhere to be the same there")
     holds_errors: float = key(2.0, "slack of this, what is measured may be low", unit="standard errors")
     sine_factor: float = key(2.0, "times the log-likelihood of a cubic that a periodic dependence must bring")
     sine_angle_factor: float = key(1.1, "the same where the period is a whole part of a turn of an angle")

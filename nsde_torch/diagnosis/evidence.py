@@ -47,7 +47,7 @@ def folds(regression: Regression, decisions: Decisions = DECISIONS) -> Labels:
 def folds_of(decisions: Decisions, owners: Labels, firsts: Labels) -> Labels:
     """Fold of each block: whole runs, or groups of them; of one run or two, stretches of each.
 
-    One run alone does not say what lasts from run to run: what falls with time over two would have to be foretold.
+    One run alone does not say what lasts from run to run: what falls with time over two would have to be predicted.
     `owners` are the numbers of the runs of blocks, `firsts` those of their first steps.
     """
     d = decisions

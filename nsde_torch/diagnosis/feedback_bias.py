@@ -94,8 +94,8 @@ def lengths_of_parameters(test: FeedbackTest, regression: Regression) -> dict[st
 def allowances(lengths: Mapping[str, Array], own: Sequence[int]) -> dict[str, float]:
     """Likelihood ratio (2 log L) that feedback may hide of an effect, by channel; where it may hide nothing, none.
 
-    Of inputs of an open loop, what they foretell is physics that is missing, and has to be looked for; so it is in a
-    closed one until effects have been looked for, and what they foretell of the last fit is what they know.
+    Of inputs of an open loop, what they predict is physics that is missing, and has to be looked for; so it is in a
+    closed one until effects have been looked for, and what they predict of the last fit is what they know.
     """
     return {c: float(np.square(z[own]).max(initial=0.0)) for c, z in lengths.items()}
 
@@ -104,7 +104,7 @@ def allowances_of_tests(test: FeedbackTest) -> dict[str, float]:
     """The same for what specification tests find.
 
     A state that was smoothed before it was logged, and restored, lacks what the controller saw of its noise. What
-    inputs foretell of its channel may be that.
+    inputs predict of its channel may be that.
     """
     return {c: z**2 for c, z in test.hidden_from_tests.items()}
 

@@ -241,7 +241,7 @@ _TURNS = 2  # of fits of the declared physics, and of searches
 
 
 def at_declared(log: Log) -> Log:
-    """The log with inferred rates as the declared physics foretells them; the log itself where none are inferred."""
+    """The log with inferred rates as the declared physics predicts them; the log itself where none are inferred."""
     system = log.system
     for _ in range(_TURNS if log.runs[0].inferred else 0):
         log = _at(log, system)
@@ -252,7 +252,7 @@ def at_declared(log: Log) -> Log:
 def at_found(
     log: Log, search: Search, outcome: Outcome, searched: Callable[[Log, Search], Outcome]
 ) -> tuple[Log, Search, Outcome]:
-    """The log with inferred rates as what was found foretells them, and the search in it."""
+    """The log with inferred rates as what was found predicts them, and the search in it."""
     for _ in range(_TURNS if log.runs[0].inferred and outcome.found else 0):
         before = {one.name for one in outcome.found}
         log = _at(log, outcome.system)

@@ -145,8 +145,8 @@ class Search:
         box: Steps per box.
         alpha: Chance of adding an effect where none is missing.
         candidates: Names to choose from; None takes all that the system may have.
-        feedback: Take out what kinematic residuals foretell, where inputs react to sensors (`sysid.noise`).
-        channels: With `feedback`: what the residuals of all channels foretell.
+        feedback: Take out what kinematic residuals predict, where inputs react to sensors (`sysid.noise`).
+        channels: With `feedback`: what the residuals of all channels predict.
         inputs: Whether the inputs are what acted, and not restored from an average.
         stages: Stages of the recording chain that found something (`recording.fault`).
         moved: Whether channels that were late have been moved.

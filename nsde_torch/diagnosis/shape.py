@@ -512,11 +512,11 @@ def _only_run(regression: Regression, channel: int, variable: str, variables: Re
         return None
     # what is only strongest in one run holds in the others too, as far as they can tell
     rows = of_white == runs[most]
-    foretold = z[~rows] @ np.linalg.lstsq(z[rows], white[rows], rcond=1e-9)[0]
-    return None if _holds(foretold, white[~rows], wording) else int(runs[most])
+    predicted = z[~rows] @ np.linalg.lstsq(z[rows], white[rows], rcond=1e-9)[0]
+    return None if _holds(predicted, white[~rows], wording) else int(runs[most])
 
 
-def _holds(foretold: Array, white: Array, wording: Wording) -> bool:
-    """Whether rows may have a good part of what is foretold of them, as far as they can tell."""
-    size = max(float(foretold @ foretold), 1e-300)
-    return float(foretold @ white) / size + wording.holds_errors * size**-0.5 >= wording.holds_share
+def _holds(predicted: Array, white: Array, wording: Wording) -> bool:
+    """Whether rows may have a good part of what is predicted of them, as far as they can tell."""
+    size = max(float(predicted @ predicted), 1e-300)
+    return float(predicted @ white) / size + wording.holds_errors * size**-0.5 >= wording.holds_share

@@ -1,7 +1,7 @@
 """Whether a loop was closed over the data, and whether the controller saw more than the log holds.
 
 With e_k the innovations of the channels that inputs drive (what a step brings that the fitted physics, the law of the
-noise and the past do not foretell), and v_k those of the inputs (against their own past):
+noise and the past do not predict), and v_k those of the inputs (against their own past):
 
 - feedback: v_{k+l} on e_k, l = 1, 2, ..., in six bins: later inputs answer what the physics does not explain, one of
   them surely or all together (Fisher's sum over the channels that each drives). Then an input is not independent of
@@ -53,7 +53,7 @@ _BINS = (1, 2, 3, 5, 9, 14, 21)  # rows between which it is summed up: an answer
 _KNOWN_S, _KNOWN = 0.08, 8  # how long before a disturbance an input may have known of it
 _OWN = 10  # order of the inputs' own past
 _STATES_BEFORE = (1, 2, 3, 5)  # rows whose states a controller may have made an input from
-_MADE = 0.02  # share of what is new in an input that past states foretell, from which it was made from states
+_MADE = 0.02  # share of what is new in an input that past states predict, from which it was made from states
 _FOREKNOWN = 1e-6  # share of an input that is new: below, it is known beforehand and answers nothing
 _UPPER = 1.645  # standard deviations of the upper limit of a share
 _MOST_OF_IT = 0.8  # share of an answer by whose time it is told
@@ -77,7 +77,7 @@ _SHOWN = 3  # answers that a sentence names
 
 @dataclass(frozen=True)
 class Answer:
-    """How inputs of one direction answer, or foretell, one channel."""
+    """How inputs of one direction answer, or predict, one channel."""
 
     input: str  # name of the direction
     channel: str
@@ -104,7 +104,7 @@ class FeedbackTest:
     why_not: str = ""  # why nothing was tested; empty where it was
     smoothed: tuple[str, ...] = ()
     """Channels whose states were smoothed before they were logged, and restored."""
-    made: tuple[str, ...] = ()  # directions that past states foretell beyond the past of the inputs
+    made: tuple[str, ...] = ()  # directions that past states predict beyond the past of the inputs
 
     @property
     def closed(self) -> bool:
@@ -114,7 +114,7 @@ class FeedbackTest:
     @property
     def open(self) -> bool:
         """Whether nothing speaks for a closed loop: neither answers nor inputs that know more than the log."""
-        return not (self.why_not or self.closed or self.foretold)
+        return not (self.why_not or self.closed or self.predictive)
 
     @property
     def closed_loop(self) -> bool | None:
@@ -135,9 +135,9 @@ class FeedbackTest:
     def not_from_the_log(self) -> tuple[str, ...]:
         """Channels of which inputs know more of a step than the log does, where these were made from states.
 
-        Those of `other_sensors`, and those whose innovations inputs foretell, beyond what the physics explains: that of
+        Those of `other_sensors`, and those whose innovations inputs predict, beyond what the physics explains: that of
         a fit without the effects that these data have may be physics, that of the last one has no other name. Sensors
-        much better than those of the log show no answers: inputs that were made from states and foretell innovations
+        much better than those of the log show no answers: inputs that were made from states and predict innovations
         were made from such.
         """
         surely = {
@@ -153,7 +153,7 @@ class FeedbackTest:
     def known(self) -> dict[str, float]:
         """By channel: standard errors by which what inputs know of a step beyond the log may bend an estimate.
 
-        Inputs may know `FACTOR` times as much of a step as they may be seen to foretell of later ones.
+        Inputs may know `FACTOR` times as much of a step as they may be seen to predict of later ones.
         """
         out, others = dict[str, float](), self.not_from_the_log
         for a in self.knowledge:
@@ -182,8 +182,8 @@ class FeedbackTest:
         return {c: self.between.get(c, 0.0) for c in self.other_sensors}
 
     @property
-    def foretold(self) -> bool:
-        """Whether inputs foretell innovations: a controller that saw more, or an undeclared lag, delay or law."""
+    def predictive(self) -> bool:
+        """Whether inputs predict innovations: a controller that saw more, or an undeclared lag, delay or law."""
         return any(a.chance < ALPHA for a in self.knowledge)
 
     @property
@@ -222,12 +222,12 @@ class FeedbackTest:
             )
         else:
             out.append("no input answers what the physics leaves unexplained, yet the loop may be closed")
-        foretold = _surely(self.knowledge)
-        if foretold:
+        predictive = _surely(self.knowledge)
+        if predictive:
             told = "; ".join(
-                f"{a.input} foretells {a.share:.1%} of what is new in {a.channel}" for a in foretold[:_SHOWN]
+                f"{a.input} predicts {a.share:.1%} of what is new in {a.channel}" for a in predictive[:_SHOWN]
             )
-            lost = [c for c in self.smoothed if c in {a.channel for a in foretold}]
+            lost = [c for c in self.smoothed if c in {a.channel for a in predictive}]
             why = (
                 f"the states of {' and '.join(lost)} were smoothed before they were logged, and {_SAW}; or "
                 if lost
@@ -257,7 +257,7 @@ class FeedbackTest:
         return {
             "closed_loop": self.closed_loop,
             "made_from_other_sensors": list(self.other_sensors),
-            "inputs_foretell_innovations": self.foretold,
+            "inputs_foretell_innovations": self.predictive,
             "functions_of_the_logged_state": list(self.functions_of_state),
             "inputs_that_never_move": list(self.still),
             **({"restored_from_a_smoother": list(self.smoothed)} if self.smoothed else {}),
@@ -347,7 +347,7 @@ def _smoothed(runs: Sequence[Run], nu: int) -> str:
 
 
 def own_innovations(values: Array, among: Array, series: Series) -> Array:
-    """What columns (N, n) hold that the past of `among` (N, m) does not foretell, zero near starts."""
+    """What columns (N, n) hold that the past of `among` (N, m) does not predict, zero near starts."""
     live, past = signals.late(series, _OWN), _past(among, series)
     out = np.zeros_like(values)
     out[live] = signals.without(values[live], past)
@@ -395,7 +395,7 @@ def _answers_of(
 def _made_from_states(
     regression: Regression, ways: Sequence[Direction], driven: Array, among: Array, series: Series
 ) -> tuple[str, ...]:
-    """Names of directions that past states foretell beyond the past of the inputs (Granger, Econometrica 37 (1969))."""
+    """Names of directions that past states predict beyond the past of the inputs (Granger, Econometrica 37 (1969))."""
     live, past = signals.late(series, _OWN), _past(among, series)
     new = signals.without(driven[live], past)
     columns = series.lagged(_states(regression), _STATES_BEFORE)[live]
@@ -414,7 +414,7 @@ def _made_from_states(
 def _knowledge_of(
     regression: Regression, ways: Sequence[Direction], driven: Array, series: Series
 ) -> tuple[Answer, ...]:
-    """What inputs at and before a step foretell of the innovations of each channel that they drive."""
+    """What inputs at and before a step predict of the innovations of each channel that they drive."""
     rows = max(2, min(_KNOWN, round(_KNOWN_S / regression.dt)))
     live = signals.late(series, rows + 1)
     found = []

@@ -57,7 +57,7 @@ bends both, and not alike."""
 TIMES = 2.0
 """Or times what least squares leave that the fit leaves: how much of the rest they explain, where the rest is small."""
 LESS = 0.9
-"""Times what the fit foretells of a channel below which least squares find less of it."""
+"""Times what the fit predicts of a channel below which least squares find less of it."""
 WORSE = 1.05
 """Times what was measured that a fit must leave to be worse than nothing."""
 BEHIND = 0.3
@@ -93,7 +93,7 @@ class Compared:
     least_squares: float  # what least squares leave
     first_values: float  # what the first values leave
     less: bool = False
-    """Whether what least squares foretell of it is surely smaller (`LESS`) than what the fit foretells."""
+    """Whether what least squares predict of it is surely smaller (`LESS`) than what the fit predicts."""
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
@@ -163,7 +163,7 @@ def guarded(
     fit, squares, first = (left_at(rough, at) for at in (theta, rough.theta, vector.inside(vector.start)))
     channels = tuple(
         Compared(
-            c.name, per_second(c.unit), c.measured, c.left, s.left, f.left, s.foretold < LESS * c.foretold
+            c.name, per_second(c.unit), c.measured, c.left, s.left, f.left, s.predicted < LESS * c.predicted
         )
         for c, s, f in zip(fit, squares, first, strict=True)
     )
@@ -284,7 +284,7 @@ def _gone(rough: Regression, theta: Array, covariance: Array | None, now: Sequen
         back = theta.copy()
         back[j] = vector.start[j]
         more = [
-            (a.foretold**2 - c.foretold**2) / max(c.measured**2, 1e-300)
+            (a.predicted**2 - c.predicted**2) / max(c.measured**2, 1e-300)
             for a, c in zip(left_at(rough, back), now, strict=True)
         ]
         moved = int(np.argmax(more))

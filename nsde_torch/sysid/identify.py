@@ -2,7 +2,7 @@
 
 Ordinary estimates (`regression`) are right under feedback from the log. Where the test of the loop says that inputs
 know more than the log, or were made from other sensors (`feedback_test`), they are not, and the interval is widened by
-what cannot be known: with X the whitened slopes, e = X b + a part that X foretells and the fit has swallowed. Of
+what cannot be known: with X the whitened slopes, e = X b + a part that X predicts and the fit has swallowed. Of
 channel i let that part have length z_i. Then the bias of parameter j is at most (a bound by partial correlations:
 Cinelli and Hazlett, Journal of the Royal Statistical Society B 82 (2020))
 
@@ -10,7 +10,7 @@ Cinelli and Hazlett, Journal of the Royal Statistical Society B 82 (2020))
 
 z_i is the larger one of two (`FeedbackTest.hidden`). Both are assumptions that no data can test:
 
-- inputs know `FACTOR` = 3 times as much of a step as inputs of earlier steps may be seen to foretell of it, which is
+- inputs know `FACTOR` = 3 times as much of a step as inputs of earlier steps may be seen to predict of it, which is
   the upper 95 % limit of the share: that it is not significant does not say that it is nothing. On simulated loops
   whose truth is known 3 held nearly always with strong sticks and mostly with weak ones
   (docs/content/results/feedback.md);

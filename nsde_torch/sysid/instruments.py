@@ -3,11 +3,11 @@
 Where inputs know of disturbances, least squares is biased whatever the noise model. A signal z that no disturbance
 moves (a pilot's stick, a setpoint) moves the inputs all the same, and what of them it moves is free of disturbances:
 
-    sum_i H_i' e_i(theta) = 0,    H_i: slopes of the whitened residuals e_i, foretold from whitened z of now and before
+    sum_i H_i' e_i(theta) = 0,    H_i: slopes of the whitened residuals e_i, predicted from whitened z of now and before
     covariance of theta: the jackknife over blocks of time, theta moves by (A - A_c)^-1 H_c' e_c, A = sum_i H_i' J_i
 
 (two-stage least squares: Soderstrom and Stoica, Instrumental Variable Methods for System Identification, 1983). The
-first stage is fitted on other blocks than it foretells, which takes out the bias of many instruments (Angrist, Imbens
+first stage is fitted on other blocks than it predicts, which takes out the bias of many instruments (Angrist, Imbens
 and Krueger, Journal of Applied Econometrics 14 (1999)). Three things are tested and told:
 
 - exogeneity: instruments that answer innovations (new in z on e before it) are left out.
@@ -285,7 +285,7 @@ def instrumental(
 
 
 class _Stage:
-    """Both stages where theta stands: slopes J and what instruments foretell of them, over all channels."""
+    """Both stages where theta stands: slopes J and what instruments predict of them, over all channels."""
 
     def __init__(self, regression: Regression, features: Array, known: NDArray[np.int64]) -> None:
         self.white = regression.white
@@ -293,7 +293,7 @@ class _Stage:
         self.blocks = regression.whitened_rows(regression.blocks)
         self.z = [regression.whitened(noise, features) for noise in regression.noises]
         fold = self.blocks % _FOLDS
-        self.foretold = np.zeros_like(self.slopes)
+        self.predicted = np.zeros_like(self.slopes)
         for i, z in enumerate(self.z):
             whole, cross = z.T @ z, z.T @ self.slopes[i]
             small = 1e-10 * np.trace(whole) * np.eye(len(whole)) / len(whole)
@@ -301,12 +301,12 @@ class _Stage:
                 at = fold == f
                 rest = whole - z[at].T @ z[at]
                 weights = np.linalg.solve(rest + small, cross - z[at].T @ self.slopes[i][at])
-                self.foretold[i, at] = z[at] @ weights
+                self.predicted[i, at] = z[at] @ weights
 
     def used(self, chosen: Sequence[int]) -> Array:
-        """H (channels, N, k): foretold slopes of the chosen parameters, own slopes of the others."""
+        """H (channels, N, k): predicted slopes of the chosen parameters, own slopes of the others."""
         out = self.slopes.copy()
-        out[:, :, list(chosen)] = self.foretold[:, :, list(chosen)]
+        out[:, :, list(chosen)] = self.predicted[:, :, list(chosen)]
         return out
 
     def step(self, chosen: Sequence[int]) -> Array:

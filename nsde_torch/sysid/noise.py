@@ -24,7 +24,7 @@ How each is found:
 **Feedback.** The rate of a gyro reveals its error only slowly; the attitude, which is its integral, knows part of it at
 once, and so does an input that a controller made from the attitude. What a channel's own law calls new is then not new
 to the input, and the estimate bends (a motor's lag by 3 %). So the part of a whitened residual that the past of
-kinematic residuals foretells is taken out of it (`past`):
+kinematic residuals predicts is taken out of it (`past`):
 
     s = measured minus integrated change of the states that no parameter moves,   S_j = sum_i c_j^i s_{k-1-i}
     e_k <- e_k - S_k b,    b by least squares (multivariate prediction errors: Ljung, 1999, section 7.2)

@@ -18,7 +18,7 @@ of the second difference of the position, whose test function is a hat over two 
 
     residual_k = (q_{k+1} - 2 q_k + q_{k-1}) / h - (I_{k-1} + I_k) / 2,      I_k = int f dt over step k
 
-(over boxes of several steps, that of as wide a difference), with f at what the past foretells, averaged over what it
+(over boxes of several steps, that of as wide a difference), with f at what the past predicts, averaged over what it
 does not know of the rate: the noise of the position is then in no regressor.
 
 Velocities that the system measures in the world are turned into the body, so that thrust along the body's axis is one

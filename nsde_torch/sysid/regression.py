@@ -180,8 +180,8 @@ class Regression:
         plain: Take the noise of every channel for white, as ordinary least squares does.
         warm: Start with the noise models at the first theta, where that is near its optimum.
         memory_s: Time after which noise forgets [s] (see `noise`).
-        feedback: Take out of `white` and `slopes` what kinematic residuals foretell (see `noise`).
-        channels: With `feedback`: what the residuals of all channels foretell.
+        feedback: Take out of `white` and `slopes` what kinematic residuals predict (see `noise`).
+        channels: With `feedback`: what the residuals of all channels predict.
         levels: Take the mean of each run out of `white` and `slopes`: a steady push is nobody's.
 
     Attributes:
@@ -323,7 +323,7 @@ class Regression:
         if not finite.all():
             names = ", ".join(self.physics.names[c] for c in self.rows[~finite])
             raise NonFiniteError(
-                f"what the declared physics leaves of {names} can be foretold to the last digit: the log is smoother "
+                f"what the declared physics leaves of {names} can be predicted to the last digit: the log is smoother "
                 "than a sensor and the physics allow. Let smoothed states be restored (data.state_smoothing=restore), "
                 "or resample to a longer step (data.dt)."
             )
@@ -377,7 +377,7 @@ class Regression:
         return sum(float(np.square(self.whitened(n, residual[:, [c]])).sum()) for n, c in pairs)
 
     def whitened(self, noise: Noise, values: Array) -> Array:
-        """Columns (N, k) in whitened rows, without what the past of other channels foretells."""
+        """Columns (N, k) in whitened rows, without what the past of other channels predicts."""
         return self._purged(noise.whiten(values, self.series))
 
     def _purged(self, values: Array) -> Array:

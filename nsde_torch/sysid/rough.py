@@ -83,7 +83,7 @@ class Left:
     unit: str
     measured: float  # standard deviation of the measured rate
     left: float  # root mean square of what physics leaves of it
-    foretold: float  # root mean square of what physics says of it
+    predicted: float  # root mean square of what physics says of it
 
     @property
     def share(self) -> float:

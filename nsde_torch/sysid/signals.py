@@ -1,7 +1,7 @@
 """Inputs and instruments on the rows of a regression, and the tests of what they know of its innovations.
 
-An innovation e_k is what one step brings that nothing before it foretold. A score test asks whether columns v_k that
-were known then foretell it after all,
+An innovation e_k is what one step brings that nothing before it predicted. A score test asks whether columns v_k that
+were known then predict it after all,
 
     S = sum_k e_k r_k,    V = sum_k e_k^2 r_k r_k',    S' V^-1 S ~ chi2(rank),    r: v without what was fitted anyway
 
@@ -85,9 +85,9 @@ def without(values: Array, basis: Array) -> Array:
 
 
 def score_test(innovation: Array, columns: Array, fitted: Array) -> tuple[float, float]:
-    """Chance (p value) of a score as large as this if nothing foretells the innovation, and the share foretold.
+    """Chance (p value) of a score as large as this if nothing predicts the innovation, and the share predicted.
 
-    Of an innovation (N,), of columns (N, n) that may foretell it, and orthonormal ones (N, p) that it was fitted with.
+    Of an innovation (N,), of columns (N, n) that may predict it, and orthonormal ones (N, p) that it was fitted with.
     """
     e = without(innovation[:, None], fitted)[:, 0]
     rest = without(columns, fitted)
@@ -101,7 +101,7 @@ def score_test(innovation: Array, columns: Array, fitted: Array) -> tuple[float,
     statistic = float(score @ np.linalg.pinv(scatter, hermitian=True) @ score)
     free = max(len(e) - fitted.shape[1] - count, 1)
     share = float(score @ score / (e @ e))
-    # what chance alone foretells is taken off
+    # what chance alone predicts is taken off
     return float(chi2.sf(statistic, count)), max(0.0, 1.0 - (1.0 - share) * (free + count) / free)
 
 

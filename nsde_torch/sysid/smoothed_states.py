@@ -7,7 +7,7 @@ A spectrum that falls steeply may also be a motion's own; a motion alone ends in
 in the log's digits. That the log was smoothed is believed where it ends in no such noise, and where
 
 - position and integrated rate do not agree in the band in which S falls: what is left there is noise, of two sensors;
-- or else the declared physics, fitted to means over 0.15 s, foretells the changes of channels that inputs drive better
+- or else the declared physics, fitted to means over 0.15 s, predicts the changes of channels that inputs drive better
   behind S than as they are (in nats), each behind the lag and the delay of actuators that suit it best. It is not asked
   where the first shows it: in a closed loop inputs answer the noise of the sensors, which looks like the machine's
   answer to them.
@@ -370,7 +370,7 @@ def _nats(regression: Regression, sensors: Sequence[SensorGroup], smoother: Smoo
         total = 0.0
         for parts in channels:
             rest = [
-                (measured - foretold.through(behind, lag, delay))[:, None] for measured, foretold in parts
+                (measured - predicted.through(behind, lag, delay))[:, None] for measured, predicted in parts
             ]
             seen = smoothers.spectra_of(rest, steps.dt)
             if seen is None:

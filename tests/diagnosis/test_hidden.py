@@ -58,7 +58,7 @@ def test_an_open_loop_hides_nothing() -> None:
     assert test.as_dict()["closed_loop"] is False
 
 
-def test_what_inputs_foretell_in_a_closed_loop_may_be_what_an_effect_explains() -> None:
+def test_what_inputs_predict_in_a_closed_loop_may_be_what_an_effect_explains() -> None:
     test = loop(own=0.3, elsewhere=0.3)
     assert test.not_from_the_log == ()
     surely = Answer("the input of w_x", "w_x", 0.004, 1e-6, upper=0.006)
@@ -70,7 +70,7 @@ def test_what_inputs_foretell_in_a_closed_loop_may_be_what_an_effect_explains() 
     assert played.not_from_the_log == ()  # no controller made it
 
 
-def test_inputs_that_foretell_leave_open_whether_the_loop_is() -> None:
+def test_inputs_that_predict_leave_open_whether_the_loop_is() -> None:
     knowledge = (Answer("the input of w_x", "w_x", 0.002, 1e-6, upper=0.003),)
     test = FeedbackTest((), knowledge, driven=DRIVEN, rows=10_000)
     assert not test.closed

@@ -1,4 +1,4 @@
-"""What the past of kinematic residuals foretells is known before each row, and only that."""
+"""What the past of kinematic residuals predicts is known before each row, and only that."""
 
 from __future__ import annotations
 

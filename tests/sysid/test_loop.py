@@ -46,12 +46,12 @@ def test_the_loop_is_closed_where_it_is_and_open_where_it_is_not(
     assert loop.answers[0].share > 0.2
 
 
-def test_inputs_foretell_innovations_only_where_the_controller_saw_more_than_the_log(
+def test_inputs_predict_innovations_only_where_the_controller_saw_more_than_the_log(
     plain: dict[str, list[Identification]],
 ) -> None:
     for controller, found in plain.items():
         told = controller in ("other", "fast")
-        assert all(f.loop is not None and f.loop.foretold == told for f in found), controller
+        assert all(f.loop is not None and f.loop.predictive == told for f in found), controller
 
 
 def test_intervals_hold_what_feedback_hides_and_are_not_widened_where_it_hides_nothing(
@@ -69,8 +69,8 @@ def test_intervals_hold_what_feedback_hides_and_are_not_widened_where_it_hides_n
 
 def test_a_lag_that_is_not_declared_is_told_too_and_is_silent_once_it_is() -> None:
     runs = fly("logged", seeds=range(1), lag=True)[0]
-    assert feedback_summary(RateLoop(), runs).foretold
-    assert not feedback_summary(RateLoop(effects=["actuator_lag"]), runs).foretold
+    assert feedback_summary(RateLoop(), runs).predictive
+    assert not feedback_summary(RateLoop(effects=["actuator_lag"]), runs).predictive
 
 
 def test_the_stick_finds_the_gain_that_ordinary_estimates_miss(flights: Flights) -> None:
@@ -143,7 +143,7 @@ def test_instruments_that_are_missing_or_never_change_are_errors(flights: Flight
         identify_in_loop(RateLoop(), [still], instruments=["stick"])
 
 
-def test_chances_of_the_score_test_are_even_where_nothing_foretells_anything() -> None:
+def test_chances_of_the_score_test_are_even_where_nothing_predicts_anything() -> None:
     rng = np.random.default_rng(0)
     chances = []
     for _ in range(400):

@@ -3,9 +3,9 @@
     q' = q * w / 2,   v' = R ((0, 0, f) - D R'v + d) - g,   p' = v      with (w, f) asked for a delay before
 
 `D` is what the model says of braking by speed: a drag of 1 1/s is 0.2 m/s over a delay at 3 m/s. `d` follows from how
-wrong the velocity was that had been foretold, as in `nsde_torch.control.estimator`,
+wrong the velocity was that had been predicted, as in `nsde_torch.control.estimator`,
 
-    d' = d + R'(v - v_foretold) / T
+    d' = d + R'(v - v_predicted) / T
 """
 
 from __future__ import annotations

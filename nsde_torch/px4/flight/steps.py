@@ -1,4 +1,4 @@
-"""Steps of the autopilot's estimate: a state against what the one before it foretells.
+"""Steps of the autopilot's estimate: a state against what the one before it predicts.
 
     position |p' - p - v dt|,    velocity |v' - v| - a dt,    heading z of log(q' (q exp(w dt))^-1),    a = 30 m/s2
 

@@ -34,13 +34,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from nsde_torch.arrays import Array
-from nsde_torch.data import Run
 from nsde_torch.diagnosis.candidates import candidate_names
-from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSelection, looked
+from nsde_torch.diagnosis.joint_selection import JointSelection, looked
 from nsde_torch.diagnosis.search import Search, at_bounds
 from nsde_torch.effects import Port, effect_class
-from nsde_torch.errors import DataError, NonFiniteError
-from nsde_torch.inference import LogLikelihood, nearly_maximised
 from nsde_torch.sysid.feedback_test import FeedbackTest, leaning
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.result import Identification
@@ -195,23 +192,6 @@ def not_sure_behind_smoothers(outcome: Outcome) -> Outcome:
         "smoother, may be what was found"
     )
     return outcome.provisional(lambda _: why)
-
-
-def dependence_on_band(place: FittedPhysics, runs: Sequence[Run], clock: float) -> Array | None:
-    """How far parameters (k,) depend on the band up to which smoothed states were restored; None where none were.
-
-    It is twice what they change by with half of the band: a bias that halves when the band doubles is as large as that
-    change. nan where nothing can be fitted in half of the band.
-    """
-    if not any(run.band for run in runs):
-        return None
-    half = [replace(run, low_pass={name: 0.5 * hz for name, hz in run.band.items()}) for run in runs]
-    try:
-        problem = LogLikelihood(place.system, half, clock, run_in=True, apart=place.at.of.apart_s)
-        other = nearly_maximised(problem)[0]
-    except (DataError, NonFiniteError, np.linalg.LinAlgError):
-        return np.full(len(place.best.theta), np.nan)
-    return np.asarray(2.0 * np.abs(place.best.theta - other.theta))
 
 
 def _timed(system: System, name: str) -> bool:

@@ -50,7 +50,6 @@ from nsde_torch.diagnosis.explanation import Explanation, explained
 from nsde_torch.diagnosis.feedback_bias import (
     behind_smoothers,
     beside_vanishing_gains,
-    dependence_on_band,
     not_sure_behind_smoothers,
     with_suspects,
 )
@@ -97,7 +96,7 @@ from nsde_torch.models.identified import SysidSpec
 from nsde_torch.progress import Say
 from nsde_torch.recording.chain import Recorded
 from nsde_torch.sysid.guard import Guarded
-from nsde_torch.sysid.identify import by_likelihood, identification
+from nsde_torch.sysid.identify import by_likelihood, dependence_on_band, identification
 from nsde_torch.sysid.instruments import adopted
 from nsde_torch.sysid.result import Identification
 from nsde_torch.sysid.standstill import moving
@@ -516,7 +515,9 @@ def _identified(log: Log, outcome: Outcome) -> tuple[Outcome, Identification | N
     """The outcome, with the estimates to print: by signals from outside the loop, or of largest likelihood."""
     clock = log.recorded.clock
     if outcome.joint is not None:
-        outcome = replace(outcome, of_band=dependence_on_band(outcome.joint.final, log.runs, clock))
+        place = outcome.joint.final
+        band = dependence_on_band(place.system, place.best.theta, log.runs, clock, place.at.of.apart_s)
+        outcome = replace(outcome, of_band=band)
     if log.options.instruments and not outcome.test.why_not:
         log.say("estimates from signals outside the loop", 0, 1)
         found = log.identified(outcome.system)
@@ -530,7 +531,7 @@ def _identified(log: Log, outcome: Outcome) -> tuple[Outcome, Identification | N
     log.say("estimates of largest likelihood", 0, 1)
     regressed = identification(outcome.final.regression, "weak")
     regressed = replace(regressed, doubt=outcome.doubt, loop=outcome.test)
-    final = outcome.joint.final
-    likeliest = by_likelihood(regressed, outcome.system, log.runs, clock, (final.system, final.at))
+    near = (outcome.joint.final.system, outcome.joint.final.at)
+    likeliest = by_likelihood(regressed, outcome.system, log.runs, clock, near)
     outcome = replace(outcome, optimum=likeliest.optimum)
     return (outcome if likeliest.likelihood is None else replace(outcome, printed=likeliest)), None

@@ -48,7 +48,7 @@ from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.data.system_info import rate_pairs
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
-from nsde_torch.inference import LogLikelihood, Optimum, maximised
+from nsde_torch.inference import LogLikelihood, Optimum, maximised, nearly_maximised
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.states import filtered_at
 from nsde_torch.inference.steps import inferred_columns
@@ -59,7 +59,6 @@ from nsde_torch.sysid.physics import bump, explained
 from nsde_torch.sysid.regression import ITERATIONS, Regression, narrower, regression_of
 from nsde_torch.sysid.result import Identification
 from nsde_torch.sysid.signals import row_weights
-from nsde_torch.sysid.smoothed_states import narrowed
 from nsde_torch.sysid.standstill import SHARE, moving, slowest
 from nsde_torch.systems import System
 
@@ -156,7 +155,10 @@ def _over_boxes(
             leaning = (leans * np.where(leans > 0, ordinary, 0.0)).sum(1)
             moving = largest_bias(regression, loop.moving)
             doubt = np.where(by.moved, np.maximum(apart, moving) + leaning, bias)
-    doubt = np.maximum(doubt, hangs_on_band(regression, runs, clock=clock, width=width))
+    machine = copy.deepcopy(regression.physics.vector.system)
+    regression.vector.write(machine, regression.theta)
+    band = dependence_on_band(machine, regression.theta, runs, clock, width or 0.0)
+    doubt = np.maximum(doubt, band)
     guard = guarded(regression, runs, clock=clock, theta=found.values, covariance=found.covariance)
     return replace(found, loop=loop, instrumented=by, doubt=doubt, guard=guard)
 
@@ -218,23 +220,29 @@ def hidden_bias(regression: Regression, loop: FeedbackTest) -> Array:
     return np.where(free < 0.5 * of_channels.sum(0), np.nan, out)
 
 
-def hangs_on_band(
-    regression: Regression, runs: Sequence[Run], *, clock: float = 1.0, width: float | None = None
+def dependence_on_band(
+    system: System, theta: Array, runs: Sequence[Run], clock: float = 1.0, apart: float = 0.0
 ) -> Array:
-    """How far parameters (k,) hang on the band up to which smoothed states were restored; zero where none were.
+    """How far parameters (k,) depend on the band up to which smoothed states were restored; zero where none were.
 
     It is twice what they change by with half of the band: a bias that halves when the band doubles is as large as that
-    change. nan where nothing settles in half of the band.
+    change. nan where nothing can be fitted in half of the band.
+
+    Args:
+        system: Physics with the values.
+        theta: The values (k,).
+        runs: The log.
+        clock: Physical seconds per logged second.
+        apart: Least time from one measurement to the next [s].
     """
-    half = narrowed(runs, regression.physics.vector.system, clock)
-    if half is None:
-        return np.zeros(len(regression.vector))
+    if not any(run.band for run in runs):
+        return np.zeros(len(theta))
+    half = [replace(run, low_pass={name: 0.5 * hz for name, hz in run.band.items()}) for run in runs]
     try:
-        other = regression_of(copy.deepcopy(regression.physics.vector.system), half, clock=clock, width=width)
-        other.run(ITERATIONS)
-    except (DataError, NonFiniteError):
-        return np.full(len(regression.vector), np.nan)
-    return np.asarray(2.0 * np.abs(regression.theta - other.theta))
+        other = nearly_maximised(LogLikelihood(system, half, clock, run_in=True, apart=apart))[0]
+    except (DataError, NonFiniteError, np.linalg.LinAlgError):
+        return np.full(len(theta), np.nan)
+    return np.asarray(2.0 * np.abs(theta - other.theta))
 
 
 def largest_bias(regression: Regression, hidden: Mapping[str, float | Array]) -> Array:

@@ -34,7 +34,7 @@ restored; white noise is added from where S begins to fall. Noise is drawn from 
 
 Ends of stretches are left out, where nobody knows how the smoother began and ended. In a closed loop the restored log
 still lacks what the controller saw above f_r; the test of the loop says so, and intervals widen by it. They widen too
-by how far estimates hang on f_r (`narrowed`).
+by how far estimates depend on f_r (`identify.dependence_on_band`).
 
 A step of 20 ms hides what a log at 1 kHz shows: a rate that is 3 ms late, a filter at 100 Hz. So streams, sensors and
 smoothers are looked for in the rows as they were logged (`undone_at_own_rate`). States are restored on the longer step,
@@ -486,30 +486,6 @@ def restored(data: DataSet, found: Sequence[Smoothed]) -> DataSet:
         segments = kept or run.segments
         runs.append(replace(run, x=x, segments=segments, band=band, low_pass=low_pass, unbroken=whole))
     return data.changed(runs, [*data.summary.findings, *(one.finding() for one in found)])
-
-
-def narrowed(runs: Sequence[Run], system: System, clock: float = 1.0) -> list[Run] | None:
-    """Runs that hold half of the band up to which states were restored; None where none were.
-
-    Estimates that hang on how far was restored rest on the smoother being right, or on what inputs know of the rest.
-    """
-    band = {name: hz for run in runs for name, hz in run.band.items()}
-    if not band:
-        return None
-    dt, rng = runs[0].dt * clock, np.random.default_rng(1)
-    states = [np.array(run.x) for run in runs]
-    for sensor in sensors_of(system):
-        reach = 0.5 * min((band[name] for name in sensor.names if name in band), default=0.0)
-        seen = group_spectra(sensor, runs, dt) if reach else None
-        if seen is None:
-            continue
-        level = ADDED * seen.power[:, int(np.argmin(np.abs(seen.f - reach)))]
-        for run, x in zip(runs, states, strict=True):
-            for a, b in run.segments:
-                values = sensor.values(x[a:b], dt)
-                noise = rng.standard_normal(values.shape) * np.sqrt(level / (2.0 * dt))
-                sensor.with_values(x[a:b], _unsmoothed(values, None, reach, noise, dt), dt)
-    return [replace(run, x=x) for run, x in zip(runs, states, strict=True)]
 
 
 def _louder_above(one: SmoothedSensor) -> bool:

@@ -27,7 +27,7 @@ from nsde_torch.inference.estimate import Optimum
 from nsde_torch.inference.filtering import Pass, filtered, forced, with_parameters
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.maximum import likeliest
-from nsde_torch.inference.sensitivity import grams, half_squares, solved
+from nsde_torch.inference.sensitivity import grams, inverted, solved
 from nsde_torch.inference.smooth import EXTENDED, Kind, Scale, functions
 from nsde_torch.inference.state_space import StateSpace
 from nsde_torch.systems import System
@@ -402,26 +402,36 @@ class _Choice:
     ) -> tuple[Array, Array]:
         """The same beside each of further groups of the columns (G, q): (G, B), and their 1 / tau^2 (G,).
 
-        All of them, and all folds, at once: they are many small matrices.
+        What all of them share is solved for once in a fold; each is then a small matrix of its own.
         """
-        theta, count = 1 + self._optimum.of.space.vector.scale.size, len(columns)
+        theta = 1 + self._optimum.of.space.vector.scale.size
         total = blocks.sum(0)
         further = self._ridges(total, groups, columns)
-        first = np.concatenate((np.arange(theta), _columns(groups)))
-        index = np.concatenate((np.tile(first, (count, 1)), columns), 1)
-        weights = np.zeros((count, index.shape[1] - 1))
-        weights[:, : theta - 1] = _KNOWN * np.diag(total)[1:theta]
+        shared = np.concatenate((np.arange(1, theta), _columns(groups)))
         sizes = [s.stop - s.start for s in groups]
-        weights[:, theta - 1 : first.size - 1] = np.repeat(np.array(ridge, dtype=np.float64), sizes)
-        weights[:, first.size - 1 :] = further[:, None]
-        rows, across = index[:, :, None], index[:, None, :]
-        out = np.empty((count, len(blocks)))
+        held = np.concatenate(
+            (_KNOWN * np.diag(total)[1:theta], np.repeat(np.array(ridge, dtype=float), sizes))
+        )
+        weights = np.repeat(further[:, None], columns.shape[1], 1)
+        first, rows, across = np.concatenate(([0], shared)), columns[:, :, None], columns[:, None, :]
+        out = np.empty((len(columns), len(blocks)))
         for f in range(_FOLDS):
             inside = view.fold == f
             own = blocks[inside]
-            step = solved((total - own.sum(0))[rows, across], weights)
+            rest = total - own.sum(0)
+            # of e and of the columns of each group, what the shared ones do not explain
+            taken = inverted(rest[np.ix_(shared, shared)] + np.diag(held)) @ rest[shared]
+            left = rest - rest[:, shared] @ taken
+            alone = np.zeros((len(columns), 1 + columns.shape[1], 1 + columns.shape[1]))
+            alone[:, 1:, 0], alone[:, 1:, 1:] = left[columns, 0], left[rows, across]
+            step = solved(alone, weights)
+            less = np.ones((len(columns), first.size))  # what e is less, by what they share
+            less[:, 1:] = np.einsum("ngq,gq->gn", taken[:, columns], step) - taken[:, 0]
             for b, block in zip(np.flatnonzero(inside), own, strict=True):
-                out[:, b] = half_squares(block[rows, across], step)
+                crossed = less @ block[first]
+                squares = (crossed[:, first] * less).sum(1)
+                squares -= 2.0 * (np.take_along_axis(crossed, columns, 1) * step).sum(1)
+                out[:, b] = 0.5 * (squares + np.einsum("gq,gqr,gr->g", step, block[rows, across], step))
         return out, further
 
     def _ridges(self, total: Array, groups: Sequence[slice], columns: Labels) -> Array:

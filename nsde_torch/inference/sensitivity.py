@@ -169,12 +169,18 @@ def solved(gram: Array, weights: Array | None = None, *, damping: float = 0.0) -
         weights: Of the squares of the unknowns (..., k); None for none.
         damping: Marquardt's.
     """
-    eye = np.eye(gram.shape[-1] - 1)
-    inner = gram[..., 1:, 1:] if weights is None else gram[..., 1:, 1:] + weights[..., None] * eye
+    inner = gram[..., 1:, 1:]
+    if weights is not None:
+        inner = inner + weights[..., None] * np.eye(inner.shape[-1])
+    return np.asarray((inverted(inner, damping) @ gram[..., 1:, :1])[..., 0])
+
+
+def inverted(inner: Array, damping: float = 0.0) -> Array:
+    """Inverses of Gram matrices (..., k, k), of those without full rank in the directions that they have."""
     scale = 1.0 / np.sqrt(np.diagonal(inner, axis1=-2, axis2=-1).clip(1e-300))
-    unit = inner * scale[..., None, :] * scale[..., None] + damping * eye
-    inverse = np.linalg.pinv(unit, rcond=_RANK, hermitian=True)
-    return np.asarray((inverse @ (gram[..., 1:, :1] * scale[..., None]))[..., 0] * scale)
+    scale = scale[..., None, :] * scale[..., None]
+    unit = inner * scale + damping * np.eye(inner.shape[-1])
+    return np.asarray(np.linalg.pinv(unit, rcond=_RANK, hermitian=True) * scale)
 
 
 def half_squares(blocks: Array, step: Array) -> Array:

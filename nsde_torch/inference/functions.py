@@ -247,12 +247,18 @@ class _View:
         turns = [_new(total, known, theta, s) for s in own]
         ends = np.cumsum([theta, *(t.shape[1] for t in turns)])
         slices = [slice(a, b) for a, b in pairwise(ends.tolist())]
-        turn = block_diag(np.eye(theta), *turns[:together])
-        before, after = (slice(0, n) for n in turn.shape)
+
+        def turned(values: Array) -> Array:
+            """Rows of theta and of the groups (B, n, q) in the directions that these keep (B, n', q)."""
+            kept = [turn.T @ values[:, s] for s, turn in zip(own[:together], turns, strict=False)]
+            return np.concatenate([values[:, :theta], *kept], 1)
+
+        before = slice(0, own[together - 1].stop if together else theta)
+        after = slice(0, slices[together - 1].stop if together else theta)
         out = np.zeros((len(held.blocks), ends[-1], ends[-1]))
-        out[:, after, after] = turn.T @ held.blocks[:, before, before] @ turn
+        out[:, after, after] = turned(turned(held.blocks[:, before, before]).transpose(0, 2, 1))
         for s, to, own_turn in zip(parted, slices[together:], turns[together:], strict=True):
-            out[:, after, to] = turn.T @ held.blocks[:, before, s] @ own_turn
+            out[:, after, to] = turned(held.blocks[:, before, s]) @ own_turn
             out[:, to, after] = out[:, after, to].transpose(0, 2, 1)
             out[:, to, to] = own_turn.T @ held.blocks[:, s, s] @ own_turn
         return out, slices, turns

@@ -2,10 +2,8 @@
 
     g = d log p / d phi,    H = sum_k z_k' z_k + 1/2 tr(S^-1 dS S^-1 dS),    z = L^-1 de / d phi
 
-Slopes are exact (`nsde_torch.inference.level_slopes`). H is made from a few chunks, which takes as long as ten filters,
-and takes on what slopes change by along each step (Broyden, Fletcher, Goldfarb and Shanno): the log is not as the model
-expects it to be (of racing flights, 50 s instead of 80 and 100 nats more). A weak prior holds levels that the data do
-not show where they started.
+Slopes are exact (`nsde_torch.inference.level_slopes`); a few chunks do for H. A weak prior holds levels that the data
+do not show where they started.
 """
 
 from math import log
@@ -30,7 +28,7 @@ test_a_steady_push_is_no_gust_that_never_ends).
 _LONGEST_STEP = 3.0
 _TURNS = 12
 _GAIN = 0.5  # nats for which another turn is taken
-_CURVED = 0.01  # of the curvature expected, below which a step tells none
+_MOVED = 0.2  # of a logarithm, beyond which the information is made anew: it takes as long as ten filters
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e4
 _INFORMING = 500  # rows that the information is made from
 _ENTRIES = (
@@ -106,18 +104,15 @@ def likeliest(
         return enough * found + _PRIOR * torch.eye(len(values), dtype=values.dtype)
 
     here, best = tried(phi)
-    damping, fresh, before = _FIRST_DAMPING, False, None
+    damping, known_at, fresh = _FIRST_DAMPING, phi, False
     for _ in range(_TURNS):
         check_time()
         gradient = slope(phi, here)
-        if known is not None and before is not None:
-            known = _curved(known, phi - before[0], before[1] - gradient)
-        before = phi, gradient
         gradient = torch.where((phi >= high) & (gradient > 0), 0.0, gradient)
         if known is not None and float(gradient @ torch.linalg.solve(known, gradient)) < _GAIN:
             break
-        if fresh or known is None:
-            known, fresh = information(phi, here), True
+        if fresh or known is None or float((phi - known_at).abs().max()) > _MOVED:
+            known, known_at, fresh = information(phi, here), phi, True
         gained = 0.0
         while damping <= _MOST_DAMPING:
             damped = known + damping * torch.diag(torch.diagonal(known))
@@ -156,15 +151,6 @@ def level_columns(space: StateSpace, levels: Levels, about: Linearisation, start
         here = filtered(space, levels, near, start, space.chunks.counted[:, some], covariances=True)
         out.append(-level_slopes(space, levels, near, here)[0])
     return torch.cat(out, 1)
-
-
-def _curved(known: Tensor, moved: Tensor, bent: Tensor) -> Tensor:
-    """An information (p, p) that has the curvature of a step (p,): what the slope fell by along it (p,)."""
-    expected = known @ moved
-    if not float(moved @ bent) > _CURVED * float(moved @ expected):
-        return known
-    gained = torch.outer(bent, bent) / (moved @ bent)
-    return known + gained - torch.outer(expected, expected) / (moved @ expected)
 
 
 def _most(space: StateSpace) -> int:

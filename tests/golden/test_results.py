@@ -38,7 +38,13 @@ def of_the_data(value: Any) -> Any:
         # of what chance explains, the share hangs on the last digits of a processor
         left_out = _LEFT_OUT | ({"share"} if isinstance(chance, float) and chance > 0.5 else set())
         return {k: of_the_data(v) for k, v in value.items() if k not in left_out}
-    return [of_the_data(v) for v in value] if isinstance(value, list) else value
+    # and so does the order of tests of structure that find nothing
+    return [of_the_data(v) for v in value if not _of_chance(v)] if isinstance(value, list) else value
+
+
+def _of_chance(value: Any) -> bool:
+    """Whether a value is a test of structure that finds nothing."""
+    return isinstance(value, dict) and "variable" in value and (value.get("p") or 0.0) > 0.5
 
 
 def test_simulate_writes_what_it_did(runs: Path, regenerate: bool) -> None:

@@ -208,8 +208,7 @@ class Search:
         out = self._of(system, physics, start=best.theta, warm=True)
         out.converged = True
         white = out.own_noises(0)
-        rows = len(out.series)
-        if _likelihood(white, rows) >= _likelihood(out.noises, rows) + self.budgets.noise_nats:
+        if self._likelier(white, out):
             for row, law in enumerate(white):
                 out = out.under(row, law)
         return Base(system, out)
@@ -228,16 +227,20 @@ class Search:
 
     def _best_noise(self, base: Base) -> Base:
         """Physics, with noise models of a kind that suits its residuals better where they make them likelier."""
-        rows = len(base.regression.series)
         for orders in (None, 0):
             models = base.regression.own_noises(orders)
-            known = _likelihood(base.regression.noises, rows)
-            if _likelihood(models, rows) < known + self.budgets.noise_nats:
+            if not self._likelier(models, base.regression):
                 continue
             other = self.regression(base.system, base.regression, models)
             other.run(self.budgets.refinements)
             base = max(base, Base(base.system, other), key=lambda b: b.nats)
         return base
+
+    def _likelier(self, models: Sequence[Noise], regression: Regression) -> bool:
+        """Whether noise models make the residuals of a regression likelier than its own, a nat for each parameter."""
+        rows = len(regression.series)
+        gained = sum(n.likelihood(rows) for n in models) - sum(n.likelihood(rows) for n in regression.noises)
+        return gained >= self.budgets.noise_nats
 
     def regression(
         self,
@@ -286,11 +289,6 @@ class Search:
             warm=warm,
             memory_s=self.decisions.noise_memory,
         )
-
-
-def _likelihood(models: Sequence[Noise], rows: int) -> float:
-    """Log likelihood of residuals under noise models that were fitted to them, less one per parameter of the models."""
-    return sum(n.likelihood(rows) for n in models)
 
 
 def search_in(

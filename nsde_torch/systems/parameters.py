@@ -169,10 +169,14 @@ class ParameterVector:
 
     def at_first(self) -> System:
         """A system of its own with the first values."""
+        return self.at(self.start)
+
+    def at(self, theta: Array) -> System:
+        """A system of its own with other values (k,), moved inside the bounds."""
         out = copy.deepcopy(self.system)
         for module in (out, *(e for e in out.effects if isinstance(e, Effect))):
             module.__dict__.pop("value", None)
-        self.write(out, self.start)
+        self.write(out, theta)
         return out
 
     def write(self, system: System, theta: Array) -> None:

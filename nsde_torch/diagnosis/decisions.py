@@ -31,7 +31,6 @@ class Wording:
     one_run_share: float = key(
         0.8, "share of the log-likelihood in one run that makes it a matter of that run"
     )
-    one_run_fewest: int = key(3, "fewest runs of which one can be the odd one", low=2)
     holds_share: float = key(0.5, "share of what is predicted that must hold elsewhere to be the same there")
     holds_errors: float = key(2.0, "slack of this, what is measured may be low", unit="standard errors")
     sine_factor: float = key(2.0, "times the log-likelihood of a cubic that a periodic dependence must bring")
@@ -106,7 +105,9 @@ class Decisions:
 
     # ---- folds and blocks of time -----------------------------------------------------------------------
     folds: int = key(10, "most groups of whole runs that evidence is measured on in turn", low=2)
-    folds_fewest_runs: int = key(3, "fewest runs of which whole ones are left out", low=2)
+    fewest_runs: int = key(
+        3, "fewest runs of which whole ones are left out, or one can be the odd one", low=2
+    )
     folds_stretches: int = key(5, "stretches of each run instead, of one run or two", low=2)
     refit_folds: int = key(5, "most groups of whole runs that all parameters are fitted again without", low=2)
     refit_tail: float = key(0.3, "share of a single run that is left out instead", above=0, high=0.9)
@@ -121,7 +122,6 @@ class Decisions:
     )
 
     # ---- specification tests ----------------------------------------------------------------------------
-    odd_run_fewest: int = key(3, "fewest runs of which one can be the odd one", low=2)
     odd_run_blocks: int = key(24, "blocks of time that a run is cut into for its own test", low=4)
     odd_run_shortest: float = key(0.25, "shortest of these blocks", unit="s", above=0)
     odd_run_prior: float = key(

@@ -53,7 +53,7 @@ def folds_of(decisions: Decisions, owners: Labels, firsts: Labels) -> Labels:
     d = decisions
     _, number = np.unique(owners, return_inverse=True)
     count = int(number.max()) + 1
-    if count >= d.folds_fewest_runs:
+    if count >= d.fewest_runs:
         return np.asarray(number * min(count, d.folds) // count)
     out = np.zeros(len(number), dtype=np.int64)
     for run in range(count):

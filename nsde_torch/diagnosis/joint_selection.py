@@ -250,9 +250,14 @@ class JointSearch:
     def added(self, system: System) -> frozenset[str]:
         return frozenset(system.effect_names) - self._declared
 
-    def fitted(self, system: System, like: FittedPhysics | None, hopeful: float = -inf) -> FittedPhysics:
-        """Physics fitted from its present values, with noise levels near those of other physics; the best so far."""
-        made = fitted_at(self._problem.of(system), system, None if like is None else like.at, hopeful)
+    def fitted(self, system: System, like: FittedPhysics | None, wanted: float = -inf) -> FittedPhysics:
+        """Physics fitted from its present values, with noise levels near those of other physics; the best so far.
+
+        A fit that has no way to a log likelihood that is wanted ends early, and is not kept.
+        """
+        made = fitted_at(self._problem.of(system), system, None if like is None else like.at, wanted)
+        if made.best.likelihood < wanted:
+            return made
         added = frozenset(system.effect_names)
         known = self._places.get(added)
         if known is None or made.best.likelihood > known.best.likelihood:
@@ -323,7 +328,9 @@ class JointSearch:
         """
         best, last = None, None
         for proposal in _simpler_first(proposals[:_TRIED]):
-            there = self.fitted(proposal.system, place)
+            there = self.fitted(
+                proposal.system, place, place.best.likelihood + self.search.decisions.alike_nats
+            )
             new = self.added(there.system) - self.added(place.system)
             if there.best.likelihood > place.best.likelihood and all(
                 self.needed(n, there, place) for n in new
@@ -341,38 +348,41 @@ class JointSearch:
 
     def _fitted_as_promised(self, proposal: Explained, place: FittedPhysics) -> FittedPhysics:
         """A candidate fitted from where its linearised step ends, or else from where that begins."""
-        # a step to where each value costs a nat leads nowhere, and fits from there take a minute (a wind on NeuroBEM)
-        hopeful = place.best.likelihood - place.at.of.space.measurements
-        there = self.fitted(proposal.system, place, hopeful)
+        wanted = place.best.likelihood + max(0.0, _RISES * proposal.nats)
+        there = self.fitted(proposal.system, place, wanted)
         if self._holds(proposal, there, place):
             return there
         # an undeclared delay makes a gain of 0, beside which a step of the delay goes anywhere
         # (test_a_delay_is_selected_whose_lack_hides_the_gain_of_the_input)
-        return self.fitted(proposal.begun, place)
+        return self.fitted(proposal.begun, place, wanted)
 
     def looked_at_again(self, place: FittedPhysics) -> tuple[FittedPhysics, dict[str, Selected]]:
         """Each effect again beside the others: what is likelier replaces it, what is as likely is a tie."""
-        out: dict[str, Selected] = {}
-        exchanged = 0
-        while left := [n for n in place.system.effect_names if n not in {*self._declared, *out}]:
+        looked: dict[str, Selected] = {}
+        exchanged, sure = 0, set[str]()  # beside all others as they are now
+        while left := [n for n in place.system.effect_names if n not in {*self._declared, *sure}]:
             name = left[0]
-            self.search.say(f"looking again at {name}", len(out), len(out) + len(left))
+            self.search.say(f"looking again at {name}", len(sure), len(sure) + len(left))
             without = self.without(place, name)
             if not self.needed(name, place, without):
-                place, out = without, {}  # what was added after it explains what it did
+                place, sure = without, set()  # what was added after it explains what it did
                 continue
-            alike, better = self._rivals(name, place, without)
-            if better is not None and exchanged < self.search.budgets.exchanges:
-                place, out, exchanged = better, {}, exchanged + 1
-                continue
-            law, there = self._nearer_law(name, place, without)
-            if there is not None and exchanged < self.search.budgets.exchanges:
-                place, out, exchanged = there, {}, exchanged + 1
-                continue
-            alike += self._in_parts(name, place, without)
-            tried = len(self.libraries.get(name, ()))
-            out[name] = Selected(without, tuple(alike), law, tried)
-        return place, out
+            if name not in looked:
+                alike, better = self._rivals(name, place, without)
+                law = ""
+                if better is None or exchanged >= self.search.budgets.exchanges:
+                    law, better = self._nearer_law(name, place, without)
+                if better is not None and exchanged < self.search.budgets.exchanges:
+                    place, sure, exchanged = better, set(), exchanged + 1
+                    continue
+                alike += self._in_parts(name, place, without)
+                looked[name] = Selected(without, tuple(alike), law, len(self.libraries.get(name, ())))
+            looked[name] = replace(looked[name], without=without)
+            sure.add(name)
+        there = [n for n in place.system.effect_names if n in sure]
+        return place, {
+            n: replace(looked[n], ties=tuple(t for t in looked[n].ties if t not in there)) for n in there
+        }
 
     def needed(self, name: str, place: FittedPhysics, without: FittedPhysics) -> bool:
         """Whether an effect brings more likelihood than chance, of all candidates of the look that found it."""
@@ -403,17 +413,22 @@ class JointSearch:
         best: tuple[float, FittedPhysics] | None = None
         there_too = {name, *without.system.effect_names}
         laws = [t for t in self._instead.get(name, ()) if t.law not in there_too]
+        least = self._as_likely(place, without)
         for rival, system in (
             *((r.name, r.system) for r in rivals[:_RIVALS]),
             *((t.law, joined(without.system, t.law, t.start)) for t in laws),
         ):
-            there = self.fitted(system, place)
+            there = self.fitted(system, place, least)
             gained = _compared(self.search, name, rival, place, there)
             if gained > 0 and (best is None or gained > best[0]):
                 best = gained, there
             elif not gained:
                 alike.append(rival)
         return alike, None if best is None else best[1]
+
+    def _as_likely(self, place: FittedPhysics, without: FittedPhysics) -> float:
+        """Log likelihood below which nothing in the place of an effect is as likely."""
+        return place.best.likelihood - _sure(self.search, place.at.blocks - without.at.blocks)
 
     def _in_parts(self, name: str, place: FittedPhysics, without: FittedPhysics) -> list[str]:
         """What is as likely as an effect and a sum: a simpler effect that it contains, and another that does the rest.
@@ -462,8 +477,10 @@ class JointSearch:
                 column = 1 + len(without.best.vector) + j
                 nats = float(table.gain([(0, column)])[0].sum()) if table.is_new(column) else -np.inf
                 rivals += [(nats, term)] if nats > own else []
+        least = self._as_likely(place, without)
         for _, term in sorted(rivals, key=lambda r: -r[0])[:_LAWS]:
-            there = self.fitted(joined(without.system, term.law, term.start), without)
+            system = joined(without.system, term.law, term.start)
+            there = self.fitted(system, without, least)
             difference = there.at.blocks - place.at.blocks
             fewer = len(place.best.vector) - len(there.best.vector)
             gained = float(difference.sum()) + 0.5 * fewer * log(len(difference))
@@ -485,10 +502,10 @@ def looked(search: Search, place: FittedPhysics, frequencies: Sequence[float] = 
 
 
 def fitted_at(
-    problem: LogLikelihood, system: System, near: Optimum | None, hopeful: float = -inf
+    problem: LogLikelihood, system: System, near: Optimum | None, wanted: float = -inf
 ) -> FittedPhysics:
     """A machine at the optimum of its likelihood."""
-    best, at = nearly_maximised(problem, near, hopeful=hopeful)
+    best, at = nearly_maximised(problem, near, wanted=wanted)
     out = system.with_effects()
     best.vector.write(out, best.theta)
     return FittedPhysics(out, best, at)

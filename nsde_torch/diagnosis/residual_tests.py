@@ -400,7 +400,7 @@ def alone(
         budgets: From which chance on a closer look pays.
     """
     runs = np.unique(owners)
-    if len(runs) < decisions.odd_run_fewest:
+    if len(runs) < decisions.fewest_runs:
         return None
     rows = [owners == run for run in runs]
     whole = np.column_stack((own, everywhere, white, whitened))

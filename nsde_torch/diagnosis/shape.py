@@ -313,6 +313,7 @@ def shape(
         runs: Names of the runs, by number.
     """
     channel, wording = seen.names.index(dependence.channel), variables.decisions.wording
+    fewest = variables.decisions.fewest_runs
     if dependence.noise is not None:
         regression = regression.under(channel, dependence.noise)
     run, at, frequency = dependence.run, dependence.moment, dependence.sinusoid
@@ -324,9 +325,7 @@ def shape(
     if frequency is not None:
         of_runs = _sinusoid_by_run(regression, channel, frequency)
         most = max(of_runs, key=lambda run: of_runs[run])
-        alone = len(of_runs) >= wording.one_run_fewest and of_runs[most] > wording.one_run_share * sum(
-            of_runs.values()
-        )
+        alone = len(of_runs) >= fewest and of_runs[most] > wording.one_run_share * sum(of_runs.values())
         note = f"in a swing of {frequency:.4g} Hz" + (
             f", in {called(runs[most])} only" if alone else _of_phase(regression, channel, frequency, wording)
         )
@@ -494,7 +493,7 @@ def _only_run(regression: Regression, channel: int, variable: str, variables: Re
     """Number of the run that a dependence is confined to."""
     of_white = regression.whitened_rows(regression.owners)
     runs, wording = np.unique(of_white), variables.decisions.wording
-    if len(runs) < wording.one_run_fewest:
+    if len(runs) < variables.decisions.fewest_runs:
         return None
     functions, _ = variables.functions[variable]()
     if variable == "run":

@@ -2,9 +2,10 @@
 
 Steps of Gauss and Newton for theta and of Fisher scoring for the levels in turn, each taken only where the likelihood
 of the nonlinear filter rises: the objective is `log_likelihood`, and a step costs at most the nat by which the filter
-may differ from its linearisation where friction has a sign. A wrong model of noise or sensors
-would be confidently wrong, so that innovations that are not white, or larger or smaller than the filter says, speak
-against the estimate (`MaximumLikelihood.objections`).
+may differ from its linearisation where friction has a sign. They end where they bring less than a nat, times how far
+the scatter of scores over blocks exceeds what it should be (`Grams.inflation`). A wrong model of noise or sensors would
+be confidently wrong, so that innovations that are not white, or larger or smaller than the filter says, speak against
+the estimate (`MaximumLikelihood.objections`).
 """
 
 import copy
@@ -46,6 +47,8 @@ from nsde_torch.systems.parameters import ParameterVector
 from nsde_torch.time_limit import check_time
 
 _TURNS = 12
+_STEPS = 2  # of the noise levels to one of theta
+_AHEAD = 10.0  # times what a turn brought, what all that follow may bring
 _FIRST_ROWS = 1000  # enough for noise levels beside a first theta
 _SETTLED, _GAIN = (
     0.05,
@@ -421,10 +424,13 @@ def fit(system: System, runs: Sequence[Run], *, clock: float = 1.0) -> MaximumLi
 
 
 def nearly_maximised(
-    problem: LogLikelihood, near: Optimum | None = None, *, hopeful: float = -inf
+    problem: LogLikelihood,
+    near: Optimum | None = None,
+    *,
+    wanted: float = -inf,
 ) -> tuple[MaximumLikelihood, Optimum]:
     """As `maximised`, as near to the optimum as comparing physics needs, and intervals at the noise levels found."""
-    return maximised(problem, near, settled_at=_NEAR, gain=_NEAR_GAIN, nuisances=False, hopeful=hopeful)
+    return maximised(problem, near, settled_at=_NEAR, gain=_NEAR_GAIN, nuisances=False, wanted=wanted)
 
 
 @torch.no_grad()
@@ -437,7 +443,7 @@ def maximised(
     gain: float = _GAIN,
     nuisances: bool = True,
     held: Levels | None = None,
-    hopeful: float = -inf,
+    wanted: float = -inf,
 ) -> tuple[MaximumLikelihood, Optimum]:
     """Theta and noise levels of largest likelihood, from the first values of the physics.
 
@@ -447,7 +453,7 @@ def maximised(
         settled_at, gain: Where the iteration ends: standard errors of a step of theta, nats that new levels bring.
         nuisances: Whether intervals allow for noise levels that are not known.
         held: Noise levels that are known and stay; None finds them.
-        hopeful: Log likelihood of the first values below which there is no way from them: they stay.
+        wanted: Log likelihood that is asked for: where there is no way to it the iteration ends.
 
     Raises:
         DataError: known levels are of other disturbances: which ones push alike depends on where a log goes.
@@ -479,34 +485,37 @@ def maximised(
                     about = within
                     levels, known = likeliest(space, levels, first, about, start)
                 at = problem.filtered(levels, about)
-    settled, away, columns = False, inf, torch.zeros(0)
+    # from afar some of the chunks lead nearly as far in a third of the time
+    settled, away, columns, whole = False, inf, torch.zeros(0), near is not None
+    # where each measurement costs a nat there is no way back, and fits take a minute (a wind on NeuroBEM)
+    ahead = float(space.measurements)
     for _ in range(_TURNS):
         check_time()
         if away > _CLOSE:
             columns = space.columns(about.x, about.slopes, everything, about.after)
-        if at.total < hopeful:
+        if at.total + ahead < wanted:
             break
-        hopeful = -inf
-        theta, about, at, away = _step(
-            problem, grams(space, levels, about, at, columns), theta, levels, about, at
-        )
-        settled = away < settled_at
+        here = grams(space, levels, about, at, columns)
+        # where innovations are not as predicted, a nat is worth less: of racing flights (NeuroBEM) a tenth
+        worth, begun = here.inflation(_free(vector, theta, here)), at.total
+        theta, about, at, away = _step(problem, here, theta, levels, about, at)
+        settled = away < settled_at * worth**0.5
         if held is not None:
             if settled:
                 break
             continue
         # theta first: levels that were fitted beside a wrong one would take its errors for noise
-        trial, known = likeliest(space, levels, first, about, start, known)
+        turns = _STEPS if whole else _TURNS
+        trial, known = likeliest(space, levels, first, about, start, known, whole=whole, turns=turns)
         there, before = problem.filtered(trial, about), at.total
-        if there.total > before:  # it was found from some of the chunks
+        if there.total > before:  # it may have been found from some of the chunks
             levels, at = trial, there
-        if settled and at.total < before + gain:
-            # levels of some chunks are not those of all (2,600 nats went to whatever was tried next: NanoBench)
-            trial, known = likeliest(space, levels, first, about, start, known, whole=True)
-            there, before = problem.filtered(trial, about), at.total
-            if not there.total > before + gain:
+        if at.total < before + gain * worth:
+            # to compare physics, steps that promise much and bring nothing do too: friction has a sign
+            if whole and (settled or (not nuisances and at.total < begun + gain * worth)):
                 break
-            levels, at = trial, there
+            whole = True
+        ahead = _AHEAD * (at.total - begun)
     beside = None
     if nuisances:  # to compare physics, slopes less than a standard error away do
         about = linearised_about(space, about.x, start)

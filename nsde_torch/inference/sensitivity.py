@@ -46,6 +46,18 @@ class Grams:
         at = np.concatenate(([0], 1 + free))
         return solved(self.total[np.ix_(at, at)], damping=damping)
 
+    def inflation(self, free: NDArray[np.int64]) -> float:
+        """How many times the scatter of scores over blocks exceeds what their innovations should have, at least 1.
+
+        A parameter that does nothing brings half as many nats, where it is white noise that is left half a nat.
+        """
+        at = 1 + free
+        if not len(at):
+            return 1.0
+        score = self.blocks[:, at, 0] - self.blocks[:, at, 0].mean(0)
+        inverse = inverted(self.total[np.ix_(at, at)])
+        return max(float(np.einsum("br,rs,bs->", score, inverse, score)) / len(at), 1.0)
+
     def spread(self, free: NDArray[np.int64]) -> Spread:
         """Jackknife over blocks (`nsde_torch.inference.spread`) of some parameters at the optimum, nuisances free."""
         size = self.total.shape[0]

@@ -11,6 +11,7 @@ from nsde_torch.inference import LogLikelihood, kernels
 from nsde_torch.inference.filtering import Linearisation, Pass, filtered
 from nsde_torch.inference.level_slopes import level_slopes, score
 from nsde_torch.inference.levels import Levels
+from nsde_torch.inference.maximum import _curved
 from nsde_torch.systems import make_system
 from tests.inference.springs import linear_runs, spring
 
@@ -101,3 +102,15 @@ def test_the_score_holds_over_long_chunks_of_precise_sensors(precise: float) -> 
         assert white[j] * of_white[j] == pytest.approx((up - down) / 2e-3, rel=1e-2, abs=1e-2)
     up, down = (passed(sensor * (1.0 + way * 1e-3 * np.eye(3)[2]), white)[0] for way in (1.0, -1.0))
     assert sensor[2] * of_sensors[2] == pytest.approx((up - down) / 2e-3, rel=1e-2, abs=1e-2)
+
+
+def test_the_information_takes_on_the_curvature_of_a_step_and_stays_positive() -> None:
+    rng = torch.Generator().manual_seed(2)
+    half = torch.randn(4, 4, generator=rng, dtype=torch.float64)
+    known, moved = half @ half.T + torch.eye(4), torch.randn(4, generator=rng, dtype=torch.float64)
+    bent = 0.3 * known @ moved + 0.1 * moved
+    found = _curved(known, moved, bent)
+    torch.testing.assert_close(found @ moved, bent)
+    assert torch.linalg.eigvalsh(found).min() > 0.0
+    # of a step along which the likelihood bends upwards nothing is learned
+    assert _curved(known, moved, -bent) is known

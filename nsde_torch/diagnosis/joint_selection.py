@@ -598,7 +598,7 @@ def _catalogue(
     everything = range(len(place.best.vector))
     about = place.at.about
     base = space.columns(about.x, about.slopes, everything, about.after)
-    tables, entries = [base.float()], []
+    tables, entries, rates = [base.float()], [], space.rates(about.x, about.after)
     at = 1 + base.shape[-1]
     scales = data_sizes(place.system, space.steps)
     names = candidate_names(place.system, search.candidates)
@@ -606,7 +606,7 @@ def _catalogue(
         check_time()
         for start in starts(place.system, name, scales, frequencies):
             try:
-                entry, columns = _columns(place, name, joined(place.system, name, start), at)
+                entry, columns = _columns(place, name, joined(place.system, name, start), rates, at)
             except (NsdeError, np.linalg.LinAlgError):
                 continue
             if not bool(torch.isfinite(columns).all()):
@@ -636,8 +636,10 @@ def _side_by_side(tables: list[torch.Tensor]) -> torch.Tensor:
     return out
 
 
-def _columns(place: FittedPhysics, name: str, system: System, at: int) -> tuple[_Entry, torch.Tensor]:
-    """What a candidate does to the steps: by its start, and by each of its parameters."""
+def _columns(
+    place: FittedPhysics, name: str, system: System, rates: torch.Tensor, at: int
+) -> tuple[_Entry, torch.Tensor]:
+    """What a candidate does to the steps: by its start, beside the physics with these rates, and by each parameter."""
     own = place.at.of.of(system)
     space, vector, about = own.space, own.vector, place.at.about
     known = dict(zip(place.best.vector.labels, place.best.theta.tolist(), strict=True))
@@ -646,9 +648,7 @@ def _columns(place: FittedPhysics, name: str, system: System, at: int) -> tuple[
     theta = vector.inside(first)
     space.use(theta)
     mine = vector.of(name)
-    after = space.after(about.x)
-    moved = space.columns(about.x, about.slopes, mine, after)
-    shift = (space.missed(about.x, after) - about.missed)[..., None]
+    moved = space.columns(about.x, about.slopes, mine, about.after, rates)
     missing = [j for j, label in enumerate(place.best.vector.labels) if label not in vector.labels]
     entry = _Entry(
         name,
@@ -660,7 +660,7 @@ def _columns(place: FittedPhysics, name: str, system: System, at: int) -> tuple[
         vector.high[mine],
         1 + np.array(missing, dtype=np.int64),
     )
-    return entry, torch.cat((shift, moved), -1)
+    return entry, moved
 
 
 def _choices(entry: _Entry) -> list[tuple[int, ...]]:

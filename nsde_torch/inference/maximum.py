@@ -80,12 +80,11 @@ def likeliest(
     share = float(space.chunks.counted.sum() / live.sum().clamp_min(1))
     few = _evenly(len(some), _chunks_of(space, _INFORMING))
     enough = float(live.sum() / live[:, few].sum().clamp_min(1)) * share
-    parts = torch.arange(len(some)).split(at_once)
+    split = torch.arange(len(some)).split(at_once)
+    parts = [(near.of(part), live[:, part]) for part in split] if len(split) > 1 else [(near, live)]
 
-    def passed(values: Tensor, part: Tensor, covariances: bool = True) -> Pass:
-        return filtered(
-            space, levels.like(values), near.of(part), start, live[:, part], covariances=covariances
-        )
+    def passed(values: Tensor, part: tuple[Linearisation, Tensor], covariances: bool = True) -> Pass:
+        return filtered(space, levels.like(values), part[0], start, part[1], covariances=covariances)
 
     def tried(values: Tensor) -> tuple[Pass | None, float]:
         """What is to be large, and the pass where it is a single one."""
@@ -98,12 +97,13 @@ def likeliest(
         pulled = torch.zeros_like(values)
         for part in parts:
             one = here or passed(values, part)
-            pulled += score(space, levels.like(values), near.of(part), one, live[:, part]).sum(0)
+            pulled += score(space, levels.like(values), part[0], one, part[1]).sum(0)
         return share * pulled - _PRIOR * (values - prior)
 
     def information(values: Tensor, here: Pass | None) -> Tensor:
-        one = passed(values, few) if here is None else here.of(few)
-        found = _information(space, levels.like(values), near.of(few), one, live[:, few])
+        about_few, live_few = near.of(few), live[:, few]
+        one = passed(values, (about_few, live_few)) if here is None else here.of(few)
+        found = _information(space, levels.like(values), about_few, one, live_few)
         return enough * found + _PRIOR * torch.eye(len(values), dtype=values.dtype)
 
     here, best = tried(phi)

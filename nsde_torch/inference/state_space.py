@@ -253,7 +253,19 @@ class StateSpace:
         slopes[..., : self.ne] += eye
         return slopes.view(*x.shape[:2], self.ne, self.n), after
 
-    def columns(self, x: Tensor, slopes: Tensor, which: Sequence[int], after: Tensor | None = None) -> Tensor:
+    def rates(self, x: Tensor, after: Tensor) -> Tensor:
+        """Rates (T C, nx) in the middle of the undisturbed steps from some states (T, C, nx) to those after them."""
+        t, memory, u = self._in_the_middle()
+        return self.rate(t, _rows(self.midway(x, after)), memory, u, x.new_zeros(1, self.nd))
+
+    def columns(
+        self,
+        x: Tensor,
+        slopes: Tensor,
+        which: Sequence[int],
+        after: Tensor | None = None,
+        beside: Tensor | None = None,
+    ) -> Tensor:
         """What some parameters do to a step (T, C, ne, k) at states (T, C, nx).
 
         What they do to the rate in the middle of the step, carried to its end: second order in h, of directions in
@@ -264,14 +276,19 @@ class StateSpace:
             slopes: Of the step from these (T, C, ne, n).
             which: Numbers of the parameters.
             after: States after the undisturbed step, where they are known.
+            beside: Rates of other physics in the middle of the same steps (`rates`): what this does beside it is then
+                the first of the columns (T, C, ne, 1 + k).
         """
         system, v = self.vector.system, self.vector
         middle = _rows(self.midway(x, after))
         t, memory, u = self._in_the_middle()
         still = middle.new_zeros(1, self.nd)
         base, none = self.rate(t, middle, memory, u, still), middle.new_zeros(1, self.ne)
-        out = base.new_empty(len(middle), self.ne, len(which))
-        for i, j in enumerate(which):
+        own = () if beside is None else (beside,)
+        out = base.new_empty(len(middle), self.ne, len(own) + len(which))
+        for i, other in enumerate(own):
+            out[..., i] = self.h * _parted(system, middle, base, middle, other, none)
+        for i, j in enumerate(which, len(own)):
             remembers = v.moves_memory[j] and system.nz > system.nx
             by = (_REMEMBERED if remembers else _SHARE) * float(v.scale[j])
             there = self.theta.clone()
@@ -283,7 +300,7 @@ class StateSpace:
         self._take(self.theta)
         ahead = _rows(slopes[..., : self.ne])
         out = torch.baddbmm(out, ahead, out, beta=0.5, alpha=0.5)
-        return self.passed(out.view(*x.shape[:2], self.ne, len(which)))
+        return self.passed(out.view(*x.shape[:2], *out.shape[1:]))
 
     def _in_the_middle(self) -> tuple[Tensor, Tensor, Tensor]:
         """Time of the middle of each step, memory and input over it, as rows."""

@@ -359,13 +359,13 @@ class JointSearch:
     def looked_at_again(self, place: FittedPhysics) -> tuple[FittedPhysics, dict[str, Selected]]:
         """Each effect again beside the others: what is likelier replaces it, what is as likely is a tie."""
         looked: dict[str, Selected] = {}
-        exchanged, sure = 0, set[str]()  # beside all others as they are now
-        while left := [n for n in place.system.effect_names if n not in {*self._declared, *sure}]:
+        exchanged, kept = 0, set[str]()  # those needed beside all others as they are now
+        while left := [n for n in place.system.effect_names if n not in {*self._declared, *kept}]:
             name = left[0]
-            self.search.say(f"looking again at {name}", len(sure), len(sure) + len(left))
+            self.search.say(f"looking again at {name}", len(kept), len(kept) + len(left))
             without = self.without(place, name)
             if not self.needed(name, place, without):
-                place, sure = without, set()  # what was added after it explains what it did
+                place, kept = without, set()  # what was added after it explains what it did
                 continue
             if name not in looked:
                 alike, better = self._rivals(name, place, without)
@@ -373,13 +373,13 @@ class JointSearch:
                 if better is None or exchanged >= self.search.budgets.exchanges:
                     law, better = self._nearer_law(name, place, without)
                 if better is not None and exchanged < self.search.budgets.exchanges:
-                    place, sure, exchanged = better, set(), exchanged + 1
+                    place, kept, exchanged = better, set(), exchanged + 1
                     continue
                 alike += self._in_parts(name, place, without)
                 looked[name] = Selected(without, tuple(alike), law, len(self.libraries.get(name, ())))
             looked[name] = replace(looked[name], without=without)
-            sure.add(name)
-        there = [n for n in place.system.effect_names if n in sure]
+            kept.add(name)
+        there = [n for n in place.system.effect_names if n in kept]
         return place, {
             n: replace(looked[n], ties=tuple(t for t in looked[n].ties if t not in there)) for n in there
         }

@@ -87,7 +87,9 @@ class MaximumLikelihood:
     spread: Spread  # Jackknife of these over blocks of time
     levels: Levels  # noise levels
     likelihood: float  # log likelihood [nats]
-    settled: bool  # whether the last step was a twentieth of a standard error at most
+    settled: (
+        bool  # whether the last step was a twentieth of a standard error at most, by the scatter of scores
+    )
     square: Array
     """Mean square of the whitened innovations of each measured channel (m,): 1 where the model is right."""
     predictable: Array

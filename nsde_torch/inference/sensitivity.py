@@ -47,9 +47,10 @@ class Grams:
         return solved(self.total[np.ix_(at, at)], damping=damping)
 
     def inflation(self, free: NDArray[np.int64]) -> float:
-        """How many times the scatter of scores over blocks exceeds what their innovations should have, at least 1.
+        """How many times the variance of scores over blocks is what white innovations give it, at least 1.
 
-        A parameter that does nothing brings half as many nats, where it is white noise that is left half a nat.
+        A parameter that does nothing brings half a nat where innovations are as predicted, and so many times as much
+        where they are not.
         """
         at = 1 + free
         if not len(at):

@@ -141,3 +141,14 @@ def test_physics_that_are_compared_are_disturbed_on_the_same_ports() -> None:
     assert best.disturbances == problem.space.disturbances
     with pytest.raises(DataError, match="noise levels of"):
         maximised(other, held=at.levels)
+
+
+def test_a_fit_ends_where_it_has_no_way_to_what_is_wanted() -> None:
+    problem, far = LogLikelihood(spring(), linear_runs(2, 10.0, seed=5)), moved({K: -2.0})
+    best, at = nearly_maximised(problem)
+    whole, _ = nearly_maximised(problem.of(far), at)
+    cut, _ = nearly_maximised(problem.of(far), at, wanted=best.likelihood + 1e6)
+    same, _ = nearly_maximised(problem.of(far), at, wanted=best.likelihood - 10.0)
+    assert cut.likelihood < whole.likelihood - 50.0
+    assert same.likelihood == pytest.approx(whole.likelihood, abs=1.0)
+    assert whole.likelihood == pytest.approx(best.likelihood, abs=1.0)

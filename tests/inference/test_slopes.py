@@ -51,3 +51,20 @@ def test_columns_are_differences_of_steps_to_second_order(space: StateSpace, lab
     theta[j] -= by
     space.use(theta)
     assert float((columns - differences).norm()) < 3e-3 * float(differences.norm())
+
+
+def test_what_physics_does_beside_others_is_the_first_column(space: StateSpace) -> None:
+    x, v = space.chunks.y, space.vector
+    slopes, after = space.linearised(x)
+    rates, j = space.rates(x, after), v.labels.index("linear_drag.drag[1]")
+    theta = space.theta.numpy().copy()
+    theta[j] += 0.3
+    space.use(theta)
+    columns = space.columns(x, slopes, [j], after, rates)
+    differences = v.system.error(space.after(x), after)
+    theta[j] -= 0.3
+    space.use(theta)
+    assert columns.shape[-1] == 2
+    assert float((columns[..., 0] - differences).norm()) < 3e-3 * float(differences.norm())
+    # a drag is linear in its size
+    assert float((0.3 * columns[..., 1] - columns[..., 0]).norm()) < 1e-3 * float(columns[..., 0].norm())

@@ -357,7 +357,11 @@ class JointSearch:
         return self.fitted(proposal.begun, place, wanted)
 
     def looked_at_again(self, place: FittedPhysics) -> tuple[FittedPhysics, dict[str, Selected]]:
-        """Each effect again beside the others: what is likelier replaces it, what is as likely is a tie."""
+        """Each effect again beside the others: what is likelier replaces it, what is as likely is a tie.
+
+        After an exchange only whether each of the others is still needed is asked again, not what else may be in its
+        place: on six racing flights (NeuroBEM) that took 130 s each time.
+        """
         looked: dict[str, Selected] = {}
         exchanged, kept = 0, set[str]()  # those needed beside all others as they are now
         while left := [n for n in place.system.effect_names if n not in {*self._declared, *kept}]:
@@ -427,8 +431,10 @@ class JointSearch:
         return alike, None if best is None else best[1]
 
     def _as_likely(self, place: FittedPhysics, without: FittedPhysics) -> float:
-        """Log likelihood below which nothing in the place of an effect is as likely."""
-        return place.best.likelihood - _sure(self.search, place.at.blocks - without.at.blocks)
+        """Log likelihood below which nothing in the place of an effect is as likely, also with fewer parameters."""
+        difference = place.at.blocks - without.at.blocks
+        price = 0.5 * (len(place.best.vector) - len(without.best.vector)) * log(len(difference))
+        return place.best.likelihood - max(price, 0.0) - _sure(self.search, difference)
 
     def _in_parts(self, name: str, place: FittedPhysics, without: FittedPhysics) -> list[str]:
         """What is as likely as an effect and a sum: a simpler effect that it contains, and another that does the rest.
@@ -598,7 +604,7 @@ def _catalogue(
     everything = range(len(place.best.vector))
     about = place.at.about
     base = space.columns(about.x, about.slopes, everything, about.after)
-    tables, entries, rates = [base.float()], [], space.rates(about.x, about.after)
+    tables, entries, rates = [base.float()], [], space.rates(space.midway(about.x, about.after))
     at = 1 + base.shape[-1]
     scales = data_sizes(place.system, space.steps)
     names = candidate_names(place.system, search.candidates)

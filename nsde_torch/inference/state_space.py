@@ -253,10 +253,10 @@ class StateSpace:
         slopes[..., : self.ne] += eye
         return slopes.view(*x.shape[:2], self.ne, self.n), after
 
-    def rates(self, x: Tensor, after: Tensor) -> Tensor:
-        """Rates (T C, nx) in the middle of the undisturbed steps from some states (T, C, nx) to those after them."""
+    def rates(self, middle: Tensor) -> Tensor:
+        """Undisturbed rates (T C, nx) at states in the middle of the steps (T, C, nx)."""
         t, memory, u = self._in_the_middle()
-        return self.rate(t, _rows(self.midway(x, after)), memory, u, x.new_zeros(1, self.nd))
+        return self.rate(t, _rows(middle), memory, u, middle.new_zeros(1, self.nd))
 
     def columns(
         self,
@@ -280,20 +280,20 @@ class StateSpace:
                 the first of the columns (T, C, ne, 1 + k).
         """
         system, v = self.vector.system, self.vector
-        middle = _rows(self.midway(x, after))
+        there = self.midway(x, after)
+        base, middle = self.rates(there), _rows(there)
         t, memory, u = self._in_the_middle()
-        still = middle.new_zeros(1, self.nd)
-        base, none = self.rate(t, middle, memory, u, still), middle.new_zeros(1, self.ne)
-        own = () if beside is None else (beside,)
-        out = base.new_empty(len(middle), self.ne, len(own) + len(which))
-        for i, other in enumerate(own):
-            out[..., i] = self.h * _parted(system, middle, base, middle, other, none)
-        for i, j in enumerate(which, len(own)):
+        still, none = middle.new_zeros(1, self.nd), middle.new_zeros(1, self.ne)
+        first = 0 if beside is None else 1
+        out = base.new_empty(len(middle), self.ne, first + len(which))
+        if beside is not None:
+            out[..., 0] = self.h * _parted(system, middle, base, middle, beside, none)
+        for i, j in enumerate(which, first):
             remembers = v.moves_memory[j] and system.nz > system.nx
             by = (_REMEMBERED if remembers else _SHARE) * float(v.scale[j])
-            there = self.theta.clone()
-            there[..., j] += by
-            self._take(there)
+            theta = self.theta.clone()
+            theta[..., j] += by
+            self._take(theta)
             held = _rows(self._memory()) if remembers else memory
             rate = self.rate(t, middle, held, u, still)
             out[..., i] = self.h / by * _parted(system, middle, rate, middle, base, none)

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import nsde_torch
-from nsde_torch.inference import LogLikelihood, kernels
+from nsde_torch.inference import LogLikelihood, kernels, nearly_maximised
 from nsde_torch.inference.filtering import Linearisation, Pass, filtered
 from nsde_torch.inference.level_slopes import level_slopes, score
 from nsde_torch.inference.levels import Levels
@@ -114,3 +114,15 @@ def test_the_information_takes_on_the_curvature_of_a_step_and_stays_positive() -
     assert torch.linalg.eigvalsh(found).min() > 0.0
     # of a step along which the likelihood bends upwards nothing is learned
     assert _curved(known, moved, -bent) is known
+
+
+def test_levels_do_not_stop_by_information_from_elsewhere() -> None:
+    drag = {"linear_drag": {"drag": [0.35, 0.3, 0.15]}}
+    made = nsde_torch.simulate("hexacopter", effects=[drag], durations=[15.0], seed=106)
+    system = make_system("hexacopter", effects=["linear_drag"])
+    runs = nsde_torch.read(made, system=system).runs
+    best, at = nearly_maximised(LogLikelihood(system, runs, run_in=True))
+    best.vector.write(system, best.theta)
+    # what is not there brings what the levels had stopped below, 6.4 nats
+    more = system.with_effects(system.make_effect("gyroscopic_moment", {}))
+    assert nearly_maximised(at.of.of(more), at)[0].likelihood - best.likelihood < 2.0

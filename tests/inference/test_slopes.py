@@ -56,7 +56,7 @@ def test_columns_are_differences_of_steps_to_second_order(space: StateSpace, lab
 def test_what_physics_does_beside_others_is_the_first_column(space: StateSpace) -> None:
     x, v = space.chunks.y, space.vector
     slopes, after = space.linearised(x)
-    rates, j = space.rates(x, after), v.labels.index("linear_drag.drag[1]")
+    rates, j = space.rates(space.midway(x, after)), v.labels.index("linear_drag.drag[1]")
     theta = space.theta.numpy().copy()
     theta[j] += 0.3
     space.use(theta)

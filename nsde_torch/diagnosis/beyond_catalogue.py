@@ -12,9 +12,8 @@ Laws are tried first in the place of effects that may only imitate one: where th
 that the data tell from another law (`bent_shape`), where one term is likelier (`Selected.law`), and where two effects
 are laws of one variable (a friction and a quadratic damping for a cubic one).
 
-A law has to be chosen again: of halves of the runs (of stretches, where there are too few runs), drawn at random, it
-explains a large share about as well as the best term of the library does there (stability selection, Meinshausen and
-Buehlmann, Journal of the Royal Statistical Society B 72, 2010, with likelihoods in place of a path).
+A law has to explain a good share of what functions do on its row: several terms that each win a little of a surface of
+two variables are an approximation of it, and no laws.
 
 A law that is the same function as an effect of the catalogue takes that effect's name: `force = c1 x^3` is a cubic
 stiffness. The law may have been the likelier of the two by its spelling alone, as the same evidence is judged run by
@@ -70,7 +69,7 @@ def with_laws(
     if not search.tries_laws:
         return outcome
     laws, before = _LawSearch(search), set(joint.selected)
-    joint = laws.checked(joint)  # laws that took the place of effects
+    joint = laws.named_by_the_catalogue(joint)  # laws that took the place of effects
     if joint.selected.keys() != before:
         outcome = conclude(joint)
     # not of what feedback may have made: that is not named under another name either
@@ -133,17 +132,10 @@ class _LawSearch:
             place, added = better, added + 1
         if not added:
             return None
-        found = self.checked(search.concluded(place))
+        found = self.named_by_the_catalogue(search.concluded(place))
         if not any(map(is_law, found.selected)):
             return None
         return replace(found, functions=self.functions(found.final))
-
-    def checked(self, found: JointSelection) -> JointSelection:
-        """The same without laws that are not chosen again, laws that the catalogue has under its names."""
-        search = self._search
-        while unstable := self._not_chosen_again(found):
-            found = search.concluded(search.without(found.final, unstable))
-        return self._named_by_the_catalogue(found)
 
     def _with_a_law(self, place: FittedPhysics, effects: Sequence[Law]) -> FittedPhysics | None:
         """Physics with the law that explains most beside it; None where none is needed."""
@@ -177,7 +169,8 @@ class _LawSearch:
         if best is None or chosen is None:
             return None
         search.chosen(chosen.law, fitted, library)
-        return best
+        least = search.search.decisions.law_share * nats.get(chosen.port, 0.0)
+        return best if best.best.likelihood - place.best.likelihood > least else None
 
     def _promising(
         self, place: FittedPhysics, library: Sequence[Term], levels: Levels | None
@@ -203,43 +196,7 @@ class _LawSearch:
             best.setdefault(term.law, (term, size))
         return list(best.values())
 
-    def _not_chosen_again(self, found: JointSelection) -> str:
-        """A law that is not chosen again in halves of the runs; empty where all are."""
-        decisions = self._search.search.decisions
-        for name in filter(is_law, found.selected):
-            if self._share(found, name) < decisions.law_share:
-                return name
-        return ""
-
-    def _share(self, found: JointSelection, name: str) -> float:
-        """Share of random halves of the runs in which a law is about as good as the best of its library."""
-        search, decisions = self._search, self._search.search.decisions
-        without = search.without(found.final, name)
-        values = values_of(effect_of(found.final.system, name))
-        shapes = {k: v for k, v in values.items() if k != "c1"}
-        terms = search.libraries[name]
-        library = (Term(name, shapes, next(t.port for t in terms if t.law == name)), *terms)
-        space = without.at.of.space
-        owners, firsts = space.chunks.places()
-        fold = folds_of(decisions, owners, firsts)
-        labels, rng = np.unique(fold), np.random.default_rng(decisions.law_halves)
-        halves = [
-            np.isin(fold, rng.choice(labels, max(len(labels) // 2, 1), replace=False))
-            for _ in range(decisions.law_halves)
-        ]
-        power = np.full((len(halves), len(library)), -np.inf)
-        at = 0
-        # the noise of the physics without the law may have learned it
-        for some, held in tables(without.system, without.at, library, found.final.at.levels):
-            table = GramTable(held, 1 + without.best.free, fold)
-            first = 1 + len(without.best.vector)
-            power[:, at : at + len(some)] = table.gains_on(halves, range(first, first + len(some)))
-            at += len(some)
-        mine = [j for j, term in enumerate(library) if term.law == name]
-        again = power[:, mine].max(1) > power.max(1) - decisions.alike_nats
-        return float(again.mean())
-
-    def _named_by_the_catalogue(self, found: JointSelection) -> JointSelection:
+    def named_by_the_catalogue(self, found: JointSelection) -> JointSelection:
         """The same, laws that the catalogue has under its names."""
         search = self._search
         for name in filter(is_law, list(found.selected)):

@@ -23,7 +23,7 @@ from nsde_torch.diagnosis.feedback_bias import (
 from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSelection
 from nsde_torch.diagnosis.outcome import Found, Outcome, Verdict, found_by
 from nsde_torch.diagnosis.reading import Log
-from nsde_torch.diagnosis.residual_tests import Dependence, beyond_chance, dependences, variables_of
+from nsde_torch.diagnosis.residual_tests import Dependence, beyond_chance, dependences, overview, variables_of
 from nsde_torch.diagnosis.search import Base, Search, bent_shape, fitted_system, moved_channels
 from nsde_torch.effects import Effect, Port, effect_class
 from nsde_torch.effects.expression_grammar import is_law
@@ -111,11 +111,9 @@ def decide(search: Search, chosen: Selection, feedback: Feedback) -> Outcome:
         chosen.joint,
     )
     declared_variables = variables_of(search, declared)
-    before = dependences(declared.regression, declared_variables, overview=bool(found))
-    variables, after = declared_variables, before
-    if found:
-        variables = variables_of(search, base)
-        after = dependences(base.regression, variables)
+    variables = variables_of(search, base) if found else declared_variables
+    after = dependences(base.regression, variables)
+    before = overview(declared.regression, declared_variables) if found else after
     levels = search.levels(*(["effects"] if found else []))
     left = _left(base, after, tested, levels["structure"])
     explained = base.nats - declared.nats

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from math import log
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nsde_torch.arrays import Array, Labels
 from nsde_torch.inference.sensitivity import Grams, half_squares, solved
@@ -17,7 +16,6 @@ from nsde_torch.inference.sensitivity import Grams, half_squares, solved
 # without it a law linear in the speed was fitted beside a viscous damping, whose rounding it explained
 _NEW = 0.03  # share of a column that must be left: less is nothing that the physics cannot do already
 _SEEN = 1e-9  # share of a column that must be left beside the others for it to be seen
-_SHOWN = 1e-9  # of the square of a column: less of it in some blocks is rounding
 _ROUNDING = 1e-10  # of the largest eigenvalue: directions that columns hardly have
 
 
@@ -51,29 +49,6 @@ class GramTable:
         blocks = self._reduced(keep, [each[0] for each in columns if each[0]])
         after, fitted, step = self._left_out(blocks)
         return self._before - after, self._fitted - fitted, step[len(base) :]
-
-    def gains_on(self, parts: Sequence[NDArray[np.bool_]], columns: Sequence[int]) -> Array:
-        """Nats (parts, columns) that each column alone brings to some blocks, fitted to these; 0 of what is not new.
-
-        Args:
-            parts: Flags of blocks (B,).
-            columns: Numbers of the columns.
-        """
-        at, known = np.array(columns), np.array([self.is_new(c) for c in columns])
-        out = np.zeros((len(parts), len(at)))
-        for row, part in zip(out, parts, strict=True):
-            total = self._held.blocks[part].sum(0)
-            across = total[np.ix_(self._base, at)]
-            along = (
-                np.linalg.pinv(total[np.ix_(self._base, self._base)], rcond=_ROUNDING, hermitian=True)
-                @ across
-            )
-            square = total[at, at]
-            left = square - (across * along).sum(0)
-            live = known & (left > _SHOWN * square)
-            pull = total[at, 0] - along.T @ total[self._base, 0]
-            row[live] = 0.5 * np.square(pull[live]) / left[live]
-        return out
 
     def is_new(self, column: int) -> bool:
         """Whether the parameters of the physics cannot do already what a column does."""

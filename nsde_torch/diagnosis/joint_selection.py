@@ -41,7 +41,9 @@ from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector, own_name
 from nsde_torch.time_limit import check_time
 
-_RISES = 0.3  # share of the nats of a linearised step that the likelihood has to rise by once a candidate is fitted
+# share of the nats of a linearised step that the likelihood has to rise by once a candidate is fitted, and of those of
+# an effect that another one has to promise to be fitted in its place: no step was off by more
+_RISES = 0.3
 _TRIED = 3  # candidates that are fitted to the end before a round ends
 _RIVALS = 3  # candidates that are fitted in the place of an effect
 _LAWS = 2  # laws that are fitted in the place of an effect
@@ -179,6 +181,7 @@ class JointSearch:
         self._aside: list[str] = []
         self._places: dict[frozenset[str], FittedPhysics] = {}
         self._looks: dict[frozenset[str], Look] = {}
+        self._short: dict[str, float] = {}  # nats that a candidate last fell short of its linearised step
         self.libraries: dict[str, tuple[Term, ...]] = {}
         self._instead: dict[str, tuple[Term, ...]] = {}
         self._first = self.fitted(system, None)
@@ -209,9 +212,50 @@ class JointSearch:
                 brought [nats].
         """
         brought = dict(brought or {})
-        most = self.search.decisions.most_effects
         place = self._first if begun is None else self._declared_if_short(self.fitted(begun, self._first))
         so_far(self._first, place, brought)
+
+        def known(before: FittedPhysics, after: FittedPhysics) -> None:
+            new = self.added(after.system) - self.added(before.system)
+            brought.update(dict.fromkeys(new, after.best.likelihood - before.best.likelihood))
+            so_far(self._first, after, brought)
+
+        return self.concluded(place, known)
+
+    def concluded(
+        self,
+        place: FittedPhysics,
+        known: Callable[[FittedPhysics, FittedPhysics], None] = lambda before, after: None,
+    ) -> JointSelection:
+        """Physics with what it lacks of the catalogue, each effect looked at again beside the others.
+
+        Where that changed the effects, what they lack is looked for again: a law that takes the place of a steady force
+        leaves that to be found beside it (the public drive EMPS).
+
+        Args:
+            place: Physics that is begun with.
+            known: Takes the physics before and after an effect is added.
+        """
+        been: set[frozenset[str]] = set()
+        selected: dict[str, Selected] = {}
+        while self.added((more := self._extended(place, known)).system) not in been:
+            been.add(self.added(more.system))
+            place, selected = self.looked_at_again(more)
+            if self.added(place.system) in been:
+                break
+        rounds = tuple(self._rounds) or (Round(self.look(self._first), ""),)
+        # what is missing passes for noise in the first look
+        errors: dict[str, dict[str, float]] = {}
+        for p in (p for look in self._looks.values() for p in look.proposals):
+            own = errors.setdefault(p.name, {})
+            own |= {label: min(error, own.get(label, error)) for label, error in p.errors.items()}
+        return JointSelection(self._first, place, selected, rounds, errors, tuple(self._aside))
+
+    def _extended(
+        self, place: FittedPhysics, known: Callable[[FittedPhysics, FittedPhysics], None]
+    ) -> FittedPhysics:
+        """Physics with effects of the catalogue that it lacks, one at a time."""
+        most = self.search.decisions.most_effects
         for count in range(len(self.added(place.system)), most):
             names = candidate_names(place.system, self.search.candidates)
             count_of = f"{len(names)} effect{'s' if len(names) > 1 else ''}"
@@ -221,21 +265,9 @@ class JointSearch:
             self._rounds.append(Round(self.look(place), name))
             if better is None:
                 break
-            brought[name], place = better.best.likelihood - place.best.likelihood, better
-            place = self._declared_if_short(place)
-            so_far(self._first, place, brought)
-        return self.concluded(place)
-
-    def concluded(self, place: FittedPhysics) -> JointSelection:
-        """The effects of some physics, each looked at again beside the others."""
-        place, selected = self.looked_at_again(place)
-        rounds = tuple(self._rounds) or (Round(self.look(self._first), ""),)
-        # what is missing passes for noise in the first look
-        errors: dict[str, dict[str, float]] = {}
-        for p in (p for look in self._looks.values() for p in look.proposals):
-            own = errors.setdefault(p.name, {})
-            own |= {label: min(error, own.get(label, error)) for label, error in p.errors.items()}
-        return JointSelection(self._first, place, selected, rounds, errors, tuple(self._aside))
+            before, place = place, self._declared_if_short(better)
+            known(before, place)
+        return place
 
     def chosen(self, law: str, fitted: Sequence[Term], library: Sequence[Term]) -> None:
         """A law was chosen: it is held against the other terms that were fitted when it is looked at again."""
@@ -301,12 +333,14 @@ class JointSearch:
         """The physics with the best candidate that holds what it promises once it is fitted."""
         look = self.look(place)
         best, risen = None, 0.0
+        # what fell short comes last: of the published flights a delay promised most in each round, and 16 s of fits
         tried = _in_order(self.search, look, self.added(place.system))[:_TRIED]
-        for proposal in tried:
-            if best is not None and proposal.nats < risen:
+        for proposal in sorted(tried, key=lambda p: self._hoped(p) <= 0):
+            if best is not None and self._hoped(proposal) < risen:
                 continue
             there = self._fitted_as_promised(proposal, place)
             if not self._holds(proposal, there, place):
+                self._short[proposal.name] = proposal.nats - (there.best.likelihood - place.best.likelihood)
                 continue
             if best is None or there.best.likelihood > best.best.likelihood:
                 best, risen = there, there.best.likelihood - place.best.likelihood
@@ -340,6 +374,10 @@ class JointSearch:
                 if float((density - last).sum()) > _sure(self.search, density - last):
                     best, last = there, density
         return best
+
+    def _hoped(self, proposal: Explained) -> float:
+        """What a candidate would bring if its linearised step were as far off as last time [nats]."""
+        return proposal.nats - self._short.get(proposal.name, 0.0)
 
     def _holds(self, proposal: Explained, there: FittedPhysics, place: FittedPhysics) -> bool:
         """Whether the likelihood rose as a linearised step promised."""
@@ -412,6 +450,7 @@ class JointSearch:
             # what contains the effect was a candidate beside it, and was not needed
             if name not in {p.name, *effect_class(p.name).includes}
             and (own is None or not _far_above(own, p))
+            and self._hoped(p) > (0.0 if own is None else _RISES * own.nats)
         ]
         alike: list[str] = []
         best: tuple[float, FittedPhysics] | None = None

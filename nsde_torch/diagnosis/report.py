@@ -1,7 +1,7 @@
 """`report.html`, one self-contained page that a field engineer reads in two minutes (`templates/report.html`).
 
-A picture of all effects that were found shows the channel whose residual they reduced most against the variable on
-which the residual depended most surely before; without an effect, what the residual depends on. A picture of one effect
+A picture of all effects that were found shows the channel whose residual they reduced most against the variable whose
+dependence they took away most; without an effect, what the residual depends on. A picture of one effect
 shows what is left over in one channel with it, and with its own term added back,
 
     without = residual(theta) + (term of the effect at theta)        all other parameters as they were fitted
@@ -79,9 +79,7 @@ EFFECT = "effect_"
 """What the name of a picture of one effect begins with."""
 WITHOUT, WITH = "without it", "with it"
 _CHANNELS, _UNEXPLAINED = 2, 4  # panels
-_PLAIN, _PRODUCT = 0.05, 0.01  # chances between which a product is drawn and no plain variable
 _COURSE = 120  # points of a course in time
-_SURE = 1e-4  # chance below which a test is as sure as any
 _REDUCED = 0.9  # of the residual before: what is below that was reduced
 _FUNCTION = 0.5  # of a term's variance, which bins of a variable must hold to be its axis
 _CONSTANT = 1e-6  # of a term's squared mean: variance below which it is a constant
@@ -371,22 +369,10 @@ def _most_reduced(channels: Sequence[ChannelResidual]) -> list[ChannelResidual]:
 
 
 def _telling(tests: Sequence[Dependence], after: Sequence[Dependence], channel: str) -> Dependence | None:
-    """The sure test of a channel of which the effects took away most, whose variable can be an axis.
-
-    A product is taken only where nothing else comes near.
-    """
+    """The test of a channel on a variable that can be an axis, of which the effects took away most."""
     stays = {(d.channel, d.variable): d.gain for d in after}
-    own = [d for d in tests if d.channel == channel and d.variable != "run" and d.everywhere]
-    plain = [d for d in own if is_plain(d.variable)]
-
-    def order(d: Dependence) -> tuple[float, float]:
-        return max(d.p * len(tests), _SURE), stays.get((channel, d.variable), 0.0) - d.excess
-
-    first, product = (min(some, key=order, default=None) for some in (plain, own))
-    if first is None or product is None:
-        return product
-    alone = first.p * len(tests) > _PLAIN and product.p * len(tests) < _PRODUCT
-    return product if alone else first
+    own = [d for d in tests if d.channel == channel and is_plain(d.variable) and d.everywhere]
+    return max(own, key=lambda d: d.excess - stays.get((channel, d.variable), 0.0), default=None)
 
 
 def _axis(

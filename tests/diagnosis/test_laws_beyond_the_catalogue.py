@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.decisions import Budgets, Options
+from nsde_torch.diagnosis.decisions import Budgets, Decisions, Options
 from nsde_torch.diagnosis.laws import terms_of, with_places
 from nsde_torch.diagnosis.result import looks_like
 from nsde_torch.effects.expression_grammar import parse
@@ -18,6 +18,7 @@ from tests.helpers.diagnosed import diagnosed
 
 OUTSIDE = Path(__file__).parents[2] / "benchmarks" / "blind"
 LAW = "force = c1 q q_dot"
+HALF = "force = c1 max(q_dot, 0)^2"
 SHORT: dict[str, Any] = {"durations": (8.0,) * 4, "dt": 0.02}
 
 
@@ -53,6 +54,14 @@ def test_a_product_that_no_catalogue_has_is_found_added_verified_and_written(tmp
     system = system_options("mass_spring_damper", effects=tmp_path / "effects.yaml").make()
     value = float(system.all_declared()[f"{LAW}.c1"][0])
     assert value == pytest.approx(content["parameters"][f"{LAW}.c1"]["value"], rel=1e-5)
+
+
+def test_a_law_that_explains_a_part_of_what_functions_do_is_not_named() -> None:
+    most = Decisions(law_share=5.0)  # no law explains five times what functions do
+    _, content = diagnosed("mass_spring_damper", {HALF: {"c1": -6.0}}, decisions=most, **SHORT)
+    assert (content["verdict"], content["added"]) == ("unexplained", [])
+    _, content = diagnosed("mass_spring_damper", {HALF: {"c1": -6.0}}, **SHORT)
+    assert content["added"] == [HALF]
 
 
 @pytest.mark.slow

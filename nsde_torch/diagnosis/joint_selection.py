@@ -41,9 +41,7 @@ from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector, own_name
 from nsde_torch.time_limit import check_time
 
-# share of the nats of a linearised step that the likelihood has to rise by once a candidate is fitted, and of those of
-# an effect that another one has to promise to be fitted in its place: no step was off by more
-_RISES = 0.3
+_RISES = 0.3  # share of the nats of a linearised step that a fit brings, and of an effect's that a rival has to promise
 _TRIED = 3  # candidates that are fitted to the end before a round ends
 _RIVALS = 3  # candidates that are fitted in the place of an effect
 _LAWS = 2  # laws that are fitted in the place of an effect

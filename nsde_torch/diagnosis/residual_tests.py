@@ -127,23 +127,18 @@ def beyond_chance(
 
 
 def overview(regression: Regression, variables: Regressors) -> list[Dependence]:
-    """Every channel against each single variable, inputs before, time and run, the surest first.
+    """Every channel against each single variable, inputs before, time and run in all runs, the surest first.
 
-    What effects that were found had to explain: in all runs, and under the noise model of the regression. It decides
-    nothing, and takes a tenth of the time of all tests.
+    What effects that were found had to explain. It decides nothing, and takes a fifth of the time of all tests.
     """
     labels = folds(regression, variables.decisions), regression.whitened_rows(regression.blocks)
-    own = [own_space(regression, i) for i, _ in enumerate(regression.rows)]
+    names = (*variables.columns, *(n for n in variables.functions if _is_other(n)))
+    made = {name: variables.functions[name]() for name in names}
     out = []
-    for name in (*variables.columns, *(n for n in variables.functions if _is_other(n))):
-        functions, odd = variables.functions[name]()
-        for i, channel in enumerate(regression.rows):
-            z, kept = independent(projected(regression, i, functions, own[i]))
-            if z.shape[1]:
-                p = chance(z, regression.white[i], *labels, decisions=variables.decisions)
-                gain = nats_of(z, regression.white[i])
-                of = regression.physics.names[channel], name
-                out.append(_dependence(*of, z, odd[kept], regression.white[i], p=p, gain=gain))
+    for i, models in enumerate(_noise_models(regression, variables)):
+        for name in names:
+            check_time()
+            out += _of_variable(regression, i, name, made[name], variables, models, labels, alone=False)
     return sorted(out, key=lambda d: d.p)
 
 
@@ -163,11 +158,7 @@ def dependences(regression: Regression, variables: Regressors) -> list[Dependenc
     fold = folds(regression, decisions)
     out: list[Dependence] = []
     spans, moments = bumps(regression)
-    places, limits = _places(regression.vector.system, variables), regression.carry_limits()
-    of_channel = [
-        NoiseModels(regression, i, float(limits[c]), decisions=decisions, budgets=budgets)
-        for i, c in enumerate(regression.rows)
-    ]
+    places, of_channel = _places(regression.vector.system, variables), _noise_models(regression, variables)
     of_functions: list[list[Dependence]] = [[] for _ in regression.rows]
     for name in variables.functions:
         made = variables.functions[name]()
@@ -206,6 +197,15 @@ def dependences(regression: Regression, variables: Regressors) -> list[Dependenc
     return sorted(own_of_runs(out), key=lambda d: d.p)
 
 
+def _noise_models(regression: Regression, variables: Regressors) -> list[NoiseModels]:
+    """Of each channel of a regression."""
+    limits, how = regression.carry_limits(), (variables.decisions, variables.budgets)
+    return [
+        NoiseModels(regression, i, float(limits[c]), decisions=how[0], budgets=how[1])
+        for i, c in enumerate(regression.rows)
+    ]
+
+
 def own_of_runs(tests: Sequence[Dependence]) -> list[Dependence]:
     """The tests, without chance for what one run alone has where something in all runs explains the channel better.
 
@@ -231,8 +231,10 @@ def _of_variable(
     variables: Regressors,
     models: NoiseModels,
     labels: tuple[Labels, Labels],
+    *,
+    alone: bool = True,
 ) -> list[Dependence]:
-    """A channel against one group of functions: in all runs, and of a plain variable in one run alone.
+    """A channel against one group of functions: in all runs, and if asked for, of a plain variable in one run alone.
 
     `made` are the functions per unit of time (M, q), and which of them are odd (q,); `labels` folds and blocks of
     whitened rows.
@@ -257,10 +259,10 @@ def _of_variable(
         gain = other.likelihood - models.base.likelihood
     channel = regression.physics.names[regression.rows[i]]
     out = [_dependence(channel, name, z, odd[kept], left, p=p, gain=gain, noise=noise)]
-    if name in variables.columns:
+    if alone and name in variables.columns:
         group = _Group(functions, odd, own, whitened)
-        alone = _in_one_run(there, i, group, (out[0], nats_of(z, left)), models, variables)
-        out += [] if alone is None else [alone]
+        in_run = _in_one_run(there, i, group, (out[0], nats_of(z, left)), models, variables)
+        out += [] if in_run is None else [in_run]
     return out
 
 

@@ -12,8 +12,8 @@ Laws are tried first in the place of effects that may only imitate one: where th
 that the data tell from another law (`bent_shape`), where one term is likelier (`Selected.law`), and where two effects
 are laws of one variable (a friction and a quadratic damping for a cubic one).
 
-A law has to explain a good share of what functions do on its row: several terms that each win a little of a surface of
-two variables are an approximation of it, and no laws.
+A law has to explain a good share of what functions do: several terms that each win a little of a surface of two
+variables are an approximation of it, and no laws; and beside much that nobody knows, any term straightens a little.
 
 A law that is the same function as an effect of the catalogue takes that effect's name: `force = c1 x^3` is a cubic
 stiffness. The law may have been the likelier of the two by its spelling alone, as the same evidence is judged run by
@@ -169,7 +169,7 @@ class _LawSearch:
         if best is None or chosen is None:
             return None
         search.chosen(chosen.law, fitted, library)
-        least = search.search.decisions.law_share * nats.get(chosen.port, 0.0)
+        least = search.search.decisions.law_share * sum(nats.values())
         return best if best.best.likelihood - place.best.likelihood > least else None
 
     def _promising(

@@ -131,7 +131,7 @@ class Decisions:
 
     # ---- laws beyond the catalogue ----------------------------------------------------------------------
     # without it five terms of one speed stand for a surface that none of them is (the public drive EMPS)
-    law_share: float = key(0.3, "share of what functions explain on its row that a law has to explain", low=0)
+    law_share: float = key(0.3, "share of what functions explain that a law has to explain", low=0)
 
     # ---- verdict ----------------------------------------------------------------------------------------
     negligible_share: float = key(

@@ -94,6 +94,7 @@ class MaximumLikelihood:
     """Mean square of the whitened innovations of each measured channel (m,): 1 where the model is right."""
     predictable: Array
     """Share of their variance that those of the ten rows before surely predict (m,): 0 where the model is right."""
+    inflation: float  # of the variance of scores over blocks of time, at least 1 (`Grams.inflation`)
     channels: tuple[str, ...]  # names of the measured error channels
     disturbances: tuple[tuple[Port, int], ...]  # ports that disturbances act on, and their columns
 
@@ -540,6 +541,7 @@ def maximised(
         settled,
         square,
         predictable,
+        final.inflation(free),
         problem.channels,
         space.disturbances,
     )

@@ -202,6 +202,7 @@ class _View:
         self.fold = np.empty(len(order), dtype=np.int64)
         self.fold[order] = np.arange(len(order)) * _FOLDS // len(order)
         self._passes: list[tuple[Levels, Pass]] = []
+        self._turns: tuple[Levels, dict[BasisGroup, Array]] | None = None
 
     def at(self, levels: Levels) -> Pass:
         """The pass under some noise levels."""
@@ -234,7 +235,14 @@ class _View:
         rounding, and weights of it could be anything.
         """
         together, groups = len(groups), [*groups, *apart]
-        each = [self.force(g, scaled) for g in groups]
+        if self._turns is None or self._turns[0] is not levels:
+            self._turns = levels, {}
+        known_turns = self._turns[1]
+        begun = [known_turns.get(g) for g in groups]
+        each = [
+            self.force(g, scaled) if turn is None else self.force(g, scaled) @ torch.from_numpy(turn)
+            for g, turn in zip(groups, begun, strict=True)
+        ]
         ends = np.cumsum([1, self.base.shape[-1], *(force.shape[-1] for force in each)])
         forces = []
         for port, some in groupby(zip(groups, each, strict=True), lambda pair: pair[0].port):
@@ -244,23 +252,34 @@ class _View:
         held = grams(self.space, levels, self.about, self.at(levels), self.base, forces=forces, apart=parted)
         total = held.total
         known = np.asarray(np.linalg.pinv(total[1:theta, 1:theta], rcond=_ROUNDING, hermitian=True))
-        turns = [_new(total, known, theta, s) for s in own]
+        for g, turn, s in zip(groups, begun, own, strict=True):
+            if turn is None:
+                known_turns[g] = _new(total, known, theta, s)
+        turns = [known_turns[g] for g in groups]
+        # columns are in the directions that are kept already where these were known
+        rest = [t if b is None else None for t, b in zip(turns, begun, strict=True)]
         ends = np.cumsum([theta, *(t.shape[1] for t in turns)])
         slices = [slice(a, b) for a, b in pairwise(ends.tolist())]
 
         def turned(values: Array) -> Array:
             """Rows of theta and of the groups (B, n, q) in the directions that these keep (B, n', q)."""
-            kept = [turn.T @ values[:, s] for s, turn in zip(own[:together], turns, strict=False)]
+            if all(turn is None for turn in rest[:together]):
+                return values
+            kept = [
+                values[:, s] if turn is None else turn.T @ values[:, s]
+                for s, turn in zip(own[:together], rest, strict=False)
+            ]
             return np.concatenate([values[:, :theta], *kept], 1)
 
         before = slice(0, own[together - 1].stop if together else theta)
         after = slice(0, slices[together - 1].stop if together else theta)
         out = np.zeros((len(held.blocks), ends[-1], ends[-1]))
         out[:, after, after] = turned(turned(held.blocks[:, before, before]).transpose(0, 2, 1))
-        for s, to, own_turn in zip(parted, slices[together:], turns[together:], strict=True):
-            out[:, after, to] = turned(held.blocks[:, before, s]) @ own_turn
-            out[:, to, after] = out[:, after, to].transpose(0, 2, 1)
-            out[:, to, to] = own_turn.T @ held.blocks[:, s, s] @ own_turn
+        for s, to, own_turn in zip(parted, slices[together:], rest[together:], strict=True):
+            across, inner = turned(held.blocks[:, before, s]), held.blocks[:, s, s]
+            if own_turn is not None:
+                across, inner = across @ own_turn, own_turn.T @ inner @ own_turn
+            out[:, after, to], out[:, to, after], out[:, to, to] = across, across.transpose(0, 2, 1), inner
         return out, slices, turns
 
 
@@ -330,18 +349,20 @@ class _Choice:
         if self._among is not None:
             known = self._scaled.keys() | self._all.past.keys()
             singles = [g for g in self._among if g.port == port and {*g.variables} <= known]
+        nothing: set[BasisGroup] = set()
         while sum(g.port == port for g in chosen) < self._most:
-            tried = [g for g in singles if g not in chosen]
+            tried = [g for g in singles if g not in chosen and g not in nothing]
             if not tried:
                 break
             gains = self._gains(self._few, tried, chosen)
             ranked = sorted((g for g in gains if g.kind != "past"), key=lambda g: -gains[g][0])
             near = [v for g in chosen if g.port == port and g.kind != "past" for v in g.variables]
             near = list(dict.fromkeys([*near, *(g.variables[0] for g in ranked)]))[:_PAIRED]
-            # what explains nothing alone is not looked at again
-            singles = [g for g in singles if g in chosen or gains[g][0] > 0.0]
             if self._among is None:
-                gains |= self._gains(self._few, self._finer(port, near, chosen), chosen)
+                finer = [g for g in self._finer(port, near, chosen) if g not in nothing]
+                gains |= self._gains(self._few, finer, chosen)
+            # what explains nothing alone is not looked at again
+            nothing |= {g for g, (nats, _) in gains.items() if nats <= 0.0}
             among = len(gains)
             if self._few is not self._all:
                 best = sorted(gains, key=lambda g: -gains[g][0])[:_JUDGED]
@@ -373,7 +394,7 @@ class _Choice:
         """Held-out nats of each group beside those chosen, and their standard errors."""
         out: dict[BasisGroup, tuple[float, float]] = {}
         widths = [_width(g, view, self._scaled) for g in groups]
-        first = 0
+        first, before, ridge = 0, np.zeros(0), list[float]()
         while first < len(groups):
             check_time()
             last, total = first, 0
@@ -382,7 +403,8 @@ class _Choice:
             some = groups[first:last]
             blocks, slices, _ = view.blocks(chosen, self._levels, self._scaled, some)
             kept, own = slices[: len(chosen)], slices[len(chosen) :]
-            before, ridge = self._held_out(view, blocks, kept)
+            if not len(before):  # without any of them
+                before, ridge = self._held_out(view, blocks, kept)
             for width in {s.stop - s.start for s in own}:
                 alike = [k for k, s in enumerate(own) if s.stop - s.start == width]
                 columns = np.array([range(own[k].start, own[k].stop) for k in alike], dtype=np.int64)

@@ -46,6 +46,8 @@ from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 from nsde_torch.time_limit import check_time
 
+ARITHMETIC = 1e-5
+"""Of the measured changes: what integrators and the digits of a log leave of exact physics."""
 _TURNS = 12
 _STEPS = 2  # of the noise levels to one of theta
 _AHEAD = 10.0  # times what a turn brought, what all that follow may bring
@@ -262,6 +264,8 @@ class LogLikelihood:
         every = [max(self._least, rows_between(self._band, names[i], steps.dt)) for i in observed]
         band = {i: self._band[name] for i, name in enumerate(names) if name in self._band}
         self.space = StateSpace(self.vector, steps, chunks, observed, every, band, disturbances)
+        change = inner.error(chunks.y[1:], chunks.y[:-1]).square().flatten(0, -2).mean(0).sqrt()[observed]
+        self.space.least_sensor = torch.log((ARITHMETIC * change).clamp_min(1e-300))
         std = torch.ones(self.space.ne, dtype=torch.float64)
         for j, value in unknown.items():
             std[inner.error_names.index(inner.state_names[j])] = _UNKNOWN * value

@@ -106,6 +106,7 @@ class StateSpace:
 
     Attributes:
         ne, nd, n: Number of errors of the state, of disturbances, and of both.
+        least_sensor: Logarithm of the least noise of each observed channel (m,), below which all is arithmetic.
         measured: Whether a row measures each observed channel (T, C, m), outliers not; None where all do.
     """
 
@@ -128,6 +129,7 @@ class StateSpace:
         self.nd = len(self.disturbances)
         self.n = self.ne + self.nd
         self.every, self.band = list(every), dict(band)
+        self.least_sensor = torch.full((len(self.observed),), -torch.inf, dtype=torch.float64)
         self.measured = None if max(self.every) == 1 else self.logged
 
     @property

@@ -41,6 +41,7 @@ from scipy.special import fdtrc, stdtrit
 
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run
+from nsde_torch.inference.estimate import ARITHMETIC
 from nsde_torch.sysid.physics import per_second
 from nsde_torch.sysid.readings import better_readings
 from nsde_torch.sysid.regression import Regression
@@ -307,8 +308,9 @@ def _gone(rough: Regression, theta: Array, covariance: Array | None, now: Sequen
 
 
 def _apart(c: Compared) -> bool:
+    """Whether a fit leaves more than least squares do, beyond what arithmetic leaves."""
     more = c.fit**2 - c.least_squares**2 > MORE * c.measured**2
-    return more or c.fit > TIMES * c.least_squares
+    return more or c.fit > max(TIMES * c.least_squares, ARITHMETIC * c.measured)
 
 
 def _chance(rough: Regression, theta: Array, covariance: Array | None) -> float:

@@ -40,6 +40,7 @@ from scipy.optimize import lsq_linear
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
+from nsde_torch.inference.estimate import ARITHMETIC
 from nsde_torch.inference.spread import Spread, spread
 from nsde_torch.inference.steps import steps_of
 from nsde_torch.models.identified import METHODS
@@ -158,7 +159,6 @@ _ORDERS_S, _ORDERS = 0.4, 40  # longest autoregression [s], [steps]
 _SETTLED = 0.02  # standard errors
 _ROUGH = 8  # steps with the law of sensor noise alone, at most
 _ROUNDING = 1e-4  # of the measured changes: below that there is no noise to speak of
-_ARITHMETIC = 1e-5  # of the measured changes: what integrators and the digits of a log leave of exact physics
 _BLOCK_S = (0.5, 2.0)  # shortest and longest block of the covariance [s]
 _BLOCKS = 100
 _UNBOUNDED = 1e100  # largest slope: the squares of larger ones overflow
@@ -370,7 +370,7 @@ class Regression:
     def arithmetic(self) -> bool:
         """Whether the physics leaves no more than arithmetic does; of a simulation without noise nothing is missing."""
         measured, left = (values[:, self.rows] for values in (self.physics.measured, self.residual))
-        return bool((np.square(left).mean(0) <= _ARITHMETIC**2 * np.square(measured).mean(0)).all())
+        return bool((np.square(left).mean(0) <= ARITHMETIC**2 * np.square(measured).mean(0)).all())
 
     def _size(self, residual: Array) -> float:
         pairs = zip(self.noises, self.rows, strict=True)

@@ -129,7 +129,7 @@ def beyond_chance(
 def overview(regression: Regression, variables: Regressors) -> list[Dependence]:
     """Every channel against each single variable, inputs before, time and run in all runs, the surest first.
 
-    What effects that were found had to explain. It decides nothing, and takes a fifth of the time of all tests.
+    What effects that were found had to explain. It decides nothing, and takes a third of the time of all tests.
     """
     labels = folds(regression, variables.decisions), regression.whitened_rows(regression.blocks)
     names = (*variables.columns, *(n for n in variables.functions if _is_other(n)))

@@ -130,7 +130,7 @@ class Decisions:
     moments_fewest: int = key(20, "fewest bumps in time of which the largest is tested", low=2)
 
     # ---- laws beyond the catalogue ----------------------------------------------------------------------
-    # without it five terms of one speed stand for a surface that none of them is (the public drive EMPS: the first wins
+    # without it five terms of one speed are named for a surface that none is (the public drive EMPS: the first wins
     # 0.2 of what functions do, the others 0.1 to 0.16; true laws of blind springs and carts 1.0 to 1.4)
     law_share: float = key(0.18, "share of what functions explain that a law has to explain", low=0)
 

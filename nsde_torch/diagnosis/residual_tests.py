@@ -199,9 +199,9 @@ def dependences(regression: Regression, variables: Regressors) -> list[Dependenc
 
 def _noise_models(regression: Regression, variables: Regressors) -> list[NoiseModels]:
     """Of each channel of a regression."""
-    limits, how = regression.carry_limits(), (variables.decisions, variables.budgets)
+    limits, decisions, budgets = regression.carry_limits(), variables.decisions, variables.budgets
     return [
-        NoiseModels(regression, i, float(limits[c]), decisions=how[0], budgets=how[1])
+        NoiseModels(regression, i, float(limits[c]), decisions=decisions, budgets=budgets)
         for i, c in enumerate(regression.rows)
     ]
 

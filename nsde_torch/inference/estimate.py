@@ -36,7 +36,7 @@ from nsde_torch.inference.filtering import (
 )
 from nsde_torch.inference.levels import Levels, first_levels
 from nsde_torch.inference.low_pass import band_of, rows_between
-from nsde_torch.inference.maximum import level_columns, likeliest
+from nsde_torch.inference.maximum import evenly, level_columns, likeliest
 from nsde_torch.inference.sensitivity import Grams, grams
 from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.inference.spread import Spread
@@ -64,7 +64,16 @@ _RARE = 0.01  # largest share of rows with outliers: more of them are noise, or 
 _ODD = 5  # chunks of smallest likelihood
 _CLOSE = 1.0  # those of a step beyond which slopes of the physics are made anew: they take most of the time
 _STUCK = 0.5  # those below which a step that is no better is rounding
-_DAMPINGS = (0.0, 0.01, 0.1, 1.0, 10.0, 100.0)  # of steps (Marquardt), in units of the information
+_DAMPINGS = (
+    0.0,
+    1e-4,
+    1e-3,
+    0.01,
+    0.1,
+    1.0,
+    10.0,
+    100.0,
+)  # of steps (Marquardt), in units of the information
 _PASSES = 4  # until the states that a filter is linearised about have settled
 _LOST = 1.0  # nats by which the nonlinear filter may differ from its linearisation
 _KEPT = 2  # passes
@@ -230,6 +239,23 @@ class LogLikelihood:
         out = copy.copy(self)
         out._set(system, self.space.steps, self.space.chunks, self.space.disturbances)
         out.space.measured = self.space.measured  # without the same outliers
+        return out
+
+    def part(self, rows: int) -> Tensor | None:
+        """Numbers of the chunks of a part of the log that is evenly from all of it; None where that is more than half.
+
+        Args:
+            rows: How many rows of it count.
+        """
+        chunks = self.space.chunks
+        share = rows / max(int(chunks.counted.sum()), 1)
+        return None if share > 0.5 else evenly(chunks.count, round(share * chunks.count))
+
+    def some(self, which: Tensor) -> "LogLikelihood":
+        """That of some of the chunks, by number, with the values in use."""
+        out = copy.copy(self)
+        out.space, out._kept = self.space.some(which), []
+        out.start = Start(out.space.chunks.y[0], self.start.std)
         return out
 
     def keep(self, owner: object, about: Linearisation, at: Pass) -> tuple[Linearisation, Pass]:
@@ -398,6 +424,12 @@ class Optimum:
     def at(self) -> Pass:
         """The last pass."""
         return self._pass()[1]
+
+    def some(self, which: Tensor) -> "Optimum":
+        """The same in some of the chunks, by number."""
+        about, at = self._pass()
+        self.of.space.use(self._theta.numpy())
+        return Optimum(self.of.some(which), self.levels, about.of(which), at.of(which))
 
     def _pass(self) -> tuple[Linearisation, Pass]:
         known = self.of.kept(self)
@@ -590,16 +622,11 @@ def _step(
 
 
 def bounded_change(vector: ParameterVector, held: Grams, theta: Array, damping: float = 0.0) -> Array:
-    """A damped step (k,) inside the bounds; parameters that it presses against one stay."""
+    """The damped step (k,) of largest linearised likelihood inside the bounds."""
     free, change = _free(vector, theta, held), np.zeros(len(theta))
-    while len(free):
-        change[:] = 0.0
-        change[free] = held.step(free, damping)
-        there = vector.inside(theta + change)
-        stuck = (there != theta + change) & (np.abs(there - theta) <= _AT_BOUND * vector.scale)
-        if not stuck[free].any():
-            break
-        free = free[~stuck[free]]
+    if len(free):
+        low, high = (vector.inside(np.full(len(theta), end)) - theta for end in (-np.inf, np.inf))
+        change[free] = held.step(free, damping, low[free], high[free])
     return np.asarray(vector.inside(theta + change) - theta)
 
 

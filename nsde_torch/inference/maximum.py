@@ -78,12 +78,12 @@ def likeliest(
     most = space.chunks.count if whole else at_once
     if rows is not None:
         most = min(most, _chunks_of(space, rows))
-    some = _evenly(space.chunks.count, most)
+    some = evenly(space.chunks.count, most)
     if also is not None:
         some = torch.unique(torch.cat((some, also)))
     near, live = about.of(some), space.chunks.counted[:, some]
     share = float(space.chunks.counted.sum() / live.sum().clamp_min(1))
-    few = _evenly(len(some), _chunks_of(space, _INFORMING))
+    few = evenly(len(some), _chunks_of(space, _INFORMING))
     enough = float(live.sum() / live[:, few].sum().clamp_min(1)) * share
     split = torch.arange(len(some)).split(at_once)
     parts = [(near.of(part), live[:, part]) for part in split] if len(split) > 1 else [(near, live)]
@@ -185,8 +185,13 @@ def _most(space: StateSpace) -> int:
     return max(1, _ENTRIES // (space.chunks.size * space.n * (len(space.observed) + space.n)))
 
 
-def _evenly(count: int, most: int) -> Tensor:
-    """Numbers of at most so many chunks, evenly over the log."""
+def evenly(count: int, most: int) -> Tensor:
+    """Numbers of at most so many chunks, evenly over the log.
+
+    Args:
+        count: Chunks in all.
+        most: Chunks at most.
+    """
     return torch.linspace(0, count - 1, min(count, max(1, most))).round().long()
 
 

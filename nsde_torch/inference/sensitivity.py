@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 from torch import Tensor
 
 from nsde_torch.arrays import Array
@@ -41,10 +42,27 @@ class Grams:
         """Their sum."""
         return np.asarray(self.blocks.sum(0))
 
-    def step(self, free: NDArray[np.int64], damping: float = 0.0) -> Array:
-        """Step of Gauss and Newton (damped: Marquardt) of some parameters, numbered from 0; others stay."""
+    def step(self, free: NDArray[np.int64], damping: float, low: Array, high: Array) -> Array:
+        """Step of Gauss and Newton (damped: Marquardt) of some parameters, numbered from 0, between bounds (q,)."""
         at = np.concatenate(([0], 1 + free))
-        return solved(self.total[np.ix_(at, at)], damping=damping)
+        gram = self.total[np.ix_(at, at)]
+        step = solved(gram, damping=damping)
+        if not np.isfinite(step).all() or ((low <= step) & (step <= high)).all():
+            return step
+        # what a bound stops is done by others as far as they can: without that, steps of correlated parameters that
+        # were cut one by one led down
+        inner, pull = gram[1:, 1:], gram[1:, 0]
+        scale = 1.0 / np.sqrt(np.diag(inner).clip(1e-300))
+        values, vectors = np.linalg.eigh(inner * scale * scale[:, None] + damping * np.eye(len(inner)))
+        seen = values > _RANK * values[-1]
+        root = np.sqrt(values[seen])
+        found = lsq_linear(
+            root[:, None] * vectors[:, seen].T,
+            (vectors[:, seen].T @ (pull * scale)) / root,
+            (low / scale, high / scale),
+            method="bvls",
+        )
+        return np.asarray(found.x * scale)
 
     def inflation(self, free: NDArray[np.int64]) -> float:
         """How many times the variance of scores over blocks is what white innovations give it, at least 1.

@@ -103,10 +103,7 @@ def bent_shape(regression: Regression, name: str) -> str:
 
 def carried(vector: ParameterVector, before: Regression) -> Array:
     """First values: those of a regression where it has the parameter, else the system's."""
-    known = dict(zip(before.vector.labels, before.theta.tolist(), strict=True))
-    return np.array(
-        [known.get(label, v) for label, v in zip(vector.labels, vector.start.tolist(), strict=True)]
-    )
+    return vector.first_values(dict(zip(before.vector.labels, before.theta.tolist(), strict=True)))
 
 
 def without_effect(system: System, declared: System, name: str) -> System:

@@ -167,6 +167,10 @@ class ParameterVector:
             self.low[place.columns] = np.maximum(self.low[place.columns], least)
             self.high[place.columns] = np.minimum(self.high[place.columns], size * grid.max() * _BEYOND)
 
+    def first_values(self, known: Mapping[str, float]) -> Array:
+        """First values (k,), where a label is among these the value there."""
+        return np.array([known.get(*pair) for pair in zip(self.labels, self.start.tolist(), strict=True)])
+
     def at_first(self) -> System:
         """A system of its own with the first values."""
         return self.at(self.start)

@@ -32,6 +32,7 @@ from nsde_torch.sysid.feedback_test import FeedbackTest
 from nsde_torch.sysid.guard import Guarded, doubts_the_fit, guarded
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
+from nsde_torch.systems.parameters import ParameterVector
 
 
 @dataclass(frozen=True)
@@ -258,11 +259,15 @@ def guard_of(log: Log, outcome: Outcome) -> Guarded:
     regression = outcome.final.regression
     basis = regression.shown.basis
     covariance = basis @ outcome.spread.covariance @ basis.T
-    found = guarded(regression, log.runs, clock=log.recorded.clock, covariance=covariance)
+    clock, declared = log.recorded.clock, ParameterVector(log.system)
+    known = dict(zip(declared.labels, declared.start.tolist(), strict=True))
+    first = regression.vector.first_values(known)
+    found = guarded(regression, log.runs, clock=clock, covariance=covariance, first=first)
     if found.objections or not any(is_law(f.name) for f in outcome.found):
         return found
     # laws make up for an angle that is counted from the other side (tests/diagnosis/test_declared.py)
-    without = guarded(outcome.declared.regression, log.runs, clock=log.recorded.clock)
+    alone = outcome.declared.regression
+    without = guarded(alone, log.runs, clock=clock, first=alone.vector.first_values(known))
     return without if any(o.kind == "reading" for o in without.objections) else found
 
 

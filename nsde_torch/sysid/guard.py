@@ -148,25 +148,28 @@ def guarded(
     clock: float = 1.0,
     theta: Array | None = None,
     covariance: Array | None = None,
+    first: Array | None = None,
 ) -> Guarded:
     """Hold a fit against simple ones, and look for faults of the log that explain where they part.
 
     Args:
         theta: Other values that are printed (k,); None takes those of the regression.
         covariance: Of these values (k, k); None for none.
+        first: First values (k,), as the fit may be far off; None takes those of the regression.
     """
     vector = regression.vector
-    system = vector.at_first()  # the fit may be far off
+    first = vector.start if first is None else first
+    system = vector.at(vector.inside(first))
     rough = rough_fit(system, runs, clock)
     theta = regression.theta if theta is None else theta
     if rough is None or len(rough.theta) != len(theta):
         return Guarded()
-    fit, squares, first = (left_at(rough, at) for at in (theta, rough.theta, vector.inside(vector.start)))
+    fit, squares, begun = (left_at(rough, at) for at in (theta, rough.theta, vector.inside(first)))
     channels = tuple(
         Compared(
             c.name, per_second(c.unit), c.measured, c.left, s.left, f.left, s.predicted < LESS * c.predicted
         )
-        for c, s, f in zip(fit, squares, first, strict=True)
+        for c, s, f in zip(fit, squares, begun, strict=True)
     )
     objections, notes = _faults(system, runs, clock, rough, regression)
     chance = _chance(rough, theta, covariance)

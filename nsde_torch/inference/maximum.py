@@ -31,6 +31,7 @@ test_a_steady_push_is_no_gust_that_never_ends).
 _LONGEST_STEP = 3.0
 _TURNS = 12
 _GAIN = 0.5  # nats for which another turn is taken
+_HOLDS = 0.1  # share of the nats that a step promises, from which its information is used again
 _CURVED = 0.01  # of the curvature expected, below which a step tells none
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e4
 _INFORMING = 500  # rows that the information is made from
@@ -126,7 +127,7 @@ def likeliest(
         gradient = torch.where((phi >= high) & (gradient > 0), 0.0, gradient)
         # information from elsewhere that promises little does not end the iteration either, as below
         if known is None or (not fresh and promised(gradient, known) < _GAIN):
-            known, fresh = information(phi, here), True
+            known, fresh, damping = information(phi, here), True, _FIRST_DAMPING
         if promised(gradient, known) < _GAIN:
             break
         gained = 0.0
@@ -147,12 +148,12 @@ def likeliest(
                 break
             damping *= 10.0
         damping = max(damping / 10.0, _LEAST_DAMPING)
-        if not gained > _GAIN:
-            if fresh and not gained:
-                break
-            # a step that brings little says nothing where information is from elsewhere, or where it went to the other
-            # side of a hill: levels stopped 6 and 97 nats below, which whatever was tried next brought, a sinusoid that
-            # is not there too (test_levels_do_not_stop_by_information_from_elsewhere, test_fit.py)
+        if fresh and not gained:
+            break
+        # what promised far more than it brought is of another place, and a step that brings little may have gone to the
+        # other side of a hill: levels stopped 6 to 275 nats below, which whatever was tried next brought, a sinusoid
+        # that is not there too (test_levels_do_not_stop_by_information_from_elsewhere, test_fit.py)
+        if not gained > max(_GAIN, _HOLDS * 0.5 * promised(gradient, known)):
             known = None
         fresh = False
     if known is None:

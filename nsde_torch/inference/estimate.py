@@ -64,16 +64,8 @@ _RARE = 0.01  # largest share of rows with outliers: more of them are noise, or 
 _ODD = 5  # chunks of smallest likelihood
 _CLOSE = 1.0  # those of a step beyond which slopes of the physics are made anew: they take most of the time
 _STUCK = 0.5  # those below which a step that is no better is rounding
-_DAMPINGS = (
-    0.0,
-    1e-4,
-    1e-3,
-    0.01,
-    0.1,
-    1.0,
-    10.0,
-    100.0,
-)  # of steps (Marquardt), in units of the information
+# of steps (Marquardt), in units of the information
+_DAMPINGS = (0.0, 1e-4, 1e-3, 0.01, 0.1, 1.0, 10.0, 100.0)
 _PASSES = 4  # until the states that a filter is linearised about have settled
 _LOST = 1.0  # nats by which the nonlinear filter may differ from its linearisation
 _KEPT = 2  # passes
@@ -623,9 +615,10 @@ def _step(
 
 def bounded_change(vector: ParameterVector, held: Grams, theta: Array, damping: float = 0.0) -> Array:
     """The damped step (k,) of largest linearised likelihood inside the bounds."""
+    low, high = (vector.inside(np.full(len(theta), end)) - theta for end in (-np.inf, np.inf))
     free, change = _free(vector, theta, held), np.zeros(len(theta))
+    free = free[low[free] < high[free]]
     if len(free):
-        low, high = (vector.inside(np.full(len(theta), end)) - theta for end in (-np.inf, np.inf))
         change[free] = held.step(free, damping, low[free], high[free])
     return np.asarray(vector.inside(theta + change) - theta)
 

@@ -11,6 +11,7 @@ import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.errors import NonFiniteError
 from nsde_torch.inference import fit
+from nsde_torch.inference.sensitivity import Grams
 from nsde_torch.systems import make_system
 from tests.inference.springs import TRUTH, B, G, K, linear_runs, rubbing, small_runs, spring, value
 
@@ -55,3 +56,21 @@ def test_steps_within_which_the_physics_diverges_are_named() -> None:
         slow.append(Run(run.name, 4.0 * np.arange(50), x, run.u[:50]))
     with pytest.raises(NonFiniteError, match=r"steps of 4 s, within which its physics may diverge"):
         fit(make_system("cartpole"), slow)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("damping", [0.0, 0.01])
+def test_a_step_that_bounds_stop_is_the_best_inside(seed: int, damping: float) -> None:
+    """Inside, no slope is left; at a bound it points out (Karush, Kuhn and Tucker)."""
+    rng = np.random.default_rng(seed)
+    rows = rng.normal(size=(40, 7)) @ rng.normal(size=(7, 7))
+    gram = rows.T @ rows
+    low, high = -0.05 * rng.random(6), 0.05 * rng.random(6)
+    step = Grams(gram[None], 40, 6).step(np.arange(6), damping, low, high)
+    inner = gram[1:, 1:] + damping * np.diag(np.diag(gram)[1:])
+    slope = (gram[1:, 0] - inner @ step) / np.sqrt(np.diag(inner))
+    at_low, at_high = step <= low + 1e-12, step >= high - 1e-12
+    assert (at_low | at_high).any()
+    np.testing.assert_allclose(slope[~at_low & ~at_high], 0.0, atol=1e-6)
+    assert (slope[at_low] <= 1e-6).all()
+    assert (slope[at_high] >= -1e-6).all()

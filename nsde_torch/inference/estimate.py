@@ -66,6 +66,7 @@ _CLOSE = 1.0  # those of a step beyond which slopes of the physics are made anew
 _STUCK = 0.5  # those below which a step that is no better is rounding
 # of steps (Marquardt), in units of the information
 _DAMPINGS = (0.0, 1e-4, 1e-3, 0.01, 0.1, 1.0, 10.0, 100.0)
+_SHOWN = 1.0  # nats that a step may bring, for a parameter to be stepped
 _PASSES = 4  # until the states that a filter is linearised about have settled
 _LOST = 1.0  # nats by which the nonlinear filter may differ from its linearisation
 _KEPT = 2  # passes
@@ -615,9 +616,12 @@ def _step(
 
 def bounded_change(vector: ParameterVector, held: Grams, theta: Array, damping: float = 0.0) -> Array:
     """The damped step (k,) of largest linearised likelihood inside the bounds."""
-    low, high = (vector.inside(np.full(len(theta), end)) - theta for end in (-np.inf, np.inf))
+    low, high = (end - theta for end in vector.reach(theta))
     free, change = _free(vector, theta, held), np.zeros(len(theta))
-    free = free[low[free] < high[free]]
+    # what brings no nat however far a step goes stays: beside no drag a wind may be anything (test_in_part.py), and
+    # steps of 1e6 m/s led nowhere
+    most = 0.5 * np.diag(held.total)[1 : 1 + len(theta)] * np.square(np.maximum(-low, high))
+    free = free[(low[free] < high[free]) & (most[free] > _SHOWN)]
     if len(free):
         change[free] = held.step(free, damping, low[free], high[free])
     return np.asarray(vector.inside(theta + change) - theta)

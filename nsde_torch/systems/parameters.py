@@ -19,6 +19,7 @@ from nsde_torch.effects import Effect, Parametrised, Port, effect_class
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems.base import System
 
+_LONGEST = 10.0  # typical sizes of a parameter that one step may go
 _BEYOND = 4.0  # times the grid of a shape, at which it does not matter any more
 
 
@@ -136,6 +137,12 @@ class ParameterVector:
             1e-6 * self.scale, 1e-3 * (self.high - self.low)
         )  # bounds of tiny motions lie close
         return np.clip(theta, self.low + margin, self.high - margin)
+
+    def reach(self, theta: Array) -> tuple[Array, Array]:
+        """Bounds of one step from some values (k,): those of the parameters, and ten typical sizes."""
+        most = _LONGEST * np.maximum(self.scale, np.abs(theta))
+        low, high = (self.inside(np.full(len(theta), end)) for end in (-np.inf, np.inf))
+        return np.maximum(low, theta - most), np.minimum(high, theta + most)
 
     def follow(self, dt: float) -> None:
         """Raise the lower bounds of times so that steps of `dt` [s] follow the memory of the effects."""

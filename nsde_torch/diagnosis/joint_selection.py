@@ -423,9 +423,8 @@ class JointSearch:
                 place, kept = without, set()  # what was added after it explains what it did
                 continue
             if name not in looked:
-                instead, may = Instead(), exchanged < self.search.budgets.exchanges
-                if few is None or not few.without_rival(name, place):
-                    instead = self._instead_of(name, place, without, may)
+                may, alone = exchanged < self.search.budgets.exchanges, few and few.without_rival(name, place)
+                instead = Instead() if alone else self._instead_of(name, place, without, may)
                 if instead.better is not None:
                     place, kept, exchanged = instead.better, set(), exchanged + 1
                     continue

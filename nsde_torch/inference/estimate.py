@@ -618,8 +618,7 @@ def bounded_change(vector: ParameterVector, held: Grams, theta: Array, damping: 
     """The damped step (k,) of largest linearised likelihood inside the bounds."""
     low, high = (end - theta for end in vector.reach(theta))
     free, change = _free(vector, theta, held), np.zeros(len(theta))
-    # what brings no nat however far a step goes stays: beside no drag a wind may be anything (test_in_part.py), and
-    # steps of 1e6 m/s led nowhere
+    # what brings no nat however far a step goes stays: beside no drag a wind may be anything (test_in_part.py)
     most = 0.5 * np.diag(held.total)[1 : 1 + len(theta)] * np.square(np.maximum(-low, high))
     free = free[(low[free] < high[free]) & (most[free] > _SHOWN)]
     if len(free):

@@ -159,7 +159,7 @@ def guarded(
     """
     vector = regression.vector
     first = vector.start if first is None else first
-    system = vector.at(vector.inside(first))
+    system = vector.at(first)
     rough = rough_fit(system, runs, clock)
     theta = regression.theta if theta is None else theta
     if rough is None or len(rough.theta) != len(theta):

@@ -19,6 +19,7 @@ from nsde_torch.effects import Effect, Parametrised, Port, effect_class
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems.base import System
 
+# beside no drag, steps of a wind of 1e6 m/s led nowhere (tests/diagnosis/test_in_part.py)
 _LONGEST = 10.0  # typical sizes of a parameter that one step may go
 _BEYOND = 4.0  # times the grid of a shape, at which it does not matter any more
 

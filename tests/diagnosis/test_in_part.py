@@ -37,10 +37,8 @@ def test_a_plain_friction_and_a_push_are_tied_with_a_friction_that_is_stronger_o
     _, content = diagnosed(
         "mass_spring_damper", *both, durations=(8.0, 8.0), dt=0.02, plant={"force_size": 0.7}
     )
-    both_ways = {
-        "asymmetric_friction",
-        "coulomb_friction + constant_force",
-    }  # the same law at all but the least speeds
+    # the same law at all but the least speeds
+    both_ways = {"asymmetric_friction", "coulomb_friction + constant_force"}
     (tie,) = content["ties"]
     assert set(tie["effects"]) == both_ways
     assert " + ".join(content["added"]) in both_ways

@@ -12,9 +12,9 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 
 import nsde_torch
 from nsde_torch.data import Run
-from nsde_torch.diagnosis import pipeline
+from nsde_torch.diagnosis import joint_selection, pipeline
 from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.diagnosis.joint_selection import JointSearch, JointSelection
+from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSearch, JointSelection
 from nsde_torch.diagnosis.laws import terms_on
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.inference import LogLikelihood, nearly_maximised
@@ -83,6 +83,27 @@ def test_a_time_shorter_than_half_a_step_joins_what_is_declared() -> None:
     assert len(found.aside) == 1
     assert set(found.aside) < set(found.declared.system.effect_names)
     assert [r.chosen for r in found.rounds] == [*found.aside, ""]
+
+
+def test_few_rows_that_are_asked_first_change_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = two_frictions(seed=1)
+    whole = selected(runs)
+    asked: list[tuple[str, bool]] = []
+    without_rival = JointSearch.without_rival
+
+    def counted(self: JointSearch, name: str, place: FittedPhysics) -> bool:
+        asked.append((name, without_rival(self, name, place)))
+        return asked[-1][1]
+
+    monkeypatch.setattr(JointSearch, "without_rival", counted)
+    monkeypatch.setattr(joint_selection, "_ROWS", 500)
+    few = selected(runs)
+    assert {name for name, _ in asked} >= set(few.selected)
+    assert any(alone for _, alone in asked)
+    assert {n: one.ties for n, one in few.selected.items()} == {
+        n: one.ties for n, one in whole.selected.items()
+    }
+    np.testing.assert_allclose(few.final.best.theta, whole.final.best.theta)
 
 
 def test_friction_is_selected_in_states_without_what_lies_above_a_frequency() -> None:

@@ -87,10 +87,9 @@ def _nothing_set_aside(original: Function, search: Any, chosen: Any, feedback: A
     return replace(chosen, feedback=feedback.test(chosen.final.regression))
 
 
-def _no_second_look(original: Function, search: Any, place: Any) -> Any:
-    selected = import_module("nsde_torch.diagnosis.joint_selection").Selected
-    added = [n for n in place.system.effect_names if n in search.added(place.system)]
-    return place, {name: selected(search.without(place, name), ()) for name in added}
+def _no_second_look(original: Function, search: Any, place: Any, *before: Any) -> Any:
+    nothing = import_module("nsde_torch.diagnosis.joint_selection").Instead
+    return place, {n: nothing() for n in place.system.effect_names if n in search.added(place.system)}
 
 
 def _all_that_counts(original: Function, search: Any, *rest: Any) -> Any:
@@ -243,7 +242,7 @@ RULES = (
         "each effect is looked at again beside the others: dropped or exchanged",
         ("joint_selection.JointSearch.looked_at_again",),
         _no_second_look,
-        lambda result, search, place: set(result[1]) != search.added(place.system),
+        lambda result, search, place, *before: set(result[1]) != search.added(place.system),
     ),
     Rule(
         "_in_parts",

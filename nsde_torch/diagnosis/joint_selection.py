@@ -247,12 +247,21 @@ class JointSearch:
             known: Takes the physics before and after an effect is added.
         """
         been: set[frozenset[str]] = set()
-        selected: dict[str, Selected] = {}
+        looked: dict[str, Instead] = {}
         while self.added((more := self._extended(place, known)).system) not in been:
             been.add(self.added(more.system))
-            place, selected = self.looked_at_again(more, selected)
+            place, looked = self.looked_at_again(more, looked)
             if self.added(place.system) in been:
                 break
+        selected = {
+            name: Selected(
+                self.without(place, name),
+                tuple(t for t in one.ties if t not in looked),
+                one.law,
+                len(self.libraries.get(name, ())),
+            )
+            for name, one in looked.items()
+        }
         rounds = tuple(self._rounds) or (Round(self.look(self._first), ""),)
         # what is missing passes for noise in the first look
         errors: dict[str, dict[str, float]] = {}
@@ -405,37 +414,38 @@ class JointSearch:
         return self.fitted(proposal.begun, place, wanted)
 
     def looked_at_again(
-        self, place: FittedPhysics, before: Mapping[str, Selected]
-    ) -> tuple[FittedPhysics, dict[str, Selected]]:
+        self, place: FittedPhysics, before: Mapping[str, Instead]
+    ) -> tuple[FittedPhysics, dict[str, Instead]]:
         """Each effect again beside the others: what is likelier replaces it, what is as likely is a tie.
 
-        Of those looked at before the last exchange only whether they are still needed is asked again, not what else may
-        be in their place: on six racing flights (NeuroBEM) that took 130 s each time.
+        The weakest comes first (`_weight`): where it is not needed, all others are looked at again without it. Of those
+        looked at before the last exchange only whether they are still needed is asked again, not what else may be in
+        their place: on six racing flights (NeuroBEM) that took 130 s each time.
+
+        A part of a long log is asked first: an effect that is needed there is needed, and what is surely worse in its
+        place there is worse (of the published flights, physics without one of eight effects are fitted in 10 s each).
         """
         looked = dict(before)
         few = self._in_few_rows()
         exchanged, kept = 0, set[str]()  # those needed beside all others as they are now
         while left := [n for n in place.system.effect_names if n not in {*self._declared, *kept}]:
-            name = left[0]
+            name = min(left, key=lambda n: _weight(place, n))
             self.search.say(f"looking again at {name}", len(kept), len(kept) + len(left))
-            without = self.without(place, name)
-            if not self.needed(name, place, without):
+            inside = few is not None and few.needed_here(name, place)
+            if not inside and not self.needed(name, place, without := self.without(place, name)):
                 place, kept = without, set()  # what was added after it explains what it did
                 continue
             if name not in looked:
-                may, alone = exchanged < self.search.budgets.exchanges, few and few.without_rival(name, place)
-                instead = Instead() if alone else self._instead_of(name, place, without, may)
+                may = exchanged < self.search.budgets.exchanges
+                instead = Instead()
+                if not (inside and few is not None and few.without_rival(name, place)):
+                    instead = self._instead_of(name, place, self.without(place, name), may)
                 if instead.better is not None:
                     place, kept, exchanged = instead.better, set(), exchanged + 1
                     continue
-                tried = len(self.libraries.get(name, ()))
-                looked[name] = Selected(without, instead.ties, instead.law, tried)
-            looked[name] = replace(looked[name], without=without)
+                looked[name] = instead
             kept.add(name)
-        there = [n for n in place.system.effect_names if n in kept]
-        return place, {
-            n: replace(looked[n], ties=tuple(t for t in looked[n].ties if t not in there)) for n in there
-        }
+        return place, {n: looked[n] for n in place.system.effect_names if n in kept}
 
     def _in_few_rows(self) -> "JointSearch | None":
         """The same search in a part of the log that is evenly from all of it; None where that is hardly a part."""
@@ -448,21 +458,28 @@ class JointSearch:
         out._short, out._instead, out.libraries = dict(self._short), dict(self._instead), dict(self.libraries)
         return out
 
-    def without_rival(self, name: str, whole: FittedPhysics) -> bool:
-        """Whether an effect is needed in these few rows, and nothing in its place comes near.
-
-        What is surely worse in a part of the rows is worse in all.
+    def needed_here(self, name: str, whole: FittedPhysics) -> bool:
+        """Whether an effect is needed in these few rows.
 
         Args:
             name: The effect.
             whole: Physics with it, fitted to all rows.
         """
+        place = self._here(whole)
+        return self.needed(name, place, self.without(place, name))
+
+    def without_rival(self, name: str, whole: FittedPhysics) -> bool:
+        """Whether nothing in the place of an effect comes near in these few rows; see `needed_here`."""
+        place = self._here(whole)
+        return self._instead_of(name, place, self.without(place, name), True) == Instead()
+
+    def _here(self, whole: FittedPhysics) -> FittedPhysics:
+        """Physics that were fitted to all rows, fitted to these."""
         assert self._some is not None
-        place = self._places.get(frozenset(whole.system.effect_names)) or self.fitted(
+        names = frozenset(whole.system.effect_names)
+        return self._places.get(names) or self.fitted(
             whole.system, replace(whole, at=whole.at.some(self._some))
         )
-        without = self.without(place, name)
-        return self.needed(name, place, without) and self._instead_of(name, place, without, True) == Instead()
 
     def _instead_of(
         self, name: str, place: FittedPhysics, without: FittedPhysics, exchanges: bool
@@ -821,6 +838,20 @@ def _set(system: System, labels: Sequence[str], values: Array) -> None:
         of.setdefault((label.partition(".")[0], own_name(label)), []).append(value)
     for (effect, own), column in of.items():
         effects[effect].set_value(own, torch.tensor(column, dtype=torch.float64))
+
+
+def _weight(place: FittedPhysics, name: str) -> float:
+    """How far the sizes of an effect are from nothing (Wald's statistic); 0 where the data show none of them."""
+    vector, best = place.best.vector, place.best
+    nothing = effect_class(name).null
+    sizes = [j for j in vector.sizes(name) if own_name(vector.labels[j]) in nothing]
+    shown = np.flatnonzero(np.isin(best.free, sizes))
+    if not len(shown):
+        return 0.0
+    known = best.free[shown]
+    away = best.theta[known] - np.array([nothing[own_name(vector.labels[j])] for j in known])
+    inverse = np.linalg.pinv(best.spread.covariance[np.ix_(shown, shown)], hermitian=True)
+    return float(away @ inverse @ away)
 
 
 def _far_above(better: Explained, worse: Explained) -> bool:

@@ -160,7 +160,10 @@ def filtered(
     if covariances:
         left = new(rows, count, n, n)
     measured = torch.zeros(0, 0, 0, dtype=torch.bool) if about.measured is None else about.measured
-    kernels.covariances(
+    kernels.in_parts(
+        kernels.covariances,
+        rows,
+        count,
         array(about.slopes),
         *_noise(space, levels, start),
         array(measured),
@@ -196,7 +199,9 @@ def within_gate(space: StateSpace, levels: Levels, about: Linearisation, start: 
     measured = (
         torch.ones_like(about.seen, dtype=torch.bool) if about.measured is None else about.measured.clone()
     )
-    kernels.gated(
+    kernels.in_parts(
+        kernels.gated,
+        *about.seen.shape[:2],
         array(about.slopes),
         *_noise(space, levels, start),
         array(about.first),
@@ -222,7 +227,9 @@ def with_gains(
     """
     errors, white = torch.empty_like(about.seen), torch.empty_like(about.seen)
     delta, nats = gain.new_empty(gain.shape[:-1]), gain.new_empty(gain.shape[:2])
-    kernels.means(
+    kernels.in_parts(
+        kernels.means,
+        *about.seen.shape[:2],
         array(about.slopes),
         array(levels.keep(space.h)),
         array(about.first),

@@ -7,18 +7,49 @@ disturbances that keep a share, has the transition
     F = | A (ne, n)    |
         | 0   keep (d) |
 
-Arrays are (rows T, chunks C, ...) as in `nsde_torch.inference.filtering`, contiguous and in double precision.
+Arrays are (rows T, chunks C, ...) as in `nsde_torch.inference.filtering`, contiguous and in double precision. Each
+kernel works on the chunks from `first` to `end`: chunks know nothing of one another, and parts of them run side by side
+(`in_parts`).
 """
 
-from typing import TypeAlias
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.jit import compiled
+from nsde_torch.threads import allowed_threads
 
 Array: TypeAlias = NDArray[np.float64]
 Labels: TypeAlias = NDArray[np.int64]
+
+_FEWEST = 2000  # rows of all chunks, below which starting threads takes as long as what they do
+
+
+def in_parts(kernel: Callable[..., None], rows: int, chunks: int, *arrays: NDArray[Any] | float) -> None:
+    """Run a kernel on all chunks, in as many threads as the caller of the library allows; results are the same.
+
+    Args:
+        kernel: One of this file.
+        rows, chunks: How many rows a chunk has, and how many chunks there are.
+        arrays: What the kernel takes behind `first` and `end`.
+    """
+    count = min(allowed_threads(), chunks, rows * chunks // _FEWEST)
+    if count < 2:
+        kernel(0, chunks, *arrays)
+        return
+    ends = np.linspace(0, chunks, count + 1).round().astype(int).tolist()
+    for done in [_pool(count).submit(kernel, a, b, *arrays) for a, b in pairwise(ends)]:
+        done.result()
+
+
+@lru_cache(maxsize=1)
+def _pool(count: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(count, thread_name_prefix="filter")
 
 
 @compiled
@@ -61,6 +92,8 @@ def _closed_loop(a: Array, keep: Array, g: Array, observed: Labels, back: Array,
 
 @compiled
 def covariances(
+    first: int,
+    end: int,
     slopes: Array,
     keep: Array,
     white: Array,
@@ -86,22 +119,22 @@ def covariances(
         whitening, gain: Are filled (T, C, m, m) and (T, C, n, m).
         left: Is filled with the covariance after each row (T, C, n, n); not if empty.
     """
-    rows, count, ne, n = slopes.shape
+    rows, _, ne, n = slopes.shape
     m = len(observed)
-    each = np.zeros((count, n, n))
+    each = np.zeros((end - first, n, n))
     moved, seen, known = np.empty((ne, n)), np.empty((m, m)), np.ones(m, dtype=np.bool_)
-    for c in range(count):
+    for c in range(first, end):
         for i in range(n):
-            each[c, i, i] = start[i]
+            each[c - first, i, i] = start[i]
         whitening[0, c] = 0.0
         for i in range(m):
             whitening[0, c, i, i] = 1.0
         gain[0, c] = 0.0
         if len(left):
-            left[0, c] = each[c]
+            left[0, c] = each[c - first]
     for k in range(1, rows):
-        for c in range(count):  # chunks inside: memory is read in its order
-            p = each[c]
+        for c in range(first, end):  # chunks inside: memory is read in its order
+            p = each[c - first]
             _predicted(slopes[k - 1, c], keep, white, gust, p, moved)
             _updated(
                 p,
@@ -158,6 +191,8 @@ def _updated(
 
 @compiled
 def gated(
+    first: int,
+    end: int,
     slopes: Array,
     keep: Array,
     white: Array,
@@ -165,7 +200,7 @@ def gated(
     sensor: Array,
     start: Array,
     observed: Labels,
-    first: Array,
+    begun: Array,
     missed: Array,
     seen: Array,
     gate: float,
@@ -175,19 +210,19 @@ def gated(
 
     Args:
         slopes, keep, white, gust, sensor, start, observed: As in `covariances`.
-        first, missed, seen: As in `means`.
+        begun, missed, seen: As in `means`.
         gate: Standard deviations of an innovation.
         measured: Whether a row measures each channel (T, C, m); what is beyond the gate is set to false.
     """
-    rows, count, ne, n = slopes.shape
+    rows, _, ne, n = slopes.shape
     m = len(observed)
     moved, room = np.empty((ne, n)), np.empty((m, m))
     whitening, gain, mean, error = np.empty((m, m)), np.empty((n, m)), np.empty(n), np.empty(m)
-    for c in range(count):
+    for c in range(first, end):
         p, left = np.zeros((n, n)), np.zeros(n)
         for i in range(n):
             p[i, i] = start[i]
-        left[:ne] = first[c]
+        left[:ne] = begun[c]
         for k in range(1, rows):
             _ahead(slopes[k - 1, c], keep, missed[k - 1, c], left, mean)
             _predicted(slopes[k - 1, c], keep, white, gust, p, moved)
@@ -260,9 +295,11 @@ def _inverse_triangle(s: Array, inverse: Array) -> None:
 
 @compiled
 def means(
+    first: int,
+    end: int,
     slopes: Array,
     keep: Array,
-    first: Array,
+    begun: Array,
     missed: Array,
     seen: Array,
     observed: Labels,
@@ -278,7 +315,7 @@ def means(
 
     Args:
         slopes, keep, observed, whitening, gain: As in `covariances`.
-        first: Errors that each chunk starts with (C, ne).
+        begun: Errors that each chunk starts with (C, ne).
         missed: c (T, C, ne).
         seen: What was measured less the state of the linearisation (T, C, m).
         live: Whether a row counts (T, C).
@@ -286,16 +323,16 @@ def means(
         left: Is filled with p + G e (T, C, n).
         nats: Is filled with the log likelihood of each row (T, C).
     """
-    rows, count, ne, n = slopes.shape
+    rows, _, ne, n = slopes.shape
     m = len(observed)
     p = np.empty(n)
     for k in range(rows):
-        for c in range(count):
+        for c in range(first, end):
             if k:
                 _ahead(slopes[k - 1, c], keep, missed[k - 1, c], left[k - 1, c], p)
             else:
                 p[:] = 0.0
-                p[:ne] = first[c]
+                p[:ne] = begun[c]
             for j in range(m):
                 errors[k, c, j] = seen[k, c, j] - p[observed[j]]
             for i in range(n):
@@ -311,6 +348,8 @@ def means(
 
 @compiled
 def adjoints(
+    first: int,
+    end: int,
     slopes: Array,
     keep: Array,
     observed: Labels,
@@ -338,18 +377,18 @@ def adjoints(
             disturbance starts with (C, d).
         kept: That in the share that is left of a disturbance after a step (C, d).
     """
-    rows, count, ne, n = slopes.shape
+    rows, _, ne, n = slopes.shape
     m, d = len(observed), n - ne
-    each_mean, each_spread = np.zeros((count, n)), np.zeros((count, n, n))
+    each_mean, each_spread = np.zeros((end - first, n)), np.zeros((end - first, n, n))
     moved, turned = np.empty(n), np.empty((n, n))
     v, pulled = np.empty(m), np.empty(m)
     own, twice, of_gain = np.empty((m, m)), np.empty((m, m)), np.empty((n, m))
     passed = np.empty((n, m))
     for part in (sensors, struck, gusts, kept):
-        part[:] = 0.0
+        part[first:end] = 0.0
     for k in range(rows - 1, 0, -1):
-        for c in range(count):
-            mean, spread = each_mean[c], each_spread[c]
+        for c in range(first, end):
+            mean, spread = each_mean[c - first], each_spread[c - first]
             w, g, a = whitening[k, c], gain[k, c], slopes[k - 1, c]
             weight = 0.5 if live[k, c] else 0.0
             _scores(w, whitened[k, c], v)
@@ -453,8 +492,8 @@ def adjoints(
                 for j in range(i):
                     both = 0.5 * (spread[i, j] + spread[j, i])
                     spread[i, j], spread[j, i] = both, both
-    for c in range(count):
-        spread = each_spread[c]
+    for c in range(first, end):
+        spread = each_spread[c - first]
         for j in range(m):  # a chunk starts as uncertain as its sensors and disturbances
             sensors[c, j] += spread[observed[j], observed[j]]
         for e in range(d):
@@ -463,6 +502,8 @@ def adjoints(
 
 @compiled
 def slopes_in_levels(
+    first: int,
+    end: int,
     slopes: Array,
     keep: Array,
     observed: Labels,
@@ -488,7 +529,7 @@ def slopes_in_levels(
         z: Is filled with the slopes of the whitened innovations (T, C, m, p).
         turned: Is filled with those of their covariances (T, C, p, m, m); not if empty.
     """
-    rows, count, ne, n = slopes.shape
+    rows, _, ne, n = slopes.shape
     m, d = len(observed), n - ne
     p = m + 3 * d
     spread, mean = np.empty((p, n, n)), np.empty((p, n))
@@ -501,7 +542,7 @@ def slopes_in_levels(
         np.empty((m, m)),
         np.empty((m, m)),
     )
-    for c in range(count):
+    for c in range(first, end):
         spread[:] = 0.0
         mean[:] = 0.0
         z[0, c] = 0.0
@@ -575,6 +616,8 @@ def slopes_in_levels(
 
 @compiled
 def sensitivities(
+    first: int,
+    end: int,
     slopes: Array,
     keep: Array,
     observed: Labels,
@@ -600,12 +643,12 @@ def sensitivities(
         moved: What they do to the predicted states of the row before; is left with that of the last row (C, n, k + q).
         table: Is filled (C, T, m, k + q).
     """
-    rows, count, ne, n = slopes.shape
+    rows, _, ne, n = slopes.shape
     m, k, more = len(observed), columns.shape[3], len(acts)
     closed, back, after = np.empty((n, n)), np.empty((n, m)), np.empty((n, k + more))
     seen, white = np.empty((m, k + more)), np.empty((m, k + more))
     for r in range(rows):
-        for c in range(count):
+        for c in range(first, end):
             a, g, now = slopes[r, c], gain[r, c], moved[c]
             _closed_loop(a, keep, g, observed, back, closed)
             np.dot(closed, now, after)

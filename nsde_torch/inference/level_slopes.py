@@ -43,7 +43,9 @@ def score(space: StateSpace, levels: Levels, about: Linearisation, at: Pass, liv
     h, keep = space.h, levels.keep(space.h)
     count, m, d = at.errors.shape[1], len(space.observed), space.nd
     sensors, struck, gusts, begun, kept = (at.errors.new_empty(count, k) for k in (m, d, d, d, d))
-    kernels.adjoints(
+    kernels.in_parts(
+        kernels.adjoints,
+        *at.errors.shape[:2],
         *_of_pass(space, levels, about, at),
         array(live),
         *(array(part) for part in (sensors, struck, gusts, begun, kept)),
@@ -78,7 +80,10 @@ def level_slopes(
     z, turned = at.errors.new_empty(rows, count, m, p), at.errors.new_empty(0, 0, 0, 0, 0)
     if spreads:
         turned = at.errors.new_empty(rows, count, p, m, m)
-    kernels.slopes_in_levels(
+    kernels.in_parts(
+        kernels.slopes_in_levels,
+        rows,
+        count,
         *_of_pass(space, levels, about, at),
         array(_in_time_constant(levels, space.h)),
         array(torch.exp(2.0 * levels.white) / space.h),

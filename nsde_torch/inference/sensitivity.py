@@ -171,7 +171,10 @@ def _tables(
         rows, before = slice(begun, end), slice(begun - 1, end - 1)
         pushed = [force[before] for _, force in forces] or [moved.new_zeros(end - begun, len(some), 0)]
         filled = moved.new_empty(len(some), end - begun, len(observed), k)
-        kernels.sensitivities(
+        kernels.in_parts(
+            kernels.sensitivities,
+            end - begun,
+            len(some),
             array(about.slopes[before]),
             keep,
             observed,

@@ -42,11 +42,10 @@ from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector, own_name
 from nsde_torch.time_limit import check_time
 
-_RISES = 0.3  # share of the nats of a linearised step that a fit brings, and of an effect's that a rival has to promise
+_RISES = 0.3  # share of the nats of a linearised step that a fit has to bring
 _TRIED = 3  # candidates that are fitted to the end before a round ends
 _RIVALS = 3  # candidates that are fitted in the place of an effect
 _LAWS = 2  # laws that are fitted in the place of an effect
-_FAR = 4.0  # standard errors of a difference beyond which a rival is not fitted: a linearised step is rough
 _ROWS = 6000  # that are asked first whether anything comes near an effect: the published flights' 18,000 take minutes
 _PAIRED = 6  # best candidates among which pairs are looked at
 
@@ -190,7 +189,6 @@ class JointSearch:
         self._aside: list[str] = []
         self._places: dict[frozenset[str], FittedPhysics] = {}
         self._looks: dict[frozenset[str], Look] = {}
-        self._short: dict[str, float] = {}  # nats that a candidate last fell short of its linearised step
         self.libraries: dict[str, tuple[Term, ...]] = {}
         self._instead: dict[str, tuple[Term, ...]] = {}
         self._some: torch.Tensor | None = None  # chunks of the log that it is in; None: all
@@ -352,14 +350,12 @@ class JointSearch:
         """The physics with the best candidate that holds what it promises once it is fitted."""
         look = self.look(place)
         best, risen = None, 0.0
-        # what fell short comes last: of the published flights a delay promised most in each round, and 16 s of fits
         tried = _in_order(self.search, look, self.added(place.system), place)[:_TRIED]
-        for proposal in sorted(tried, key=lambda p: self._hoped(p) <= 0):
-            if best is not None and self._hoped(proposal) < risen:
+        for proposal in tried:
+            if best is not None and proposal.nats < risen:
                 continue
             there = self._fitted_as_promised(proposal, place)
             if not self._holds(proposal, there, place):
-                self._short[proposal.name] = proposal.nats - (there.best.likelihood - place.best.likelihood)
                 continue
             if best is None or there.best.likelihood > best.best.likelihood:
                 best, risen = there, there.best.likelihood - place.best.likelihood
@@ -393,10 +389,6 @@ class JointSearch:
                 if _surely_more(self.search, density - last, place):
                     best, last = there, density
         return best
-
-    def _hoped(self, proposal: Explained) -> float:
-        """What a candidate would bring if its linearised step were as far off as last time [nats]."""
-        return proposal.nats - self._short.get(proposal.name, 0.0)
 
     def _holds(self, proposal: Explained, there: FittedPhysics, place: FittedPhysics) -> bool:
         """Whether the likelihood rose as a linearised step promised."""
@@ -455,7 +447,7 @@ class JointSearch:
         out = copy.copy(self)
         out._some, out._problem = which, self._problem.some(which)
         out._places, out._looks = {}, {frozenset(self._first.system.effect_names): self.look(self._first)}
-        out._short, out._instead, out.libraries = dict(self._short), dict(self._instead), dict(self.libraries)
+        out._instead, out.libraries = dict(self._instead), dict(self.libraries)
         return out
 
     def needed_here(self, name: str, whole: FittedPhysics) -> bool:
@@ -509,17 +501,9 @@ class JointSearch:
         self, name: str, place: FittedPhysics, without: FittedPhysics
     ) -> tuple[list[str], FittedPhysics | None]:
         """Effects as likely as one that was selected, and the physics with a better one in its place."""
-        look = self.look(without)
-        own = next((p for p in look.proposals if p.name == name), None)
-        rivals = [
-            p
-            for p in look.accepted
-            # what contains the effect was a candidate beside it, and was not needed
-            if name not in {p.name, *effect_class(p.name).includes}
-            and (own is None or not _far_above(own, p))
-            # of the published flights rivals of 0.25 ended 500 to 1300 nats below, after fits of 10 s each
-            and self._hoped(p) > (0.0 if own is None else _RISES * own.nats)
-        ]
+        # what contains the effect was a candidate beside it, and was not needed
+        accepted = self.look(without).accepted
+        rivals = [p for p in accepted if name not in {p.name, *effect_class(p.name).includes}]
         alike: list[str] = []
         best: tuple[float, FittedPhysics] | None = None
         there_too = {name, *without.system.effect_names}
@@ -852,12 +836,6 @@ def _weight(place: FittedPhysics, name: str) -> float:
     away = best.theta[known] - np.array([nothing[own_name(vector.labels[j])] for j in known])
     inverse = np.linalg.pinv(best.spread.covariance[np.ix_(shown, shown)], hermitian=True)
     return float(away @ inverse @ away)
-
-
-def _far_above(better: Explained, worse: Explained) -> bool:
-    """Whether one linearised step says far more than another, so that fitting both would change nothing."""
-    difference = better.blocks - worse.blocks
-    return float(difference.sum()) > _FAR * sum_error(difference)
 
 
 def _compared(search: Search, name: str, rival: str, place: FittedPhysics, there: FittedPhysics) -> float:

@@ -49,9 +49,8 @@ from nsde_torch.time_limit import check_time
 ARITHMETIC = 1e-5
 """Of the measured changes: what integrators and the digits of a log leave of exact physics."""
 _TURNS = 12
-_STEPS = 2  # of the noise levels to one of theta
 _AHEAD = 10.0  # times what a turn brought, what all that follow may bring
-_FIRST_ROWS = 1000  # enough for noise levels beside a first theta
+_FIRST_ROWS = 5000  # enough for noise levels beside a first theta
 _SETTLED, _GAIN = (
     0.05,
     0.5,
@@ -61,7 +60,6 @@ _NEAR, _NEAR_GAIN = 0.3, 1.0  # the same, where physics are compared
 # which all else is sound 4,700,000 nats
 _GATE = 8.0  # standard deviations of an innovation, beyond which a measurement is an outlier
 _RARE = 0.01  # largest share of rows with outliers: more of them are noise, or physics
-_ODD = 5  # chunks of smallest likelihood
 _CLOSE = 1.0  # those of a step beyond which slopes of the physics are made anew: they take most of the time
 _STUCK = 0.5  # those below which a step that is no better is rounding
 # of steps (Marquardt), in units of the information
@@ -504,21 +502,13 @@ def maximised(
         first, about = near.levels, linearised_about(space, near.x, start)
     levels, at = first, problem.filtered(first, about)
     known: Tensor | None = None
+    sound = near is not None or held is not None
     if near is None:
         about, at = problem.settled(levels, about, at, 1)
-        if held is None:
+        if held is None:  # of the right size first: theta weighs channels by them
             levels, known = likeliest(space, first, first, about, start, rows=_FIRST_ROWS)
-            begun, at = at.total, problem.filtered(levels, about)
-            if not at.total > begun:  # some rows are like no others, of which these levels were found
-                odd = torch.argsort(at.rows.sum(0))[:_ODD]
-                levels, known = likeliest(space, first, first, about, start, also=odd)
-                within = problem.without_outliers(levels, about)
-                if within is not None:
-                    about = within
-                    levels, known = likeliest(space, levels, first, about, start)
-                at = problem.filtered(levels, about)
-    # from afar some of the chunks lead nearly as far in a third of the time
-    settled, away, columns, whole = False, inf, torch.zeros(0), near is not None
+            at = problem.filtered(levels, about)
+    settled, away, columns = False, inf, torch.zeros(0)
     # where each measurement costs a nat there is no way back, and fits take a minute (a wind on NeuroBEM)
     ahead = float(space.measurements)
     for _ in range(_TURNS):
@@ -536,18 +526,23 @@ def maximised(
             if settled:
                 break
             continue
-        # theta first: levels that were fitted beside a wrong one would take its errors for noise
-        turns = _STEPS if whole else _TURNS
-        trial, known = likeliest(space, levels, first, about, start, known, whole=whole, turns=turns)
-        there, before = problem.filtered(trial, about), at.total
-        if there.total > before:  # it may have been found from some of the chunks
-            levels, at = trial, there
-        if at.total < before + gain * worth:
-            # to compare physics, steps that promise much and bring nothing do too: friction has a sign. Final fits go
-            # on: unsettled, they have no intervals (two_frictions.py, seed 1: 17 of 18 held, and 18 so)
-            if whole and (settled or (not nuisances and at.total < begun + gain * worth)):
-                break
-            whole = True
+        if not sound:
+            sound, within = True, problem.without_outliers(levels, about)
+            if within is not None:
+                about, at = within, problem.filtered(levels, within)
+                begun = at.total
+        # whichever brings more goes on: levels beside a wrong theta take its errors for noise
+        before = at.total
+        levels, known = likeliest(
+            space, levels, first, about, start, known, least=max(before - begun, gain * worth)
+        )
+        at = problem.filtered(levels, about)
+        # to compare physics, steps that promise much and bring nothing do too: friction has a sign. Final fits go
+        # on: unsettled, they have no intervals (two_frictions.py, seed 1: 17 of 18 held, and 18 so)
+        if at.total < before + gain * worth and (
+            settled or (not nuisances and at.total < begun + gain * worth)
+        ):
+            break
         ahead = _AHEAD * (at.total - begun)
     beside = None
     if nuisances:  # to compare physics, slopes less than a standard error away do
@@ -620,7 +615,7 @@ def bounded_change(vector: ParameterVector, held: Grams, theta: Array, damping: 
     free, change = _free(vector, theta, held), np.zeros(len(theta))
     # what brings no nat however far a step goes stays: beside no drag a wind may be anything (test_in_part.py)
     most = 0.5 * np.diag(held.total)[1 : 1 + len(theta)] * np.square(np.maximum(-low, high))
-    free = free[(low[free] < high[free]) & (most[free] > _SHOWN)]
+    free = free[most[free] > _SHOWN]
     if len(free):
         change[free] = held.step(free, damping, low[free], high[free])
     return np.asarray(vector.inside(theta + change) - theta)

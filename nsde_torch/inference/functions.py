@@ -556,7 +556,8 @@ class _Choice:
             push += forced(space, about, group.port, force)
         push[-1] = 0.0
         about = replace(about, missed=about.missed + push)
-        levels, _ = likeliest(space, self._levels, self._levels, about, self._optimum.of.start)
+        start = self._optimum.of.start
+        levels, _ = likeliest(space, self._levels, self._levels, about, start, rows=_SCREENED)
         space.use(at)
         return levels
 

@@ -44,25 +44,9 @@ class Grams:
 
     def step(self, free: NDArray[np.int64], damping: float, low: Array, high: Array) -> Array:
         """Step of Gauss and Newton (damped: Marquardt) of some parameters, numbered from 0, between bounds (q,)."""
-        at = np.concatenate(([0], 1 + free))
-        gram = self.total[np.ix_(at, at)]
-        step = solved(gram, damping=damping)
-        if not np.isfinite(step).all() or ((low <= step) & (step <= high)).all():
-            return step
-        # what a bound stops is done by others as far as they can: without that, steps of correlated parameters that
-        # were cut one by one led down
-        inner, pull = gram[1:, 1:], gram[1:, 0]
-        scale = 1.0 / np.sqrt(np.diag(inner).clip(1e-300))
-        values, vectors = np.linalg.eigh(inner * scale * scale[:, None] + damping * np.eye(len(inner)))
-        seen = values > _RANK * values[-1]
-        root = np.sqrt(values[seen])
-        found = lsq_linear(
-            root[:, None] * vectors[:, seen].T,
-            (vectors[:, seen].T @ (pull * scale)) / root,
-            (low / scale, high / scale),
-            method="bvls",
+        return bounded_step(
+            self.total[np.ix_(1 + free, 1 + free)], self.total[1 + free, 0], damping, low, high
         )
-        return np.asarray(found.x * scale)
 
     def inflation(self, free: NDArray[np.int64]) -> float:
         """How many times the variance of scores over blocks is what white innovations give it, at least 1.
@@ -193,6 +177,39 @@ def _tables(
         if nuisances is not None:
             table[..., 1 + k :] = (nuisances[first:end] * shown[..., None]).transpose(0, 1)
         yield table
+
+
+def bounded_step(inner: Array, pull: Array, damping: float, low: Array, high: Array) -> Array:
+    """Step (k,) of largest pull @ step - step @ inner @ step / 2 between bounds (k,).
+
+    What a bound stops is done by others as far as they can: without that, steps of correlated parameters that were cut
+    one by one led down.
+
+    Args:
+        inner: Information (k, k).
+        pull: Slope of the log likelihood (k,).
+        damping: Marquardt's.
+        low, high: The bounds, around 0; what they leave no room stays.
+    """
+    room = low < high
+    if not room.all():
+        out = np.zeros(len(pull))
+        out[room] = bounded_step(inner[np.ix_(room, room)], pull[room], damping, low[room], high[room])
+        return out
+    scale = 1.0 / np.sqrt(np.diag(inner).clip(1e-300))
+    step = np.asarray(inverted(inner, damping) @ pull)
+    if not np.isfinite(step).all() or ((low <= step) & (step <= high)).all():
+        return step
+    values, vectors = np.linalg.eigh(inner * scale * scale[:, None] + damping * np.eye(len(inner)))
+    seen = values > _RANK * values[-1]
+    root = np.sqrt(values[seen])
+    found = lsq_linear(
+        root[:, None] * vectors[:, seen].T,
+        (vectors[:, seen].T @ (pull * scale)) / root,
+        (low / scale, high / scale),
+        method="bvls",
+    )
+    return np.asarray(found.x * scale)
 
 
 def solved(gram: Array, weights: Array | None = None, *, damping: float = 0.0) -> Array:

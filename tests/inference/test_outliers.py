@@ -14,7 +14,7 @@ from tests.inference.springs import B, K, linear_runs, spring, value
 ROWS, FIRST, COUNT = 3000, 1777, 10
 
 
-@pytest.mark.parametrize("by", [1.0, 5.0])
+@pytest.mark.parametrize("by", [0.1, 1.0, 5.0])
 def test_a_jump_of_ten_rows_is_left_out_and_moves_nothing(by: float) -> None:
     """As markers jump that a camera system confuses: far off for a moment, and back on the way."""
     runs = linear_runs(8, ROWS * 0.02, seed=2)

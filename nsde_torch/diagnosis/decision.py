@@ -67,38 +67,48 @@ def at(search: Search, place: FittedPhysics) -> Base:
 
 
 def set_aside(search: Search, chosen: Selection, feedback: Feedback) -> Selection:
-    """Effects that explain more than feedback may hide; the others are set aside, the weakest first."""
-    found, base, joint, hidden = chosen.found, chosen.final, chosen.joint, list(chosen.hidden)
+    """Effects that explain more than feedback may hide; the others are set aside, the weakest first.
+
+    What one brought beside all others it brings at least beside fewer: physics without it are fitted again only where
+    that is not enough any more.
+    """
+    base, joint, hidden = chosen.final, chosen.joint, list(chosen.hidden)
+    if joint is None:
+        return replace(chosen, feedback=feedback.test(base.regression))
     tested = feedback.test(base.regression)
-    among = max(len(joint.rounds[0].look.proposals), 1) if joint is not None else 1
-    while found and joint is not None:
+    among = max(len(joint.rounds[0].look.proposals), 1)
+    known: dict[str, dict[str, float]] = {}
+    while joint.selected:
         lengths = lengths_of_parameters(tested, base.regression)
         # by what it brings less than that: of several that all could be feedback the chance is 1, and of the drive of
         # `nsde benchmark emps` the frictions went before a force that brought nothing
-        weakest: tuple[float, Found, Base, tuple[str, ...]] | None = None
-        for f in found if lengths else ():
+        weakest: tuple[float, str, Base, tuple[str, ...]] | None = None
+        for name, one in joint.selected.items() if lengths else ():
             # what moves nothing (a limit that no input reaches any more) brings nothing
-            moved = moved_channels(base.regression, f.name) or tuple(lengths)
+            moved = moved_channels(base.regression, name) or tuple(lengths)
             if not set(moved) & set(lengths):
                 continue
             # not of its shapes: feedback may bias the width of EMPS's friction by 68 standard errors, its size by 21
-            allowed = allowances(lengths, base.regression.vector.sizes(f.name))
-            without = at(search, joint.selected[f.name].without)
-            count = len(base.regression.vector.of(f.name))
+            allowed = allowances(lengths, base.regression.vector.sizes(name))
+            count = len(base.regression.vector.of(name))
+            enough = search.level("effects") / among
+            if name in known and chance_beyond(known[name], moved, allowed, count) < enough:
+                continue
+            without = at(search, one.without)
             nats = nats_by_channel(without.regression, base.regression)
-            brought = {channel: 2.0 * value for channel, value in nats.items()}
-            if chance_beyond(brought, moved, allowed, count) * among < search.level("effects"):
+            brought = known[name] = {channel: 2.0 * value for channel, value in nats.items()}
+            if chance_beyond(brought, moved, allowed, count) < enough:
                 continue
             beyond = sum(brought[c] - allowed.get(c, 0.0) for c in moved)
             if weakest is None or beyond < weakest[0]:
-                weakest = (beyond, f, without, tuple(c for c in moved if c in allowed))
-        if weakest is None or feedback.shown(fitted_system(base.regression), weakest[1].name):
+                weakest = (beyond, name, without, tuple(c for c in moved if c in allowed))
+        if weakest is None or feedback.shown(fitted_system(base.regression), weakest[1]):
             break
-        _, f, base, channels = weakest
-        hidden.append(FeedbackBiased(f.name, channels))
-        joint = joint.less(f.name)
-        found = found_by(search, joint)
+        _, name, base, channels = weakest
+        hidden.append(FeedbackBiased(name, channels))
+        joint = joint.less(name)
         tested = feedback.test(base.regression)
+    found = found_by(search, joint)
     return replace(chosen, final=base, found=found, joint=joint, hidden=tuple(hidden), feedback=tested)
 
 

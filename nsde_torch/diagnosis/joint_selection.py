@@ -18,6 +18,7 @@ how inputs are held between samples decides. Left out, it makes other effects lo
 import copy
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from math import inf, isfinite, log
 from typing import final
 
@@ -98,10 +99,15 @@ class Round:
 class Selected:
     """The physics without an effect that was selected, and what cannot be distinguished from it."""
 
-    without: FittedPhysics  # all others, fitted
+    fit: Callable[[], FittedPhysics]  # fits all others
     ties: tuple[str, ...]  # effects that explain the data as well in its place
     law: str = ""  # a law of one term that is likelier in its place; empty where none is
     tried: int = 0  # number of the terms that a law was chosen from
+
+    @cached_property
+    def without(self) -> FittedPhysics:
+        """All others, fitted when they are first asked for."""
+        return self.fit()
 
 
 @dataclass(frozen=True)
@@ -156,8 +162,10 @@ class JointSelection:
         for other, one in self.selected.items():
             if other != name:
                 system = without_effect(rest.system, self.declared.system, other)
-                there = self.declared if len(self.selected) == 2 else fitted(system, rest)
-                others[other] = replace(one, without=there)
+                alone = len(self.selected) == 2
+                others[other] = replace(
+                    one, fit=(lambda: self.declared) if alone else partial(fitted, system, rest)
+                )
         return replace(self, final=rest, selected=others, functions=None)
 
     def nothing(self) -> "JointSelection":
@@ -253,7 +261,7 @@ class JointSearch:
                 break
         selected = {
             name: Selected(
-                self.without(place, name),
+                partial(self.without, place, name),
                 tuple(t for t in one.ties if t not in looked),
                 one.law,
                 len(self.libraries.get(name, ())),

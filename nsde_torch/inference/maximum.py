@@ -34,7 +34,7 @@ _TURNS = 12
 _GAIN = 0.5  # nats for which another turn is taken
 # without it the levels of a cart's lag end 47 nats below (tests/inference/test_fit.py)
 _HOLDS = 0.1  # share of the nats that a step promises, from which its information is used again
-_VANISHES = 0.1  # nats
+_VANISHES = 0.1  # nats that a level has to bring by vanishing, to go down
 _CURVED = 0.01  # of the curvature expected, below which a step tells none
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e4
 _INFORMING = 500  # rows that the information is made from
@@ -124,7 +124,7 @@ def likeliest(
         ends[0] = torch.where(sizes & (-0.5 * gradient < _VANISHES), 0.0, ends[0])
         down, up = (torch.where(sizes, 0.5 * torch.expm1(2.0 * end), end).numpy() for end in ends)
         # as a whole, it was as short as the flattest level wants it: of NanoBench, with white noise near nothing on
-        # the moments, all others moved by a tenth of what they should, and levels ended 7,000 nats below
+        # the moments, all others moved by a tenth of what they should, and levels ended 9,000 nats below
         found = torch.from_numpy(bounded_step(known.numpy(), gradient.numpy(), damping, down, up))
         promised = float(gradient @ found - 0.5 * found @ known @ found)
         return torch.where(sizes, 0.5 * torch.log1p(2.0 * found), found), promised

@@ -27,7 +27,7 @@ from nsde_torch.threads import allowed_threads
 Array: TypeAlias = NDArray[np.float64]
 Labels: TypeAlias = NDArray[np.int64]
 
-_FEWEST = 2000  # rows of all chunks, below which starting threads takes as long as what they do
+_FEWEST = 2000  # rows a thread: of 400, a pass over a spring takes 0.17 ms in two threads and 0.11 in one
 
 
 def in_parts(kernel: Callable[..., None], rows: int, chunks: int, *arrays: NDArray[Any] | float) -> None:
@@ -38,18 +38,19 @@ def in_parts(kernel: Callable[..., None], rows: int, chunks: int, *arrays: NDArr
         rows, chunks: How many rows a chunk has, and how many chunks there are.
         arrays: What the kernel takes behind `first` and `end`.
     """
-    count = min(allowed_threads(), chunks, rows * chunks // _FEWEST)
+    threads = allowed_threads()
+    count = min(threads, chunks, rows * chunks // _FEWEST)
     if count < 2:
         kernel(0, chunks, *arrays)
         return
     ends = np.linspace(0, chunks, count + 1).round().astype(int).tolist()
-    for done in [_pool(count).submit(kernel, a, b, *arrays) for a, b in pairwise(ends)]:
+    for done in [_pool(threads).submit(kernel, a, b, *arrays) for a, b in pairwise(ends)]:
         done.result()
 
 
 @lru_cache(maxsize=1)
-def _pool(count: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(count, thread_name_prefix="filter")
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="filter")
 
 
 @compiled

@@ -120,7 +120,7 @@ def likeliest(
             return torch.zeros_like(phi), 0.0
         ends = [(low - phi).clamp_min(-_LONGEST_STEP), (high - phi).clamp_max(_LONGEST_STEP)]
         # what little a level would bring by vanishing keeps it: from nothing there is no way back, and of the published
-        # flights levels that had gone there beside a first theta stayed, 2,700 nats below
+        # flights levels that fell there beside a first theta stayed, 2,700 nats below
         ends[0] = torch.where(sizes & (-0.5 * gradient < _VANISHES), 0.0, ends[0])
         down, up = (torch.where(sizes, 0.5 * torch.expm1(2.0 * end), end).numpy() for end in ends)
         # as a whole, it was as short as the flattest level wants it: of NanoBench, with white noise near nothing on
@@ -137,10 +137,11 @@ def likeliest(
         if known is not None and before is not None:
             known = _curved(known, phi - before[0], before[1] - gradient)
         before = phi, gradient
+        promised = 0.0 if known is None else step(gradient, known, 0.0)[1]
         # information from elsewhere that promises little does not end the iteration either, as below
-        if known is None or (not fresh and step(gradient, known, 0.0)[1] < enough):
+        if known is None or (not fresh and promised < enough):
             known, fresh, damping = information(phi, here), True, _FIRST_DAMPING
-        promised = step(gradient, known, 0.0)[1]
+            promised = step(gradient, known, 0.0)[1]
         if promised < enough:
             break
         gained = 0.0

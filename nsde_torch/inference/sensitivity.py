@@ -212,18 +212,17 @@ def bounded_step(inner: Array, pull: Array, damping: float, low: Array, high: Ar
     return np.asarray(found.x * scale)
 
 
-def solved(gram: Array, weights: Array | None = None, *, damping: float = 0.0) -> Array:
+def solved(gram: Array, weights: Array | None = None) -> Array:
     """Least squares (..., k) from Gram matrices of [e, J] (..., 1 + k, 1 + k), in columns of equal length.
 
     Args:
         gram: The matrices.
         weights: Of the squares of the unknowns (..., k); None for none.
-        damping: Marquardt's.
     """
     inner = gram[..., 1:, 1:]
     if weights is not None:
         inner = inner + weights[..., None] * np.eye(inner.shape[-1])
-    return np.asarray((inverted(inner, damping) @ gram[..., 1:, :1])[..., 0])
+    return np.asarray((inverted(inner) @ gram[..., 1:, :1])[..., 0])
 
 
 def inverted(inner: Array, damping: float = 0.0) -> Array:

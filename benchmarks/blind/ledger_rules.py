@@ -23,7 +23,8 @@ class Rule:
     Args:
         name: What it is called.
         purpose: What it is for.
-        where: Names that it has in modules of `nsde_torch.diagnosis`, `module.name` or `module.Class.name`.
+        where: Names that it has in modules of `nsde_torch.diagnosis`, `module.name` or `module.Class.name`; or of
+            `nsde_torch.inference`, with that before it.
         off: What is there without it, by the function itself and its arguments.
         fires: Whether a result, with the arguments, is not what would be there without the rule.
     """
@@ -101,6 +102,15 @@ def _all_that_counts(original: Function, search: Any, *rest: Any) -> Any:
         search.decisions = there
 
 
+def _all_rows(original: Function, log: Any, search: Any, *rest: Any) -> Any:
+    there = search.decisions
+    search.decisions = replace(there, apart_s=0.0)
+    try:
+        return original(log, search, *rest)
+    finally:
+        search.decisions = there
+
+
 def _fewer(number: int) -> Function:
     return lambda result, *args, **kwargs: _names(result.found) != _names(args[number].found)
 
@@ -115,13 +125,6 @@ def _other_chances(result: Any, tests: Sequence[Any]) -> bool:
 
 RULES = (
     # ---- of the whole log
-    Rule(
-        "at_found",
-        "rates that no sensor measured are inferred anew with what was found",
-        ("pipeline.at_found",),
-        arguments(0, 1, 2),
-        other_outcome(2),
-    ),
     Rule(
         "late sensor",
         "a sensor that is late as a whole explains what effects were named for",
@@ -283,16 +286,43 @@ RULES = (
         "order of candidates",
         "simpler candidates and pairs come before what is likeliest",
         ("joint_selection._in_order",),
-        lambda original, search, look, added: list(look.accepted),
-        lambda result, search, look, added: _names(result) != _names(look.accepted),
+        lambda original, search, look, *rest: list(look.accepted),
+        lambda result, search, look, *rest: _names(result) != _names(look.accepted),
     ),
-    # ---- noise models
     Rule(
-        "NoiseModels.without",
-        "tests look under a noise model that has not learned the dependence",
-        ("residual_tests.NoiseModels.without",),
+        "weakest first",
+        "the second look begins with the effect whose sizes are least beyond nothing",
+        ("joint_selection._weight",),
+        constant(0.0),
+        anything,
+    ),
+    Rule(
+        "simpler first",
+        "of candidates that are fitted to the end, those that others contain come first",
+        ("joint_selection._simpler_first",),
+        lambda original, proposals: list(proposals),
+        lambda result, proposals: _names(result) != _names(proposals),
+    ),
+    Rule(
+        "rows apart",
+        "rows further apart are looked at where innovations of all rows can be predicted",
+        ("pipeline._selected",),
+        _all_rows,
+        lambda result, *args, **kwargs: result[1].final.at.of.apart_s > 0,
+    ),
+    Rule(
+        "behind smoothers",
+        "behind a smoother effects with memory on inputs are no candidates, and make all else a lead",
+        ("pipeline.behind_smoothers", "pipeline.with_suspects"),
+        argument(0),
+        other_than(0),
+    ),
+    Rule(
+        "outliers",
+        "measurements eight standard deviations off are left out, where they are rare",
+        ("inference.estimate.LogLikelihood.without_outliers",),
         constant(None),
-        lambda result, *args, **kwargs: result is not None,
+        anything,
     ),
     Rule(
         "own_of_runs",
@@ -317,13 +347,6 @@ RULES = (
         anything,
     ),
     Rule(
-        "laws chosen again",
-        "a law that is not chosen again in halves of the runs is taken out",
-        ("beyond_catalogue._LawSearch._not_chosen_again",),
-        constant(""),
-        lambda result, *args, **kwargs: bool(result),
-    ),
-    Rule(
         "laws named by the catalogue",
         "a law that is an effect of the catalogue takes its name",
         ("beyond_catalogue.same_effect",),
@@ -343,8 +366,10 @@ RULES = (
 
 def _holder(where: str) -> tuple[Any, str]:
     """The module or class that has a name of a rule, and the name within it."""
-    module, *path = where.split(".")
-    out = import_module(f"nsde_torch.diagnosis.{module}")
+    package, dot, rest = where.partition(".")
+    folder, rest = (package, rest) if package == "inference" else ("diagnosis", package + dot + rest)
+    module, *path = rest.split(".")
+    out = import_module(f"nsde_torch.{folder}.{module}")
     for part in path[:-1]:
         out = getattr(out, part)
     return out, path[-1]

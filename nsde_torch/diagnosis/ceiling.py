@@ -22,16 +22,13 @@ from nsde_torch.diagnosis.evidence import sum_error
 from nsde_torch.diagnosis.feedback_bias import allowances_of_tests
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log
-from nsde_torch.diagnosis.regressors import machine_variables
+from nsde_torch.diagnosis.regressors import machine_variables, moved_channels_of
 from nsde_torch.effects import Port
 from nsde_torch.evaluation.bootstrap import FEWEST_BLOCKS
 from nsde_torch.inference import Optimum, nearly_maximised
 from nsde_torch.inference.functions import Functions, Variables, held_out_density, learned
-from nsde_torch.sysid.feedback_test import FeedbackTest
 from nsde_torch.systems import System
 from nsde_torch.systems.vocabulary import named_inputs, vocabulary
-
-_MOVES = 0.3  # of the largest change of a channel: rows of ports that move it
 
 
 @dataclass(frozen=True)
@@ -78,20 +75,30 @@ def functions_beside(at: Optimum, most: int) -> Functions | None:
 
 
 @torch.no_grad()
-def function_gain(at: Optimum, found: Functions, tested: FeedbackTest) -> FunctionGain:
+def function_gain(at: Optimum, found: Functions, outcome: Outcome) -> FunctionGain:
     """What functions explain beyond what feedback may hide, row by row."""
     space, system, variables = at.of.space, at.of.vector.system, _variables(at)
     counted = space.chunks.counted
     table = variables.values(at.x[counted], space.chunks.u[counted]).numpy()
     values = {name: table[:, k] for k, name in enumerate(variables.names)}
-    moved, allowed = _moved(at), allowances_of_tests(tested)
+    moved = moved_channels_of(outcome.final.regression, space.disturbances)
+    allowed = allowances_of_tests(outcome.test)
     rows = []
     for port, nats in found.nats.items():
         if nats > 0.5 * max((allowed.get(name, 0.0) for name in moved[port]), default=0.0):
             name, unit = _row(system, *space.disturbances[port])
             size = float(np.sqrt(np.square(found.force(values, port)[0]).mean()))
             rows.append(
-                RowGain(name, unit, port, size, nats, found.error[port], found.importance(port), moved[port])
+                RowGain(
+                    name,
+                    unit,
+                    port,
+                    size,
+                    nats,
+                    found.error[port],
+                    found.importance(port),
+                    frozenset(moved[port]),
+                )
             )
     return FunctionGain(at, found, tuple(sorted(rows, key=lambda r: -r.nats)))
 
@@ -114,14 +121,6 @@ def _variables(at: Optimum) -> Variables:
         return torch.stack([known[name] for name in names], 1)
 
     return Variables(tuple(names), values, lambda u: named_inputs(system, u))
-
-
-def _moved(at: Optimum) -> list[frozenset[str]]:
-    """Channels that each disturbance moves."""
-    space, names = at.of.space, at.of.vector.system.error_names
-    size = at.about.slopes[..., space.ne :].square().mean((0, 1)).sqrt()[: space.ne]
-    share = size / size.amax(1, keepdim=True).clamp_min(1e-300)
-    return [frozenset(n for n, s in zip(names, own, strict=True) if s > _MOVES) for own in share.T.tolist()]
 
 
 def _row(system: System, port: Port, column: int) -> tuple[str, str]:
@@ -165,7 +164,7 @@ def ceiling(log: Log, outcome: Outcome) -> Ceiling:
         found = functions_beside(at, log.budgets.function_groups)
     if found is None:
         return Ceiling("the log is too short")
-    gain = function_gain(at, found, outcome.test)
+    gain = function_gain(at, found, outcome)
     before, after = gain.functions.blocks
     left = (after - before) * (gain.nats / max(float((after - before).sum()), 1e-300) if gain.rows else 0.0)
     out = Ceiling(left=float(left.sum()), rows=gain.rows, gain=gain)

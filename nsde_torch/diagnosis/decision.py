@@ -23,7 +23,8 @@ from nsde_torch.diagnosis.feedback_bias import (
 from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSelection
 from nsde_torch.diagnosis.outcome import Found, Outcome, Verdict, found_by
 from nsde_torch.diagnosis.reading import Log
-from nsde_torch.diagnosis.residual_tests import Dependence, beyond_chance, dependences, overview, variables_of
+from nsde_torch.diagnosis.regressors import measured
+from nsde_torch.diagnosis.residual_tests import Dependence, Residuals, beyond_chance, dependences, overview
 from nsde_torch.diagnosis.search import Base, Search, bent_shape, fitted_system, moved_channels
 from nsde_torch.effects import Effect, Port, effect_class
 from nsde_torch.effects.expression_grammar import is_law
@@ -112,8 +113,13 @@ def set_aside(search: Search, chosen: Selection, feedback: Feedback) -> Selectio
     return replace(chosen, final=base, found=found, joint=joint, hidden=tuple(hidden), feedback=tested)
 
 
-def decide(search: Search, chosen: Selection, feedback: Feedback) -> Outcome:
-    """Test what is left with and without the effects, and conclude."""
+def decide(
+    search: Search, chosen: Selection, feedback: Feedback, alone: FittedPhysics | None = None
+) -> Outcome:
+    """Test what is left with and without the effects, and conclude.
+
+    `alone` is the declared physics where nothing could be selected; None: nothing is tested.
+    """
     declared, base, found, tested, joint = (
         chosen.declared,
         chosen.final,
@@ -121,26 +127,30 @@ def decide(search: Search, chosen: Selection, feedback: Feedback) -> Outcome:
         chosen.feedback,
         chosen.joint,
     )
-    declared_variables = variables_of(search, declared)
-    variables = variables_of(search, base) if found else declared_variables
-    after = dependences(base.regression, variables)
-    before = overview(declared.regression, declared_variables) if found else after
+    place = alone if joint is None else joint.final
+    after = [] if place is None else _tests(search, place, base)
+    before = (
+        overview(Residuals(search, joint.declared, declared.regression))
+        if found and joint is not None
+        else after
+    )
     levels = search.levels(*(["effects"] if found else []))
     left = _left(base, after, tested, levels["structure"])
-    explained = base.nats - declared.nats
+    explained = 0.0 if joint is None else joint.final.best.likelihood - joint.declared.best.likelihood
     rest = max((d.excess for d in left), default=0.0)
     if found and explained < search.decisions.negligible_share * rest:
         # what is missing bends the physics, and any term straightens it a little
-        before = after = dependences(declared.regression, declared_variables)
-        found, base, variables = [], declared, declared_variables
-        joint = None if joint is None else joint.nothing()
+        assert joint is not None
+        joint = joint.nothing()
+        before = after = _tests(search, joint.final, declared)
+        found, base = [], declared
         tested = feedback.test(base.regression)
         levels = search.levels()
         left = _left(base, before, tested, levels["structure"])
     brought = nats_by_channel(declared.regression, base.regression)
     found = [replace(f, moves=moved_channels(base.regression, f.name)) for f in found]
     return Outcome(
-        verdict=_verdict(found, explained=explained, rest=rest, left=left),
+        verdict="undecided" if place is None else _verdict(found, explained=explained, rest=rest, left=left),
         declared=declared,
         final=base,
         found=[
@@ -154,8 +164,8 @@ def decide(search: Search, chosen: Selection, feedback: Feedback) -> Outcome:
             for f in found
         ],
         joint=joint,
-        declared_variables=declared_variables,
-        variables=variables,
+        declared_variables=measured(declared.regression, inputs=search.inputs),
+        variables=measured(base.regression, inputs=search.inputs),
         before=before,
         after=after,
         structured=left,
@@ -164,6 +174,11 @@ def decide(search: Search, chosen: Selection, feedback: Feedback) -> Outcome:
         levels=levels,
         decisions=search.decisions,
     )
+
+
+def _tests(search: Search, place: FittedPhysics, base: Base) -> list[Dependence]:
+    """All tests of what fitted physics leaves."""
+    return dependences(Residuals(search, place, base.regression))
 
 
 def _left(base: Base, tests: Sequence[Dependence], tested: FeedbackTest, alpha: float) -> list[Dependence]:

@@ -80,12 +80,6 @@ class Decisions:
     noise_memory: float = key(
         1.0, "longest memory of a noise model; what lasts longer is structure", unit="s", above=0
     )
-    noise_blind_nats: float = key(
-        30.0,
-        "nats beyond half a nat per function from which a noise model may have learned a dependence",
-        unit="nat",
-    )
-
     apart_s: float = key(
         0.05,
         "time between rows that are looked at alone where the innovations of all rows can be predicted",
@@ -122,8 +116,6 @@ class Decisions:
     )
 
     # ---- specification tests ----------------------------------------------------------------------------
-    odd_run_blocks: int = key(24, "blocks of time that a run is cut into for its own test", low=4)
-    odd_run_shortest: float = key(0.25, "shortest of these blocks", unit="s", above=0)
     odd_run_prior: float = key(
         8.0, "differences between runs that unit variance counts as (Smyth 2004)", unit="degrees of freedom"
     )
@@ -182,7 +174,6 @@ class Budgets:
     noise_nats: float = key(1.0, "nats by which another noise model must be likelier to be tried", low=0)
     exchanges: int = key(12, "looks at the catalogue beyond which no effect is exchanged any more", low=1)
     spectral_lines: int = key(3, "lines of the spectrum that fits of a sinusoid start from", low=1)
-    noise_turns: int = key(4, "most turns between parameters and noise model in a test", low=1)
     closer_chance: float = key(0.05, "chance above which one run alone gets no closer look", above=0, high=1)
     shapes: int = key(6, "dependences that are described in words", low=0)
     law_variables: int = key(

@@ -1,13 +1,12 @@
 """How sure a finding is: log likelihoods by channel and block of time, chances, and what the data could not have shown.
 
-The chance that columns explain a whitened residual by accident holds whatever the noise inside a block of time looks
-like. With scores s_b = Z_b' w_b of B blocks of time, whose mean is 0 if nothing is missing,
+Scores s_b of B blocks of time with informations I_b, 1 in all, ask for the coefficients b = sum s_b. Whatever the noise
+inside a block of time looks like, these scatter as those of leaving a block out do,
 
-    T = S' V^-1 S (B - q) / (q (B - 1)) ~ F(q, B - q),      S = sum s_b,  V from their scatter
+    b_-b = (1 - I_b)^-1 (b - s_b),      T = b' V^-1 b (B - q) / (q (B - 1)) ~ F(q, B - q),      V from their scatter
 
-(Hotelling, Annals of Mathematical Statistics 2 (1931)). A finding that is the best of M comparisons (candidates of the
-catalogue times the starts of each, tests of structure, frequencies of a spectrum) has Bonferroni's correction, stage by
-stage (docs/content/theory/evidence.md):
+(jackknife). A finding that is the best of M comparisons (candidates of the catalogue times the starts of each, tests of
+structure, frequencies of a spectrum) has Bonferroni's correction, stage by stage (docs/content/theory/evidence.md):
 
     p_corrected = min(1, p M),      found where p_corrected < level of the stage (`recording.fault`)
 
@@ -24,7 +23,6 @@ from math import inf, isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc, stdtr
 
 from nsde_torch.arrays import Array, Labels
@@ -36,12 +34,6 @@ from nsde_torch.systems.parameters import own_name
 
 if TYPE_CHECKING:
     from nsde_torch.diagnosis.joint_selection import JointSelection
-
-
-def folds(regression: Regression, decisions: Decisions = DECISIONS) -> Labels:
-    """Fold of each whitened row."""
-    owners = regression.owners
-    return regression.whitened_rows(folds_of(decisions, owners, np.arange(len(owners))))
 
 
 def folds_of(decisions: Decisions, owners: Labels, firsts: Labels) -> Labels:
@@ -102,74 +94,72 @@ def nats_by_channel(before: Regression, after: Regression) -> dict[str, float]:
 
 # ---- chances -------------------------------------------------------------------------------------------
 
-_NOTHING = 1e-9  # of the largest column: shorter is rounding
-_NEW = 0.03  # of a column's length: what is left beside the others, below which it is one of them
-
-
-def nats_of(z: Array, white: Array) -> float:
-    """Log-likelihood that orthonormal columns (N, q) bring to whitened residuals (N,) [nats]."""
-    return 0.5 * float(np.square(z.T @ white).sum())
+_WHOLE = 0.999  # share of what is known of a direction that one block may bring, for it to be left out
 
 
 def chance(
-    z: Array,
-    white: Array,
-    fold: Labels,
-    block: Labels,
-    *,
-    strong: bool = False,
-    decisions: Decisions = DECISIONS,
+    pulls: Array, grams: Array, fold: Labels, draws: int = 0, *, decisions: Decisions = DECISIONS
 ) -> float:
-    """p value of orthonormal columns (N, q): twice the smaller one of a test by blocks, and of folds left out.
+    """p value of scores in directions of unit information: twice the smaller one of two tests.
+
+    The one is the larger of that under the noise that is known and of that by their scatter over blocks of time, the
+    other that of folds left out.
 
     Args:
-        z: The columns.
-        white: What they are to explain (N,).
-        fold, block: Labels of rows.
-        strong: Whether they may explain so much that their own scatter over blocks hides it.
+        pulls: Scores by block of time (B, q).
+        grams: Their information (B, q, q), 1 in all.
+        fold: Fold of each block (B,).
+        draws: From how many draws the information is known; 0: exactly.
         decisions: How many blocks are enough.
     """
-    by_block = jackknife if strong else hotelling
-    steady = max(float(chdtrc(z.shape[1], 2.0 * nats_of(z, white))), by_block(z, white, block, decisions))
-    return min(1.0, 2.0 * min(steady, left_out(z, white, fold, block)))
+    q, squares = pulls.shape[1], float(np.square(pulls.sum(0)).sum())
+    known = float(chdtrc(q, squares))
+    if draws:  # Hotelling's T^2
+        known = float(fdtrc(q, draws - q + 1, squares * (draws - q + 1) / (q * draws)))
+    steady = max(known, jackknife(pulls, grams, decisions))
+    return min(1.0, 2.0 * min(steady, left_out(pulls, grams, fold)))
 
 
-def left_out(z: Array, white: Array, fold: Labels, block: Labels) -> float:
+def left_out(pulls: Array, grams: Array, fold: Labels) -> float:
     """Chance of the log likelihood that functions, fitted without a fold, gain on it, from its scatter over blocks."""
-    each = np.zeros(len(white))
-    whole, pull = z.T @ z, z.T @ white
-    for f in range(int(fold.max()) + 1):
-        rows = fold == f
-        part = z[rows]
-        weights = np.linalg.lstsq(whole - part.T @ part, pull - part.T @ white[rows], rcond=1e-8)[0]
-        guess = part @ weights
-        each[rows] = guess * (white[rows] - 0.5 * guess)
-    return by_blocks(np.bincount(block, weights=each).astype(np.float64))
+    each = np.zeros(len(pulls))
+    for number in np.unique(fold):
+        own = fold == number
+        step = _fitted(pulls.sum(0) - pulls[own].sum(0), grams.sum(0) - grams[own].sum(0))
+        each[own] = pulls[own] @ step - 0.5 * np.einsum("i,bij,j->b", step, grams[own], step)
+    return by_blocks(each)
 
 
-def hotelling(z: Array, white: Array, block: Labels, decisions: Decisions = DECISIONS) -> float:
-    """p value of the sum of scores of blocks, whose scatter is taken with nothing explained."""
-    scores: Array = np.zeros((int(block.max()) + 1, z.shape[1]))
-    np.add.at(scores, block, z * white[:, None])
-    centred = scores - scores.mean(0)
-    factor = len(scores) / max(len(scores) - 1, 1)  # of a single block nothing is said
-    return _of_scatter(scores.sum(0), centred.T @ centred, len(scores), factor, decisions)
-
-
-def jackknife(z: Array, white: Array, block: Labels, decisions: Decisions = DECISIONS) -> float:
+def jackknife(pulls: Array, grams: Array, decisions: Decisions = DECISIONS) -> float:
     """p value of coefficients whose scatter is that of leaving a block out: with everything explained.
 
     (Quenouille's and Tukey's jackknife; Bell, McCaffrey, Survey Methodology 28 (2002), for what it does to blocks
     that decide by themselves.)
     """
-    pull, eye = z.T @ white, np.eye(z.shape[1])
-    without = []
-    for b in range(int(block.max()) + 1):
-        part = z[block == b]
-        rest = pull - part.T @ white[block == b]
-        without.append(np.linalg.lstsq(eye - part.T @ part, rest, rcond=1e-10)[0])
-    centred = np.array(without) - np.mean(without, 0)
-    return _of_scatter(pull, centred.T @ centred, len(without), (len(without) - 1) / len(without), decisions)
+    count, q = pulls.shape
+    if not enough(count, q, decisions):
+        return 0.0
+    pull, whole = pulls.sum(0), grams.sum(0)
+    without = np.linalg.solve(whole - _WHOLE * grams, (pull - pulls)[..., None])[..., 0]
+    step, centred = _fitted(pull, whole), without - without.mean(0)
+    scatter = centred.T @ centred * (count - 1) / count
+    t2 = float(step @ np.linalg.pinv(scatter, rcond=1e-10, hermitian=True) @ step)
+    return float(fdtrc(q, count - q, t2 * (count - q) / (q * (count - 1))))
+
+
+def dispersion(pulls: Array, grams: Array) -> float:
+    """How many times what scores leave of blocks is what their information says, at least 1.
+
+    Of few blocks, of which some decide alone, the scatter of each direction (`jackknife`) is not known.
+
+    Args:
+        pulls: Scores by block of time (B, q).
+        grams: Their information (B, q, q).
+    """
+    whole = np.linalg.pinv(grams.sum(0), hermitian=True)
+    left = pulls - grams @ (whole @ pulls.sum(0))
+    expected = np.trace((grams - grams @ whole @ grams) @ whole, axis1=1, axis2=2).sum()
+    return max(float(np.einsum("bi,ij,bj->", left, whole, left)) / max(float(expected), 1e-300), 1.0)
 
 
 def enough(blocks: int, functions: int, decisions: Decisions = DECISIONS) -> bool:
@@ -177,40 +167,8 @@ def enough(blocks: int, functions: int, decisions: Decisions = DECISIONS) -> boo
     return blocks >= decisions.blocks_per_function * functions + decisions.blocks_beyond
 
 
-def _of_scatter(total: Array, scatter: Array, count: int, factor: float, decisions: Decisions) -> float:
-    """Hotelling's test of a total whose covariance is `factor` times a scatter of `count` blocks."""
-    q = len(total)
-    if not enough(count, q, decisions):
-        return 0.0
-    t2 = float(total @ np.linalg.pinv(scatter * factor, rcond=1e-10) @ total)
-    return float(fdtrc(q, count - q, t2 * (count - q) / (q * (count - 1))))
-
-
-def orthonormal(x: Array) -> Array:
-    """Orthonormal columns (N, r) that span those of x (N, k)."""
-    u, s, _ = np.linalg.svd(x, full_matrices=False)
-    return (
-        np.asarray(u[:, s > _NOTHING * max(float(s[0]), 1e-300)])
-        if len(s) and s[0] > 0
-        else np.zeros((len(x), 0))
-    )
-
-
-def independent(z: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Orthonormal columns in order (odd functions first keep their share), and which columns they came from."""
-    size = np.linalg.norm(z, axis=0)
-    kept: list[int] = []
-    basis = np.zeros((len(z), 0))
-    for k in range(z.shape[1]):
-        if not size[k] > _NOTHING * max(float(size.max()), 1e-300):
-            continue
-        rest = z[:, k] - basis @ (basis.T @ z[:, k])
-        rest = rest - basis @ (basis.T @ rest)
-        length = float(np.linalg.norm(rest))
-        if length > _NEW * size[k]:
-            basis = np.column_stack((basis, rest / length))
-            kept.append(k)
-    return basis, np.array(kept, dtype=np.int64)
+def _fitted(pull: Array, whole: Array) -> Array:
+    return np.asarray(np.linalg.lstsq(whole, pull, rcond=1e-10)[0])
 
 
 def bonferroni(p: float, comparisons: float) -> float:

@@ -42,7 +42,7 @@ from nsde_torch.diagnosis.feedback_bias import unmeasured_gains
 from nsde_torch.diagnosis.joint_selection import JointSearch
 from nsde_torch.diagnosis.outcome import Estimate, Outcome
 from nsde_torch.diagnosis.reading import Log
-from nsde_torch.diagnosis.residual_tests import Dependence
+from nsde_torch.diagnosis.residual_tests import Dependence, Residuals
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.shape import ChannelResidual, Shape, channel_residuals, rates, shape
 from nsde_torch.diagnosis.text import with_space
@@ -370,8 +370,11 @@ def explained(
     attempt = log.stages.attempt
 
     def shaped() -> tuple[Shape, ...]:
-        seen = rates(regression, outcome.variables)
-        return tuple(shape(regression, d, outcome.variables, seen, runs) for d in left[: log.budgets.shapes])
+        seen, joint = rates(regression, outcome.variables), outcome.joint
+        if not left or joint is None:
+            return ()
+        residuals = Residuals(search, joint.final, regression)
+        return tuple(shape(residuals, d, seen, runs) for d in left[: log.budgets.shapes])
 
     def zeros() -> RunZeros | None:
         return between_runs(regression, runs, tie=log.decisions.alike_nats) if left else None

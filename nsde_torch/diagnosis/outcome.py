@@ -12,7 +12,7 @@ from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.decisions import DECISIONS, INTERVAL_LEVEL, Decisions
 from nsde_torch.diagnosis.feedback_bias import FeedbackBiased, lengths_of_parameters
 from nsde_torch.diagnosis.joint_selection import Evidence, JointSelection
-from nsde_torch.diagnosis.regressors import Regressors
+from nsde_torch.diagnosis.regressors import Measured
 from nsde_torch.diagnosis.residual_tests import Dependence
 from nsde_torch.diagnosis.search import Base, Search, fitted_system, without_effect
 from nsde_torch.inference import Optimum
@@ -102,14 +102,14 @@ class Outcome:
     """What was concluded."""
 
     verdict: Verdict
-    """`no_effect`, `effect_found` or `unexplained`; `undecided` before what is left is tested."""
+    """`no_effect`, `effect_found` or `unexplained`; `undecided` where what is left was not tested."""
     declared: Base  # the declared physics, fitted
     final: Base  # the physics with everything that was added, fitted
     found: list[Found]  # effects, in the order in which they were added
     joint: JointSelection | None  # what the joint likelihood selected; None where it could not be computed
-    declared_variables: Regressors
-    variables: Regressors
-    """declared_variables, variables: what the residuals without and with the effects may depend on."""
+    declared_variables: Measured
+    variables: Measured
+    """declared_variables, variables: what the residuals without and with the effects may be drawn against."""
     before: list[Dependence]
     after: list[Dependence]
     """before, after: what the residual depends on without and with the effects, all tests."""
@@ -211,7 +211,7 @@ def undecided(
     joint: JointSelection | None = None,
 ) -> Outcome:
     """What is known before what is left is tested."""
-    nothing = Regressors({}, np.zeros(0), {})
+    nothing = Measured({}, np.zeros(0))
     return Outcome(
         verdict="undecided",
         declared=declared,

@@ -53,7 +53,13 @@ from nsde_torch.diagnosis.feedback_bias import (
     not_sure_behind_smoothers,
     with_suspects,
 )
-from nsde_torch.diagnosis.joint_selection import Evidence, FittedPhysics, JointSearch, JointSelection
+from nsde_torch.diagnosis.joint_selection import (
+    Evidence,
+    FittedPhysics,
+    JointSearch,
+    JointSelection,
+    fitted_at,
+)
 from nsde_torch.diagnosis.outcome import Found, Outcome, undecided
 from nsde_torch.diagnosis.periodicity import HIGHEST, lines
 from nsde_torch.diagnosis.reading import (
@@ -331,7 +337,7 @@ def _diagnosed(
     course.known(LAWS, log, outcome)
     log, search, outcome = stages.attempt(
         "rates inferred with what was found",
-        partial(at_found, log, search, outcome, searched),
+        partial(at_found, log, search, outcome, _concluded),
         (log, search, outcome),
     )
     if outcome.structured:
@@ -404,7 +410,6 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
     made = log.stages.attempt(SELECTION, partial(_selected, log, search, joint), None)
     if made is None:
         return _concluded(log, search, joint)
-    search = _of_the_same_rows(search, made[1])
     # what tells a dry friction best is how it changes at a turn, which was left out of these rows. But how it holds is
     # no law of the speed: where the rows do not fit it, it bends the rest (a damping of 0.265 for 0.3,
     # test_standing.py)
@@ -496,12 +501,17 @@ def _so_far(search: Search, first: FittedPhysics, place: FittedPhysics, brought:
 
 def _concluded(log: Log, search: Search, joint: JointSelection | None) -> Outcome:
     """What feedback may have made is set aside, what is left is tested, and the verdict."""
+    search = _of_the_same_rows(search, joint)
     chosen = selection(search, joint, log.system)
     log.so_far(SECOND_LOOK, log, undecided(search, chosen.declared, chosen.final, chosen.found, joint))
     search.say("what feedback may have made", 0, 1)
     chosen = set_aside(search, chosen, log.feedback)
     search.say("testing what is left", 0, 1)
-    outcome = decide(search, chosen, log.feedback)
+    alone = None
+    if joint is None:
+        problem = LogLikelihood(log.system, log.runs, log.recorded.clock, run_in=True)
+        alone = log.stages.attempt(TESTS, partial(fitted_at, problem, log.system, None), None)
+    outcome = decide(search, chosen, log.feedback, alone)
     log.so_far(TESTS, log, outcome)
     return outcome
 

@@ -5,8 +5,7 @@ judge where kinematics cannot tell. A log is read again, and searched again,
 
 - with a sensor moved that is late as a whole, where that explains more than effects do;
 - with rates that no sensor measured inferred by the physics that was come to: first the declared physics, fitted, then
-  what was found, until that stays. What an effect does to rates that were inferred without it would else pass for less
-  than it is;
+  what was found. Regressions need them, and the likelihood does not;
 - without the rows in which a machine with dry friction stands (`sysid.standstill`).
 """
 
@@ -25,6 +24,7 @@ from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.candidates import candidate_names, check_candidates, on_coordinates
 from nsde_torch.diagnosis.decisions import Budgets, Decisions, Options
 from nsde_torch.diagnosis.feedback_bias import Feedback, shown_by_instruments
+from nsde_torch.diagnosis.joint_selection import JointSelection
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.search import Search, at_bounds, fitted_system, search_in
 from nsde_torch.diagnosis.stages import Begun, OptionalStages
@@ -237,7 +237,7 @@ def _structure(outcome: Outcome) -> float:
 # ---- inferred rates ------------------------------------------------------------------------------------
 
 _SEVERAL = "the rates of several coordinates were inferred from positions"
-_TURNS = 2  # of fits of the declared physics, and of searches
+_TURNS = 2  # of fits of the declared physics
 
 
 def at_declared(log: Log) -> Log:
@@ -250,17 +250,20 @@ def at_declared(log: Log) -> Log:
 
 
 def at_found(
-    log: Log, search: Search, outcome: Outcome, searched: Callable[[Log, Search], Outcome]
+    log: Log,
+    search: Search,
+    outcome: Outcome,
+    concluded: Callable[[Log, Search, JointSelection | None], Outcome],
 ) -> tuple[Log, Search, Outcome]:
-    """The log with inferred rates as what was found predicts them, and the search in it."""
-    for _ in range(_TURNS if log.runs[0].inferred and outcome.found else 0):
-        before = {one.name for one in outcome.found}
-        log = _at(log, outcome.system)
-        search = log.search(log.runs)
-        outcome = searched(log, search)
-        if {one.name for one in outcome.found} == before:
-            break
-    return log, search, outcome
+    """The log with inferred rates as what was found predicts them, and what is concluded in it.
+
+    The likelihood takes these rates for unmeasured: what it selected stays.
+    """
+    if not log.runs[0].inferred or not outcome.found:
+        return log, search, outcome
+    log = _at(log, outcome.system)
+    search = log.search(log.runs)
+    return log, search, concluded(log, search, outcome.joint)
 
 
 def not_sure(log: Log, outcome: Outcome) -> Outcome:

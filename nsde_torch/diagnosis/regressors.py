@@ -1,8 +1,8 @@
 """What residuals may depend on: flexible functions of everything that was measured, in the middle of each box.
 
-The functions are taken at states foreseen from earlier steps, so that gusts and sensor noise are not in them. Beside
-each variable stand its products with the others, itself times the time in the run and times each run (a parameter that
-drifts or differs between runs), inputs as they were before (something with a memory), the time and the run.
+Beside each variable stand its products with the others, itself times the time in the run and times each run (a
+parameter that drifts or differs between runs), inputs as they were before (something with a memory), the time and the
+run.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -11,13 +11,12 @@ from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nsde_torch.arrays import Array
-from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
-from nsde_torch.diagnosis.evidence import orthonormal
-from nsde_torch.sysid.noise import Series
+from nsde_torch.arrays import Array, Labels
+from nsde_torch.effects import Port
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.systems.names import MIXED
@@ -41,19 +40,31 @@ _FAR = 4.0  # standard deviations
 _BEFORE_BOXES = (1, 2, 4, 8)  # how long before, in boxes
 
 
-OVER_TIME, BY_RUN, BEFORE = " over time", " by run", " before"
-"""Ends of the names of groups: a variable times time or run, and an input as it was before."""
+OTHERS, OVER_TIME, BY_RUN, BEFORE = " times others", " over time", " by run", " before"
+"""Ends of the names of groups: a variable times other ones, time or run, and an input as it was before."""
+RUN = "run"
+"""Name of the group of constants of each run."""
 
 
-SMOOTH = 7
-"""How many of `functions_of` are smooth over the whole range, ahead of the hats."""
+SMOOTH = 5
+"""How many of `functions_of`, ahead of the others, one run alone is asked for: blocks of time tell no more apart."""
 
 
-def _columns(regression: Regression, *, inputs: bool) -> tuple[dict[str, Array], Array]:
-    """Variables that a residual may depend on, in the middle of each box (M,), and the time in the run (M,) [s].
+@dataclass(frozen=True)
+class Measured:
+    """What the residuals of a regression may be drawn against, in the middle of each box."""
 
-    States that are foreseen (positions and rates, of a quaternion what the system's features make of it), inputs if
-    asked for, and logged channels.
+    columns: dict[str, Array]  # variables by name (M,)
+    t: Array  # time in the run (M,) [s]
+
+
+def measured(regression: Regression, *, inputs: bool) -> Measured:
+    """All that was measured.
+
+    Args:
+        regression: Its states are foreseen from earlier steps, so that gusts and sensor noise are not in them.
+        inputs: Whether the inputs are what acted. Those that were restored from an average err, and what a residual
+            holds of such an error depends on them.
     """
     physics, system = regression.physics, regression.vector.system
     x = physics.middle(regression.theta)[:, : system.nx]
@@ -62,7 +73,7 @@ def _columns(regression: Regression, *, inputs: bool) -> tuple[dict[str, Array],
     single, box = regression.single, regression.box
     columns = {k: single.summed(v[:, None], box)[:, 0] / box for k, v in table.items() if v.std() > 1e-9}
     starts = physics.steps.t.numpy()
-    return columns, single.summed(starts[:, None], box)[:, 0] / box
+    return Measured(columns, single.summed(starts[:, None], box)[:, 0] / box)
 
 
 def machine_variables(system: System, x: Tensor, u: Tensor, *, inputs: bool) -> dict[str, Tensor]:
@@ -106,52 +117,26 @@ def functions_of(v: Array) -> tuple[Array, NDArray[np.bool_]]:
     return np.stack(columns, 1), np.array(odd)
 
 
-@dataclass(frozen=True)
-class Regressors:
-    """All that the residuals of a regression may depend on, in the middle of each box."""
-
-    columns: dict[str, Array]  # variables by name (M,)
-    t: Array  # time in the run (M,) [s]
-    functions: Mapping[str, Functions]
-    """Of each variable, product, drift, difference between runs, input before, time and run (M, q); which are odd."""
-    inputs: bool = True  # whether the inputs are what acted
-    decisions: Decisions = DECISIONS  # what tests of them decide by
-    budgets: Budgets = BUDGETS  # how much they try
-
-    def values(self, variable: str) -> Array:
-        """A plain variable, or time (M,)."""
-        return self.t if variable == "time" else self.columns[variable]
-
-
-def regressors(
-    regression: Regression,
+def functions_of_groups(
+    system: System,
+    columns: Mapping[str, Array],
+    t: Array,
+    owners: Labels,
+    edges: Sequence[tuple[int, int]],
     *,
-    inputs: bool = True,
-    moved: bool = False,
-    decisions: Decisions = DECISIONS,
-    budgets: Budgets = BUDGETS,
-) -> Regressors:
-    """Everything that the residuals of a regression may depend on.
+    moved: bool,
+) -> Iterator[tuple[str, Functions]]:
+    """Names of groups, and what makes their functions (M, q).
 
     Args:
-        regression: At its optimum.
-        inputs: Whether the inputs are what acted. Those that were restored from an average err, and what a residual
-            holds of such an error depends on them.
+        system: The machine.
+        columns: Variables by name (M,).
+        t: Time in the run (M,) [s].
+        owners: Number of the run (M,).
+        edges: Ranges of each stretch.
         moved: Whether channels were moved to where they belong. Between rows, they bend where inputs change, and what
             moves them does not know.
-        decisions: What tests of them decide by.
-        budgets: How much they try.
     """
-    columns, t = _columns(regression, inputs=inputs)
-    before = _BEFORE_BOXES[1:] if moved else _BEFORE_BOXES
-    functions = dict(_groups(regression, columns, t, before))
-    return Regressors(columns, t, functions, inputs, decisions, budgets)
-
-
-def _groups(
-    regression: Regression, columns: dict[str, Array], t: Array, before: Sequence[int]
-) -> Iterator[tuple[str, Functions]]:
-    """Names of groups, and what makes their functions."""
     for name, v in columns.items():
         yield name, partial(functions_of, v)
     names = list(columns)
@@ -159,11 +144,10 @@ def _groups(
     for i, first in enumerate(names[:-1]):
         others = [scaled[second] for second in names[i + 1 :]]
         yield (
-            f"{first} times others",
+            first + OTHERS,
             _even(lambda v, others: [np.clip(v * w, -6, 6) for w in others], scaled[first], others),
         )
-    owners, runs = regression.owners, np.unique(regression.owners)
-    phase = np.empty(len(t))
+    runs, phase = np.unique(owners), np.empty(len(t))
     for run in runs:
         own = owners == run
         phase[own] = (t[own] - t[own].min()) / max(float(np.ptp(t[own])), 1e-9)
@@ -173,14 +157,12 @@ def _groups(
         yield name + OVER_TIME, _even(lambda v: [np.clip(v, -_FAR, _FAR) * d for d in drift], v)
         if few:
             yield name + BY_RUN, _even(lambda v: [np.clip(v, -_FAR, _FAR) * (owners == r) for r in runs], v)
-    for name in _inputs_of(regression, columns):
-        yield (
-            name + BEFORE,
-            _even(lambda v: [_before(v, regression.series, k) for k in before], columns[name]),
-        )
+    before = _BEFORE_BOXES[1:] if moved else _BEFORE_BOXES
+    for name in (n for n in (*MIXED, *system.input_names) if n in columns):
+        yield name + BEFORE, _even(lambda v: [_before(v, edges, k) for k in before], columns[name])
     yield "time", _even(lambda: [phase - 0.5, *(np.cos(np.pi * k * phase) for k in range(1, _WAVES + 1))])
     if few:
-        yield "run", _even(lambda: [(owners == r) * 1.0 for r in runs])
+        yield RUN, _even(lambda: [(owners == r) * 1.0 for r in runs])
 
 
 def _even(made: Callable[..., Sequence[Array]], *given: Any) -> Functions:
@@ -193,29 +175,38 @@ def _even(made: Callable[..., Sequence[Array]], *given: Any) -> Functions:
     return both
 
 
-def _inputs_of(regression: Regression, columns: Mapping[str, Array]) -> list[str]:
-    return [n for n in (*MIXED, *regression.vector.system.input_names) if n in columns]
-
-
-def _before(v: Array, series: Series, boxes: int) -> Array:
+def _before(v: Array, edges: Sequence[tuple[int, int]], boxes: int) -> Array:
     """A variable (M,) as it was so many boxes before, in the same stretch."""
     out = v.copy()
-    for a, b in series.edges:
+    for a, b in edges:
         out[a:b] = v[np.maximum(np.arange(a, b) - boxes, a)]
     return out
 
 
-def own_space(regression: Regression, channel: int) -> Array:
-    """Orthonormal columns (N, r) of what the parameters can do to a channel's whitened residual."""
-    return orthonormal(regression.slopes[channel])
+_ROWS = 500  # of the data, evenly chosen
+_MOVES = 0.3  # of the largest change of a channel
 
 
-def projected(regression: Regression, channel: int, functions: Array, own: Array) -> Array:
-    """Functions per unit of time (M, q), whitened and free of `own_space` (N, q)."""
-    z = whitened_functions(regression, channel, functions)
-    return np.asarray(z - own @ (own.T @ z))
-
-
-def whitened_functions(regression: Regression, channel: int, functions: Array) -> Array:
-    """Functions per unit of time (M, q), whitened (N, q)."""
-    return regression.whitened(regression.noises[channel], functions * regression.dt)
+@torch.no_grad()
+def moved_channels_of(
+    regression: Regression, disturbances: Sequence[tuple[Port, int]]
+) -> list[tuple[str, ...]]:
+    """Names of the channels that each disturbance moves, what it moves most first."""
+    system, physics = regression.vector.system, regression.physics
+    s, some = physics.steps, torch.linspace(0, len(physics.steps) - 1, min(len(physics.steps), _ROWS)).long()
+    t, u = s.t[some], s.u[some]
+    z = system.project(system.augment(s.x0[some, : system.nx], u))
+    still, sizes = system.drift(t, z, u), []
+    for port, column in disturbances:
+        force = z.new_zeros(len(z), system.ports[port])
+        force[:, column] = 1.0
+        change = (system.drift(t, z, u, {port: force}) - still)[:, : system.nx]
+        turned = physics.turn(change, physics.attitude[some])[:, regression.rows]
+        sizes.append(turned.square().mean(0).sqrt().numpy())
+    size = np.array(sizes)
+    share = size / np.maximum(size.max(0, initial=0.0), 1e-300)
+    names = [physics.names[c] for c in regression.rows]
+    return [
+        tuple(names[i] for i in np.argsort(-own, kind="stable") if i == own.argmax() or own[i] > _MOVES)
+        for own in share
+    ]

@@ -37,7 +37,6 @@ from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.effect_importance import Importance, ShownEffects
 from nsde_torch.diagnosis.files import picture_file
 from nsde_torch.diagnosis.outcome import Outcome
-from nsde_torch.diagnosis.regressors import Regressors
 from nsde_torch.diagnosis.residual_tests import Dependence
 from nsde_torch.diagnosis.search import moved_channels
 from nsde_torch.diagnosis.shape import (
@@ -45,9 +44,7 @@ from nsde_torch.diagnosis.shape import (
     Rates,
     bins,
     called,
-    factors,
     is_plain,
-    product_of,
     rates,
     spectrum,
     variable_units,
@@ -167,10 +164,7 @@ def effect_views(outcome: Outcome, channels: Sequence[ChannelResidual]) -> list[
         picked = _telling(outcome.before, outcome.after, c.name)
         if picked is None:
             continue
-        values = _axis(before, outcome.declared.regression, outcome.declared_variables, picked)
-        if values is None:
-            continue
-        variable, unit, x = values
+        variable, unit, x = _axis(before, picked)
         number = before.names.index(c.name)
         clouds = {
             name: _cloud(x, seen.residual[:, number], seen.block)
@@ -205,10 +199,9 @@ def unexplained_views(
     for d, note in zip_longest(outcome.structured if left is None else left, notes, fillvalue=""):
         if not isinstance(d, Dependence) or d.sinusoid is not None:
             continue  # the picture of the spectrum shows a swing
-        values = _axis(seen, regression, outcome.variables, d)
-        if values is None or len(out) == _UNEXPLAINED:
-            continue
-        variable, unit, x = values
+        if len(out) == _UNEXPLAINED:
+            break
+        variable, unit, x = _axis(seen, d)
         this = (d.channel, variable, d.run, d.moment)
         if this in done:
             continue
@@ -375,18 +368,15 @@ def _telling(tests: Sequence[Dependence], after: Sequence[Dependence], channel: 
     return max(own, key=lambda d: d.excess - stays.get((channel, d.variable), 0.0), default=None)
 
 
-def _axis(
-    seen: Rates, regression: Regression, variables: Regressors, d: Dependence
-) -> tuple[str, str, Array] | None:
+def _axis(seen: Rates, d: Dependence) -> tuple[str, str, Array]:
     """Name, unit and values of a variable for a horizontal axis."""
     if is_plain(d.variable):
         return d.variable, seen.value_units.get(d.variable, ""), seen.values[d.variable]
-    if factors(d.variable) is None:
+    if not d.pair:
         return "number of the run", "", seen.run.astype(np.float64)
-    pair = product_of(regression, seen.names.index(d.channel), d.variable, variables)
-    first, _, second = pair.partition(" * ")
+    first, _, second = d.pair.partition(" * ")
     units = [u for u in (seen.value_units.get(v, "1") for v in (first, second)) if u not in ("", "1")]
-    return pair, " ".join(units), seen.values[first] * seen.values[second]
+    return d.pair, " ".join(units), seen.values[first] * seen.values[second]
 
 
 def _cloud(x: Array, y: Array, block: NDArray[np.int64]) -> Cloud:

@@ -1,70 +1,62 @@
-"""Specification tests: what the residual still depends on, of everything that was measured (`regressors`).
+"""Specification tests: what forces the likelihood still asks for, as functions of everything that was measured.
 
-For a channel with whitened residual w and a group of functions Z of one variable (cut free of what the parameters
-can do), the scores s_b = Z_b' w_b of B blocks of time have mean 0 if nothing is missing (`evidence`). Each variable is
-tested in all runs and in the one run that stands out, as something that repeats (`periodicity`), and all channels at
-their line of the spectrum and at their largest moment: of bumps all over every stretch, of which M make the chance of
-the largest M times that of one (Bonferroni).
+For each port and each group of functions of one variable (`regressors`), the scores of forces that go with these
+(`nsde_torch.inference.force_scores`), free of what the parameters can do, have mean 0 if nothing is missing. Under the
+filter's own noise their squares are Hotelling's T^2, as their information is that of draws; and whatever the noise
+inside a block of time is like, coefficients scatter over blocks as those of leaving one out do (jackknife), and bring
+likelihood to folds that they were not fitted to. The larger chance of the first two counts, or the third, twice.
 
-**One run.** What broke, or was left on, in one recording: the functions of the variable times the indicator of a run,
-free of what the parameters can do, of the same functions in all runs, and of what is constant in a run, so that nothing
-is left for them of what is there in every run or of a place that one run alone goes to. With g_r the squares that q of
-them explain in run r, and g those that all n > q of all R runs explain, nothing special in a run gives
+Each variable is tested in all runs and in the one run that stands out, as something that repeats along it
+(`periodicity`), and all ports at their largest moment: of bumps all over every stretch, of which M make the chance of
+the largest M times that of one (Bonferroni); and at the line of the spectrum.
 
-    g_r ~ chi2(q),        (g_r / q) / s ~ F(q, n - q + m),        s = (g - g_r + m) / (n - q + m),
+**One run.** What broke, or was left on, in one recording: functions of the variable in one run, beyond those of all
+runs and beyond what is constant in a run. With s_r and I_r the scores and their information in run r, and b what all
+runs together say,
 
-the second whatever the noise model has missed in every run (its size s of 1 counts as m differences between
-runs: Smyth, Statistical Applications in Genetics and Molecular Biology 3 (2004)), and coefficients within their
-scatter over the blocks of time of the run. The largest of the three chances counts, times the number of runs. With
-two runs nobody knows which of them is the odd one.
+    u_r = s_r - I_r b,     cov u_r = I_r - I_r I^-1 I_r,      g_r = u_r' (cov u_r)^-1 u_r
 
-**Noise models.** What is strong hides twice: the noise model has learned it, and it scatters over blocks itself. An
-autoregression that was fitted to a residual has learned what the physics lacks: a strong smooth force passes for noise
-that lasts, and a test under that model does not see it. So each group of functions is given the likelihood that it has
-with a noise model of its own,
+nothing special in a run gives, with g what all R runs differ by in q functions each,
 
-    L(Z) = max over a, b and the noise model   of   -N log std - orders,         r = J a + Z b + noise
+    g_r ~ chi2(q),        (g_r / q) / s ~ F(q, n - q + m),        s = (g - g_r + m) / (n - q + m),   n = q (R - 1)
 
-by turns: a and b by generalised least squares under a model, the model from what they leave. With functions one turn
-is enough, from the sensor's noise alone, which has learned nothing, or from the model that is there. Where a model
-without a dependence is much likelier, it is tested under that one too, with the scatter from leaving blocks out.
+the second whatever the noise has missed in every run (its size s of 1 counts as m differences between runs: Smyth,
+Statistical Applications in Genetics and Molecular Biology 3 (2004)), the first in the unit of what is left of the
+blocks of time of the run where that is more than their information says. The larger chance counts, times the number of
+runs. With two runs nobody knows which of them is the odd one. Where the chance is small, scores and information are
+those of the Gram matrices, without draws.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import final
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
-from scipy.special import chdtrc, fdtrc, ndtr
+from scipy.special import chdtrc, fdtrc, stdtr
 
 from nsde_torch.arrays import Array, Labels
-from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
-from nsde_torch.diagnosis.evidence import (
-    bonferroni,
-    chance,
-    enough,
-    folds,
-    independent,
-    jackknife,
-    nats_of,
-    orthonormal,
-)
+from nsde_torch.diagnosis.evidence import bonferroni, chance, dispersion, folds_of
+from nsde_torch.diagnosis.joint_selection import FittedPhysics
 from nsde_torch.diagnosis.periodicity import COUNTS, WHOLE, Line, best_repeat, lines, waves_of
 from nsde_torch.diagnosis.regressors import (
     BEFORE,
+    BY_RUN,
+    OTHERS,
+    RUN,
     SMOOTH,
-    Regressors,
-    own_space,
-    projected,
-    regressors,
-    whitened_functions,
+    Functions,
+    functions_of_groups,
+    machine_variables,
+    moved_channels_of,
 )
-from nsde_torch.diagnosis.search import Base, Search
-from nsde_torch.sysid.noise import Noise, Series, estimate, first_guess
+from nsde_torch.diagnosis.search import Search
+from nsde_torch.inference.force_scores import DRAWS, ForceScores, Scores, directions, force_scores
+from nsde_torch.inference.sensitivity import grams, inverted
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.time_limit import check_time
@@ -72,9 +64,9 @@ from nsde_torch.time_limit import check_time
 
 @dataclass(frozen=True)
 class Dependence:
-    """How one channel depends on one variable."""
+    """How a force on one row of a port depends on one variable."""
 
-    channel: str  # name of the channel
+    channel: str  # name of the channel that the row moves most
     variable: str  # name of the variable ("time", "run" and "x * y" too)
     p: float  # chance of this without any dependence, not corrected for the number of tests
     share: float  # share of the whitened variance that the functions explain, corrected for their number
@@ -84,7 +76,8 @@ class Dependence:
     run: int | None = None  # number of the run, of a test of one run alone or of a single moment
     moment: float | None = None  # time of a single moment [s]
     sinusoid: float | None = None  # frequency of a sinusoid that no phase holds together [Hz]
-    noise: Noise | None = None  # ARMA noise model without the functions; None: that of the regression
+    port: int = 0  # number of the disturbance of the likelihood
+    pair: str = ""  # `a * b`, of a variable times others: the product that matters most
 
     @property
     def excess(self) -> float:
@@ -97,15 +90,82 @@ class Dependence:
         return self.run is None and self.sinusoid is None
 
 
-def variables_of(search: Search, base: Base) -> Regressors:
-    """What the residuals of physics may depend on."""
-    return regressors(
-        base.regression,
-        inputs=search.inputs,
-        moved=search.moved,
-        decisions=search.decisions,
-        budgets=search.budgets,
-    )
+@final
+class Residuals:
+    """What fitted physics leaves, and everything that it may depend on.
+
+    Args:
+        search: What the inputs are, and what is decided by.
+        place: The physics.
+        regression: Of the same physics, which names channels and has the lines of the spectrum.
+
+    Attributes:
+        forces: Scores of forces on the ports.
+        columns: Variables by name, means of boxes (M,).
+        t: Time in the run (M,) [s].
+        functions: Functions of each variable, product, drift, difference between runs, input before, time and run.
+        channels: By disturbance: the channel that it moves most.
+    """
+
+    def __init__(self, search: Search, place: FittedPhysics, regression: Regression) -> None:
+        self.decisions, self.budgets, self.inputs = search.decisions, search.budgets, search.inputs
+        self.place, self.regression = place, regression
+        self.forces: ForceScores = force_scores(place.at, place.best.theta, place.best.free)
+        space, about = place.at.of.space, place.at.about
+        self.system: System = place.at.of.vector.system
+        self.channels = tuple(names[0] for names in moved_channels_of(regression, space.disturbances))
+        # of what is known at the start of a step, so that gusts and sensor noise are not in it
+        row = space.chunks.row.flatten()
+        first = torch.zeros(len(space.steps), dtype=torch.int64)
+        order = space.chunks.counted.flatten().argsort(stable=True)
+        first[row[order]] = order
+        x = space.midway(about.x, about.after).flatten(0, 1)[first]
+        table = machine_variables(self.system, x, space.steps.u, inputs=search.inputs)
+        values = {name: self.forces.means(np.asarray(v.numpy())) for name, v in table.items()}
+        self.columns = {name: v for name, v in values.items() if v.std() > 1e-9}
+        self.t = self.forces.means(space.steps.t.numpy())
+        self.functions: Mapping[str, Functions] = dict(
+            functions_of_groups(
+                self.system, self.columns, self.t, self.forces.owners, self.forces.edges, moved=search.moved
+            )
+        )
+
+    def values(self, variable: str) -> Array:
+        """A plain variable, or time (M,)."""
+        return self.t if variable == "time" else self.columns[variable]
+
+    @cached_property
+    def slopes(self) -> torch.Tensor:
+        """What the parameters that the data show do to the steps (T, C, ne, k)."""
+        space, about, best = self.place.at.of.space, self.place.at.about, self.place.best
+        space.use(best.theta)
+        return space.columns(about.x, about.slopes, best.free.tolist(), about.after)
+
+    @cached_property
+    def rows(self) -> int:
+        """Whitened rows of one channel."""
+        return int(self.place.at.of.space.chunks.counted.sum())
+
+    @cached_property
+    def owners(self) -> Labels:
+        """Number of the run of each block of time (B,)."""
+        return self.forces.blocks
+
+    @cached_property
+    def folds(self) -> Labels:
+        """Fold of each block of time (B,)."""
+        return folds_of(self.decisions, self.owners, np.arange(len(self.owners)))
+
+    @cached_property
+    def noise(self) -> dict[int, float]:
+        """Mean square of the whitened innovations of each run, at least 1."""
+        chunks, white = self.place.at.of.space.chunks, self.place.at.at.white
+        runs = np.array(self.place.at.of.space.steps.runs)[chunks.stretch.numpy()]
+        squares, counted = white.square().mean(-1).numpy(), chunks.counted.numpy()
+        return {
+            int(r): max(float(squares[:, runs == r][counted[:, runs == r]].mean()), 1.0)
+            for r in np.unique(runs)
+        }
 
 
 def beyond_chance(
@@ -123,87 +183,33 @@ def beyond_chance(
         for d in tests
         if bonferroni(d.p, len(tests)) < alpha and d.excess > 0.5 * allowed.get(d.channel, 0.0)
     )
-    return sorted(found, key=lambda d: -d.excess)
+    out: dict[tuple[str, str, int | None, float | None], Dependence] = {}
+    for d in sorted(found, key=lambda d: -d.excess):  # several ports move a channel
+        out.setdefault((d.channel, d.variable, d.run, d.sinusoid), d)
+    return list(out.values())
 
 
-def overview(regression: Regression, variables: Regressors) -> list[Dependence]:
-    """Every channel against each single variable, inputs before, time and run in all runs, the surest first.
+def overview(left: Residuals) -> list[Dependence]:
+    """Every port against each single variable, inputs before, time and run in all runs, the surest first.
 
-    What effects that were found had to explain. It decides nothing, and takes a third of the time of all tests.
+    What effects that were found had to explain. It decides nothing.
     """
-    labels = folds(regression, variables.decisions), regression.whitened_rows(regression.blocks)
-    names = (*variables.columns, *(n for n in variables.functions if _is_other(n)))
-    made = {name: variables.functions[name]() for name in names}
-    out = []
-    for i, models in enumerate(_noise_models(regression, variables)):
-        for name in names:
-            check_time()
-            out += _of_variable(regression, i, name, made[name], variables, models, labels, alone=False)
+    names = [n for n in left.functions if n in left.columns or n in ("time", RUN) or n.endswith(BEFORE)]
+    out = [found for name in names for found in _of_variable(left, name, alone=False)]
     return sorted(out, key=lambda d: d.p)
 
 
-def _is_other(name: str) -> bool:
-    return name in ("time", "run") or name.endswith(BEFORE)
-
-
-def dependences(regression: Regression, variables: Regressors) -> list[Dependence]:
-    """Every channel against every variable, the surest first.
-
-    Args:
-        regression: At its optimum.
-        variables: What it may depend on.
-    """
-    of_white = regression.whitened_rows(regression.blocks)
-    decisions, budgets = variables.decisions, variables.budgets
-    fold = folds(regression, decisions)
-    out: list[Dependence] = []
-    spans, moments = bumps(regression)
-    places, of_channel = _places(regression.vector.system, variables), _noise_models(regression, variables)
-    of_functions: list[list[Dependence]] = [[] for _ in regression.rows]
-    for name in variables.functions:
-        made = variables.functions[name]()
-        for i, models in enumerate(of_channel):
-            check_time()
-            of_functions[i] += _of_variable(regression, i, name, made, variables, models, (fold, of_white))
-    for i, channel in enumerate(regression.rows):
-        white, own = regression.white[i], of_channel[i].own
-        out += of_functions[i]
-        for name in places:
-            again = best_repeat(regression, i, variables.columns[name], own)
-            if again is not None:
-                price = float(np.log(len(COUNTS)))
-                out.append(
-                    Dependence(
-                        channel=regression.physics.names[channel],
-                        variable=name,
-                        p=min(
-                            1.0,
-                            len(COUNTS) * chance(again.columns, white, fold, of_white, decisions=decisions),
-                        ),
-                        share=2.0 * max(again.nats - 1.0 - price, 0.0) / len(white),
-                        odd=0.5,
-                        gain=again.nats - price,
-                        functions=2,
-                    )
-                )
-        found = largest_moment(regression, i, spans, moments, decisions)
-        if found is not None:
-            out.append(found)
+def dependences(left: Residuals) -> list[Dependence]:
+    """Every port against every variable, the surest first."""
+    out: list[Dependence | None] = [found for name in left.functions for found in _of_variable(left, name)]
+    for port in range(len(left.channels)):
+        for name in _places(left):
+            out.append(_repeated(left, port, name))
+        out.append(largest_moment(left, port))
     # inputs that were restored swing at the nulls of the average
-    for line in (
-        lines(regression, fewest=WHOLE, decisions=decisions, budgets=budgets)[:1] if variables.inputs else []
-    ):
-        out.append(_sinusoid(regression, line, of_channel[line.row]))
-    return sorted(own_of_runs(out), key=lambda d: d.p)
-
-
-def _noise_models(regression: Regression, variables: Regressors) -> list[NoiseModels]:
-    """Of each channel of a regression."""
-    limits, decisions, budgets = regression.carry_limits(), variables.decisions, variables.budgets
-    return [
-        NoiseModels(regression, i, float(limits[c]), decisions=decisions, budgets=budgets)
-        for i, c in enumerate(regression.rows)
-    ]
+    found = lines(left.regression, fewest=WHOLE, decisions=left.decisions, budgets=left.budgets)
+    out += [_sinusoid(left, line) for line in found[:1] if left.inputs]
+    return sorted(own_of_runs([d for d in out if d is not None]), key=lambda d: d.p)
 
 
 def own_of_runs(tests: Sequence[Dependence]) -> list[Dependence]:
@@ -213,7 +219,7 @@ def own_of_runs(tests: Sequence[Dependence]) -> list[Dependence]:
     """
     best: dict[str, float] = {}
     for d in tests:
-        if d.everywhere:
+        if d.everywhere and not d.variable.endswith((RUN, BY_RUN)):
             best[d.channel] = max(best.get(d.channel, -np.inf), d.excess)
     return [
         replace(d, p=1.0)
@@ -223,372 +229,194 @@ def own_of_runs(tests: Sequence[Dependence]) -> list[Dependence]:
     ]
 
 
-def _of_variable(
-    regression: Regression,
-    i: int,
-    name: str,
-    made: tuple[Array, NDArray[np.bool_]],
-    variables: Regressors,
-    models: NoiseModels,
-    labels: tuple[Labels, Labels],
-    *,
-    alone: bool = True,
-) -> list[Dependence]:
-    """A channel against one group of functions: in all runs, and if asked for, of a plain variable in one run alone.
-
-    `made` are the functions per unit of time (M, q), and which of them are odd (q,); `labels` folds and blocks of
-    whitened rows.
-    """
-    functions, odd = made
-    there, own = regression, models.own
-    whitened = whitened_functions(there, i, functions)
-    z, kept = independent(whitened - own @ (own.T @ whitened))
-    if not z.shape[1]:
-        return []
-    left, noise = regression.white[i], None
-    p, gain = chance(z, left, *labels, decisions=variables.decisions), nats_of(z, left)
-    other = models.without(functions, whitened)
-    if other is not None:
-        noise, there = other.noise, regression.under(i, other.noise)
-        own = own_space(there, i)
-        whitened = whitened_functions(there, i, functions)
-        z, kept = independent(whitened - own @ (own.T @ whitened))
-        # under another noise model the parameters would be elsewhere
-        left = there.white[i] - own @ (own.T @ there.white[i])
-        p = min(1.0, 2.0 * min(p, chance(z, left, *labels, strong=True, decisions=variables.decisions)))
-        gain = other.likelihood - models.base.likelihood
-    channel = regression.physics.names[regression.rows[i]]
-    out = [_dependence(channel, name, z, odd[kept], left, p=p, gain=gain, noise=noise)]
-    if alone and name in variables.columns:
-        group = _Group(functions, odd, own, whitened)
-        in_run = _in_one_run(there, i, group, (out[0], nats_of(z, left)), models, variables)
-        out += [] if in_run is None else [in_run]
-    return out
-
-
-@dataclass(frozen=True)
-class _Group:
-    """Functions of one variable."""
-
-    functions: Array  # per unit of time (M, q)
-    odd: NDArray[np.bool_]  # which of them are odd (q,)
-    own: Array  # what the parameters can do, whitened (N, r) (`own_space`)
-    whitened: Array  # the functions, whitened (N, q)
+def _of_variable(left: Residuals, name: str, *, alone: bool = True) -> Iterator[Dependence]:
+    """All ports against one group of functions: in all runs, and of a plain variable in one run alone, if asked for."""
+    functions, odd = left.functions[name]()
+    for port in range(len(left.channels)):
+        check_time()
+        scores = left.forces.of(functions, port)
+        own, kept = scores.independent()
+        if not len(kept):
+            continue
+        p = chance(own.blocks, own.informations, left.folds, DRAWS, decisions=left.decisions)
+        found = _dependence(left, port, name, own, odd[kept], scores.nats, p=p)
+        yield replace(found, pair=_product(left, name, scores)) if name.endswith(OTHERS) else found
+        if alone and name in left.columns:
+            in_run = in_one_run(left, port, name, functions, odd)
+            if in_run is not None:
+                yield in_run
 
 
 def _dependence(
-    channel: str,
+    left: Residuals,
+    port: int,
     variable: str,
-    z: Array,
+    own: Scores,
     odd: NDArray[np.bool_],
-    left: Array,
+    gain: float,
     *,
     p: float,
-    gain: float,
-    run: int | None = None,
-    noise: Noise | None = None,
 ) -> Dependence:
-    """A test of orthonormal columns (N, q) on what is left (N,)."""
-    squares, q = np.square(z.T @ left), z.shape[1]
-    explained = float(squares.sum())
-    share, of_odd = max(explained - q, 0.0) / max(float(left @ left), 1e-300), float(squares[odd].sum())
-    return Dependence(
-        channel, variable, p, share, of_odd / max(explained, 1e-300), gain, functions=q, run=run, noise=noise
-    )
+    """A test of scores in directions of unit information."""
+    squares, q = np.square(own.total), len(odd)
+    share = max(2.0 * gain - q, 0.0) / left.rows
+    of_odd = float(squares[odd].sum()) / max(float(squares.sum()), 1e-300)
+    return Dependence(left.channels[port], variable, p, share, of_odd, gain, functions=q, port=port)
 
 
-def _in_one_run(
-    regression: Regression,
-    i: int,
-    group: _Group,
-    in_all: tuple[Dependence, float],
-    models: NoiseModels,
-    variables: Regressors,
-) -> Dependence | None:
-    """The same variable in the run that stands out.
+def _product(left: Residuals, name: str, scores: Scores) -> str:
+    """The product with another variable that brings most by itself."""
+    first, names = name.removesuffix(OTHERS), list(left.columns)
+    pull = np.square(scores.total) / np.maximum(np.diag(scores.information), 1e-300)
+    return f"{first} * {names[names.index(first) + 1 + int(pull.argmax())]}"
 
-    `regression` is under the noise model of the test of all runs; `in_all` that test, and the nats that it explains.
-    """
-    functions, odd = group.functions[:, :SMOOTH], group.odd[:SMOOTH]
-    everywhere, explained = in_all
-    found = _alone(regression, i, group.whitened, group.own, variables)
-    if found is None:
+
+def _repeated(left: Residuals, port: int, name: str) -> Dependence | None:
+    """What repeats along a variable, beyond what all functions of it explain: the best of many periods."""
+    v = left.columns[name]
+    again = best_repeat(left.forces, port, v)
+    if again is None:
         return None
-    p, there, noise = found.p, regression, everywhere.noise
-    gain = everywhere.gain * nats_of(found.columns, regression.white[i]) / max(explained, 1e-300)
-    if p < variables.budgets.closer_chance:
-        other = models.without(functions * (regression.owners == found.run)[:, None])
-        if other is not None:
-            noise, there = other.noise, regression.under(i, other.noise)
-            whitened = whitened_functions(there, i, group.functions)
-            again = _alone(there, i, whitened, own_space(there, i), variables)
-            if again is not None and again.run == found.run:
-                found, p = again, min(1.0, 2.0 * min(p, again.p))
-            gain = other.likelihood - models.base.likelihood
-    z, kept, left = found.columns, found.kept, there.white[i]
-    return _dependence(
-        everywhere.channel,
-        everywhere.variable,
-        z,
-        odd[kept],
-        left,
-        p=p,
-        gain=gain,
-        run=found.run,
-        noise=noise,
-    )
-
-
-def _alone(
-    regression: Regression, i: int, whitened: Array, own: Array, variables: Regressors
-) -> Alone | None:
-    constant = whitened_functions(regression, i, np.ones((len(regression.series), 1)))[:, 0]
-    owners = regression.whitened_rows(regression.owners)
-    return alone(
-        *(whitened[:, :SMOOTH], whitened, constant, regression.white[i], own, owners, regression.dt),
-        decisions=variables.decisions,
-        budgets=variables.budgets,
-    )
-
-
-def _sinusoid(regression: Regression, line: Line, models: NoiseModels) -> Dependence:
-    """A line of the spectrum as a sine and a cosine of its own in each stretch."""
-    waves = waves_of(regression, line.frequency)
-    other = models.without(waves)
-    z = independent(projected(regression, line.row, waves, models.own))[0]
-    gain = nats_of(z, regression.white[line.row])
-    left = regression.residual[:, regression.rows[line.row]]
-    explained = left @ waves @ np.linalg.lstsq(waves, left, rcond=1e-9)[0]
+    functions, _ = left.functions[name]()
+    both, kept = left.forces.of(np.column_stack((functions, again.waves)), port).independent()
+    own = both.turned(np.eye(len(kept))[kept >= functions.shape[1]])
+    q, draws = own.blocks.shape[1], DRAWS - functions.shape[1]
+    if not q:
+        return None
+    p = chance(own.blocks, own.informations, left.folds, draws, decisions=left.decisions)
+    gain = replace(own, draws=draws).nats - float(np.log(len(COUNTS)))
+    share = max(2.0 * gain - q, 0.0) / left.rows
     return Dependence(
-        channel=regression.physics.names[regression.rows[line.row]],
+        left.channels[port], name, min(1.0, len(COUNTS) * p), share, 0.5, gain, functions=q, port=port
+    )
+
+
+def _sinusoid(left: Residuals, line: Line) -> Dependence:
+    """A line of the spectrum as a sine and a cosine of its own in each stretch."""
+    channel = left.regression.physics.names[left.regression.rows[line.row]]
+    residual = left.regression.residual[:, left.regression.rows[line.row]]
+    waves = waves_of(left.regression, line.frequency)
+    explained = residual @ waves @ np.linalg.lstsq(waves, residual, rcond=1e-9)[0]
+    port = left.channels.index(channel) if channel in left.channels else 0
+    angle = 2.0 * np.pi * line.frequency * left.forces.dt * np.arange(len(left.t))
+    gain = 0.0
+    for a, b in left.forces.edges:
+        of_stretch = np.zeros((len(angle), 2))
+        of_stretch[a:b] = np.stack((np.sin(angle[a:b]), np.cos(angle[a:b])), 1)
+        gain += left.forces.of(of_stretch, port).nats
+    return Dependence(
+        channel=channel,
         variable="time",
         p=line.p,
-        share=float(explained) / max(float(left @ left), 1e-300),
+        share=float(explained) / max(float(residual @ residual), 1e-300),
         odd=0.0,
-        gain=gain if other is None else other.likelihood - models.base.likelihood,
-        functions=waves.shape[1],
+        gain=gain,
+        functions=2 * len(left.forces.edges),
         sinusoid=line.frequency,
+        port=port,
     )
 
 
-def _places(system: System, variables: Regressors) -> list[str]:
+def _places(left: Residuals) -> list[str]:
     """Variables along which something may repeat: positions of joints, and angles; not a place in free space."""
+    system = left.system
     named = set() if system.quaternion is not None else {p for p, _, _ in system.position_derivatives}
     angles = {n for n, unit in zip(system.feature_names, system.feature_units, strict=True) if unit == "rad"}
-    return [name for name in variables.columns if name in named | angles]
+    return [name for name in left.columns if name in named | angles]
 
 
 # ---- one run -------------------------------------------------------------------------------------------
 
-_NEW = 1e-3  # of the square of a function: less is nothing that the others do not do
+_NEW = 1e-3  # of what a function does in a run that those of all runs and a constant leave
 
 
-@dataclass(frozen=True)
-class Alone:
-    """What functions of a variable explain in one run."""
-
-    run: int  # number of the run
-    p: float  # chance of it where the run is like all others, times the number of runs
-    columns: Array  # orthonormal columns (N, q), free of what the parameters can do
-    kept: NDArray[np.int64]  # which functions they came from (q,)
-
-
-def alone(
-    whitened: Array,
-    everywhere: Array,
-    constant: Array,
-    white: Array,
-    own: Array,
-    owners: Labels,
-    dt: float,
-    *,
-    decisions: Decisions = DECISIONS,
-    budgets: Budgets = BUDGETS,
-) -> Alone | None:
-    """The run in which functions explain most beyond what they explain in all runs; None where no run can be odd.
-
-    Args:
-        whitened: Functions, whitened (N, q).
-        everywhere: What a place that every run may go to explains: functions in all runs, whitened (N, k).
-        constant: The constant 1, whitened (N,).
-        white: Whitened residual (N,).
-        own: Orthonormal columns of what the parameters can do (N, r).
-        owners: Number of the run of each row (N,).
-        dt: Time between rows [s].
-        decisions: Fewest runs, blocks of time, and m.
-        budgets: From which chance on a closer look pays.
-    """
-    runs = np.unique(owners)
+def in_one_run(
+    left: Residuals, port: int, name: str, functions: Array, odd: NDArray[np.bool_]
+) -> Dependence | None:
+    """A variable in the run that stands out; None where no run can be odd."""
+    decisions, runs = left.decisions, np.unique(left.owners)
     if len(runs) < decisions.fewest_runs:
         return None
-    rows = [owners == run for run in runs]
-    whole = np.column_stack((own, everywhere, white, whitened))
-    for inside in rows:  # free of what is constant in a run
-        level = constant[inside] / max(float(np.linalg.norm(constant[inside])), 1e-300)
-        whole[inside] -= np.outer(level, level @ whole[inside])
-    nuisances = own.shape[1] + everywhere.shape[1]
-    nothing, left, free = orthonormal(whole[:, :nuisances]), whole[:, nuisances], whole[:, nuisances + 1 :]
-    left = left - nothing @ (nothing.T @ left)
-    shadow = np.concatenate([nothing[inside].T @ free[inside] for inside in rows], 1)
-    gram = block_diag(*(free[inside].T @ free[inside] for inside in rows)) - shadow.T @ shadow
-    pull = np.concatenate([free[inside].T @ left[inside] for inside in rows])
-    size, count = np.sqrt(np.maximum(np.diag(gram), 1e-300)), free.shape[1]
-    gram, pull = gram / size / size[:, None], pull / size
-    own_part = [slice(k * count, (k + 1) * count) for k in range(len(runs))]
-    found = [_explained(gram[part, part], pull[part]) for part in own_part]
-    most = int(np.argmax([ratio for ratio, _ in found]))
-    (ratio, q), (in_all, n) = found[most], _explained(gram, pull)
+    own = left.forces.of(np.column_stack((functions, np.ones(len(functions)))), port)
+    scale = 1.0 / np.maximum(own.size, 1e-300)
+    own = own.turned(np.diag(scale))
+    parts = {int(run): _free_of_constant(own.of(left.owners == run)) for run in runs}
+    informations = {run: scores.information for run, scores in parts.items()}
+    inverse = np.linalg.pinv(np.sum(list(informations.values()), 0), rcond=1e-6, hermitian=True)
+    every = inverse @ np.sum([scores.total for scores in parts.values()], 0)
+    tested = slice(0, min(SMOOTH, functions.shape[1]))
+    each: dict[int, tuple[float, Array]] = {}
+    in_all = 0.0
+    for run, scores in parts.items():
+        information = informations[run]
+        beyond = (scores.total - information @ every)[tested]
+        spread = (information - information @ inverse @ information)[tested, tested]
+        turn, _ = directions(spread, _NEW * np.diag(information)[tested])
+        each[run] = float(np.square(turn @ beyond).sum()), turn
+        every_turn, _ = directions(information[tested, tested], np.zeros(len(spread)))
+        in_all += float(np.square(every_turn @ beyond).sum())
+    run = max(each, key=lambda r: each[r][0])
+    ratio, turn = each[run]
+    q, n = len(turn), len(odd[tested]) * (len(runs) - 1)
     if not 0 < q < n:
         return None
-    inside = rows[most]
     freedom = n - q + decisions.odd_run_prior
     rest = (max(in_all - ratio, 0.0) + decisions.odd_run_prior) / freedom
-    ratio /= max(float(np.square(left[inside]).mean()), 1.0)
-    p = len(runs) * max(float(chdtrc(q, ratio)), float(fdtrc(q, freedom, ratio / q / rest)))
-    if p < budgets.closer_chance:
-        own_rows = free[inside] - nothing[inside] @ shadow[:, own_part[most]]
-        p = max(p, len(runs) * _by_blocks(own_rows, left[inside], dt, decisions))
-    columns = -own @ (own[inside].T @ whitened[inside])
-    columns[inside] += whitened[inside]
-    z, kept = independent(columns)
-    return Alone(int(runs[most]), min(1.0, p), z, kept) if z.shape[1] else None
+    like_others = float(fdtrc(q, freedom, ratio / left.noise[run] / q / rest))
+    p = len(runs) * max(_of_draws(ratio / left.noise[run], q), like_others)
+    gain = 0.5 * ratio
+    of_odd = 0.5
+    if p < left.budgets.closer_chance:
+        pulls, known, kept, inside = _of_run(left, port, functions, run)
+        squares = np.square(pulls.sum(0))
+        q, gain = len(squares), 0.5 * float(squares.sum())
+        louder = max(left.noise[run], dispersion(pulls[inside], known[inside]))
+        p = len(runs) * max(float(chdtrc(max(q, 1), 2.0 * gain / louder)), like_others)
+        of_odd = float(squares[odd[kept]].sum()) / max(float(squares.sum()), 1e-300)
+    share = max(2.0 * gain - q, 0.0) / left.rows
+    return Dependence(
+        left.channels[port], name, min(1.0, p), share, of_odd, gain, functions=q, run=run, port=port
+    )
 
 
-def _explained(gram: Array, pull: Array) -> tuple[float, int]:
-    """Squares that columns of length 1 with these products (q, q), (q,) explain, and how many directions they have."""
-    values, vectors = np.linalg.eigh(gram)
-    live = values > _NEW
-    return float(np.square(vectors[:, live].T @ pull / np.sqrt(values[live])).sum()), int(live.sum())
+def _of_run(
+    left: Residuals, port: int, functions: Array, run: int
+) -> tuple[Array, Array, NDArray[np.int64], NDArray[np.bool_]]:
+    """The first functions in one run, free of all in all runs and of what is constant in a run.
 
-
-def _by_blocks(z: Array, left: Array, dt: float, decisions: Decisions) -> float:
-    """Chance of the coefficients of functions in a run (n, q) from leaving out blocks of time; 1 if it is too short."""
-    columns, _ = independent(z)
-    length = max(len(left) // decisions.odd_run_blocks, round(decisions.odd_run_shortest / dt), 1)
-    block = np.arange(len(left)) // length
-    if not columns.shape[1] or not enough(int(block[-1]) + 1, columns.shape[1], decisions):
-        return 1.0
-    return jackknife(columns, left, block, decisions)
-
-
-# ---- noise models --------------------------------------------------------------------------------------
-
-_SETTLED = 0.5  # nats: turns between parameters and noise model that bring less have converged
-
-
-@dataclass(frozen=True)
-class FittedNoise:
-    """A noise model and its likelihood."""
-
-    noise: Noise  # the ARMA noise model that is left
-    likelihood: float  # log likelihood, less one for each parameter of the noise model
-
-
-@final
-class _Start:
-    """A noise model, slopes (N, k) and the residual (N,) in its whitened rows, and their products."""
-
-    def __init__(self, noise: Noise, slopes: Array, white: Array) -> None:
-        self.noise, self.slopes, self.white = noise, slopes, white
-        self.gram, self.pull = slopes.T @ slopes, slopes.T @ white
-
-
-@final
-class NoiseModels:
-    """ARMA noise models of one channel with something taken out.
-
-    Args:
-        regression: At its optimum.
-        channel: Number of the channel among its rows.
-        limit: Largest c of the channel (`Regression.carry_limits`).
-        decisions: How much likelier a model must be.
-        budgets: How many turns are made.
-
-    Attributes:
-        base: The noise model with nothing taken out but what the parameters can do.
-        own: Orthonormal columns (N, r) of what the parameters can do to the whitened residual.
+    Returns:
+        Their scores by block of time in directions of unit information (B, q), the information of these (B, q, q),
+        the functions that these begin with (q,), and whether a block is of the run (B,).
     """
+    count = min(SMOOTH, functions.shape[1])
+    of_runs = left.forces.owners[:, None] == np.unique(left.owners)
+    inside = functions[:, :count] * (left.forces.owners == run)[:, None]
+    at = left.place.at
+    rows = left.forces.place[at.of.space.chunks.row.numpy()]
+    force = torch.from_numpy(np.column_stack((functions, of_runs, inside))[rows])
+    held = grams(at.of.space, at.levels, at.about, at.at, left.slopes, forces=[(port, force)])
+    own, known = slice(-count, None), slice(1, -count)
+    total = held.total
+    inverse = inverted(total[known, known])
+    turn = np.column_stack((-total[own, known] @ inverse, np.eye(count)))
+    blocks, inside_run = held.blocks, at.of.space.chunks.places()[0] == run
+    # less what all runs have
+    pulls = (blocks[:, 1:, 0] - blocks[:, 1:, known] @ (inverse @ total[known, 0])) @ turn.T
+    unit, kept = directions(turn @ total[1:, 1:] @ turn.T, _NEW * np.diag(total)[own])
+    turn = unit @ turn
+    return pulls @ unit.T, turn @ blocks[:, 1:, 1:] @ turn.T, kept, inside_run
 
-    def __init__(
-        self,
-        regression: Regression,
-        channel: int,
-        limit: float,
-        *,
-        decisions: Decisions = DECISIONS,
-        budgets: Budgets = BUDGETS,
-    ) -> None:
-        self._regression, self._limit = regression, limit
-        self.own = own_space(regression, channel)
-        self._decisions, self._budgets = decisions, budgets
-        at = regression.rows[channel]
-        self._times = regression.times(at)
-        self._residual, self._slopes = regression.residual[:, at], regression.jacobian[:, at]
-        self._there = there = regression.noises[channel]
-        self.base = max(self._own(there), self._settled(there), key=lambda own: own.likelihood)
-        rough = first_guess(self._residual, regression.series, limit, times=self._times)
-        self._starts = [_Start(noise, *self._whitened(noise)) for noise in (rough, self.base.noise)]
 
-    def without(self, functions: Array, whitened: Array | None = None) -> FittedNoise | None:
-        """The noise model that is left without some functions; None where it is not much likelier.
+def _of_draws(squares: float, q: int) -> float:
+    """Chance of the squares of q scores whose information is that of draws (Hotelling)."""
+    return float(fdtrc(q, DRAWS - q + 1, squares * (DRAWS - q + 1) / (q * DRAWS)))
 
-        Args:
-            functions: Per unit of time (M, q).
-            whitened: The same in rows that the regression whitens (N, q); None works them out.
-        """
-        columns, best = functions * self._regression.dt, self.base
-        for start in self._starts:
-            own = whitened if start.noise is self._there else None
-            if own is None:
-                own = self._regression.whitened(start.noise, columns)
-            best = max(best, self._left(start, columns, own), key=lambda found: found.likelihood)
-        more = best.likelihood - self.base.likelihood
-        return best if more > 0.5 * columns.shape[1] + self._decisions.noise_blind_nats else None
 
-    def _settled(self, noise: Noise) -> FittedNoise:
-        """The noise model of the residual, from a first one by turns."""
-        best, nothing = FittedNoise(noise, -np.inf), self._slopes[:, :0]
-        for turn in range(self._budgets.noise_turns):
-            slopes, white = self._whitened(best.noise)
-            start = _Start(best.noise, slopes, white)
-            this = self._left(start, nothing, slopes[:, :0], thorough=turn > 0)
-            if this.likelihood < best.likelihood + _SETTLED:
-                break
-            best = this
-        return best
-
-    def _whitened(self, noise: Noise) -> tuple[Array, Array]:
-        """Slopes (N, k) and the residual (N,) in whitened rows."""
-        whitened = self._regression.whitened(noise, np.column_stack((self._slopes, self._residual)))
-        return whitened[:, :-1], whitened[:, -1]
-
-    def _left(self, start: _Start, columns: Array, whitened: Array, *, thorough: bool = False) -> FittedNoise:
-        """The noise model of what generalised least squares leave; every c is tried if it is to be thorough.
-
-        `start` weighs rows, `columns` (M, q) are fitted beside the slopes, `whitened` the same in whitened rows (N, q).
-        """
-        cross = start.slopes.T @ whitened
-        gram = np.block([[start.gram, cross], [cross.T, whitened.T @ whitened]])
-        size = np.maximum(np.sqrt(np.diag(gram)), 1e-300)
-        pull = np.append(start.pull, whitened.T @ start.white) / size
-        weights = np.linalg.lstsq(gram / size / size[:, None], pull, rcond=1e-12)[0] / size
-        count = self._slopes.shape[1]
-        left = self._residual - self._slopes @ weights[:count] - columns @ weights[count:]
-        r = self._regression
-        among = None if thorough else sorted({0.0, start.noise.carry, self._limit})
-        found = estimate(
-            left,
-            r.series,
-            limit=self._limit,
-            orders=r.orders,
-            memory=r.memory,
-            among=among,
-            times=self._times,
-        )
-        return self._own(found)
-
-    def _own(self, noise: Noise) -> FittedNoise:
-        return FittedNoise(noise, noise.likelihood(len(self._regression.series)))
+def _free_of_constant(scores: Scores) -> Scores:
+    """Scores without the last one, and without what they share with that."""
+    whole = scores.information
+    share = whole[:-1, -1] / max(float(whole[-1, -1]), 1e-300)
+    return scores.turned(np.column_stack((np.eye(len(share)), -share)))
 
 
 # ---- moments -------------------------------------------------------------------------------------------
@@ -596,58 +424,39 @@ class NoiseModels:
 _BUMPS_S = (0.25, 1.0)  # widths of bumps
 
 
-def bumps(regression: Regression) -> tuple[list[tuple[int, int]], list[Array]]:
-    """Bumps in time, a second and a quarter long, all over every stretch: rows of their ends, and their shapes."""
-    spans, shapes_ = [], []
+def largest_moment(left: Residuals, port: int) -> Dependence | None:
+    """The moment at which a port is pushed most, if that is more than all other moments let expect."""
+    forces = left.forces
+    along, drawn_along = forces.along(port)
+    sizes, places = [], []
     for width_s in _BUMPS_S:
-        n = max(4, round(width_s / regression.dt))
+        n = max(4, round(width_s / forces.dt))
         shape = np.hanning(n + 2)[1:-1]
-        for a, b in regression.series.edges:
-            spans += [(s, s + n) for s in range(a, b - n, max(1, n // 2))]
-            shapes_ += [shape for _ in range(a, b - n, max(1, n // 2))]
-    return spans, shapes_
-
-
-def largest_moment(
-    regression: Regression,
-    i: int,
-    spans: Sequence[tuple[int, int]],
-    moments: Sequence[Array],
-    decisions: Decisions = DECISIONS,
-) -> Dependence | None:
-    """The moment at which a channel is pushed most, if that is more than all other moments let expect."""
-    noise, white = regression.noises[i], regression.white[i]
-    offset = regression.whitened_rows(np.arange(len(regression.series)))
-    place = np.searchsorted(offset, np.arange(len(regression.series)), side="right") - 1
-    z = []
-    known: dict[int, Array] = {}
-    for (a, _), shape in zip(spans, moments, strict=True):
-        n = len(shape)
-        if n not in known:  # what the filter of the noise makes of a bump, and of what follows it
-            line = Series(((0, 2 * n),))
-            padded = np.concatenate((shape, np.zeros(n)))[:, None]
-            known[n] = noise.whiten(padded, line)[1:, 0]
-        start = int(place[a])
-        stop = min(start + 2 * n, len(white))
-        template = known[n][: stop - start]
-        z.append(float(template @ white[start:stop]) / max(float(np.linalg.norm(template)), 1e-300))
-    if len(z) < decisions.moments_fewest:
+        for a, b in forces.edges:
+            if b - a <= n:
+                continue
+            some = np.arange(0, b - a - n, max(1, n // 2))
+            scores = np.correlate(along[a:b], shape)[some]
+            drawn = np.stack([np.correlate(own, shape)[some] for own in drawn_along[a:b].T], 1)
+            spread = np.sqrt(np.square(drawn).mean(1))
+            # the largest of many is not the one whose spread was drawn small
+            sizes.append(np.abs(scores) / np.maximum(spread, max(float(np.median(spread)), 1e-300)))
+            places.append(a + some)
+    size = np.concatenate(sizes) if sizes else np.zeros(0)
+    if len(size) < left.decisions.moments_fewest:
         return None
-    size = np.abs(np.array(z))
     scale = max(1.0, float(np.median(size)) / 0.6745)
     k = int(size.argmax())
-    largest = size[k] / scale
-    t = float(
-        regression.physics.steps.t[min(spans[k][0] * regression.box, len(regression.physics.steps) - 1)]
-    )
+    largest, at = float(size[k]) / scale, int(np.concatenate(places)[k])
     return Dependence(
-        channel=regression.physics.names[regression.rows[i]],
+        channel=left.channels[port],
         variable="time",
-        p=min(1.0, 2.0 * float(ndtr(-largest)) * len(z)),
-        share=max(largest**2 - 1.0, 0.0) / len(white),
+        p=min(1.0, 2.0 * float(stdtr(DRAWS, -largest)) * len(size)),
+        share=max(largest**2 - 1.0, 0.0) / left.rows,
         odd=0.0,
         gain=0.5 * largest**2,
         functions=1,
-        run=int(regression.owners[spans[k][0]]),
-        moment=t,
+        run=int(forces.owners[at]),
+        moment=float(left.t[at]),
+        port=port,
     )

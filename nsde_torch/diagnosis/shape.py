@@ -40,15 +40,15 @@ from scipy.signal import welch
 from nsde_torch.arrays import Array, Labels
 from nsde_torch.diagnosis.decisions import Wording
 from nsde_torch.diagnosis.periodicity import best_repeat, waves_of
-from nsde_torch.diagnosis.regressors import BEFORE, BY_RUN, OVER_TIME, Regressors, own_space, projected
-from nsde_torch.diagnosis.residual_tests import Dependence
+from nsde_torch.diagnosis.regressors import BEFORE, BY_RUN, OTHERS, OVER_TIME, Measured
+from nsde_torch.diagnosis.residual_tests import Dependence, Residuals
+from nsde_torch.inference.force_scores import Scores
 from nsde_torch.sysid.physics import bump, per_second, smooth_rate
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 
 _BINS, _FEWEST = 18, 4  # of a picture, and blocks of time in one
 _BLOCK_S = 2.0  # for the errors of means in bins
-_OTHERS = " times others"
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Bins:
     error: Array  # standard error of it (B,)
 
 
-def rates(regression: Regression, variables: Regressors) -> Rates:
+def rates(regression: Regression, variables: Measured) -> Rates:
     """Mean residual rates of the dynamic channels, and everything that they may depend on."""
     columns, t = variables.columns, variables.t
     edges = regression.series.edges
@@ -120,12 +120,7 @@ def variable_units(system: System) -> dict[str, str]:
 
 def is_plain(variable: str) -> bool:
     """Whether a variable can be an axis: no product, and not the number of a run."""
-    return not variable.endswith((_OTHERS, OVER_TIME, BY_RUN, BEFORE)) and variable != "run"
-
-
-def factors(variable: str) -> str | None:
-    """The variable that is multiplied with others, or None."""
-    return variable.removesuffix(_OTHERS) if variable.endswith(_OTHERS) else None
+    return not variable.endswith((OTHERS, OVER_TIME, BY_RUN, BEFORE)) and variable != "run"
 
 
 def bins(value: Array, residual: Array, block: Labels, *, count: int = _BINS) -> Bins:
@@ -300,22 +295,17 @@ def called(run: str) -> str:
     return run if run.lower().startswith(("run", "flight")) else f"run {run}"
 
 
-def shape(
-    regression: Regression, dependence: Dependence, variables: Regressors, seen: Rates, runs: Sequence[str]
-) -> Shape:
+def shape(left: Residuals, dependence: Dependence, seen: Rates, runs: Sequence[str]) -> Shape:
     """Describe a dependence that is there beyond chance.
 
     Args:
-        regression: Its residuals.
+        left: What the physics leaves.
         dependence: The test that says so.
-        variables: What the residuals may depend on.
-        seen: The residuals as rates.
+        seen: What the regression leaves, as rates.
         runs: Names of the runs, by number.
     """
-    channel, wording = seen.names.index(dependence.channel), variables.decisions.wording
-    fewest = variables.decisions.fewest_runs
-    if dependence.noise is not None:
-        regression = regression.under(channel, dependence.noise)
+    channel, wording = seen.names.index(dependence.channel), left.decisions.wording
+    fewest, regression = left.decisions.fewest_runs, left.regression
     run, at, frequency = dependence.run, dependence.moment, dependence.sinusoid
     if run is not None and at is not None:
         # other runs may have the same: not tested
@@ -345,9 +335,9 @@ def shape(
             symmetry(dependence, wording) == "odd"
         ):  # what grows to both sides may have been seen far out on one of them only
             extent, where = "global" if extent else "", None
-        period = period_of(regression, channel, name, variables) if run is None else None
+        period = period_of(left, dependence.port, name) if run is None else None
     else:
-        name = product_of(regression, channel, name, variables)
+        name = dependence.pair or name
     for end, said in _ENDS.items():
         if name.endswith(end):
             note = said
@@ -355,10 +345,8 @@ def shape(
             said = f"The rate of {dependence.channel} depends on {name} {note}."
             return Shape(dependence.channel, dependence.variable, "", "", None, None, None, said, note)
     only = run
-    if (
-        dependence.variable not in variables.columns or period is not None
-    ):  # no test of one run alone was made
-        only = _only_run(regression, channel, dependence.variable, variables)
+    if dependence.variable not in left.columns or period is not None:  # no test of one run alone was made
+        only = _only_run(left, dependence.port, dependence.variable)
     side = symmetry(dependence, wording)
     words = [f"The rate of {dependence.channel} depends on {name}"]
     if name == "run":
@@ -448,74 +436,56 @@ def nats(z: Array, white: Array) -> float:
     return 0.5 * float(fit @ white)
 
 
-def period_of(regression: Regression, channel: int, variable: str, variables: Regressors) -> float | None:
+def period_of(left: Residuals, port: int, variable: str) -> float | None:
     """Period of a dependence on a plain variable, or None where a cubic does about as well."""
-    v, white, own = variables.values(variable), regression.white[channel], own_space(regression, channel)
-    wording, parts_of = variables.decisions.wording, variables.decisions.wording.sine_parts
-    best = best_repeat(regression, channel, v, own)
+    v, wording = left.values(variable), left.decisions.wording
+    best = best_repeat(left.forces, port, v)
     if best is None:
         return None
     low, high = np.quantile(v, [0.005, 0.995])
     s = np.clip((v - 0.5 * (low + high)) / (high - low), -1, 1)
-    cubic = nats(projected(regression, channel, np.stack((s, s**2, s**3), 1), own), white)
+    cubic = left.forces.of(np.stack((s, s**2, s**3), 1), port).nats
     # an angle is expected to repeat every turn or part of one: of two turns a cubic makes much too
-    turns = variable_units(regression.vector.system).get(variable) == "rad"
+    turns = variable_units(left.system).get(variable) == "rad"
     part = 2.0 * np.pi / best.period if turns else 0.5
     whole = round(part) > 0 and abs(part / round(part) - 1.0) < wording.whole_tolerance
     factor = wording.sine_angle_factor if whole else wording.sine_factor
-    if not best.nats > max(factor * cubic, wording.sine_nats):
+    if not best.scores.nats > max(factor * cubic, wording.sine_nats):
         return None
-    place = np.clip(((v - low) / (high - low) * parts_of).astype(np.int64), 0, parts_of - 1)
+    place = np.clip(
+        ((v - low) / (high - low) * wording.sine_parts).astype(np.int64), 0, wording.sine_parts - 1
+    )
     wave = 2.0 * np.pi * (v - low) / best.period
     waves = np.stack((np.sin(wave), np.cos(wave)), 1)
-    parts = [projected(regression, channel, waves * (place == k)[:, None], own) for k in range(parts_of)]
-    most = int(np.argmax([nats(z, white) for z in parts]))
-    there, all_parts = parts[most], np.sum(parts, 0)
-    weights = np.linalg.lstsq(there, white, rcond=1e-9)[0]
-    rest = all_parts - there
-    return best.period if _holds(rest @ weights, white - there @ weights, wording) else None
+    parts = [left.forces.of(waves * (place == k)[:, None], port) for k in range(wording.sine_parts)]
+    most = max(range(len(parts)), key=lambda k: parts[k].nats)
+    rest = left.forces.of(waves * (place != most)[:, None], port)
+    return best.period if _holds(_weights(parts[most]), rest, wording) else None
 
 
-def product_of(regression: Regression, channel: int, variable: str, variables: Regressors) -> str:
-    """`a * b` for a product with others: the one that matters most; the variable itself for anything else."""
-    first = factors(variable)
-    if first is None:
-        return variable
-    names = list(variables.columns)
-    others = names[names.index(first) + 1 :]
-    functions, _ = variables.functions[variable]()
-    z = projected(regression, channel, functions, own_space(regression, channel))
-    pull = np.square(z.T @ regression.white[channel]) / np.maximum(np.square(z).sum(0), 1e-300)
-    return f"{first} * {others[int(pull.argmax())]}"
-
-
-def _only_run(regression: Regression, channel: int, variable: str, variables: Regressors) -> int | None:
+def _only_run(left: Residuals, port: int, variable: str) -> int | None:
     """Number of the run that a dependence is confined to."""
-    of_white = regression.whitened_rows(regression.owners)
-    runs, wording = np.unique(of_white), variables.decisions.wording
-    if len(runs) < variables.decisions.fewest_runs:
+    runs, wording = np.unique(left.owners), left.decisions.wording
+    if len(runs) < left.decisions.fewest_runs:
         return None
-    functions, _ = variables.functions[variable]()
-    if variable == "run":
-        functions = np.ones((len(functions), 1))
-    z, white = (
-        projected(regression, channel, functions, own_space(regression, channel)),
-        regression.white[channel],
-    )
-    gains = []
-    for run in runs:
-        rows = of_white == run
-        gains.append(max(nats(z[rows], white[rows]) - 0.5 * z.shape[1], 0.0))
+    functions = left.functions[variable]()[0]
+    scores = left.forces.of(np.ones((len(functions), 1)) if variable == "run" else functions, port)
+    parts = [scores.of(left.owners == run) for run in runs]
+    gains = [max(own.nats - 0.5 * scores.blocks.shape[1], 0.0) for own in parts]
     most = int(np.argmax(gains))
     if not gains[most] > wording.one_run_share * sum(gains) > 0:
         return None
     # what is only strongest in one run holds in the others too, as far as they can tell
-    rows = of_white == runs[most]
-    predicted = z[~rows] @ np.linalg.lstsq(z[rows], white[rows], rcond=1e-9)[0]
-    return None if _holds(predicted, white[~rows], wording) else int(runs[most])
+    others = scores.of(left.owners != runs[most])
+    return None if _holds(_weights(parts[most]), others, wording) else int(runs[most])
 
 
-def _holds(predicted: Array, white: Array, wording: Wording) -> bool:
-    """Whether rows may have a good part of what is predicted of them, as far as they can tell."""
-    size = max(float(predicted @ predicted), 1e-300)
-    return float(predicted @ white) / size + wording.holds_errors * size**-0.5 >= wording.holds_share
+def _weights(scores: Scores) -> Array:
+    """Sizes of functions that these scores ask for (q,)."""
+    return np.asarray(np.linalg.lstsq(scores.information, scores.total, rcond=1e-6)[0])
+
+
+def _holds(weights: Array, rest: Scores, wording: Wording) -> bool:
+    """Whether the rest may have a good part of what functions of these sizes predict, as far as it can tell."""
+    size = max(float(weights @ rest.information @ weights), 1e-300)
+    return float(weights @ rest.total) / size + wording.holds_errors * size**-0.5 >= wording.holds_share

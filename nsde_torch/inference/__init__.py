@@ -14,6 +14,7 @@ Theory 11 (1965); Ljung, System Identification, 1999, chapter 7):
     filtering     one pass: innovations, gains, log likelihood
     maximum       noise levels of largest likelihood, by Fisher scoring
     sensitivity   what parameters do to the innovations, as one Gram matrix per block of time
+    force_scores  what the likelihood says of any force on the ports, by one pass backwards
     left_out      parts of a log as they are predicted by parameters that were fitted to the rest
     states        the states that it finds at given physics, and what is not known of them
     posterior     theta at given noise levels with a prior: hundreds of short logs side by side

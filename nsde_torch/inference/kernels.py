@@ -666,3 +666,60 @@ def sensitivities(
                 table[c, r] = white
             else:
                 table[c, r] = 0.0
+
+
+@compiled
+def step_adjoints(
+    first: int,
+    end: int,
+    slopes: Array,
+    keep: Array,
+    observed: Labels,
+    whitening: Array,
+    gain: Array,
+    counted: NDArray[np.bool_],
+    white: Array,
+    steps: Array,
+) -> None:
+    """Slopes of sums of whitened rows in what is done to each step (`nsde_torch.inference.force_scores`).
+
+    Args:
+        slopes, keep, observed, whitening, gain: As in `covariances`.
+        counted: Whether a row counts (T, C).
+        white: Rows of the whitened innovations, q of them side by side (T, C, m, q).
+        steps: Is filled (T, C, ne, q); nothing follows from the last row.
+    """
+    rows, _, ne, n = slopes.shape
+    m, q = len(observed), white.shape[3]
+    each, ahead, pulled = np.zeros((end - first, n, q)), np.empty((n, q)), np.empty((m, q))
+    steps[rows - 1, first:end] = 0.0
+    for r in range(rows - 1, 0, -1):
+        for c in range(first, end):
+            after, g, w, a = each[c - first], gain[r, c], whitening[r, c], slopes[r - 1, c]
+            ahead[:] = after
+            for j in range(m):
+                pulled[j] = 0.0
+                for i in range(n):
+                    share = g[i, j]
+                    for b in range(q):
+                        pulled[j, b] -= share * after[i, b]
+                if counted[r, c]:
+                    for o in range(j, m):
+                        share = w[o, j]
+                        for b in range(q):
+                            pulled[j, b] += share * white[r, c, o, b]
+            for j in range(m):
+                for b in range(q):
+                    ahead[observed[j], b] += pulled[j, b]
+            steps[r - 1, c] = ahead[:ne]
+            for j in range(n):
+                if j < ne:
+                    after[j] = 0.0
+                else:
+                    share = keep[j - ne]
+                    for b in range(q):
+                        after[j, b] = share * ahead[j, b]
+                for i in range(ne):
+                    share = a[i, j]
+                    for b in range(q):
+                        after[j, b] += share * ahead[i, b]

@@ -300,9 +300,25 @@ class StateSpace:
             rate = self.rate(t, middle, held, u, still)
             out[..., i] = self.h / by * _parted(system, middle, rate, middle, base, none)
         self._take(self.theta)
-        ahead = _rows(slopes[..., : self.ne])
-        out = torch.baddbmm(out, ahead, out, beta=0.5, alpha=0.5)
-        return self.passed(out.view(*x.shape[:2], *out.shape[1:]))
+        return self.passed(self._to_the_end(out, slopes))
+
+    def pushed(self, x: Tensor, slopes: Tensor, after: Tensor | None = None) -> Tensor:
+        """What unit forces on the disturbed ports do to a step (T, C, ne, nd), not yet `passed`; see `columns`."""
+        there = self.midway(x, after)
+        base, middle = self.rates(there), _rows(there)
+        t, memory, u = self._in_the_middle()
+        none, out = middle.new_zeros(1, self.ne), middle.new_empty(len(middle), self.ne, self.nd)
+        for j in range(self.nd):
+            force = middle.new_zeros(1, self.nd)
+            force[0, j] = _SMALL
+            rate = self.rate(t, middle, memory, u, force)
+            out[..., j] = self.h / _SMALL * _parted(self.vector.system, middle, rate, middle, base, none)
+        return self._to_the_end(out, slopes)
+
+    def _to_the_end(self, moved: Tensor, slopes: Tensor) -> Tensor:
+        """What a step does (T C, ne, k), of the rate in its middle, carried to its end (T, C, ne, k)."""
+        out = torch.baddbmm(moved, _rows(slopes[..., : self.ne]), moved, beta=0.5, alpha=0.5)
+        return out.view(*slopes.shape[:2], *out.shape[1:])
 
     def _in_the_middle(self) -> tuple[Tensor, Tensor, Tensor]:
         """Time of the middle of each step, memory and input over it, as rows."""
@@ -324,11 +340,21 @@ class StateSpace:
         if not self.band:
             return steps
         out, row = steps.clone(), self.chunks.row
-        for hz in set(self.band.values()):
-            which = [i for i, own in self.band.items() if own == hz]
+        for hz, which in self._of_band():
             series = steps.new_zeros(len(self.steps), len(which), *steps.shape[3:])
             series[row] = steps[:, :, which]
             for a, b in self.steps.segments:
                 series[a:b] = low_passed(series[a:b], hz, self.h)
             out[:, :, which] = series[row]
         return out
+
+    def low_passed_rows(self, rows: Tensor) -> Tensor:
+        """Slopes in what is done to steps (T, C, ne, ...) from those in what is seen of it; the filter has no phase."""
+        out = rows.clone() if self.band else rows
+        for hz, which in self._of_band():
+            out[:, :, which] = low_passed(rows[:, :, which], hz, self.h)
+        return out
+
+    def _of_band(self) -> list[tuple[float, list[int]]]:
+        """Frequencies above which errors were smoothed away [Hz], and the numbers of these errors."""
+        return [(hz, [i for i, own in self.band.items() if own == hz]) for hz in set(self.band.values())]

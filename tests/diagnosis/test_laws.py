@@ -1,4 +1,4 @@
-"""A law of the noise that has learned what the physics lacks does not hide it."""
+"""What noise levels have learned of a law that is missing does not hide it; swings whose phase differs."""
 
 from __future__ import annotations
 
@@ -7,67 +7,51 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.residual_tests import NoiseModels, dependences
-from nsde_torch.diagnosis.shape import rates, shape
-from tests.diagnosis.test_shape import RUNS, Push, pushed
+from nsde_torch.diagnosis.decisions import Options
+from nsde_torch.diagnosis.joint_selection import fitted_at
+from nsde_torch.diagnosis.residual_tests import Residuals, beyond_chance, dependences
+from nsde_torch.diagnosis.search import search_in
+from nsde_torch.diagnosis.shape import shape
+from nsde_torch.inference import LogLikelihood
+from tests.diagnosis.test_shape import RUNS, described, pushed
+from tests.inference.springs import rubbing, small_runs, spring
 
-STRONG: list[tuple[str, Push, str]] = [
-    ("a stop that is hit now and then", lambda q, t, run: -20.0 * np.maximum(q - 0.15, 0.0), "even"),
-    ("a strong smooth force", lambda q, t, run: -4.0 * np.tanh(9.0 * q), "odd"),
-]
+
+@pytest.mark.parametrize(("effect", "variable"), [("hardening", "q"), ("quadratic", "q_dot")])
+def test_a_law_that_noise_levels_have_learned_is_seen_beside_them(effect: str, variable: str) -> None:
+    runs = small_runs(replace(rubbing(0.0), effects={effect: {"size": 0.5}}), 4, 10.0, seed=5)
+    place = fitted_at(LogLikelihood(spring(), runs, run_in=True), spring(), None)
+    search = search_in(spring(), runs, 1.0, Options())
+    left = Residuals(search, place, search.at(place.system, place.best).regression)
+    first = beyond_chance(dependences(left), {}, alpha=0.01)[0]
+    assert (first.channel, first.variable, first.run) == ("q_dot", variable, None)
+    assert first.p < 1e-6
+    assert first.excess > 20.0
 
 
-@pytest.mark.parametrize(
-    ("push", "side"), [(p, s) for _, p, s in STRONG], ids=[name for name, _, _ in STRONG]
-)
-def test_a_strong_force_is_seen_through_the_law_of_the_noise_that_it_leaves(push: Push, side: str) -> None:
-    r, variables = pushed(push)
-    laws = NoiseModels(r, 0, float(r.carry_limits()[r.rows[0]]))
-    other = laws.without(variables.functions["q"]()[0])
-    assert other is not None
-    assert other.likelihood > laws.base.likelihood + 100
-    assert other.noise.std < laws.base.noise.std
-    most = max(dependences(r, variables), key=lambda d: d.excess)
-    assert (most.channel, most.variable) == ("q_dot", "q")
-    assert most.noise is not None
-    assert most.noise.std == other.noise.std
-    assert most.p < 1e-12
-    words = shape(r, most, variables, rates(r, variables), RUNS)
+@pytest.mark.parametrize("side", ["even", "odd"])
+def test_a_strong_force_is_described_as_what_it_is(side: str) -> None:
+    def push(q: np.ndarray, t: np.ndarray, run: np.ndarray) -> np.ndarray:
+        return -20.0 * np.maximum(q - 0.15, 0.0) if side == "even" else -4.0 * np.tanh(9.0 * q)
+
+    words = described(push, "q")
     assert (words.variable, words.symmetry) == ("q", side)
     assert words.period is None
 
 
-def test_functions_that_nothing_depends_on_leave_the_law_as_it_is() -> None:
-    r, variables = pushed(lambda q, t, run: 0.0 * q)
-    laws = NoiseModels(r, 0, float(r.carry_limits()[r.rows[0]]))
-    assert [laws.without(f()[0]) for f in variables.functions.values()] == [None] * len(variables.functions)
-    assert min(d.p for d in dependences(r, variables)) > 1e-4
-
-
-def test_another_law_of_one_channel_leaves_theta_and_the_regression_as_they_are() -> None:
-    r, _ = pushed(lambda q, t, run: 4.0 * np.sin(9.0 * q))
-    law = r.own_noises(0)[0]
-    before = r.white.copy()
-    there = r.under(0, law)
-    np.testing.assert_array_equal(r.white, before)
-    np.testing.assert_array_equal(there.theta, r.theta)
-    np.testing.assert_allclose(there.white[0], r.whitened(law, r.residual[:, r.rows])[:, 0])
-    assert there.noises[0] is law
-
-
 def test_a_swing_whose_phase_differs_from_run_to_run_is_told_with_its_frequency() -> None:
-    r, variables = pushed(lambda q, t, run: 0.6 * np.sin(2 * np.pi * 4.0 * t + 2.0 * run))
-    found = next(d for d in dependences(r, variables) if d.sinusoid is not None)
+    left, seen = pushed(lambda q, t, run: 0.6 * np.sin(2 * np.pi * 4.0 * t + 2.0 * run))
+    found = next(d for d in dependences(left) if d.sinusoid is not None)
     assert found.p < 1e-9
     assert 0.05 < found.share < 1.0
-    words = shape(r, found, variables, rates(r, variables), RUNS)
+    assert found.excess > 20.0
+    words = shape(left, found, seen, RUNS)
     assert words.period == pytest.approx(1 / 4.0, rel=0.01)
     assert "phase differs" in words.sentence
-    # what was restored from an average swings by itself
-    restored = dependences(r, replace(variables, inputs=False))
-    assert not any(d.sinusoid is not None for d in restored)
+    left.inputs = False  # what was restored from an average swings by itself
+    assert not any(d.sinusoid is not None for d in dependences(left))
 
 
 def test_noise_does_not_swing() -> None:
-    r, variables = pushed(lambda q, t, run: 0.0 * q)
-    assert all(d.p > 0.01 for d in dependences(r, variables) if d.sinusoid is not None)
+    left, _ = pushed(lambda q, t, run: 0.0 * q)
+    assert all(d.p > 0.01 for d in dependences(left) if d.sinusoid is not None)

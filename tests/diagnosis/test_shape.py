@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.regressors import Regressors, regressors
-from nsde_torch.diagnosis.residual_tests import Dependence, dependences
-from nsde_torch.diagnosis.search import Search
-from nsde_torch.diagnosis.shape import Shape, bins, rates, shape
-from nsde_torch.inference.steps import steps_of
-from nsde_torch.sysid.regression import Regression
-from nsde_torch.systems import make_system
-from tests.helpers.diagnosed import recorded
+from nsde_torch.diagnosis.residual_tests import Dependence, Residuals, dependences
+from nsde_torch.diagnosis.shape import Rates, Shape, bins, rates, shape
+from tests.helpers.residuals import MadeResiduals
 
 Array = NDArray[np.float64]
 Push = Callable[[Array, Array, Array], Array]
@@ -23,32 +19,21 @@ Push = Callable[[Array, Array, Array], Array]
 RUNS = ("run_0", "run_1", "run_2", "run_3")
 
 
-def pushed(push: Push, times: str = "") -> tuple[Regression, Regressors]:
-    """A spring whose residual rate is that of noise and a push (of q, time, number of the run) [m/s2].
+@cache
+def spring() -> MadeResiduals:
+    return MadeResiduals()
 
-    Args:
-        push: The push.
-        times: Another variable that it is multiplied by.
-    """
-    system = make_system("mass_spring_damper")
-    data = recorded("mass_spring_damper", durations=(8.0,) * 4)
-    steps = steps_of(system, data.runs, clock=1.0, smooth=False, denoise=True, run_in=True)
-    r = Search(steps, box=1, alpha=0.01).quick(system)
-    variables = regressors(r)
-    force = push(variables.values("q"), variables.values("time"), r.owners)
-    force *= variables.values(times) if times else 1.0
-    r.residual[:, r.rows[0]] += force * r.dt
-    r.noises = r.own_noises()
-    (noise,) = r.noises
-    r.white = noise.whiten(r.residual[:, r.rows], r.series).T
-    r.slopes = noise.whiten(r.jacobian[:, r.rows[0]], r.series)[None]
-    return r, variables
+
+def pushed(push: Push) -> tuple[Residuals, Rates]:
+    """A spring that noise pushes, and a push of q, time and number of the run [m/s2]; its rates."""
+    left = spring().made(lambda q, q_dot, t, run: push(q, t, run), seed=None)
+    return left, rates(left.regression, spring().measured)
 
 
 def described(push: Push, variable: str) -> Shape:
-    r, variables = pushed(push)
-    test = max((d for d in dependences(r, variables) if d.variable == variable), key=lambda d: d.excess)
-    return shape(r, test, variables, rates(r, variables), RUNS)
+    left, seen = pushed(push)
+    test = max((d for d in dependences(left) if d.variable == variable), key=lambda d: d.excess)
+    return shape(left, test, seen, RUNS)
 
 
 def test_an_odd_dependence_over_the_whole_range_is_called_so() -> None:
@@ -77,9 +62,14 @@ def test_teeth_along_the_way_are_periodic() -> None:
 
 
 def test_what_happens_in_one_run_only_is_said() -> None:
-    words = described(lambda q, t, run: np.where(run == 2, -1.5 * q, 0.0), "q")
-    assert words.only_run == 2
-    assert "in run_2 only" in words.sentence
+    springs = MadeResiduals((10.0,) * 8)
+    left = springs.made(lambda q, q_dot, t, run: np.where(run == 5, -0.02 * np.sign(q_dot), 0.0))
+    found = dependences(left)
+    first = max((d for d in found if d.variable == "q_dot"), key=lambda d: d.excess)
+    assert first.p < 1e-6
+    words = shape(left, first, rates(left.regression, springs.measured), tuple(f"run_{i}" for i in range(8)))
+    assert (words.variable, words.symmetry, words.only_run) == ("q_dot", "odd", 5)
+    assert "in run_5 only" in words.sentence
 
 
 def test_a_push_that_is_constant_in_one_run_is_called_so() -> None:
@@ -109,7 +99,7 @@ def test_bins_give_means_and_errors_that_hold_noise_which_lasts() -> None:
 
 
 def test_mean_rates_are_those_of_the_push() -> None:
-    seen = rates(*pushed(lambda q, t, run: 4.0 * q))
+    _, seen = pushed(lambda q, t, run: 4.0 * q)
     own = seen.residual[:, seen.names.index("q_dot")]
     slope = np.polyfit(seen.values["q"], own, 1)[0]
     assert slope == pytest.approx(4.0, rel=0.1)
@@ -118,9 +108,9 @@ def test_mean_rates_are_those_of_the_push() -> None:
 
 
 def test_a_single_moment_is_described_without_functions_of_anything() -> None:
-    r, variables = pushed(lambda q, t, run: 0.0 * q)
+    left, seen = pushed(lambda q, t, run: 0.0 * q)
     single = Dependence("q_dot", "time", 1e-6, 0.1, 0.0, gain=40.0, functions=1, run=1, moment=3.5)
-    words = shape(r, single, variables, rates(r, variables), RUNS)
+    words = shape(left, single, seen, RUNS)
     assert (words.only_run, words.extent, words.symmetry) == (None, "local", "")
     assert "3.5 s" in words.sentence
 

@@ -1,0 +1,310 @@
+"""What the likelihood says of any force on the ports, by one pass backwards: scores, and how they scatter by chance.
+
+With z_k the whitened innovations, L_k L_k' their covariances, and a force f on the step from row k, whose innovations
+move by -B f, the gradient of the log likelihood in all forces is that of an adjoint (de Jong and Penzer, Journal of the
+American Statistical Association 93 (1998))
+
+    r_k = H' L_k^-T z_k + (I - G H)' F' r_{k+1},        d l / d f_k = B' r_{k+1}
+
+A function of anything that was measured, phi, has the score s = sum_k phi_k d l / d f_k: one product of two columns. It
+is orthogonal to what the parameters can do,
+
+    s - I_phi,theta I_theta,theta^-1 s_theta,
+
+whose shared information is the same adjoint of the rows that the parameters move. How a score scatters where nothing is
+missing is that of the adjoints of white rows that are drawn, as many as `DRAWS`: of what is known of the noise alone.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from nsde_torch.arrays import Array, Labels
+from nsde_torch.inference import kernels
+from nsde_torch.inference.estimate import Optimum
+from nsde_torch.inference.filtering import array
+from nsde_torch.inference.sensitivity import inverted
+from nsde_torch.time_limit import check_time
+
+DRAWS = 96
+"""Draws of white rows: an information is then known to 15 %, and tests allow for that."""
+_AT_ONCE = 32  # draws of one pass
+_ROWS = 5000  # that products are made of at once
+_BLOCKS = 100  # of time that are enough: below, chunks are parted
+_BLOCK_S = 0.25  # the shortest of them [s]
+_BOX_S = 0.01  # over which steps are summed
+# without it a damping beside that of the machine has a score of 5 standard errors, of rounding alone
+_FREE = 1e-5  # share of what a function does that the parameters must leave
+_NEW = 1e-3  # share of the square of a function that those before it must leave
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Scores of some functions of one port, free of what the parameters can do, by block of time."""
+
+    blocks: Array  # (B, q)
+    drawn: Array  # the same of rows that are drawn (B, q, R)
+    size: Array  # what one draw of each function does, with what the parameters can do (q,)
+    draws: int  # how many draws know the information, less those that what was taken out has used up
+
+    @cached_property
+    def total(self) -> Array:
+        """Their sums (q,)."""
+        return np.asarray(self.blocks.sum(0))
+
+    @cached_property
+    def information(self) -> Array:
+        """Their information, of all blocks (q, q)."""
+        drawn = self.drawn.sum(0)
+        return np.asarray(drawn @ drawn.T / drawn.shape[1])
+
+    @cached_property
+    def informations(self) -> Array:
+        """The same by block (B, q, q)."""
+        return np.asarray(self.drawn @ self.drawn.transpose(0, 2, 1) / self.drawn.shape[2])
+
+    def of(self, blocks: NDArray[np.bool_] | Labels) -> "Scores":
+        """Those of some blocks of time."""
+        return replace(self, blocks=self.blocks[blocks], drawn=self.drawn[blocks])
+
+    def turned(self, turn: Array) -> "Scores":
+        """Those of other functions, sums of these (q', q)."""
+        size = np.sqrt(np.square(turn) @ np.square(self.size))
+        return Scores(self.blocks @ turn.T, turn @ self.drawn, size, self.draws)
+
+    def independent(self) -> tuple["Scores", NDArray[np.int64]]:
+        """The same in directions of unit information, in order, and which functions these begin with (q',)."""
+        turn, kept = directions(self.information, _FREE * np.square(self.size))
+        return self.turned(turn), kept
+
+    @property
+    def nats(self) -> float:
+        """Log likelihood that the functions bring; what draws know of the information is counted out."""
+        own = self.independent()[0]
+        q = own.blocks.shape[1]
+        return 0.5 * float(np.square(own.total).sum()) * max(self.draws - q - 1, 1) / self.drawn.shape[2]
+
+
+def directions(information: Array, least: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Sums of functions (q', q) whose scores are independent and of unit information, and with which each begins (q',).
+
+    Args:
+        information: Of the functions (q, q).
+        least: What has to be left of each beside those before it (q,).
+    """
+    turns, kept = list[Array](), list[int]()
+    for j in range(len(information)):
+        turn = np.zeros(len(information))
+        turn[j] = 1.0
+        for other in turns:
+            turn -= float(other @ information[j]) * other
+        left = float(turn @ information @ turn)
+        if left > max(_NEW * information[j, j], least[j], 1e-300):
+            turns.append(turn / left**0.5)
+            kept.append(j)
+    return np.array(turns).reshape(len(turns), len(information)), np.array(kept, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class ForceScores:
+    """Scores of forces on each port, by box of time in each chunk, of the rows of each part of the chunk.
+
+    A force is felt for as long as the filter remembers. Its scores by the time at which it acts are therefore not
+    independent of one another, by the rows in which it is seen they are: blocks of time are parts of chunks.
+    """
+
+    forces: Array  # (P, d, parts)
+    shared: Array  # information that a force shares with each parameter (P, d, k)
+    drawn: NDArray[np.float32]  # scores of rows that are drawn (P, d, parts, R)
+    parameters: Array  # scores of the parameters by block, and those that are drawn (C, parts, k, 1 + R)
+    inverse: Array  # of the information of the parameters (k, k)
+    begun: Labels  # number of the first pair of box and chunk of each chunk (C,)
+    box: Labels  # box of each pair (P,)
+    runs: Labels  # number of the run of each chunk (C,)
+    place: Labels  # box of each step of the log (N,)
+    owners: Labels  # number of the run of each box (M,)
+    edges: tuple[tuple[int, int], ...]  # ranges of boxes of each stretch
+    dt: float  # time of a box [s]
+
+    def of(self, functions: Array, port: int) -> Scores:
+        """Scores of functions (M, q) of one port, by number of the disturbance."""
+        there = functions[self.box]
+        turn = there.T @ self.shared[:, port] @ self.inverse
+        parts = self.forces.shape[2]
+        blocks = np.empty((len(self.begun), parts, functions.shape[1]))
+        drawn = np.empty((*blocks.shape, DRAWS))
+        single, ends = there.astype(np.float32), [*self.begun[1:].tolist(), len(there)]
+        for c, (a, b) in enumerate(zip(self.begun.tolist(), ends, strict=True)):
+            blocks[c] = self.forces[a:b, port].T @ there[a:b]
+            own = single[a:b].T @ self.drawn[a:b, port].reshape(b - a, -1)
+            drawn[c] = own.reshape(-1, parts, DRAWS).transpose(1, 0, 2)
+        size = np.sqrt(np.square(drawn.sum((0, 1))).mean(1))
+        blocks -= self.parameters[..., 0] @ turn.T
+        drawn -= turn @ self.parameters[..., 1:]
+        return Scores(blocks.reshape(-1, blocks.shape[2]), drawn.reshape(-1, *drawn.shape[2:]), size, DRAWS)
+
+    def along(self, port: int) -> tuple[Array, Array]:
+        """Scores of a force in each box (M,), and those that are drawn (M, R)."""
+        boxes = len(self.owners)
+        drawn = np.zeros((boxes, DRAWS))
+        np.add.at(drawn, self.box, self.drawn[:, port].sum(1))
+        return np.asarray(np.bincount(self.box, self.forces[:, port].sum(1), boxes)), drawn
+
+    @property
+    def blocks(self) -> Labels:
+        """Number of the run of each block of time (B,)."""
+        return np.repeat(self.runs, self.forces.shape[2])
+
+    def means(self, values: Array) -> Array:
+        """Means over boxes (M,) of values of the steps (N,)."""
+        return np.asarray(np.bincount(self.place, values) / np.bincount(self.place))
+
+
+@torch.no_grad()
+def force_scores(at: Optimum, theta: Array, free: Labels) -> ForceScores:
+    """Scores of all forces at an optimum.
+
+    Args:
+        at: The optimum.
+        theta: Its parameters (k,).
+        free: Numbers of those that the data show.
+    """
+    space, about, here = at.of.space, at.about, at.at
+    space.use(theta)
+    chunks = space.chunks
+    columns = space.columns(about.x, about.slopes, free.tolist(), about.after).flatten(0, 1).transpose(1, 2)
+    acts = space.pushed(about.x, about.slopes, about.after).flatten(0, 1).transpose(1, 2)
+    place, owners, edges = _boxes(at)
+    counted = chunks.counted.any(1).nonzero()[:, 0]
+    ends = torch.linspace(int(counted[0]), int(counted[-1]) + 1, _parts(at) + 1).round().long().tolist()
+    parts = len(ends) - 1
+    # boxes of a chunk are neighbours
+    boxes = torch.from_numpy(place)[chunks.row]
+    width = boxes[-1] - boxes[0] + 1
+    begun = width.cumsum(0) - width
+    pair = (boxes - boxes[0] + begun).flatten()
+    of_chunk = torch.arange(chunks.count).expand(boxes.shape).flatten()
+    box = torch.empty(int(width.sum()), dtype=torch.int64)
+    box[pair] = boxes.flatten()
+
+    def back(white: Array) -> tuple[Tensor, Tensor]:
+        """Slopes in forces (P, d, q) and in parameters (C, k, q) of rows (T, C, m, q)."""
+        check_time()
+        steps = torch.empty(*boxes.shape, space.ne, white.shape[3], dtype=torch.float64)
+        kernels.in_parts(
+            kernels.step_adjoints,
+            *boxes.shape,
+            array(about.slopes),
+            array(at.levels.keep(space.h)),
+            np.array(space.observed),
+            array(here.whitening),
+            array(here.gain),
+            array(chunks.counted),
+            white,
+            steps.numpy(),
+        )
+        seen, felt = steps.flatten(0, 1), space.low_passed_rows(steps).flatten(0, 1)
+        parameters = steps.new_zeros(chunks.count, len(free), white.shape[3])
+        forces = steps.new_zeros(len(box), space.nd, white.shape[3])
+        for some in torch.arange(len(pair)).split(_ROWS):
+            parameters.index_add_(0, of_chunk[some], columns[some] @ seen[some])
+            forces.index_add_(0, pair[some], acts[some] @ felt[some])
+        return forces, parameters
+
+    def parted(white: Array) -> Array:
+        """Rows (T, C, m, q) as those of each part of the chunks alone (T, C, m, parts * q)."""
+        out = np.zeros((*white.shape[:3], parts, white.shape[3]))
+        for p, (a, b) in enumerate(pairwise(ends)):
+            out[a:b, ..., p, :] = white[a:b]
+        return out.reshape(*white.shape[:3], -1)
+
+    moved = _moved(at, columns.transpose(1, 2).reshape(*boxes.shape, space.ne, -1))
+    information = np.einsum("tcmk,tcml->kl", moved, moved)
+    inverse = inverted(information) if len(free) else information
+    # less what a step of the parameters takes out: blocks are those of a fit that has settled
+    left = array(here.white) - moved @ (inverse @ np.einsum("tcmk,tcm->k", moved, array(here.white)))
+    forces, own = back(parted(left[..., None]))
+    shared, _ = back(moved)
+    drawn, of_draws = [], []
+    for white in _white(here.white.shape, max(1, _AT_ONCE // parts)):
+        scores, parameters = back(parted(white))
+        drawn.append(scores.unflatten(2, (parts, -1)).float())
+        of_draws.append(parameters.unflatten(2, (parts, -1)))
+    return ForceScores(
+        forces.numpy(),
+        shared.numpy(),
+        torch.cat(drawn, 3).numpy(),
+        torch.cat([own[..., None], *of_draws], 3).transpose(1, 2).numpy(),
+        inverse,
+        begun.numpy(),
+        box.numpy(),
+        np.array(space.steps.runs)[chunks.stretch.numpy()],
+        place,
+        owners,
+        edges,
+        space.h * _width(space.h),
+    )
+
+
+def _parts(at: Optimum) -> int:
+    """Into how many blocks of time each chunk is parted."""
+    chunks = at.of.space.chunks
+    rows = int(chunks.counted.sum(0).max())
+    return max(1, min(-(-_BLOCKS // chunks.count), int(rows * at.of.space.h / _BLOCK_S)))
+
+
+def _width(h: float) -> int:
+    """Steps of a box."""
+    return max(1, int(_BOX_S / h + 1e-6))
+
+
+def _white(shape: tuple[int, ...], at_once: int) -> Iterator[Array]:
+    """White rows (T, C, m, q), `DRAWS` in all."""
+    rng = np.random.default_rng(0)
+    for done in range(0, DRAWS, at_once):
+        yield rng.standard_normal((*shape, min(at_once, DRAWS - done)))
+
+
+def _moved(at: Optimum, columns: Tensor) -> Array:
+    """What parameters do to the whitened rows (T, C, m, k)."""
+    space, about, here = at.of.space, at.about, at.at
+    rows, count, m = here.white.shape
+    k = columns.shape[-1]
+    table, none = np.zeros((count, rows - 1, m, k)), np.zeros((rows - 1, count, 0))
+    kernels.in_parts(
+        kernels.sensitivities,
+        rows - 1,
+        count,
+        array(about.slopes[:-1]),
+        array(at.levels.keep(space.h)),
+        np.array(space.observed),
+        array(here.gain[:-1]),
+        array(here.whitening[1:]),
+        array(space.chunks.counted[1:]),
+        array(columns[:-1]),
+        none,
+        np.zeros(0, dtype=np.int64),
+        np.zeros((count, space.n, k)),
+        table,
+    )
+    return np.concatenate((np.zeros((1, count, m, k)), table.transpose(1, 0, 2, 3)))
+
+
+def _boxes(at: Optimum) -> tuple[Labels, Labels, tuple[tuple[int, int], ...]]:
+    """Box of each step (N,), run of each box (M,), and ranges of boxes of each stretch."""
+    steps, width, done = at.of.space.steps, _width(at.of.space.h), 0
+    place = np.empty(len(steps), dtype=np.int64)
+    owners, edges = [], []
+    for (a, b), run in zip(steps.segments, steps.runs, strict=True):
+        count = -(-(b - a) // width)
+        place[a:b] = done + np.arange(b - a) // width
+        owners.append(np.full(count, run, dtype=np.int64))
+        edges.append((done, done + count))
+        done += count
+    return place, np.concatenate(owners), tuple(edges)

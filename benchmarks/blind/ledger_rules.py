@@ -290,13 +290,6 @@ RULES = (
         lambda result, search, look, *rest: _names(result) != _names(look.accepted),
     ),
     Rule(
-        "weakest first",
-        "the second look begins with the effect whose sizes are least beyond nothing",
-        ("joint_selection._weight",),
-        constant(0.0),
-        anything,
-    ),
-    Rule(
         "simpler first",
         "of candidates that are fitted to the end, those that others contain come first",
         ("joint_selection._simpler_first",),

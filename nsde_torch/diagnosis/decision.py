@@ -24,7 +24,13 @@ from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSelection
 from nsde_torch.diagnosis.outcome import Found, Outcome, Verdict, found_by
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.regressors import measured
-from nsde_torch.diagnosis.residual_tests import Dependence, Residuals, beyond_chance, dependences, overview
+from nsde_torch.diagnosis.residual_tests import (
+    Dependence,
+    PhysicsResiduals,
+    beyond_chance,
+    dependences,
+    overview,
+)
 from nsde_torch.diagnosis.search import Base, Search, bent_shape, fitted_system, moved_channels
 from nsde_torch.effects import Effect, Port, effect_class
 from nsde_torch.effects.expression_grammar import is_law
@@ -130,7 +136,7 @@ def decide(
     place = alone if joint is None else joint.final
     after = [] if place is None else _tests(search, place, base)
     before = (
-        overview(Residuals(search, joint.declared, declared.regression))
+        overview(PhysicsResiduals(search, joint.declared, declared.regression))
         if found and joint is not None
         else after
     )
@@ -178,7 +184,7 @@ def decide(
 
 def _tests(search: Search, place: FittedPhysics, base: Base) -> list[Dependence]:
     """All tests of what fitted physics leaves."""
-    return dependences(Residuals(search, place, base.regression))
+    return dependences(PhysicsResiduals(search, place, base.regression))
 
 
 def _left(base: Base, tests: Sequence[Dependence], tested: FeedbackTest, alpha: float) -> list[Dependence]:

@@ -170,7 +170,6 @@ class Budgets:
     """How much is tried. More takes longer; a verdict that it changes is a fault."""
 
     iterations: int = key(20, "most iterations of a regression from its first values", low=1)
-    refinements: int = key(8, "most iterations of a regression that starts near its optimum", low=1)
     noise_nats: float = key(1.0, "nats by which another noise model must be likelier to be tried", low=0)
     exchanges: int = key(12, "looks at the catalogue beyond which no effect is exchanged any more", low=1)
     spectral_lines: int = key(3, "lines of the spectrum that fits of a sinusoid start from", low=1)

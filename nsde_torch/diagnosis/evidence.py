@@ -55,14 +55,6 @@ def folds_of(decisions: Decisions, owners: Labels, firsts: Labels) -> Labels:
     return out
 
 
-def fitted_nats(regression: Regression) -> float:
-    """Log likelihood of all rows as fitted, less one for each parameter of the noise [nats]."""
-    log_std = float(np.log([n.std for n in regression.noises]).sum())
-    price = sum(n.parameters for n in regression.noises)
-    white = regression.white
-    return float(-0.5 * np.square(white).sum()) - log_std * white.shape[1] - price
-
-
 def by_blocks(difference: Array) -> float:
     """Chance of so large a sum over blocks if its mean were 0."""
     squares = float(np.square(difference).sum())

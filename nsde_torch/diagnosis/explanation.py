@@ -42,7 +42,7 @@ from nsde_torch.diagnosis.feedback_bias import unmeasured_gains
 from nsde_torch.diagnosis.joint_selection import JointSearch
 from nsde_torch.diagnosis.outcome import Estimate, Outcome
 from nsde_torch.diagnosis.reading import Log
-from nsde_torch.diagnosis.residual_tests import Dependence, Residuals
+from nsde_torch.diagnosis.residual_tests import Dependence, PhysicsResiduals
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.shape import ChannelResidual, Shape, channel_residuals, rates, shape
 from nsde_torch.diagnosis.text import with_space
@@ -373,7 +373,7 @@ def explained(
         seen, joint = rates(regression, outcome.variables), outcome.joint
         if not left or joint is None:
             return ()
-        residuals = Residuals(search, joint.final, regression)
+        residuals = PhysicsResiduals(search, joint.final, regression)
         return tuple(shape(residuals, d, seen, runs) for d in left[: log.budgets.shapes])
 
     def zeros() -> RunZeros | None:

@@ -418,9 +418,9 @@ class JointSearch:
     ) -> tuple[FittedPhysics, dict[str, Instead]]:
         """Each effect again beside the others: what is likelier replaces it, what is as likely is a tie.
 
-        The weakest comes first (`_weight`): where it is not needed, all others are looked at again without it. Of those
-        looked at before the last exchange only whether they are still needed is asked again, not what else may be in
-        their place: on six racing flights (NeuroBEM) that took 130 s each time.
+        Where one is not needed, all others are looked at again without it. Of those looked at before the last exchange
+        only whether they are still needed is asked again, not what else may be in their place: on six racing flights
+        (NeuroBEM) that took 130 s each time.
 
         A part of a long log is asked first: an effect that is needed there is needed, and what is surely worse in its
         place there is worse (of the published flights, physics without one of eight effects are fitted in 10 s each).
@@ -429,7 +429,7 @@ class JointSearch:
         few = self._in_few_rows()
         exchanged, kept = 0, set[str]()  # those needed beside all others as they are now
         while left := [n for n in place.system.effect_names if n not in {*self._declared, *kept}]:
-            name = min(left, key=lambda n: _weight(place, n))
+            name = left[0]
             self.search.say(f"looking again at {name}", len(kept), len(kept) + len(left))
             inside = few is not None and few.needed_here(name, place)
             if not inside and not self.needed(name, place, without := self.without(place, name)):
@@ -830,20 +830,6 @@ def _set(system: System, labels: Sequence[str], values: Array) -> None:
         of.setdefault((label.partition(".")[0], own_name(label)), []).append(value)
     for (effect, own), column in of.items():
         effects[effect].set_value(own, torch.tensor(column, dtype=torch.float64))
-
-
-def _weight(place: FittedPhysics, name: str) -> float:
-    """How far the sizes of an effect are from nothing (Wald's statistic); 0 where the data show none of them."""
-    vector, best = place.best.vector, place.best
-    nothing = effect_class(name).null
-    sizes = [j for j in vector.sizes(name) if own_name(vector.labels[j]) in nothing]
-    shown = np.flatnonzero(np.isin(best.free, sizes))
-    if not len(shown):
-        return 0.0
-    known = best.free[shown]
-    away = best.theta[known] - np.array([nothing[own_name(vector.labels[j])] for j in known])
-    inverse = np.linalg.pinv(best.spread.covariance[np.ix_(shown, shown)], hermitian=True)
-    return float(away @ inverse @ away)
 
 
 def _compared(search: Search, name: str, rival: str, place: FittedPhysics, there: FittedPhysics) -> float:

@@ -20,7 +20,7 @@ import numpy as np
 
 from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions
-from nsde_torch.inference.force_scores import ForceScores, Scores
+from nsde_torch.inference.force_scores import ForceScores, FunctionScores
 from nsde_torch.sysid.noise import extended
 from nsde_torch.sysid.regression import Regression
 
@@ -138,7 +138,7 @@ class Repeat:
 
     period: float  # of the variable, in its unit
     waves: Array  # a sine and a cosine of it (M, 2)
-    scores: Scores  # of these
+    scores: FunctionScores  # of these
 
 
 def best_repeat(forces: ForceScores, port: int, v: Array) -> Repeat | None:

@@ -55,7 +55,7 @@ from nsde_torch.diagnosis.regressors import (
     moved_channels_of,
 )
 from nsde_torch.diagnosis.search import Search
-from nsde_torch.inference.force_scores import DRAWS, ForceScores, Scores, directions, force_scores
+from nsde_torch.inference.force_scores import DRAWS, ForceScores, FunctionScores, directions, force_scores
 from nsde_torch.inference.sensitivity import grams, inverted
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
@@ -91,7 +91,7 @@ class Dependence:
 
 
 @final
-class Residuals:
+class PhysicsResiduals:
     """What fitted physics leaves, and everything that it may depend on.
 
     Args:
@@ -189,7 +189,7 @@ def beyond_chance(
     return list(out.values())
 
 
-def overview(left: Residuals) -> list[Dependence]:
+def overview(left: PhysicsResiduals) -> list[Dependence]:
     """Every port against each single variable, inputs before, time and run in all runs, the surest first.
 
     What effects that were found had to explain. It decides nothing.
@@ -199,7 +199,7 @@ def overview(left: Residuals) -> list[Dependence]:
     return sorted(out, key=lambda d: d.p)
 
 
-def dependences(left: Residuals) -> list[Dependence]:
+def dependences(left: PhysicsResiduals) -> list[Dependence]:
     """Every port against every variable, the surest first."""
     out: list[Dependence | None] = [found for name in left.functions for found in _of_variable(left, name)]
     for port in range(len(left.channels)):
@@ -229,7 +229,7 @@ def own_of_runs(tests: Sequence[Dependence]) -> list[Dependence]:
     ]
 
 
-def _of_variable(left: Residuals, name: str, *, alone: bool = True) -> Iterator[Dependence]:
+def _of_variable(left: PhysicsResiduals, name: str, *, alone: bool = True) -> Iterator[Dependence]:
     """All ports against one group of functions: in all runs, and of a plain variable in one run alone, if asked for."""
     functions, odd = left.functions[name]()
     for port in range(len(left.channels)):
@@ -248,10 +248,10 @@ def _of_variable(left: Residuals, name: str, *, alone: bool = True) -> Iterator[
 
 
 def _dependence(
-    left: Residuals,
+    left: PhysicsResiduals,
     port: int,
     variable: str,
-    own: Scores,
+    own: FunctionScores,
     odd: NDArray[np.bool_],
     gain: float,
     *,
@@ -264,14 +264,14 @@ def _dependence(
     return Dependence(left.channels[port], variable, p, share, of_odd, gain, functions=q, port=port)
 
 
-def _product(left: Residuals, name: str, scores: Scores) -> str:
+def _product(left: PhysicsResiduals, name: str, scores: FunctionScores) -> str:
     """The product with another variable that brings most by itself."""
     first, names = name.removesuffix(OTHERS), list(left.columns)
     pull = np.square(scores.total) / np.maximum(np.diag(scores.information), 1e-300)
     return f"{first} * {names[names.index(first) + 1 + int(pull.argmax())]}"
 
 
-def _repeated(left: Residuals, port: int, name: str) -> Dependence | None:
+def _repeated(left: PhysicsResiduals, port: int, name: str) -> Dependence | None:
     """What repeats along a variable, beyond what all functions of it explain: the best of many periods."""
     v = left.columns[name]
     again = best_repeat(left.forces, port, v)
@@ -291,7 +291,7 @@ def _repeated(left: Residuals, port: int, name: str) -> Dependence | None:
     )
 
 
-def _sinusoid(left: Residuals, line: Line) -> Dependence:
+def _sinusoid(left: PhysicsResiduals, line: Line) -> Dependence:
     """A line of the spectrum as a sine and a cosine of its own in each stretch."""
     channel = left.regression.physics.names[left.regression.rows[line.row]]
     residual = left.regression.residual[:, left.regression.rows[line.row]]
@@ -317,7 +317,7 @@ def _sinusoid(left: Residuals, line: Line) -> Dependence:
     )
 
 
-def _places(left: Residuals) -> list[str]:
+def _places(left: PhysicsResiduals) -> list[str]:
     """Variables along which something may repeat: positions of joints, and angles; not a place in free space."""
     system = left.system
     named = set() if system.quaternion is not None else {p for p, _, _ in system.position_derivatives}
@@ -331,7 +331,7 @@ _NEW = 1e-3  # of what a function does in a run that those of all runs and a con
 
 
 def in_one_run(
-    left: Residuals, port: int, name: str, functions: Array, odd: NDArray[np.bool_]
+    left: PhysicsResiduals, port: int, name: str, functions: Array, odd: NDArray[np.bool_]
 ) -> Dependence | None:
     """A variable in the run that stands out; None where no run can be odd."""
     decisions, runs = left.decisions, np.unique(left.owners)
@@ -380,7 +380,7 @@ def in_one_run(
 
 
 def _of_run(
-    left: Residuals, port: int, functions: Array, run: int
+    left: PhysicsResiduals, port: int, functions: Array, run: int
 ) -> tuple[Array, Array, NDArray[np.int64], NDArray[np.bool_]]:
     """The first functions in one run, free of all in all runs and of what is constant in a run.
 
@@ -412,7 +412,7 @@ def _of_draws(squares: float, q: int) -> float:
     return float(fdtrc(q, DRAWS - q + 1, squares * (DRAWS - q + 1) / (q * DRAWS)))
 
 
-def _free_of_constant(scores: Scores) -> Scores:
+def _free_of_constant(scores: FunctionScores) -> FunctionScores:
     """Scores without the last one, and without what they share with that."""
     whole = scores.information
     share = whole[:-1, -1] / max(float(whole[-1, -1]), 1e-300)
@@ -424,7 +424,7 @@ def _free_of_constant(scores: Scores) -> Scores:
 _BUMPS_S = (0.25, 1.0)  # widths of bumps
 
 
-def largest_moment(left: Residuals, port: int) -> Dependence | None:
+def largest_moment(left: PhysicsResiduals, port: int) -> Dependence | None:
     """The moment at which a port is pushed most, if that is more than all other moments let expect."""
     forces = left.forces
     along, drawn_along = forces.along(port)

@@ -3,7 +3,6 @@
 import copy
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -13,7 +12,6 @@ from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.diagnosis.candidates import on_coordinates
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions, Options
-from nsde_torch.diagnosis.evidence import fitted_nats
 from nsde_torch.effects import Effect, Law, effect_class, register
 from nsde_torch.inference import MaximumLikelihood
 from nsde_torch.inference.steps import Steps, steps_of
@@ -127,11 +125,6 @@ class Base:
     system: System  # the physics
     regression: Regression  # at its optimum
 
-    @cached_property
-    def nats(self) -> float:
-        """Log likelihood, less a nat for each parameter of the noise [nats]."""
-        return fitted_nats(self.regression)
-
 
 @final
 class Search:
@@ -190,8 +183,8 @@ class Search:
         return max(b - a for a, b in self.steps.segments)
 
     def base(self, system: System) -> Base:
-        """The regression of a system, with noise models of its own: what first values are."""
-        return self._best_noise(Base(system, self.quick(system)))
+        """The regression of a system by itself: what first values are."""
+        return Base(system, self.quick(system))
 
     def at(self, system: System, best: MaximumLikelihood) -> Base:
         """Physics at the values of largest likelihood: of its regression, the noise models alone are fitted.
@@ -222,17 +215,6 @@ class Search:
         regression.run(self.budgets.iterations)
         return regression
 
-    def _best_noise(self, base: Base) -> Base:
-        """Physics, with noise models of a kind that suits its residuals better where they make them likelier."""
-        for orders in (None, 0):
-            models = base.regression.own_noises(orders)
-            if not self._likelier(models, base.regression):
-                continue
-            other = self.regression(base.system, base.regression, models)
-            other.run(self.budgets.refinements)
-            base = max(base, Base(base.system, other), key=lambda b: b.nats)
-        return base
-
     def _likelier(self, models: Sequence[Noise], regression: Regression) -> bool:
         """Whether noise models make the residuals of a regression likelier than its own, a nat for each parameter."""
         rows = len(regression.series)
@@ -243,7 +225,6 @@ class Search:
         self,
         system: System,
         before: Regression | None = None,
-        noises: Sequence[Noise] | None = None,
         held: Collection[str] = (),
     ) -> Regression:
         """A regression that has not run yet.
@@ -251,7 +232,6 @@ class Search:
         Args:
             system: Physics.
             before: A regression that lends it its values and noise models; None for neither.
-            noises: Noise models; None takes those of `before`.
             held: Labels of parameters that stay at their first values.
         """
         physics = Physics(ParameterVector(system), self.steps)
@@ -259,9 +239,7 @@ class Search:
             return self._of(system, physics, held=held)
         physics.sensor_std = before.physics.sensor_std
         first = carried(physics.vector, before)
-        return self._of(
-            system, physics, start=first, noises=before.noises if noises is None else noises, held=held
-        )
+        return self._of(system, physics, start=first, noises=before.noises, held=held)
 
     def _of(
         self,

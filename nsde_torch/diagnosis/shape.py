@@ -41,8 +41,8 @@ from nsde_torch.arrays import Array, Labels
 from nsde_torch.diagnosis.decisions import Wording
 from nsde_torch.diagnosis.periodicity import best_repeat, waves_of
 from nsde_torch.diagnosis.regressors import BEFORE, BY_RUN, OTHERS, OVER_TIME, Measured
-from nsde_torch.diagnosis.residual_tests import Dependence, Residuals
-from nsde_torch.inference.force_scores import Scores
+from nsde_torch.diagnosis.residual_tests import Dependence, PhysicsResiduals
+from nsde_torch.inference.force_scores import FunctionScores
 from nsde_torch.sysid.physics import bump, per_second, smooth_rate
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
@@ -295,7 +295,7 @@ def called(run: str) -> str:
     return run if run.lower().startswith(("run", "flight")) else f"run {run}"
 
 
-def shape(left: Residuals, dependence: Dependence, seen: Rates, runs: Sequence[str]) -> Shape:
+def shape(left: PhysicsResiduals, dependence: Dependence, seen: Rates, runs: Sequence[str]) -> Shape:
     """Describe a dependence that is there beyond chance.
 
     Args:
@@ -436,7 +436,7 @@ def nats(z: Array, white: Array) -> float:
     return 0.5 * float(fit @ white)
 
 
-def period_of(left: Residuals, port: int, variable: str) -> float | None:
+def period_of(left: PhysicsResiduals, port: int, variable: str) -> float | None:
     """Period of a dependence on a plain variable, or None where a cubic does about as well."""
     v, wording = left.values(variable), left.decisions.wording
     best = best_repeat(left.forces, port, v)
@@ -463,7 +463,7 @@ def period_of(left: Residuals, port: int, variable: str) -> float | None:
     return best.period if _holds(_weights(parts[most]), rest, wording) else None
 
 
-def _only_run(left: Residuals, port: int, variable: str) -> int | None:
+def _only_run(left: PhysicsResiduals, port: int, variable: str) -> int | None:
     """Number of the run that a dependence is confined to."""
     runs, wording = np.unique(left.owners), left.decisions.wording
     if len(runs) < left.decisions.fewest_runs:
@@ -480,12 +480,12 @@ def _only_run(left: Residuals, port: int, variable: str) -> int | None:
     return None if _holds(_weights(parts[most]), others, wording) else int(runs[most])
 
 
-def _weights(scores: Scores) -> Array:
+def _weights(scores: FunctionScores) -> Array:
     """Sizes of functions that these scores ask for (q,)."""
     return np.asarray(np.linalg.lstsq(scores.information, scores.total, rcond=1e-6)[0])
 
 
-def _holds(weights: Array, rest: Scores, wording: Wording) -> bool:
+def _holds(weights: Array, rest: FunctionScores, wording: Wording) -> bool:
     """Whether the rest may have a good part of what functions of these sizes predict, as far as it can tell."""
     size = max(float(weights @ rest.information @ weights), 1e-300)
     return float(weights @ rest.total) / size + wording.holds_errors * size**-0.5 >= wording.holds_share

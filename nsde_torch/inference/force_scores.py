@@ -45,7 +45,7 @@ _NEW = 1e-3  # share of the square of a function that those before it must leave
 
 
 @dataclass(frozen=True)
-class Scores:
+class FunctionScores:
     """Scores of some functions of one port, free of what the parameters can do, by block of time."""
 
     blocks: Array  # (B, q)
@@ -69,16 +69,16 @@ class Scores:
         """The same by block (B, q, q)."""
         return np.asarray(self.drawn @ self.drawn.transpose(0, 2, 1) / self.drawn.shape[2])
 
-    def of(self, blocks: NDArray[np.bool_] | Labels) -> "Scores":
+    def of(self, blocks: NDArray[np.bool_] | Labels) -> "FunctionScores":
         """Those of some blocks of time."""
         return replace(self, blocks=self.blocks[blocks], drawn=self.drawn[blocks])
 
-    def turned(self, turn: Array) -> "Scores":
+    def turned(self, turn: Array) -> "FunctionScores":
         """Those of other functions, sums of these (q', q)."""
         size = np.sqrt(np.square(turn) @ np.square(self.size))
-        return Scores(self.blocks @ turn.T, turn @ self.drawn, size, self.draws)
+        return FunctionScores(self.blocks @ turn.T, turn @ self.drawn, size, self.draws)
 
-    def independent(self) -> tuple["Scores", NDArray[np.int64]]:
+    def independent(self) -> tuple["FunctionScores", NDArray[np.int64]]:
         """The same in directions of unit information, in order, and which functions these begin with (q',)."""
         turn, kept = directions(self.information, _FREE * np.square(self.size))
         return self.turned(turn), kept
@@ -132,7 +132,7 @@ class ForceScores:
     edges: tuple[tuple[int, int], ...]  # ranges of boxes of each stretch
     dt: float  # time of a box [s]
 
-    def of(self, functions: Array, port: int) -> Scores:
+    def of(self, functions: Array, port: int) -> FunctionScores:
         """Scores of functions (M, q) of one port, by number of the disturbance."""
         there = functions[self.box]
         turn = there.T @ self.shared[:, port] @ self.inverse
@@ -147,7 +147,9 @@ class ForceScores:
         size = np.sqrt(np.square(drawn.sum((0, 1))).mean(1))
         blocks -= self.parameters[..., 0] @ turn.T
         drawn -= turn @ self.parameters[..., 1:]
-        return Scores(blocks.reshape(-1, blocks.shape[2]), drawn.reshape(-1, *drawn.shape[2:]), size, DRAWS)
+        return FunctionScores(
+            blocks.reshape(-1, blocks.shape[2]), drawn.reshape(-1, *drawn.shape[2:]), size, DRAWS
+        )
 
     def along(self, port: int) -> tuple[Array, Array]:
         """Scores of a force in each box (M,), and those that are drawn (M, R)."""

@@ -12,7 +12,13 @@ from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import fitted_at
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.report import unexplained_views
-from nsde_torch.diagnosis.residual_tests import Dependence, Residuals, dependences, in_one_run, own_of_runs
+from nsde_torch.diagnosis.residual_tests import (
+    Dependence,
+    PhysicsResiduals,
+    dependences,
+    in_one_run,
+    own_of_runs,
+)
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.inference import LogLikelihood
@@ -79,7 +85,7 @@ def test_runs_of_a_sound_plant_are_alike(system: str) -> None:
         data, declared = recorded(system, seed=seed, durations=(6.0,) * 4), make_system(system)
         place = fitted_at(LogLikelihood(declared, data.runs, run_in=True), declared, None)
         search = search_in(declared, data.runs, 1.0, Options())
-        tests = dependences(Residuals(search, place, search.at(place.system, place.best).regression))
+        tests = dependences(PhysicsResiduals(search, place, search.at(place.system, place.best).regression))
         of_runs = [d for d in tests if d.run is not None and d.moment is None]
         assert of_runs
         assert min(d.p for d in of_runs) * len(tests) > 0.01

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nsde_torch.diagnosis.residual_tests import Dependence, Residuals, dependences
+from nsde_torch.diagnosis.residual_tests import Dependence, PhysicsResiduals, dependences
 from nsde_torch.diagnosis.shape import Rates, Shape, bins, rates, shape
 from tests.helpers.residuals import MadeResiduals
 
@@ -24,7 +24,7 @@ def spring() -> MadeResiduals:
     return MadeResiduals()
 
 
-def pushed(push: Push) -> tuple[Residuals, Rates]:
+def pushed(push: Push) -> tuple[PhysicsResiduals, Rates]:
     """A spring that noise pushes, and a push of q, time and number of the run [m/s2]; its rates."""
     left = spring().made(lambda q, q_dot, t, run: push(q, t, run), seed=None)
     return left, rates(left.regression, spring().measured)

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.periodicity import lines
-from nsde_torch.diagnosis.residual_tests import Dependence, Residuals, beyond_chance, dependences
+from nsde_torch.diagnosis.residual_tests import Dependence, PhysicsResiduals, beyond_chance, dependences
 from nsde_torch.inference import LogLikelihood, maximised
 from nsde_torch.inference.force_scores import force_scores
 from nsde_torch.inference.sensitivity import grams, inverted
@@ -113,7 +113,7 @@ def test_what_a_weak_force_brings_is_half_its_squared_size_in_standard_deviation
     assert float(np.mean(brought)) == pytest.approx(expected, rel=0.3)
 
 
-def _information(left: Residuals, force: Array) -> float:
+def _information(left: PhysicsResiduals, force: Array) -> float:
     """Information of a force beside the parameters, by the columns of the likelihood."""
     at, rows = left.place.at, left.forces.place[left.place.at.of.space.chunks.row.numpy()]
     acts = torch.from_numpy(force[rows])[..., None]

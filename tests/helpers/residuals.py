@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import FittedPhysics
 from nsde_torch.diagnosis.regressors import Measured, measured
-from nsde_torch.diagnosis.residual_tests import Residuals
+from nsde_torch.diagnosis.residual_tests import PhysicsResiduals
 from nsde_torch.diagnosis.search import Search, search_in
 from nsde_torch.inference import LogLikelihood, Optimum, nearly_maximised
 from nsde_torch.inference.filtering import Pass, forced, with_gains
@@ -44,7 +44,7 @@ class MadeResiduals:
         self.regression: Regression = self.search.at(system, best).regression
         self.measured: Measured = measured(self.regression, inputs=True)
 
-    def made(self, push: Push | None = None, seed: int | None = 0, *, loud: float = 1.0) -> Residuals:
+    def made(self, push: Push | None = None, seed: int | None = 0, *, loud: float = 1.0) -> PhysicsResiduals:
         """What is left, with a push.
 
         Args:
@@ -62,7 +62,7 @@ class MadeResiduals:
         if push is not None:
             white += self._moved(push, here, run)
         drawn = Optimum(at.of, at.levels, about, replace(here, white=white))
-        left = Residuals(self.search, replace(self.place, at=drawn), self._regression(push))
+        left = PhysicsResiduals(self.search, replace(self.place, at=drawn), self._regression(push))
         at.of.keep(at, about, here)
         return left
 

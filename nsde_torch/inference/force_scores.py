@@ -34,9 +34,9 @@ from nsde_torch.time_limit import check_time
 
 DRAWS = 96
 """Draws of white rows: an information is then known to 15 %, and tests allow for that."""
-_AT_ONCE = 32  # draws of one pass
+_AT_ONCE = 16  # rows side by side of one pass
 _ROWS = 5000  # that products are made of at once
-_BLOCKS = 100  # of time that are enough: below, chunks are parted
+_BLOCKS = 60  # of time that are enough: below, chunks are parted
 _BLOCK_S = 0.25  # the shortest of them [s]
 _BOX_S = 0.01  # over which steps are summed
 # without it a damping beside that of the machine has a score of 5 standard errors, of rounding alone
@@ -119,13 +119,12 @@ class ForceScores:
     independent of one another, by the rows in which it is seen they are: blocks of time are parts of chunks.
     """
 
-    forces: Array  # (P, d, parts)
-    shared: Array  # information that a force shares with each parameter (P, d, k)
-    drawn: NDArray[np.float32]  # scores of rows that are drawn (P, d, parts, R)
+    forces: Array  # (d, C, W, parts), in W boxes of each of C chunks; 0 of boxes beyond its end
+    shared: Array  # information that a force shares with each parameter (d, C, W, k)
+    drawn: NDArray[np.float32]  # scores of rows that are drawn (d, C, W, parts * R)
     parameters: Array  # scores of the parameters by block, and those that are drawn (C, parts, k, 1 + R)
     inverse: Array  # of the information of the parameters (k, k)
-    begun: Labels  # number of the first pair of box and chunk of each chunk (C,)
-    box: Labels  # box of each pair (P,)
+    box: Labels  # number of each box in the log (C, W)
     runs: Labels  # number of the run of each chunk (C,)
     place: Labels  # box of each step of the log (N,)
     owners: Labels  # number of the run of each box (M,)
@@ -134,34 +133,28 @@ class ForceScores:
 
     def of(self, functions: Array, port: int) -> FunctionScores:
         """Scores of functions (M, q) of one port, by number of the disturbance."""
-        there = functions[self.box]
-        turn = there.T @ self.shared[:, port] @ self.inverse
-        parts = self.forces.shape[2]
-        blocks = np.empty((len(self.begun), parts, functions.shape[1]))
-        drawn = np.empty((*blocks.shape, DRAWS))
-        single, ends = there.astype(np.float32), [*self.begun[1:].tolist(), len(there)]
-        for c, (a, b) in enumerate(zip(self.begun.tolist(), ends, strict=True)):
-            blocks[c] = self.forces[a:b, port].T @ there[a:b]
-            own = single[a:b].T @ self.drawn[a:b, port].reshape(b - a, -1)
-            drawn[c] = own.reshape(-1, parts, DRAWS).transpose(1, 0, 2)
+        there = functions[self.box].transpose(0, 2, 1)
+        chunks, q, _ = there.shape
+        turn = np.einsum("cqw,cwk->qk", there, self.shared[port], optimize=True) @ self.inverse
+        blocks = (there @ self.forces[port]).transpose(0, 2, 1)
+        drawn = (there.astype(np.float32) @ self.drawn[port]).astype(np.float64)
+        drawn = drawn.reshape(chunks, q, -1, DRAWS).transpose(0, 2, 1, 3)
         size = np.sqrt(np.square(drawn.sum((0, 1))).mean(1))
-        blocks -= self.parameters[..., 0] @ turn.T
-        drawn -= turn @ self.parameters[..., 1:]
-        return FunctionScores(
-            blocks.reshape(-1, blocks.shape[2]), drawn.reshape(-1, *drawn.shape[2:]), size, DRAWS
-        )
+        blocks = blocks - self.parameters[..., 0] @ turn.T
+        drawn = drawn - turn @ self.parameters[..., 1:]
+        return FunctionScores(blocks.reshape(-1, q), drawn.reshape(-1, q, DRAWS), size, DRAWS)
 
     def along(self, port: int) -> tuple[Array, Array]:
         """Scores of a force in each box (M,), and those that are drawn (M, R)."""
-        boxes = len(self.owners)
-        drawn = np.zeros((boxes, DRAWS))
-        np.add.at(drawn, self.box, self.drawn[:, port].sum(1))
-        return np.asarray(np.bincount(self.box, self.forces[:, port].sum(1), boxes)), drawn
+        drawn = np.zeros((len(self.owners), DRAWS))
+        np.add.at(drawn, self.box, self.drawn[port].reshape(*self.box.shape, -1, DRAWS).sum(2))
+        own = np.bincount(self.box.ravel(), self.forces[port].sum(2).ravel(), len(self.owners))
+        return np.asarray(own), drawn
 
     @property
     def blocks(self) -> Labels:
         """Number of the run of each block of time (B,)."""
-        return np.repeat(self.runs, self.forces.shape[2])
+        return np.repeat(self.runs, self.forces.shape[3])
 
     def means(self, values: Array) -> Array:
         """Means over boxes (M,) of values of the steps (N,)."""
@@ -186,17 +179,15 @@ def force_scores(at: Optimum, theta: Array, free: Labels) -> ForceScores:
     counted = chunks.counted.any(1).nonzero()[:, 0]
     ends = torch.linspace(int(counted[0]), int(counted[-1]) + 1, _parts(at) + 1).round().long().tolist()
     parts = len(ends) - 1
-    # boxes of a chunk are neighbours
     boxes = torch.from_numpy(place)[chunks.row]
-    width = boxes[-1] - boxes[0] + 1
-    begun = width.cumsum(0) - width
-    pair = (boxes - boxes[0] + begun).flatten()
+    wide = int((boxes[-1] - boxes[0]).max()) + 1
     of_chunk = torch.arange(chunks.count).expand(boxes.shape).flatten()
-    box = torch.empty(int(width.sum()), dtype=torch.int64)
+    pair = of_chunk * wide + (boxes - boxes[0]).flatten()  # boxes of a chunk are neighbours
+    box = torch.zeros(chunks.count * wide, dtype=torch.int64)
     box[pair] = boxes.flatten()
 
     def back(white: Array) -> tuple[Tensor, Tensor]:
-        """Slopes in forces (P, d, q) and in parameters (C, k, q) of rows (T, C, m, q)."""
+        """Slopes in forces (d, C, W, q) and in parameters (C, k, q) of rows (T, C, m, q)."""
         check_time()
         steps = torch.empty(*boxes.shape, space.ne, white.shape[3], dtype=torch.float64)
         kernels.in_parts(
@@ -217,7 +208,7 @@ def force_scores(at: Optimum, theta: Array, free: Labels) -> ForceScores:
         for some in torch.arange(len(pair)).split(_ROWS):
             parameters.index_add_(0, of_chunk[some], columns[some] @ seen[some])
             forces.index_add_(0, pair[some], acts[some] @ felt[some])
-        return forces, parameters
+        return forces.view(chunks.count, wide, space.nd, -1).permute(2, 0, 1, 3), parameters
 
     def parted(white: Array) -> Array:
         """Rows (T, C, m, q) as those of each part of the chunks alone (T, C, m, parts * q)."""
@@ -236,16 +227,15 @@ def force_scores(at: Optimum, theta: Array, free: Labels) -> ForceScores:
     drawn, of_draws = [], []
     for white in _white(here.white.shape, max(1, _AT_ONCE // parts)):
         scores, parameters = back(parted(white))
-        drawn.append(scores.unflatten(2, (parts, -1)).float())
+        drawn.append(scores.float().unflatten(3, (parts, -1)))
         of_draws.append(parameters.unflatten(2, (parts, -1)))
     return ForceScores(
-        forces.numpy(),
-        shared.numpy(),
-        torch.cat(drawn, 3).numpy(),
+        forces.contiguous().numpy(),
+        shared.contiguous().numpy(),
+        torch.cat(drawn, 4).flatten(3).numpy(),
         torch.cat([own[..., None], *of_draws], 3).transpose(1, 2).numpy(),
         inverse,
-        begun.numpy(),
-        box.numpy(),
+        box.view(chunks.count, wide).numpy(),
         np.array(space.steps.runs)[chunks.stretch.numpy()],
         place,
         owners,

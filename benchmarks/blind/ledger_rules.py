@@ -197,13 +197,6 @@ RULES = (
         anything,
     ),
     Rule(
-        "two laws of one variable",
-        "two laws of one quantity are leads",
-        ("decision.of_one_variable",),
-        constant(False),
-        anything,
-    ),
-    Rule(
         "bent shape",
         "an effect whose shape ends at a bound is a lead",
         ("decision._bent",),

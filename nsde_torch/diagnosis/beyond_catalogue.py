@@ -38,7 +38,6 @@ from nsde_torch.diagnosis.candidates import (
     values_of,
 )
 from nsde_torch.diagnosis.ceiling import functions_beside
-from nsde_torch.diagnosis.decision import of_one_variable
 from nsde_torch.diagnosis.evidence import folds_of
 from nsde_torch.diagnosis.gram_table import GramTable
 from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSearch, JointSelection, coordinate_of
@@ -47,7 +46,7 @@ from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.search import bent_shape
 from nsde_torch.effects import Effect, Law, Parameter, Port, effect_class
 from nsde_torch.effects.expression_grammar import is_law
-from nsde_torch.effects.law import AND
+from nsde_torch.effects.law import AND, split_name
 from nsde_torch.errors import ConfigError
 from nsde_torch.inference.functions import Functions
 from nsde_torch.inference.levels import Levels
@@ -210,6 +209,17 @@ class _LawSearch:
             if effect in again.selected:
                 found = again
         return found
+
+
+def of_one_variable(name: str, other: str) -> bool:
+    """Whether two effects are laws of the same quantity, at the same place."""
+    one, two = effect_class(name), effect_class(other)
+    return bool(one.along) and _variable(one) == _variable(two)
+
+
+def _variable(effect: type[Effect]) -> tuple[str, Port, str]:
+    """What a law is a law of: a quantity, on a port or of a coordinate."""
+    return effect.along, effect.port, split_name(effect.name)[1]
 
 
 def _value(place: FittedPhysics) -> float:

@@ -32,9 +32,8 @@ from nsde_torch.diagnosis.residual_tests import (
     overview,
 )
 from nsde_torch.diagnosis.search import Base, Search, bent_shape, fitted_system, moved_channels
-from nsde_torch.effects import Effect, Port, effect_class
+from nsde_torch.effects import effect_class
 from nsde_torch.effects.expression_grammar import is_law
-from nsde_torch.effects.law import split_name
 from nsde_torch.sysid.feedback_test import FeedbackTest
 from nsde_torch.sysid.guard import Guarded, doubts_the_fit, guarded
 from nsde_torch.sysid.regression import Regression
@@ -162,7 +161,7 @@ def decide(
         found=[
             replace(
                 f,
-                provisional=provisional_reason(f, found, left, brought, search.decisions)
+                provisional=provisional_reason(f, left, brought, search.decisions)
                 or _bent(bent_shape(base.regression, f.name))
                 or _unshown(base.regression, f.name)
                 or _of_many(f, tested),
@@ -202,30 +201,18 @@ def _verdict(found: Sequence[Found], *, explained: float, rest: float, left: Seq
 
 
 def provisional_reason(
-    f: Found,
-    found: Sequence[Found],
-    left: Sequence[Dependence],
-    brought: Mapping[str, float],
-    decisions: Decisions = DECISIONS,
+    f: Found, left: Sequence[Dependence], brought: Mapping[str, float], decisions: Decisions = DECISIONS
 ) -> str:
-    """Why an effect is provisional: structure is left where it acts, or two laws of one variable were needed.
+    """Why an effect is provisional: structure is left where it acts; empty where it is the last word.
 
     Args:
         f: The effect.
-        found: All effects that were added.
         left: What the residual still depends on.
         brought: Log-likelihood that the effects brought, by channel [nats].
         decisions: How much structure there is too much.
-
-    Returns:
-        The reason in words; empty where it is the last word.
     """
     rest = max((d.excess for d in left if d.channel in f.moves), default=0.0)
-    if _too_much(rest, f, brought, decisions):
-        return "something else is there too"
-    if any(of_one_variable(f.name, g.name) for g in found if g.name != f.name):
-        return f"two laws of the same {effect_class(f.name).along} may stand for one that the catalogue lacks"
-    return ""
+    return "something else is there too" if _too_much(rest, f, brought, decisions) else ""
 
 
 def judged_by_the_ceiling(outcome: Outcome, found: Ceiling) -> Outcome:
@@ -255,12 +242,6 @@ def _too_much(rest: float, f: Found, brought: Mapping[str, float], decisions: De
     return rest > decisions.provisional_share * sum(brought[name] for name in f.moves)
 
 
-def of_one_variable(name: str, other: str) -> bool:
-    """Whether two effects are laws of the same quantity, at the same place."""
-    one, two = effect_class(name), effect_class(other)
-    return bool(one.along) and _variable(one) == _variable(two)
-
-
 def _of_many(f: Found, tested: FeedbackTest) -> str:
     """Why a law beyond the catalogue is provisional: there are so many that they need more than an effect does."""
     if not is_law(f.name):
@@ -278,11 +259,6 @@ def _unshown(regression: Regression, name: str) -> str:
     """Why an effect whose sizes are all unknown is provisional: losses of six motors, inputs of four dimensions."""
     sizes = regression.vector.sizes(name)
     return "" if not sizes or regression.shown.known[sizes].any() else "these data show none of its values"
-
-
-def _variable(effect: type[Effect]) -> tuple[str, Port, str]:
-    """What a law is a law of: a quantity, on a port or of a coordinate."""
-    return effect.along, effect.port, split_name(effect.name)[1]
 
 
 def guard_of(log: Log, outcome: Outcome) -> Guarded:

@@ -180,9 +180,9 @@ def test_structure_that_is_left_where_an_effect_does_not_act_does_not_make_it_a_
 
     drag = Found("linear_drag", Evidence(100.0, 5.0, 1e-9), (), moves=("v_x (body)", "v_y (body)"))
     gained = {"v_x (body)": 100.0, "v_y (body)": 50.0, "w_z": 5000.0}
-    assert provisional_reason(drag, [drag], left("w_z"), gained) == ""
-    assert provisional_reason(drag, [drag], left("v_x (body)"), gained) == "something else is there too"
-    assert provisional_reason(drag, [drag], [], gained) == ""
+    assert provisional_reason(drag, left("w_z"), gained) == ""
+    assert provisional_reason(drag, left("v_x (body)"), gained) == "something else is there too"
+    assert provisional_reason(drag, [], gained) == ""
 
 
 # ---- feedback -----------------------------------------------------------------------------------------

@@ -58,7 +58,7 @@ def folds_of(decisions: Decisions, owners: Labels, firsts: Labels) -> Labels:
 def by_blocks(difference: Array) -> float:
     """Chance of so large a sum over blocks if its mean were 0."""
     squares = float(np.square(difference).sum())
-    if not squares > 0:
+    if not squares > 0 or len(difference) < 2:
         return 1.0
     counting = float(np.abs(difference).sum()) ** 2 / squares
     return float(stdtr(max(counting - 1.0, 1.0), -float(difference.sum()) / sum_error(difference)))

@@ -509,11 +509,16 @@ def _concluded(log: Log, search: Search, joint: JointSelection | None) -> Outcom
     search.say("testing what is left", 0, 1)
     alone = None
     if joint is None:
-        problem = LogLikelihood(log.system, log.runs, log.recorded.clock, run_in=True)
-        alone = log.stages.attempt(TESTS, partial(fitted_at, problem, log.system, None), None)
+        alone = log.stages.attempt(TESTS, partial(_alone, log), None)
     outcome = decide(search, chosen, log.feedback, alone)
     log.so_far(TESTS, log, outcome)
     return outcome
+
+
+def _alone(log: Log) -> FittedPhysics:
+    """The declared physics, fitted."""
+    problem = LogLikelihood(log.system, log.runs, log.recorded.clock, run_in=True)
+    return fitted_at(problem, log.system, None)
 
 
 def _read_again(log: Log, search: Search, outcome: Outcome) -> tuple[Log, Search, Outcome]:

@@ -81,7 +81,6 @@ class Chunks:
         self.parts = [(size * p // pieces, size * (p + 1) // pieces) for p in range(pieces)]
         self.size, self.count = size, len(first)
         self._owners, self.stretch = torch.tensor(owners), torch.tensor(stretch)
-        self._first = torch.from_numpy(begun)
 
     def some(self, which: Tensor) -> "Chunks":
         """Some of the chunks, by number."""
@@ -89,9 +88,7 @@ class Chunks:
         out.row, out.since, out.y, out.u, out.t, out.counted = (
             part[:, which] for part in (self.row, self.since, self.y, self.u, self.t, self.counted)
         )
-        out._owners, out._first, out.stretch = (
-            part[which] for part in (self._owners, self._first, self.stretch)
-        )
+        out._owners, out.stretch = self._owners[which], self.stretch[which]
         out.count = len(which)
         return out
 
@@ -107,6 +104,6 @@ class Chunks:
     def places(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Number of the run of each block, and of the step that it begins with (B,), in the order of `blocks`."""
         count = len(self.parts)
-        begun = torch.tensor([a for a, _ in self.parts])[:, None] + self._first
+        begun = self.row[[a for a, _ in self.parts]]  # of a block with the last row alone: the last step
         owners, firsts = self.blocks(self._owners.expand(count, -1)), self.blocks(begun)
         return owners.astype(np.int64), firsts.astype(np.int64)

@@ -52,6 +52,13 @@ def test_of_one_run_the_part_before_is_fitted_and_what_comes_after_is_predicted(
     assert (np.abs(found.theta[0] - best.theta) < 0.5 * best.standard_errors).all()
 
 
+def test_a_block_of_the_last_row_alone_begins_with_a_step_of_the_log() -> None:
+    """A slow log is one chunk of a block a row (120 rows half a second apart ended in an IndexError)."""
+    at = as_it_stands(spring(), linear_runs(1, 60.0, dt=0.5))
+    assert at.of.space.chunks.places()[1].max() < len(at.of.space.steps)
+    assert len(left_out(at, Folds(np.zeros(1, dtype=np.int64), np.array([40.0]))).t)
+
+
 def test_what_no_other_run_shows_stays_where_all_runs_have_it() -> None:
     runs = linear_runs(3, 6.0)
     quiet = [Run(r.name, r.t, r.x, 0.0 * r.u) for r in runs[1:]]

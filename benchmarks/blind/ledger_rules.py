@@ -269,15 +269,8 @@ RULES = (
         anything,
     ),
     Rule(
-        "pairs",
-        "of a pair that explains more than the best alone, the better one is added first",
-        ("joint_selection._best_pair",),
-        constant(None),
-        anything,
-    ),
-    Rule(
         "order of candidates",
-        "simpler candidates and pairs come before what is likeliest",
+        "simpler candidates come before what is likeliest",
         ("joint_selection._in_order",),
         lambda original, search, look, *rest: list(look.accepted),
         lambda result, search, look, *rest: _names(result) != _names(look.accepted),

@@ -48,7 +48,6 @@ _TRIED = 3  # candidates that are fitted to the end before a round ends
 _RIVALS = 3  # candidates that are fitted in the place of an effect
 _LAWS = 2  # laws that are fitted in the place of an effect
 _ROWS = 6000  # that are asked first whether anything comes near an effect: the published flights' 18,000 take minutes
-_PAIRED = 6  # best candidates among which pairs are looked at
 
 
 @dataclass(frozen=True)
@@ -74,8 +73,6 @@ class Look:
 
     proposals: tuple[Explained, ...]  # every candidate at the best of its starts, the best first
     accepted: tuple[Explained, ...]  # those of them that are beyond chance
-    pair: tuple[float, tuple[Explained, Explained]] | None
-    """Rank of the two of the best that explain most together, and these; None where there are no two."""
 
 
 @dataclass(frozen=True)
@@ -602,10 +599,8 @@ class JointSearch:
 
 def looked(search: Search, place: FittedPhysics, frequencies: Sequence[float] = ()) -> Look:
     """What the candidates of a search would explain beside some physics."""
-    proposals, table = _catalogue(search, place, frequencies)
-    accepted = tuple(p for p in proposals if _accepted(search, p))
-    # the table is as large as the catalogue squared: none is kept
-    return Look(tuple(proposals), accepted, _best_pair(table, accepted[:_PAIRED]))
+    proposals = _catalogue(search, place, frequencies)
+    return Look(tuple(proposals), tuple(p for p in proposals if _accepted(search, p)))
 
 
 def fitted_at(
@@ -633,19 +628,12 @@ def _accepted(search: Search, proposal: Explained) -> bool:
 
 
 def _in_order(search: Search, look: Look, added: Collection[str], place: FittedPhysics) -> list[Explained]:
-    """Candidates, the best first: one of a pair that explains surely more than the best alone, then what is simpler."""
+    """Candidates that surely explain something, the best first, and before it what is simpler."""
     # surely: on the EMPS drive a friction by place, 50 +- 28 nats, led to four effects more
-    ranked, pair = [p for p in look.accepted if _surely_more(search, p.blocks, place)], look.pair
+    ranked = [p for p in look.accepted if _surely_more(search, p.blocks, place)]
     if not ranked:
         return []
     best = ranked[0]
-    if (
-        pair is not None
-        and all(best is not p for p in pair[1])
-        and pair[0] > best.rank + search.decisions.alike_nats
-    ):
-        first = max(pair[1], key=lambda p: p.rank)
-        return [first, *(p for p in ranked if p is not first)]
     # what contains it has to be better than it with any other effect, too, in the next round
     simpler = [p for p in ranked if p.name in effect_class(best.name).includes]
     # one effect in the place of another explains with fewer than two beside each other
@@ -660,26 +648,6 @@ def _simpler_first(proposals: Sequence[Explained]) -> list[Explained]:
     """Candidates, each after those that it contains."""
     names = {p.name for p in proposals}
     return sorted(proposals, key=lambda p: len(names & set(effect_class(p.name).includes)))
-
-
-def _best_pair(
-    table: GramTable, proposals: Sequence[Explained]
-) -> tuple[float, tuple[Explained, Explained]] | None:
-    """The rank of the two candidates that explain most together, and these."""
-    out: tuple[float, tuple[Explained, Explained]] | None = None
-    for i, one in enumerate(proposals):
-        for other in proposals[:i]:
-            contained = {one.name, other.name} & {
-                *effect_class(one.name).includes,
-                *effect_class(other.name).includes,
-            }
-            if contained:
-                continue
-            nats = float(table.gain([one.columns, other.columns])[0].sum())
-            rank = nats - table.price(len(one.columns) + len(other.columns) - 2)
-            if out is None or rank > out[0]:
-                out = rank, (one, other)
-    return out
 
 
 @dataclass(frozen=True)
@@ -697,10 +665,8 @@ class _Entry:
 
 
 @torch.no_grad()
-def _catalogue(
-    search: Search, place: FittedPhysics, frequencies: Sequence[float]
-) -> tuple[list[Explained], GramTable]:
-    """What every candidate would explain, each from the best of its starts, the best first; and the table of these."""
+def _catalogue(search: Search, place: FittedPhysics, frequencies: Sequence[float]) -> list[Explained]:
+    """What every candidate would explain, each from the best of its starts, the best first."""
     space = place.at.of.space
     everything = range(len(place.best.vector))
     about = place.at.about
@@ -721,7 +687,8 @@ def _catalogue(
             tables.append(columns.float())  # the largest of all: half the memory
             entries.append(entry)
             at += columns.shape[-1]
-    held = grams(space, place.at.levels, about, place.at.at, _side_by_side(tables))
+    apart = [slice(entry.columns[0], entry.columns[-1] + 1) for entry in entries]
+    held = grams(space, place.at.levels, about, place.at.at, _side_by_side(tables), apart=apart)
     table = GramTable(held, 1 + place.best.free, folds_of(search.decisions, *space.chunks.places()))
     best: dict[str, Explained] = {}
     longest = max(b - a for a, b in space.steps.segments)
@@ -730,7 +697,7 @@ def _catalogue(
             proposal = _proposed(search, table, entry, choice, len(names), longest)
             if proposal is not None and (entry.name not in best or proposal.rank > best[entry.name].rank):
                 best[entry.name] = proposal
-    return sorted(best.values(), key=lambda p: -p.rank), table
+    return sorted(best.values(), key=lambda p: -p.rank)
 
 
 def _side_by_side(tables: list[torch.Tensor]) -> torch.Tensor:

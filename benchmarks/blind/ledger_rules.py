@@ -93,15 +93,6 @@ def _no_second_look(original: Function, search: Any, place: Any, *before: Any) -
     return place, {n: nothing() for n in place.system.effect_names if n in search.added(place.system)}
 
 
-def _all_that_counts(original: Function, search: Any, *rest: Any) -> Any:
-    there = search.decisions
-    search.decisions = replace(there, negligible_share=0.0)
-    try:
-        return original(search, *rest)
-    finally:
-        search.decisions = there
-
-
 def _all_rows(original: Function, log: Any, search: Any, *rest: Any) -> Any:
     there = search.decisions
     search.decisions = replace(there, apart_s=0.0)
@@ -113,10 +104,6 @@ def _all_rows(original: Function, log: Any, search: Any, *rest: Any) -> Any:
 
 def _fewer(number: int) -> Function:
     return lambda result, *args, **kwargs: _names(result.found) != _names(args[number].found)
-
-
-def _declared_again(result: Any, search: Any, chosen: Any, feedback: Any) -> bool:
-    return bool(chosen.found) and not result.found
 
 
 def _other_chances(result: Any, tests: Sequence[Any]) -> bool:
@@ -209,13 +196,6 @@ RULES = (
         ("decision._of_many",),
         constant(""),
         anything,
-    ),
-    Rule(
-        "negligible beside what is left",
-        "effects that bring next to nothing of what is left are none",
-        ("pipeline.decide",),
-        _all_that_counts,
-        _declared_again,
     ),
     Rule(
         "tests beyond feedback",

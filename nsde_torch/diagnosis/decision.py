@@ -133,25 +133,13 @@ def decide(
         chosen.joint,
     )
     place = alone if joint is None else joint.final
-    after = [] if place is None else _tests(search, place, base)
-    before = (
-        overview(PhysicsResiduals(search, joint.declared, declared.regression))
-        if found and joint is not None
-        else after
-    )
+    before = after = [] if place is None else dependences(PhysicsResiduals(search, place, base.regression))
+    if found and joint is not None:
+        before = overview(PhysicsResiduals(search, joint.declared, declared.regression))
     levels = search.levels(*(["effects"] if found else []))
     left = _left(base, after, tested, levels["structure"])
     explained = 0.0 if joint is None else joint.final.best.likelihood - joint.declared.best.likelihood
     rest = max((d.excess for d in left), default=0.0)
-    if found and explained < search.decisions.negligible_share * rest:
-        # what is missing bends the physics, and any term straightens it a little
-        assert joint is not None
-        joint = joint.nothing()
-        before = after = _tests(search, joint.final, declared)
-        found, base = [], declared
-        tested = feedback.test(base.regression)
-        levels = search.levels()
-        left = _left(base, before, tested, levels["structure"])
     brought = nats_by_channel(declared.regression, base.regression)
     found = [replace(f, moves=moved_channels(base.regression, f.name)) for f in found]
     return Outcome(
@@ -179,11 +167,6 @@ def decide(
         levels=levels,
         decisions=search.decisions,
     )
-
-
-def _tests(search: Search, place: FittedPhysics, base: Base) -> list[Dependence]:
-    """All tests of what fitted physics leaves."""
-    return dependences(PhysicsResiduals(search, place, base.regression))
 
 
 def _left(base: Base, tests: Sequence[Dependence], tested: FeedbackTest, alpha: float) -> list[Dependence]:

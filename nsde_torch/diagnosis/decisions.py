@@ -127,9 +127,6 @@ class Decisions:
     law_share: float = key(0.18, "share of what functions explain that a law has to explain", low=0)
 
     # ---- verdict ----------------------------------------------------------------------------------------
-    negligible_share: float = key(
-        0.03, "share of what is left most, in nats, below which all effects together are none", low=0
-    )
     provisional_share: float = key(
         0.1,
         "share of what effects bring to its channels above which structure, or what functions explain, makes one "

@@ -165,10 +165,6 @@ class JointSelection:
                 )
         return replace(self, final=rest, selected=others, functions=None)
 
-    def nothing(self) -> "JointSelection":
-        """The same without any effect."""
-        return replace(self, final=self.declared, selected={}, functions=None)
-
 
 @final
 class JointSearch:

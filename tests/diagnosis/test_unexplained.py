@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.decisions import Budgets, Decisions, Options
+from nsde_torch.diagnosis.decisions import Budgets, Options
 from tests.helpers.diagnosed import diagnosed
 
 FOLDER = Path(__file__).parents[2] / "benchmarks" / "blind"
@@ -54,16 +54,3 @@ def test_a_spring_that_hardens_faster_than_the_catalogue_knows_is_a_law_with_its
     assert content["added"] in ([], ["cubic_stiffness"])
     first = content["unexplained"][0]
     assert (first["channel"], first["variable"], first["symmetry"]) == ("q_dot", "q", "odd")
-
-
-@needs_outside
-@pytest.mark.usefixtures("_outside")
-@pytest.mark.slow
-def test_effects_that_explain_nothing_of_what_is_missing_are_no_leads() -> None:
-    case = ("mass_spring_damper", {"outside:QuinticStiffness": {"size": 8.0}})
-    options = Options(candidates=("cubic_stiffness", "coulomb_friction", "constant_force"))  # and no law
-    everything = Decisions(negligible_share=1e9)
-    found, content = diagnosed(*case, options=options, durations=(6.0,) * 4, decisions=everything)
-    assert (content["verdict"], content["added"]) == ("unexplained", [])
-    assert found.outcome.final is found.outcome.declared
-    assert content["errors"]["before"] == content["errors"]["after"]

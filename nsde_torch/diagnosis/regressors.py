@@ -37,7 +37,7 @@ _MOST_RUNS = 12  # up to which each run has functions of its own
 _FAR = 4.0  # standard deviations
 
 
-_BEFORE_BOXES = (1, 2, 4, 8)  # how long before, in boxes
+_BEFORE_S = (0.01, 0.02, 0.04, 0.08)  # how long before
 
 
 OTHERS, OVER_TIME, BY_RUN, BEFORE = " times others", " over time", " by run", " before"
@@ -124,7 +124,7 @@ def functions_of_groups(
     owners: Labels,
     edges: Sequence[tuple[int, int]],
     *,
-    moved: bool,
+    before: Sequence[int],
 ) -> Iterator[tuple[str, Functions]]:
     """Names of groups, and what makes their functions (M, q).
 
@@ -134,8 +134,7 @@ def functions_of_groups(
         t: Time in the run (M,) [s].
         owners: Number of the run (M,).
         edges: Ranges of each stretch.
-        moved: Whether channels were moved to where they belong. Between rows, they bend where inputs change, and what
-            moves them does not know.
+        before: How many rows before inputs are looked at.
     """
     for name, v in columns.items():
         yield name, partial(functions_of, v)
@@ -157,7 +156,6 @@ def functions_of_groups(
         yield name + OVER_TIME, _even(lambda v: [np.clip(v, -_FAR, _FAR) * d for d in drift], v)
         if few:
             yield name + BY_RUN, _even(lambda v: [np.clip(v, -_FAR, _FAR) * (owners == r) for r in runs], v)
-    before = _BEFORE_BOXES[1:] if moved else _BEFORE_BOXES
     for name in (n for n in (*MIXED, *system.input_names) if n in columns):
         yield name + BEFORE, _even(lambda v: [_before(v, edges, k) for k in before], columns[name])
     yield "time", _even(lambda: [phase - 0.5, *(np.cos(np.pi * k * phase) for k in range(1, _WAVES + 1))])
@@ -173,6 +171,17 @@ def _even(made: Callable[..., Sequence[Array]], *given: Any) -> Functions:
         return functions, np.zeros(functions.shape[1], dtype=bool)
 
     return both
+
+
+def rows_before(dt: float, *, moved: bool) -> list[int]:
+    """How many rows before inputs are looked at.
+
+    Args:
+        dt: Time of a row [s].
+        moved: Whether channels were moved to where they belong. Between rows, they bend where inputs change, and what
+            moves them does not know.
+    """
+    return sorted({max(1, round(seconds / dt)) for seconds in (_BEFORE_S[1:] if moved else _BEFORE_S)})
 
 
 def _before(v: Array, edges: Sequence[tuple[int, int]], boxes: int) -> Array:

@@ -53,13 +53,17 @@ from nsde_torch.diagnosis.regressors import (
     functions_of_groups,
     machine_variables,
     moved_channels_of,
+    rows_before,
 )
 from nsde_torch.diagnosis.search import Search
+from nsde_torch.inference import Optimum
 from nsde_torch.inference.force_scores import DRAWS, ForceScores, FunctionScores, directions, force_scores
 from nsde_torch.inference.sensitivity import grams, inverted
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.time_limit import check_time
+
+_ROWS = 40_000  # that are enough: the draws of six ports then take 120 MB
 
 
 @dataclass(frozen=True)
@@ -100,33 +104,42 @@ class PhysicsResiduals:
         regression: Of the same physics, which names channels and has the lines of the spectrum.
 
     Attributes:
+        at: The optimum, in an even part of a long log.
         forces: Scores of forces on the ports.
-        columns: Variables by name, means of boxes (M,).
-        t: Time in the run (M,) [s].
+        columns: Variables in the middle of each step, by name (N,).
+        t, runs: Time in the run [s], and number of the run, of each step (N,).
         functions: Functions of each variable, product, drift, difference between runs, input before, time and run.
         channels: By disturbance: the channel that it moves most.
     """
 
     def __init__(self, search: Search, place: FittedPhysics, regression: Regression) -> None:
         self.decisions, self.budgets, self.inputs = search.decisions, search.budgets, search.inputs
-        self.place, self.regression = place, regression
-        self.forces: ForceScores = force_scores(place.at, place.best.theta, place.best.free)
+        self.regression, self.free, self.theta = regression, place.best.free, place.best.theta
+        part = place.at.of.part(_ROWS)
+        self.at: Optimum = place.at if part is None else place.at.some(part)
+        self.forces: ForceScores = force_scores(self.at, self.theta, self.free)
         space, about = place.at.of.space, place.at.about
         self.system: System = place.at.of.vector.system
         self.channels = tuple(names[0] for names in moved_channels_of(regression, space.disturbances))
         # of what is known at the start of a step, so that gusts and sensor noise are not in it
-        row = space.chunks.row.flatten()
-        first = torch.zeros(len(space.steps), dtype=torch.int64)
+        row, steps = space.chunks.row.flatten(), space.steps
+        first = torch.zeros(len(steps), dtype=torch.int64)
         order = space.chunks.counted.flatten().argsort(stable=True)
         first[row[order]] = order
         x = space.midway(about.x, about.after).flatten(0, 1)[first]
-        table = machine_variables(self.system, x, space.steps.u, inputs=search.inputs)
-        values = {name: self.forces.means(np.asarray(v.numpy())) for name, v in table.items()}
-        self.columns = {name: v for name, v in values.items() if v.std() > 1e-9}
-        self.t = self.forces.means(space.steps.t.numpy())
+        table = machine_variables(self.system, x, steps.u, inputs=search.inputs)
+        self.columns = {name: np.asarray(v.numpy()) for name, v in table.items() if float(v.std()) > 1e-9}
+        self.t = np.asarray(steps.t.numpy())
+        self.edges, self.dt = steps.segments, steps.dt
+        self.runs = np.repeat(np.array(steps.runs), [b - a for a, b in steps.segments])
         self.functions: Mapping[str, Functions] = dict(
             functions_of_groups(
-                self.system, self.columns, self.t, self.forces.owners, self.forces.edges, moved=search.moved
+                self.system,
+                self.columns,
+                self.t,
+                self.runs,
+                self.edges,
+                before=rows_before(self.dt, moved=search.moved),
             )
         )
 
@@ -137,14 +150,14 @@ class PhysicsResiduals:
     @cached_property
     def slopes(self) -> torch.Tensor:
         """What the parameters that the data show do to the steps (T, C, ne, k)."""
-        space, about, best = self.place.at.of.space, self.place.at.about, self.place.best
-        space.use(best.theta)
-        return space.columns(about.x, about.slopes, best.free.tolist(), about.after)
+        space, about = self.at.of.space, self.at.about
+        space.use(self.theta)
+        return space.columns(about.x, about.slopes, self.free.tolist(), about.after)
 
     @cached_property
     def rows(self) -> int:
         """Whitened rows of one channel."""
-        return int(self.place.at.of.space.chunks.counted.sum())
+        return int(self.at.of.space.chunks.counted.sum())
 
     @cached_property
     def owners(self) -> Labels:
@@ -159,8 +172,8 @@ class PhysicsResiduals:
     @cached_property
     def noise(self) -> dict[int, float]:
         """Mean square of the whitened innovations of each run, at least 1."""
-        chunks, white = self.place.at.of.space.chunks, self.place.at.at.white
-        runs = np.array(self.place.at.of.space.steps.runs)[chunks.stretch.numpy()]
+        chunks, white = self.at.of.space.chunks, self.at.at.white
+        runs = np.array(self.at.of.space.steps.runs)[chunks.stretch.numpy()]
         squares, counted = white.square().mean(-1).numpy(), chunks.counted.numpy()
         return {
             int(r): max(float(squares[:, runs == r][counted[:, runs == r]].mean()), 1.0)
@@ -298,9 +311,9 @@ def _sinusoid(left: PhysicsResiduals, line: Line) -> Dependence:
     waves = waves_of(left.regression, line.frequency)
     explained = residual @ waves @ np.linalg.lstsq(waves, residual, rcond=1e-9)[0]
     port = left.channels.index(channel) if channel in left.channels else 0
-    angle = 2.0 * np.pi * line.frequency * left.forces.dt * np.arange(len(left.t))
+    angle = 2.0 * np.pi * line.frequency * left.dt * np.arange(len(left.t))
     gain = 0.0
-    for a, b in left.forces.edges:
+    for a, b in left.edges:
         of_stretch = np.zeros((len(angle), 2))
         of_stretch[a:b] = np.stack((np.sin(angle[a:b]), np.cos(angle[a:b])), 1)
         gain += left.forces.of(of_stretch, port).nats
@@ -311,7 +324,7 @@ def _sinusoid(left: PhysicsResiduals, line: Line) -> Dependence:
         share=float(explained) / max(float(residual @ residual), 1e-300),
         odd=0.0,
         gain=gain,
-        functions=2 * len(left.forces.edges),
+        functions=2 * len(left.edges),
         sinusoid=line.frequency,
         port=port,
     )
@@ -338,8 +351,7 @@ def in_one_run(
     if len(runs) < decisions.fewest_runs:
         return None
     own = left.forces.of(np.column_stack((functions, np.ones(len(functions)))), port)
-    scale = 1.0 / np.maximum(own.size, 1e-300)
-    own = own.turned(np.diag(scale))
+    own = own.turned(np.diag(1.0 / np.sqrt(np.maximum(own.least, 1e-300))))
     parts = {int(run): _free_of_constant(own.of(left.owners == run)) for run in runs}
     informations = {run: scores.information for run, scores in parts.items()}
     inverse = np.linalg.pinv(np.sum(list(informations.values()), 0), rcond=1e-6, hermitian=True)
@@ -389,11 +401,10 @@ def _of_run(
         the functions that these begin with (q,), and whether a block is of the run (B,).
     """
     count = min(SMOOTH, functions.shape[1])
-    of_runs = left.forces.owners[:, None] == np.unique(left.owners)
-    inside = functions[:, :count] * (left.forces.owners == run)[:, None]
-    at = left.place.at
-    rows = left.forces.place[at.of.space.chunks.row.numpy()]
-    force = torch.from_numpy(np.column_stack((functions, of_runs, inside))[rows])
+    of_runs = left.runs[:, None] == np.unique(left.owners)
+    inside = functions[:, :count] * (left.runs == run)[:, None]
+    at = left.at
+    force = torch.from_numpy(np.column_stack((functions, of_runs, inside))[at.of.space.chunks.row.numpy()])
     held = grams(at.of.space, at.levels, at.about, at.at, left.slopes, forces=[(port, force)])
     own, known = slice(-count, None), slice(1, -count)
     total = held.total
@@ -426,22 +437,24 @@ _BUMPS_S = (0.25, 1.0)  # widths of bumps
 
 def largest_moment(left: PhysicsResiduals, port: int) -> Dependence | None:
     """The moment at which a port is pushed most, if that is more than all other moments let expect."""
-    forces = left.forces
-    along, drawn_along = forces.along(port)
+    along, drawn_along = left.forces.along(port, len(left.t))
     sizes, places = [], []
     for width_s in _BUMPS_S:
-        n = max(4, round(width_s / forces.dt))
+        n = max(4, round(width_s / left.dt))
         shape = np.hanning(n + 2)[1:-1]
-        for a, b in forces.edges:
+        for a, b in left.edges:
             if b - a <= n:
                 continue
             some = np.arange(0, b - a - n, max(1, n // 2))
             scores = np.correlate(along[a:b], shape)[some]
             drawn = np.stack([np.correlate(own, shape)[some] for own in drawn_along[a:b].T], 1)
             spread = np.sqrt(np.square(drawn).mean(1))
+            live = spread > 0.0  # of a long log, a part is seen
+            if not live.any():
+                continue
             # the largest of many is not the one whose spread was drawn small
-            sizes.append(np.abs(scores) / np.maximum(spread, max(float(np.median(spread)), 1e-300)))
-            places.append(a + some)
+            sizes.append(np.abs(scores[live]) / np.maximum(spread[live], np.median(spread[live])))
+            places.append(a + some[live])
     size = np.concatenate(sizes) if sizes else np.zeros(0)
     if len(size) < left.decisions.moments_fewest:
         return None
@@ -456,7 +469,7 @@ def largest_moment(left: PhysicsResiduals, port: int) -> Dependence | None:
         odd=0.0,
         gain=0.5 * largest**2,
         functions=1,
-        run=int(forces.owners[at]),
+        run=int(left.runs[at]),
         moment=float(left.t[at]),
         port=port,
     )

@@ -35,10 +35,8 @@ from nsde_torch.time_limit import check_time
 DRAWS = 96
 """Draws of white rows: an information is then known to 15 %, and tests allow for that."""
 _AT_ONCE = 16  # rows side by side of one pass
-_ROWS = 5000  # that products are made of at once
 _BLOCKS = 60  # of time that are enough: below, chunks are parted
 _BLOCK_S = 0.25  # the shortest of them [s]
-_BOX_S = 0.01  # over which steps are summed
 # without it a damping beside that of the machine has a score of 5 standard errors, of rounding alone
 _FREE = 1e-5  # share of what a function does that the parameters must leave
 _NEW = 1e-3  # share of the square of a function that those before it must leave
@@ -50,7 +48,7 @@ class FunctionScores:
 
     blocks: Array  # (B, q)
     drawn: Array  # the same of rows that are drawn (B, q, R)
-    size: Array  # what one draw of each function does, with what the parameters can do (q,)
+    least: Array  # information that a function must have beside the parameters and those before it (q,)
     draws: int  # how many draws know the information, less those that what was taken out has used up
 
     @cached_property
@@ -75,12 +73,13 @@ class FunctionScores:
 
     def turned(self, turn: Array) -> "FunctionScores":
         """Those of other functions, sums of these (q', q)."""
-        size = np.sqrt(np.square(turn) @ np.square(self.size))
-        return FunctionScores(self.blocks @ turn.T, turn @ self.drawn, size, self.draws)
+        return FunctionScores(
+            self.blocks @ turn.T, turn @ self.drawn, np.square(turn) @ self.least, self.draws
+        )
 
     def independent(self) -> tuple["FunctionScores", NDArray[np.int64]]:
         """The same in directions of unit information, in order, and which functions these begin with (q',)."""
-        turn, kept = directions(self.information, _FREE * np.square(self.size))
+        turn, kept = directions(self.information, self.least)
         return self.turned(turn), kept
 
     @property
@@ -113,52 +112,44 @@ def directions(information: Array, least: Array) -> tuple[Array, NDArray[np.int6
 
 @dataclass(frozen=True)
 class ForceScores:
-    """Scores of forces on each port, by box of time in each chunk, of the rows of each part of the chunk.
+    """Scores of forces on each port in each row of each chunk, of what is seen in each part of the chunk.
 
     A force is felt for as long as the filter remembers. Its scores by the time at which it acts are therefore not
     independent of one another, by the rows in which it is seen they are: blocks of time are parts of chunks.
     """
 
-    forces: Array  # (d, C, W, parts), in W boxes of each of C chunks; 0 of boxes beyond its end
-    shared: Array  # information that a force shares with each parameter (d, C, W, k)
-    drawn: NDArray[np.float32]  # scores of rows that are drawn (d, C, W, parts * R)
+    forces: Array  # (d, C, T, parts)
+    shared: Array  # information that a force shares with each parameter (d, C, T, k)
+    drawn: NDArray[np.float32]  # scores of rows that are drawn (d, C, T, parts * R)
     parameters: Array  # scores of the parameters by block, and those that are drawn (C, parts, k, 1 + R)
     inverse: Array  # of the information of the parameters (k, k)
-    box: Labels  # number of each box in the log (C, W)
+    row: Labels  # number of the step of the log that starts at each row (C, T)
     runs: Labels  # number of the run of each chunk (C,)
-    place: Labels  # box of each step of the log (N,)
-    owners: Labels  # number of the run of each box (M,)
-    edges: tuple[tuple[int, int], ...]  # ranges of boxes of each stretch
-    dt: float  # time of a box [s]
 
     def of(self, functions: Array, port: int) -> FunctionScores:
-        """Scores of functions (M, q) of one port, by number of the disturbance."""
-        there = functions[self.box].transpose(0, 2, 1)
+        """Scores of functions of the steps (N, q) on one port, by number of the disturbance."""
+        there = functions[self.row].transpose(0, 2, 1)
         chunks, q, _ = there.shape
-        turn = np.einsum("cqw,cwk->qk", there, self.shared[port], optimize=True) @ self.inverse
+        turn = np.einsum("cqt,ctk->qk", there, self.shared[port], optimize=True) @ self.inverse
         blocks = (there @ self.forces[port]).transpose(0, 2, 1)
         drawn = (there.astype(np.float32) @ self.drawn[port]).astype(np.float64)
         drawn = drawn.reshape(chunks, q, -1, DRAWS).transpose(0, 2, 1, 3)
-        size = np.sqrt(np.square(drawn.sum((0, 1))).mean(1))
+        least = _FREE * np.square(drawn.sum((0, 1))).mean(1)
         blocks = blocks - self.parameters[..., 0] @ turn.T
         drawn = drawn - turn @ self.parameters[..., 1:]
-        return FunctionScores(blocks.reshape(-1, q), drawn.reshape(-1, q, DRAWS), size, DRAWS)
+        return FunctionScores(blocks.reshape(-1, q), drawn.reshape(-1, q, DRAWS), least, DRAWS)
 
-    def along(self, port: int) -> tuple[Array, Array]:
-        """Scores of a force in each box (M,), and those that are drawn (M, R)."""
-        drawn = np.zeros((len(self.owners), DRAWS))
-        np.add.at(drawn, self.box, self.drawn[port].reshape(*self.box.shape, -1, DRAWS).sum(2))
-        own = np.bincount(self.box.ravel(), self.forces[port].sum(2).ravel(), len(self.owners))
+    def along(self, port: int, steps: int) -> tuple[Array, Array]:
+        """Scores of a force in each of so many steps of the log (N,), and those that are drawn (N, R)."""
+        drawn = np.zeros((steps, DRAWS))
+        np.add.at(drawn, self.row, self.drawn[port].reshape(*self.row.shape, -1, DRAWS).sum(2))
+        own = np.bincount(self.row.ravel(), self.forces[port].sum(2).ravel(), steps)
         return np.asarray(own), drawn
 
     @property
     def blocks(self) -> Labels:
         """Number of the run of each block of time (B,)."""
         return np.repeat(self.runs, self.forces.shape[3])
-
-    def means(self, values: Array) -> Array:
-        """Means over boxes (M,) of values of the steps (N,)."""
-        return np.asarray(np.bincount(self.place, values) / np.bincount(self.place))
 
 
 @torch.no_grad()
@@ -173,26 +164,19 @@ def force_scores(at: Optimum, theta: Array, free: Labels) -> ForceScores:
     space, about, here = at.of.space, at.about, at.at
     space.use(theta)
     chunks = space.chunks
-    columns = space.columns(about.x, about.slopes, free.tolist(), about.after).flatten(0, 1).transpose(1, 2)
-    acts = space.pushed(about.x, about.slopes, about.after).flatten(0, 1).transpose(1, 2)
-    place, owners, edges = _boxes(at)
+    columns = space.columns(about.x, about.slopes, free.tolist(), about.after)
+    acts = space.pushed(about.x, about.slopes, about.after)
     counted = chunks.counted.any(1).nonzero()[:, 0]
     ends = torch.linspace(int(counted[0]), int(counted[-1]) + 1, _parts(at) + 1).round().long().tolist()
     parts = len(ends) - 1
-    boxes = torch.from_numpy(place)[chunks.row]
-    wide = int((boxes[-1] - boxes[0]).max()) + 1
-    of_chunk = torch.arange(chunks.count).expand(boxes.shape).flatten()
-    pair = of_chunk * wide + (boxes - boxes[0]).flatten()  # boxes of a chunk are neighbours
-    box = torch.zeros(chunks.count * wide, dtype=torch.int64)
-    box[pair] = boxes.flatten()
 
     def back(white: Array) -> tuple[Tensor, Tensor]:
-        """Slopes in forces (d, C, W, q) and in parameters (C, k, q) of rows (T, C, m, q)."""
+        """Slopes in forces (d, C, T, q) and in parameters (C, k, q) of rows (T, C, m, q)."""
         check_time()
-        steps = torch.empty(*boxes.shape, space.ne, white.shape[3], dtype=torch.float64)
+        steps = torch.empty(*chunks.row.shape, space.ne, white.shape[3], dtype=torch.float64)
         kernels.in_parts(
             kernels.step_adjoints,
-            *boxes.shape,
+            *chunks.row.shape,
             array(about.slopes),
             array(at.levels.keep(space.h)),
             np.array(space.observed),
@@ -202,13 +186,9 @@ def force_scores(at: Optimum, theta: Array, free: Labels) -> ForceScores:
             white,
             steps.numpy(),
         )
-        seen, felt = steps.flatten(0, 1), space.low_passed_rows(steps).flatten(0, 1)
-        parameters = steps.new_zeros(chunks.count, len(free), white.shape[3])
-        forces = steps.new_zeros(len(box), space.nd, white.shape[3])
-        for some in torch.arange(len(pair)).split(_ROWS):
-            parameters.index_add_(0, of_chunk[some], columns[some] @ seen[some])
-            forces.index_add_(0, pair[some], acts[some] @ felt[some])
-        return forces.view(chunks.count, wide, space.nd, -1).permute(2, 0, 1, 3), parameters
+        parameters = torch.einsum("tcik,tciq->ckq", columns, steps)
+        forces = acts.transpose(2, 3) @ space.low_passed_rows(steps)
+        return forces.permute(2, 1, 0, 3), parameters
 
     def parted(white: Array) -> Array:
         """Rows (T, C, m, q) as those of each part of the chunks alone (T, C, m, parts * q)."""
@@ -217,7 +197,7 @@ def force_scores(at: Optimum, theta: Array, free: Labels) -> ForceScores:
             out[a:b, ..., p, :] = white[a:b]
         return out.reshape(*white.shape[:3], -1)
 
-    moved = _moved(at, columns.transpose(1, 2).reshape(*boxes.shape, space.ne, -1))
+    moved = _moved(at, columns)
     information = np.einsum("tcmk,tcml->kl", moved, moved)
     inverse = inverted(information) if len(free) else information
     # less what a step of the parameters takes out: blocks are those of a fit that has settled
@@ -235,12 +215,8 @@ def force_scores(at: Optimum, theta: Array, free: Labels) -> ForceScores:
         torch.cat(drawn, 4).flatten(3).numpy(),
         torch.cat([own[..., None], *of_draws], 3).transpose(1, 2).numpy(),
         inverse,
-        box.view(chunks.count, wide).numpy(),
+        chunks.row.T.numpy(),
         np.array(space.steps.runs)[chunks.stretch.numpy()],
-        place,
-        owners,
-        edges,
-        space.h * _width(space.h),
     )
 
 
@@ -249,11 +225,6 @@ def _parts(at: Optimum) -> int:
     chunks = at.of.space.chunks
     rows = int(chunks.counted.sum(0).max())
     return max(1, min(-(-_BLOCKS // chunks.count), int(rows * at.of.space.h / _BLOCK_S)))
-
-
-def _width(h: float) -> int:
-    """Steps of a box."""
-    return max(1, int(_BOX_S / h + 1e-6))
 
 
 def _white(shape: tuple[int, ...], at_once: int) -> Iterator[Array]:
@@ -286,17 +257,3 @@ def _moved(at: Optimum, columns: Tensor) -> Array:
         table,
     )
     return np.concatenate((np.zeros((1, count, m, k)), table.transpose(1, 0, 2, 3)))
-
-
-def _boxes(at: Optimum) -> tuple[Labels, Labels, tuple[tuple[int, int], ...]]:
-    """Box of each step (N,), run of each box (M,), and ranges of boxes of each stretch."""
-    steps, width, done = at.of.space.steps, _width(at.of.space.h), 0
-    place = np.empty(len(steps), dtype=np.int64)
-    owners, edges = [], []
-    for (a, b), run in zip(steps.segments, steps.runs, strict=True):
-        count = -(-(b - a) // width)
-        place[a:b] = done + np.arange(b - a) // width
-        owners.append(np.full(count, run, dtype=np.int64))
-        edges.append((done, done + count))
-        done += count
-    return place, np.concatenate(owners), tuple(edges)

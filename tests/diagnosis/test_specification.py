@@ -115,8 +115,8 @@ def test_what_a_weak_force_brings_is_half_its_squared_size_in_standard_deviation
 
 def _information(left: PhysicsResiduals, force: Array) -> float:
     """Information of a force beside the parameters, by the columns of the likelihood."""
-    at, rows = left.place.at, left.forces.place[left.place.at.of.space.chunks.row.numpy()]
-    acts = torch.from_numpy(force[rows])[..., None]
+    at = left.at
+    acts = torch.from_numpy(force[at.of.space.chunks.row.numpy()])[..., None]
     gram = grams(at.of.space, at.levels, at.about, at.at, left.slopes, forces=[(0, acts)]).total[1:, 1:]
     return float(gram[-1, -1] - gram[-1, :-1] @ inverted(gram[:-1, :-1]) @ gram[:-1, -1])
 
@@ -158,7 +158,7 @@ def test_scores_are_slopes_of_the_likelihood_of_the_machine() -> None:
     middle = space.midway(about.x, about.after)
     speed = np.empty(len(space.steps))
     speed[space.chunks.row.flatten().numpy()] = middle.flatten(0, 1)[:, 1].numpy()
-    alone = found.of(-found.means(speed)[:, None], 0)
+    alone = found.of(-speed[:, None], 0)
     # standard error of the damping with all others free, by the draws and by the Gram matrices
     expected = best.spread.covariance[list(best.free).index(damping), list(best.free).index(damping)]
     assert 1.0 / float(alone.information[0, 0]) == pytest.approx(expected, rel=0.5)

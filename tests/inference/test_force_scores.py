@@ -38,9 +38,9 @@ def test_the_score_of_a_force_is_the_slope_of_the_log_likelihood(
     here = filtered(space, at.levels, at.about, at.of.start, space.chunks.counted)
     rng = np.random.default_rng(0)
     for port in range(space.nd):
-        # a force at a box is one on each of its steps, in all chunks that hold these
-        box = int(rng.integers(20, len(found.owners) - 20))
-        inside = torch.from_numpy(found.place == box)[space.chunks.row][..., None]
+        # a force on a step is one in all chunks that hold it
+        step = int(rng.integers(20, len(space.steps) - 20))
+        inside = (space.chunks.row == step)[..., None]
         change = 1e-4 / max(float(acts[..., port].abs().max()), 1e-12)
         missed = at.about.missed + change * inside * acts[..., port]
         there = replace(at.about, missed=missed)
@@ -48,9 +48,8 @@ def test_the_score_of_a_force_is_the_slope_of_the_log_likelihood(
         other = replace(at.about, missed=at.about.missed - change * inside * acts[..., port])
         pulled = with_gains(space, at.levels, other, here.whitening, here.gain, space.chunks.counted)
         slope = (pushed.total - pulled.total) / (2.0 * change)
-        assert found.along(port)[0][box] == pytest.approx(
-            slope, rel=1e-4, abs=1e-6 * abs(found.along(port)[0]).max()
-        )
+        along = found.along(port, len(space.steps))[0]
+        assert along[step] == pytest.approx(slope, rel=1e-4, abs=1e-6 * abs(along).max())
 
 
 def test_the_information_of_draws_is_that_of_columns(fitted: tuple[MaximumLikelihood, Optimum]) -> None:
@@ -58,9 +57,9 @@ def test_the_information_of_draws_is_that_of_columns(fitted: tuple[MaximumLikeli
     found = force_scores(at, best.theta, best.free)
     space = at.of.space
     rng = np.random.default_rng(1)
-    functions = np.cumsum(rng.normal(size=(len(found.owners), 3)), 0)
+    functions = np.cumsum(rng.normal(size=(len(space.steps), 3)), 0)
     functions -= functions.mean(0)
-    rows = found.place[space.chunks.row.numpy()]
+    rows = space.chunks.row.numpy()
     space.use(best.theta)
     columns = space.columns(at.about.x, at.about.slopes, best.free.tolist(), at.about.after)
     forces = [(0, torch.from_numpy(functions[rows]))]

@@ -149,8 +149,8 @@ def decide(
         found=[
             replace(
                 f,
-                provisional=provisional_reason(f, left, brought, search.decisions)
-                or _bent(bent_shape(base.regression, f.name))
+                provisional=_bent(bent_shape(base.regression, f.name))
+                or provisional_reason(f, left, brought, search.decisions)
                 or _unshown(base.regression, f.name)
                 or _of_many(f, tested),
             )

@@ -13,7 +13,7 @@ from nsde_torch.diagnosis.joint_selection import JointSelection, Look, Round
 
 def _selected(*errors: float) -> JointSelection:
     """A selection whose looks gave a constant force these standard errors."""
-    look = Look((), (), None)
+    look = Look((), ())
     smallest = {"constant_force": {"constant_force.acceleration": min(errors)}}
     return JointSelection(cast(Any, None), cast(Any, None), {}, (Round(look, ""),), smallest)
 

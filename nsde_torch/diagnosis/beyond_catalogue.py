@@ -183,7 +183,7 @@ class _LawSearch:
             table = GramTable(held, 1 + place.best.free, folds)
             for column, term in enumerate(some, start=first):
                 if table.is_new(column):
-                    blocks, _, step = table.gain([(0, column)])
+                    blocks, _, step = table.gain((0, column))
                     found.append(
                         (float(blocks.sum()) - table.price(1 + len(term.start)), term, float(step[0]))
                     )

@@ -105,11 +105,14 @@ def chance(
         decisions: How many blocks are enough.
     """
     q, squares = pulls.shape[1], float(np.square(pulls.sum(0)).sum())
-    known = float(chdtrc(q, squares))
-    if draws:  # Hotelling's T^2
-        known = float(fdtrc(q, draws - q + 1, squares * (draws - q + 1) / (q * draws)))
+    known = of_draws(squares, q, draws) if draws else float(chdtrc(q, squares))
     steady = max(known, jackknife(pulls, grams, decisions))
     return min(1.0, 2.0 * min(steady, left_out(pulls, grams, fold)))
+
+
+def of_draws(squares: float, q: int, draws: int) -> float:
+    """Chance of the squares of q scores whose information is that of so many draws (Hotelling)."""
+    return float(fdtrc(q, draws - q + 1, squares * (draws - q + 1) / (q * draws)))
 
 
 def left_out(pulls: Array, grams: Array, fold: Labels) -> float:

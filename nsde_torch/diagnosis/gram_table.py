@@ -2,10 +2,9 @@
 
     gain = 1/2 |e - J d_b|^2 - 1/2 |e - J d_b' - Z a_b|^2        d, a fitted without the fold of block b
 
-All of the selection by the joint likelihood is linear algebra of these matrices: candidates, pairs, terms of laws.
+All of the selection by the joint likelihood is linear algebra of these matrices: candidates, terms of laws.
 """
 
-from collections.abc import Sequence
 from math import log
 
 import numpy as np
@@ -31,7 +30,7 @@ class GramTable:
     def __init__(self, held: Grams, base: Labels, fold: Labels) -> None:
         self._held, self._base = held, base
         self._folds = [np.flatnonzero(fold == f) for f in np.unique(fold)]
-        self._before, self._fitted, _ = self._left_out(self._reduced(self._base, []))
+        self._before, self._fitted, _ = self._left_out(self._reduced(self._base, 0))
         inner = held.total[np.ix_(base, base)]
         self._others = np.linalg.pinv(inner, rcond=_ROUNDING, hermitian=True)
 
@@ -39,15 +38,16 @@ class GramTable:
         """What parameters cost (Schwarz) [nats]."""
         return 0.5 * parameters * log(len(self._held.blocks))
 
-    def gain(
-        self, columns: Sequence[tuple[int, ...]], dropped: Labels | None = None
-    ) -> tuple[Array, float, Array]:
-        """Held-out nats of each block (B,), nats of all rows as fitted, and the step of the candidates' parameters."""
+    def gain(self, columns: tuple[int, ...], dropped: Labels | None = None) -> tuple[Array, float, Array]:
+        """Held-out nats of each block (B,), nats of all rows as fitted, and the step of a candidate's parameters.
+
+        Args:
+            columns: That of the shift of its start, 0 where there is none, then those of its parameters.
+            dropped: Columns of parameters of the physics that it takes the place of.
+        """
         base = self._base if dropped is None else np.setdiff1d(self._base, dropped)
-        own = np.array([c for each in columns for c in each[1:]], dtype=np.int64)
-        keep = np.concatenate((base, own))
-        blocks = self._reduced(keep, [each[0] for each in columns if each[0]])
-        after, fitted, step = self._left_out(blocks)
+        keep = np.concatenate((base, np.array(columns[1:], dtype=np.int64)))
+        after, fitted, step = self._left_out(self._reduced(keep, columns[0]))
         return self._before - after, self._fitted - fitted, step[len(base) :]
 
     def is_new(self, column: int) -> bool:
@@ -67,16 +67,15 @@ class GramTable:
         inverse = np.linalg.pinv(left, rcond=_ROUNDING, hermitian=True)
         return np.where(moves, np.sqrt(np.diag(inverse).clip(1e-300)), np.inf)
 
-    def _reduced(self, keep: Labels, shifts: Sequence[int]) -> Array:
-        """Blocks (B, 1 + q, 1 + q) of the innovations, less the shifts of starts, and of some columns."""
-        index = np.concatenate(([0], shifts, keep)).astype(np.int64)
+    def _reduced(self, keep: Labels, shift: int) -> Array:
+        """Blocks (B, 1 + q, 1 + q) of the innovations, less the shift of a start, and of some columns."""
+        index = np.concatenate(([0], [shift] if shift else [], keep)).astype(np.int64)
         blocks = self._held.blocks[:, index[:, None], index]
-        count = len(shifts)
-        if not count:
+        if not shift:
             return blocks
         turn = np.zeros((len(index), 1 + len(keep)))
-        turn[0, 0], turn[1 : 1 + count, 0] = 1.0, -1.0
-        turn[1 + count :, 1:] = np.eye(len(keep))
+        turn[0, 0], turn[1, 0] = 1.0, -1.0
+        turn[2:, 1:] = np.eye(len(keep))
         return np.asarray(turn.T @ blocks @ turn)
 
     def _left_out(self, blocks: Array) -> tuple[Array, float, Array]:

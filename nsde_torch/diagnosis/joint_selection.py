@@ -575,7 +575,7 @@ class JointSearch:
             table = GramTable(held, 1 + without.best.free, folds)
             for j, term in enumerate(some):
                 column = 1 + len(without.best.vector) + j
-                nats = float(table.gain([(0, column)])[0].sum()) if table.is_new(column) else -np.inf
+                nats = float(table.gain((0, column))[0].sum()) if table.is_new(column) else -np.inf
                 rivals += [(nats, term)] if nats > own else []
         least = self._as_likely(place, without)
         for _, term in sorted(rivals, key=lambda r: -r[0])[:_LAWS]:
@@ -749,7 +749,7 @@ def _proposed(
     place = [entry.columns.index(c) - 1 for c in columns[1:]]
     free = columns
     for _ in range(len(columns)):
-        blocks, fitted, step = table.gain([free], entry.dropped)
+        blocks, fitted, step = table.gain(free, entry.dropped)
         inside = [entry.columns.index(c) - 1 for c in free[1:]]
         there = entry.at[inside] + step
         out = (there < entry.low[inside]) | (there > entry.high[inside])

@@ -123,6 +123,7 @@ class ForceScores:
     drawn: NDArray[np.float32]  # scores of rows that are drawn (d, C, T, parts * R)
     parameters: Array  # scores of the parameters by block, and those that are drawn (C, parts, k, 1 + R)
     inverse: Array  # of the information of the parameters (k, k)
+    columns: Tensor  # what the parameters do to the steps (T, C, ne, k)
     row: Labels  # number of the step of the log that starts at each row (C, T)
     runs: Labels  # number of the run of each chunk (C,)
 
@@ -215,6 +216,7 @@ def force_scores(at: Optimum, theta: Array, free: Labels) -> ForceScores:
         torch.cat(drawn, 4).flatten(3).numpy(),
         torch.cat([own[..., None], *of_draws], 3).transpose(1, 2).numpy(),
         inverse,
+        columns,
         chunks.row.T.numpy(),
         np.array(space.steps.runs)[chunks.stretch.numpy()],
     )

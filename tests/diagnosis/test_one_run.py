@@ -60,6 +60,18 @@ def test_a_friction_in_all_runs_or_in_two_of_them_is_in_no_run_only() -> None:
         assert this.p > 1e-4  # of a hundred tests that is nothing
 
 
+def test_a_line_for_each_run_does_not_hide_a_friction_in_one() -> None:
+    left = MadeResiduals((10.0,) * 8).made(lambda q, v, t, run: np.where(run == 2, -0.02 * np.sign(v), 0.0))
+    tests = dependences(left)
+    best = {d.variable: d for d in tests if d.everywhere}
+    (this,) = (d for d in tests if d.variable == "q_dot" and d.run is not None and d.moment is None)
+    assert (
+        best["q_dot by run"].excess > this.excess
+    )  # eight slopes of the speed, which say nothing of friction
+    assert this.run == 2
+    assert this.p < 1e-4
+
+
 def test_of_two_runs_nobody_knows_which_is_the_odd_one() -> None:
     assert found(lambda q, v, t, run: np.where(run == 1, -0.1 * v, 0.0), 2) is None
 

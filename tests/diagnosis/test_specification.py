@@ -117,7 +117,9 @@ def _information(left: PhysicsResiduals, force: Array) -> float:
     """Information of a force beside the parameters, by the columns of the likelihood."""
     at = left.at
     acts = torch.from_numpy(force[at.of.space.chunks.row.numpy()])[..., None]
-    gram = grams(at.of.space, at.levels, at.about, at.at, left.slopes, forces=[(0, acts)]).total[1:, 1:]
+    gram = grams(at.of.space, at.levels, at.about, at.at, left.forces.columns, forces=[(0, acts)]).total[
+        1:, 1:
+    ]
     return float(gram[-1, -1] - gram[-1, :-1] @ inverted(gram[:-1, :-1]) @ gram[:-1, -1])
 
 

@@ -97,6 +97,6 @@ def oracle(
             keep=1,
             rng=rng,
             say=lambda stage, done, total: None,
-        ).finalists
+        )[0]
     best = max(plans, key=lambda p: p.worth, default=None)
     return (0.0, None) if best is None else (best.worth, best.table)

@@ -98,7 +98,8 @@ def shares(found: Any, law: machines.Law) -> Json:
     from nsde_torch.inference.functions import Variables, learned
 
     outcome, most = found.outcome, found.explanation.ceiling
-    at = optimum_of(outcome.declared_system, outcome.declared_optimum or most.gain.at)
+    near = most.gain.at if outcome.joint is None else outcome.joint.declared.at
+    at = optimum_of(outcome.declared_system, near)
 
     def true(x: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
         return torch.from_numpy(law(x.numpy(), u.numpy()))[:, None]

@@ -32,11 +32,17 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import broken_logs
+import closed_loop
+import closed_loop_run
 import corpus
 import generate
 import laws
+import loop_flight
+import odd_springs
 import position_only
 import run
+import smoothed
 import two_frictions
 import two_joints
 from ledger_rules import RULES, counted, without
@@ -103,6 +109,91 @@ def _odd_springs(seed: int, count: int) -> dict[str, Callable[[], Json]]:
     return {f"case_{i:03d}": partial(answer, i) for i in range(count)}
 
 
+def _flown(seed: int, names: tuple[str, ...], smoother: int | None = None) -> dict[str, Callable[[], Json]]:
+    """Closed loops of `closed_loop.py`, as logged or behind a smoother of `smoothed.py`."""
+
+    def answer(case: closed_loop.Case) -> Json:
+        with tempfile.TemporaryDirectory() as made, tempfile.TemporaryDirectory() as bent:
+            closed_loop.write(case, loop_flight.fly(closed_loop.flights_of(case)), Path(made))
+            truth = json.loads((Path(made) / "truth" / f"{case.name}.json").read_text(encoding="utf-8"))
+            if smoother is not None:
+                smoothed.smooth(Path(made), Path(bent), smoother)
+            content = _content(
+                Path(bent if smoother is not None else made) / "data" / case.name, truth["system"]
+            )
+        judged = closed_loop_run.judge(truth, {"status": "done", "seconds": 0.0}, content)
+        inside = [judged["inside"], judged["intervals"]]
+        found = judged["alone"] or (judged["tied"] and judged["named"])
+        right = found if truth["effects"] else judged["verdict"] == "no_effect"
+        return {
+            "right": right,
+            "null": not truth["effects"],
+            "inside": inside,
+            "truth": list(truth["effects"]),
+        }
+
+    return {case.name: partial(answer, case) for case in closed_loop.cases(seed) if case.name in names}
+
+
+def _smoothed(system: str, seed: int, count: int) -> dict[str, Callable[[], Json]]:
+    """Cases of `generate.py` of one effect or none, behind a smoother of `smoothed.py`."""
+
+    def answer(case: generate.Case, number: int) -> Json:
+        with tempfile.TemporaryDirectory() as made, tempfile.TemporaryDirectory() as bent:
+            generate.write(case, made)
+            smoothed.smooth(Path(made), Path(bent), number)
+            found = run.diagnose_case(Path(bent), case.name)
+            truth = json.loads((Path(bent) / "truth" / f"{case.name}.json").read_text(encoding="utf-8"))
+        judged = run.judge(truth, found)
+        return {**corpus.verdict(found, judged), "truth": judged["true"]}
+
+    some = [c for c in generate.cases(seed, count, systems=(system,)) if c.kind in smoothed.KINDS]
+    return {case.name: partial(answer, case, number) for number, case in enumerate(some)}
+
+
+def _odd_machines(seed: int, names: tuple[str, ...]) -> dict[str, Callable[[], Json]]:
+    """Springs of `odd_springs.py` that stand, or whose encoder or motor has steps: right is sure of nothing wrong."""
+
+    def answer(name: str) -> Json:
+        found = odd_springs.diagnosed(name, seed)
+        odd_springs.judge(found)
+        missed = found["verdict"] == "no_effect" if found["may"] else bool(found["added"])
+        true = [n for n in found["added"] if n in found["may"]]
+        right = not found["surely wrong"] and not missed
+        return {"right": right, "null": not found["may"], "inside": [0, 0], "truth": true}
+
+    return {name.replace(" ", "_"): partial(answer, name) for name in names}
+
+
+def _late(seed: int, count: int) -> dict[str, Callable[[], Json]]:
+    """Springs and carts of `broken_logs.py` of which a sensor or the inputs are shifted in time."""
+
+    def answer(case: broken_logs.Case) -> Json:
+        with tempfile.TemporaryDirectory() as folder:
+            log, machine = broken_logs.small_log(case, 0)
+            true = {"values": machine.values, "effects": machine.effects}
+            broken_logs.write(case, log, None, true, Path(folder))
+            content = _content(Path(folder) / "data" / case.name, case.system)
+        names = list(machine.effects)
+        return {
+            "right": {*laws.sure(content)} <= {*names},
+            "null": not names,
+            "inside": [0, 0],
+            "truth": names,
+        }
+
+    cases = broken_logs.cases(seed, 40 * count)
+    some = [c for c in cases if "shifted" in c.fault and not c.regime]
+    return {case.name: partial(answer, case) for case in some[:count]}
+
+
+def _content(folder: Path, system: str) -> Json:
+    """`diagnosis.json` of a folder of logs."""
+    import nsde_torch
+
+    return nsde_torch.diagnose(nsde_torch.read(folder, system=system), system=system).content()
+
+
 SETS: dict[str, dict[str, Callable[[], Json]]] = {
     "frictions": _studied(two_frictions.case, 1, 10),
     "positions": _studied(position_only.case, 32, 4, full=False),
@@ -112,8 +203,14 @@ SETS: dict[str, dict[str, Callable[[], Json]]] = {
     "odd springs": _odd_springs(8601, 4),
     "springs": _generated("mass_spring_damper", 8123, 12),
     "carts": _generated("cartpole", 8123, 8),
+    "smoothed springs": _smoothed("mass_spring_damper", 8123, 10),
+    "smoothed carts": _smoothed("cartpole", 8123, 8),
+    "late": _late(8123, 6),
+    "standing": _odd_machines(1, ("sticks", "nothing", "levels", "coarse encoder", "slew", "three")),
+    "closed loops": _flown(77, ("case_01", "case_05", "case_06", "case_07", "case_11", "case_15", "case_18")),
+    "smoothed loops": _flown(77, ("case_01", "case_07", "case_15"), smoother=5),
 }
-"""Sets of `corpus.py` by its seeds, and springs without a formula.
+"""Sets of `corpus.py` by its seeds; springs without a formula; machines that stand; closed loops; smoothers; late logs.
 
 Each answer has `right`, `null`, `inside` and the true names.
 """
@@ -214,8 +311,8 @@ def _path(out: Path, rule: str | None, set_name: str, case: str) -> Path:
     return out / folder.replace(" ", "_").replace(":", "") / f"{set_name.replace(' ', '_')}-{case}.json"
 
 
-def fires(out: Path) -> dict[tuple[str, str], Json]:
-    """Every case once, each rule watched."""
+def fires(out: Path, sets: list[str]) -> dict[tuple[str, str], Json]:
+    """Every case of some sets once, each rule watched."""
     import nsde_torch.diagnosis.pipeline  # noqa: F401  here once, and not in each process
 
     found = {}
@@ -223,7 +320,7 @@ def fires(out: Path) -> dict[tuple[str, str], Json]:
         max(map(len, SETS.values()))
     ):  # in turn, so that a pass that was cut short has some of each
         for name, cases in SETS.items():
-            if k < len(cases):
+            if name in sets and k < len(cases):
                 case = list(cases)[k]
                 found[name, case] = _in_a_process(_path(out, None, name, case), name, case, None)
     return found
@@ -284,9 +381,12 @@ def main() -> None:
     parser.add_argument(
         "--minutes", type=float, default=600.0, help="time after which no further case is begun"
     )
+    parser.add_argument(
+        "--sets", nargs="*", choices=list(SETS), default=list(SETS), help="some of the sets alone"
+    )
     parser.add_argument("--rules", nargs="*", default=[], help="some of the rules alone")
     a = parser.parse_args()
-    found = fires(a.out)
+    found = fires(a.out, a.sets)
     if a.what == "without":
         again(a.out, found, a.most, a.rules, a.minutes)
     if a.what == "table":

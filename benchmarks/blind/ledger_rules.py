@@ -126,21 +126,7 @@ RULES = (
         arguments(0, 1, 2),
         other_outcome(2),
     ),
-    Rule(
-        "standstill: mostly stands",
-        "of a machine that mostly stands, what is not found where it moves is a lead",
-        ("reading._held",),
-        argument(0),
-        marked(0),
-    ),
     # ---- findings that become leads, and the verdict
-    Rule(
-        "beside_vanishing_gains",
-        "what acts on inputs beside a gain that a closed loop hides is a lead",
-        ("pipeline.beside_vanishing_gains",),
-        argument(0),
-        marked(0),
-    ),
     Rule(
         "doubted",
         "nothing is sure where simple fits speak against the final physics",
@@ -256,13 +242,6 @@ RULES = (
         lambda result, search, look, *rest: _names(result) != _names(look.accepted),
     ),
     Rule(
-        "simpler first",
-        "of candidates that are fitted to the end, those that others contain come first",
-        ("joint_selection._simpler_first",),
-        lambda original, proposals: list(proposals),
-        lambda result, proposals: _names(result) != _names(proposals),
-    ),
-    Rule(
         "rows apart",
         "rows further apart are looked at where innovations of all rows can be predicted",
         ("pipeline._selected",),
@@ -291,13 +270,6 @@ RULES = (
         _other_chances,
     ),
     # ---- laws beyond the catalogue
-    Rule(
-        "laws for bent shapes",
-        "laws are tried in the place of an effect whose shape ends at a bound",
-        ("beyond_catalogue.bent_shape",),
-        constant(""),
-        anything,
-    ),
     Rule(
         "laws for two of one variable",
         "laws are tried in the place of two laws of one quantity",

@@ -133,9 +133,10 @@ def decide(
         chosen.joint,
     )
     place = alone if joint is None else joint.final
-    before = after = [] if place is None else dependences(PhysicsResiduals(search, place, base.regression))
-    if found and joint is not None:
+    before = None
+    if found and joint is not None:  # first: scores of the final physics are asked for again by what follows
         before = overview(PhysicsResiduals(search, joint.declared, declared.regression))
+    after = [] if place is None else dependences(PhysicsResiduals(search, place, base.regression))
     levels = search.levels(*(["effects"] if found else []))
     left = _left(base, after, tested, levels["structure"])
     explained = 0.0 if joint is None else joint.final.best.likelihood - joint.declared.best.likelihood
@@ -159,7 +160,7 @@ def decide(
         joint=joint,
         declared_variables=measured(declared.regression, inputs=search.inputs),
         variables=measured(base.regression, inputs=search.inputs),
-        before=before,
+        before=after if before is None else before,
         after=after,
         structured=left,
         hidden=chosen.hidden,

@@ -373,7 +373,6 @@ def explained(
         seen, joint = rates(regression, outcome.variables), outcome.joint
         if not left or joint is None:
             return ()
-        # made again, as an outcome does not hold its draws (120 MB)
         residuals = PhysicsResiduals(search, joint.final, regression)
         return tuple(shape(residuals, d, seen, runs) for d in left[: log.budgets.shapes])
 

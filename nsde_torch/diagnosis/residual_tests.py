@@ -63,8 +63,6 @@ from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.time_limit import check_time
 
-_ROWS = 40_000  # that are enough: the draws of six ports then take 120 MB
-
 
 @dataclass(frozen=True)
 class Dependence:
@@ -115,9 +113,8 @@ class PhysicsResiduals:
     def __init__(self, search: Search, place: FittedPhysics, regression: Regression) -> None:
         self.decisions, self.budgets, self.inputs = search.decisions, search.budgets, search.inputs
         self.regression = regression
-        part = place.at.of.part(_ROWS)
-        self.at: Optimum = place.at if part is None else place.at.some(part)
-        self.forces: ForceScores = force_scores(self.at, place.best.theta, place.best.free)
+        self.forces: ForceScores = force_scores(place.at)
+        self.at: Optimum = self.forces.at
         space, about = place.at.of.space, place.at.about
         self.system: System = place.at.of.vector.system
         self.channels = tuple(names[0] for names in moved_channels_of(regression, space.disturbances))

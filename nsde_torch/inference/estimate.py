@@ -12,7 +12,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf
-from typing import Any, final
+from typing import Any, Generic, TypeVar, final
 
 import numpy as np
 import torch
@@ -77,6 +77,7 @@ _LAGS = 10  # of the autocorrelation of innovations
 _WHITE = 0.02  # largest share of their variance that the past of whitened innovations may predict
 _LARGE = 0.25  # by how much their mean square may differ from 1
 _AT_BOUND = 1e-5  # of a parameter's scale
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,7 @@ class MaximumLikelihood:
     """Mean square of the whitened innovations of each measured channel (m,): 1 where the model is right."""
     predictable: Array
     """Share of their variance that those of the ten rows before surely predict (m,): 0 where the model is right."""
+    driven: Array  # share of the variance of their innovations that is not the sensor's noise (m,)
     inflation: float  # of the variance of scores over blocks of time, at least 1 (`Grams.inflation`)
     channels: tuple[str, ...]  # names of the measured error channels
     disturbances: tuple[tuple[Port, int], ...]  # ports that disturbances act on, and their columns
@@ -130,8 +132,13 @@ class MaximumLikelihood:
 
     @property
     def worst(self) -> float:
-        """How far the innovations are from what they should be, in what `misfit` allows; nan where it diverged."""
-        return float(np.maximum(np.abs(self.square - 1.0) / _LARGE, self.predictable / _WHITE).max())
+        """How far the innovations are from what they should be, in what `misfit` allows; nan where it diverged.
+
+        Of a channel whose innovations are nearly all sensor noise little is known of the physics, whatever that noise
+        is like: velocities that were worked out of positions 1000 times as precise (the published flights).
+        """
+        off = np.maximum(np.abs(self.square - 1.0) / _LARGE, self.predictable / _WHITE)
+        return float((self.driven * off).max())
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
@@ -167,6 +174,26 @@ class MaximumLikelihood:
         }
 
 
+class Recent(Generic[T]):
+    """What was made last for some owners.
+
+    Args:
+        most: How many are kept.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most, self._kept = most, list[tuple[object, T]]()
+
+    def keep(self, owner: object, value: T) -> T:
+        """Keep a value, in the place of the oldest."""
+        self._kept[:] = [(owner, value), *self._kept][: self._most]
+        return value
+
+    def of(self, owner: object) -> T | None:
+        """The value of an owner; None where it is not kept any more."""
+        return next((value for whose, value in self._kept if whose is owner), None)
+
+
 @final
 class LogLikelihood:
     """The likelihood of a log as a function of theta and the noise levels.
@@ -183,6 +210,8 @@ class LogLikelihood:
 
     Attributes:
         apart_s: `apart`.
+        passes: The last passes of optima, and of what they are linearised about.
+        scores: The last `nsde_torch.inference.force_scores` of an optimum, which take 120 MB.
 
     Raises:
         DataError: no run, no stretch that is long enough, or nothing moves.
@@ -200,7 +229,8 @@ class LogLikelihood:
         disturbances: tuple[tuple[Port, int], ...] | None = None,
     ) -> None:
         self._unknown = inferred_columns(system, runs)
-        self._kept: list[tuple[object, Linearisation, Pass]] = []
+        self.passes = Recent[tuple[Linearisation, Pass]](_KEPT)
+        self.scores = Recent[Any](1)
         shortest, fewest = (_SHORTEST_OF_STATES, 1) if states else (_SHORTEST, _FEWEST)
         steps = steps_of(
             system,
@@ -245,18 +275,9 @@ class LogLikelihood:
     def some(self, which: Tensor) -> "LogLikelihood":
         """That of some of the chunks, by number, with the values in use."""
         out = copy.copy(self)
-        out.space, out._kept = self.space.some(which), []
+        out.space, out.passes, out.scores = self.space.some(which), Recent(_KEPT), Recent(1)
         out.start = Start(out.space.chunks.y[0], self.start.std)
         return out
-
-    def keep(self, owner: object, about: Linearisation, at: Pass) -> tuple[Linearisation, Pass]:
-        """Keep a pass, in the place of the oldest."""
-        self._kept[:] = [(owner, about, at), *self._kept][:_KEPT]
-        return about, at
-
-    def kept(self, owner: object) -> tuple[Linearisation, Pass] | None:
-        """The pass that was kept for somebody."""
-        return next(((about, at) for whose, about, at in self._kept if whose is owner), None)
 
     def _set(
         self,
@@ -397,14 +418,17 @@ class Optimum:
         levels: Noise levels.
         about: What the last pass is linearised about.
         at: The last pass.
+        free: Numbers of the parameters that the data show.
     """
 
-    def __init__(self, of: LogLikelihood, levels: Levels, about: Linearisation, at: Pass) -> None:
-        self.of, self.levels, self.x = of, levels, about.x
-        self._theta, chunks = of.space.theta, of.space.chunks
+    def __init__(
+        self, of: LogLikelihood, levels: Levels, about: Linearisation, at: Pass, free: Labels
+    ) -> None:
+        self.of, self.levels, self.x, self.free = of, levels, about.x, free
+        self.theta, chunks = of.space.theta.numpy(), of.space.chunks
         self.blocks = chunks.blocks(torch.stack([at.rows[a:b].sum(0) for a, b in chunks.parts]))
         """Log likelihood of each block of time (B,) [nats]."""
-        of.keep(self, about, at)
+        of.passes.keep(self, (about, at))
 
     @property
     def about(self) -> Linearisation:
@@ -419,16 +443,16 @@ class Optimum:
     def some(self, which: Tensor) -> "Optimum":
         """The same in some of the chunks, by number."""
         about, at = self._pass()
-        self.of.space.use(self._theta.numpy())
-        return Optimum(self.of.some(which), self.levels, about.of(which), at.of(which))
+        self.of.space.use(self.theta)
+        return Optimum(self.of.some(which), self.levels, about.of(which), at.of(which), self.free)
 
     def _pass(self) -> tuple[Linearisation, Pass]:
-        known = self.of.kept(self)
+        known = self.of.passes.of(self)
         if known is not None:
             return known
-        self.of.space.use(self._theta.numpy())
+        self.of.space.use(self.theta)
         about = linearised_about(self.of.space, self.x, self.of.start)
-        return self.of.keep(self, about, self.of.filtered(self.levels, about))
+        return self.of.passes.keep(self, (about, self.of.filtered(self.levels, about)))
 
 
 def fit(system: System, runs: Sequence[Run], *, clock: float = 1.0) -> MaximumLikelihood:
@@ -565,11 +589,12 @@ def maximised(
         settled,
         square,
         predictable,
+        _driven(at, levels, space),
         final.inflation(free),
         problem.channels,
         space.disturbances,
     )
-    return best, Optimum(problem, levels, about, at)
+    return best, Optimum(problem, levels, about, at, free)
 
 
 def _step(
@@ -630,6 +655,13 @@ def _free(vector: ParameterVector, theta: Array, held: Grams) -> Labels:
     margin = _AT_BOUND * vector.scale
     pressed = ((theta <= vector.low + margin) & (pull < 0)) | ((theta >= vector.high - margin) & (pull > 0))
     return np.flatnonzero(shown & ~pressed)
+
+
+def _driven(at: Pass, levels: Levels, space: StateSpace) -> Array:
+    """Share of the variance of the innovations of each measured channel that is not its sensor's noise (m,)."""
+    live = space.chunks.counted
+    variance = torch.where(live[..., None], at.errors, 0.0).square().sum((0, 1)) / live.sum().clamp_min(1)
+    return (1.0 - torch.exp(2.0 * levels.sensor) / variance.clamp_min(1e-300)).clamp(0.0, 1.0).numpy()
 
 
 def _whiteness(white: Tensor, space: StateSpace) -> tuple[Array, Array]:

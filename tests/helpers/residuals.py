@@ -61,9 +61,9 @@ class MadeResiduals:
         white[:, run == run.max()] *= loud
         if push is not None:
             white += self._moved(push, here, run)
-        drawn = Optimum(at.of, at.levels, about, replace(here, white=white))
+        drawn = Optimum(at.of, at.levels, about, replace(here, white=white), at.free)
         left = PhysicsResiduals(self.search, replace(self.place, at=drawn), self._regression(push))
-        at.of.keep(at, about, here)
+        at.of.passes.keep(at, (about, here))
         return left
 
     def _moved(self, push: Push, here: Pass, run: NDArray[np.int64]) -> torch.Tensor:

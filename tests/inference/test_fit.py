@@ -179,3 +179,28 @@ def test_levels_that_learned_a_law_let_go_of_it() -> None:
     best, at = maximised(problem.of(there))
     found, _ = likeliest(at.of.space, levels, levels, at.about, at.of.start)
     assert at.of.filtered(found, at.about).total > best.likelihood - 1.5
+
+
+def test_a_disturbance_lasts_a_step_at_least() -> None:
+    """Of a log with white disturbances alone: what lasts less is white noise twice, from which there is no way back."""
+    runs = linear_runs(2, 10.0, gust=0.0, white=0.1, seed=4)
+    problem = LogLikelihood(spring(), runs)
+    first, about = problem.first(problem.vector.start)
+    short = replace(first, lasts=torch.full_like(first.lasts, -7.0))
+    found, _ = likeliest(problem.space, short, first, about, problem.start)
+    assert float(found.lasts.exp().min()) >= problem.space.h * (1.0 - 1e-9)
+
+
+def test_a_sensor_beside_a_far_better_one_says_little_of_the_physics() -> None:
+    """Rates that are as good as their noise: however that repeats itself, it is no reason to doubt the physics."""
+    rng = np.random.default_rng(0)
+    runs = linear_runs(2, 12.0, sensor=(1e-4, 0.0), seed=2)
+    noise = [np.convolve(rng.standard_normal(len(run.x) + 9), np.ones(10) / 10.0, "valid") for run in runs]
+    noisy = [
+        replace(r, x=np.column_stack([r.x[:, 0], r.x[:, 1] + v])) for r, v in zip(runs, noise, strict=True)
+    ]
+    found = fit(spring(), noisy)
+    alone = fit(spring(), linear_runs(2, 12.0, seed=2))
+    assert found.predictable[1] > 0.5
+    assert found.driven[1] < 0.02 < 0.3 < found.driven[0]
+    assert found.worst < 2.0 + alone.worst

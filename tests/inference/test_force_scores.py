@@ -24,8 +24,8 @@ def fitted(request: pytest.FixtureRequest) -> tuple[MaximumLikelihood, Optimum]:
 
 def _scores(fitted: tuple[MaximumLikelihood, Optimum]) -> ForceScores:
     """Scores with no parameters beside them."""
-    best, at = fitted
-    return force_scores(at, best.theta, np.zeros(0, dtype=np.int64))
+    _, at = fitted
+    return force_scores(Optimum(at.of, at.levels, at.about, at.at, np.zeros(0, dtype=np.int64)))
 
 
 def test_the_score_of_a_force_is_the_slope_of_the_log_likelihood(
@@ -54,7 +54,7 @@ def test_the_score_of_a_force_is_the_slope_of_the_log_likelihood(
 
 def test_the_information_of_draws_is_that_of_columns(fitted: tuple[MaximumLikelihood, Optimum]) -> None:
     best, at = fitted
-    found = force_scores(at, best.theta, best.free)
+    found = force_scores(at)
     space = at.of.space
     rng = np.random.default_rng(1)
     functions = np.cumsum(rng.normal(size=(len(space.steps), 3)), 0)
@@ -88,3 +88,17 @@ def test_directions_are_of_unit_information_in_order() -> None:
     assert kept.tolist() == [0, 1, 3]
     np.testing.assert_allclose(turn @ information @ turn.T, np.eye(3), atol=1e-9)
     assert not np.triu(turn, 1)[:, :2].any()
+
+
+def test_scores_are_of_the_chunks_whose_filter_has_not_diverged(
+    fitted: tuple[MaximumLikelihood, Optimum],
+) -> None:
+    _, at = fitted
+    x = at.x.clone()
+    x[:, 0] = torch.nan
+    lost = Optimum(at.of, at.levels, replace(at.about, x=x), at.at, at.free)
+    found = force_scores(lost)
+    assert np.isfinite(found.forces).all()
+    assert np.isfinite(found.drawn).all()
+    assert len(found.runs) == at.of.space.chunks.count - 1
+    assert force_scores(lost) is found

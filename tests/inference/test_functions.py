@@ -10,7 +10,8 @@ import pytest
 
 from nsde_torch.data import Run
 from nsde_torch.inference import LogLikelihood, maximised
-from nsde_torch.inference.functions import BasisGroup, Functions, learned, seen_by_networks
+from nsde_torch.inference.force_scores import DRAWS, FunctionScores
+from nsde_torch.inference.functions import BasisGroup, Functions, learned, log_chance, seen_by_networks
 from tests.inference.springs import SENSOR, TRUTH, B, G, K, rubbing, small_runs, spring
 
 
@@ -103,3 +104,27 @@ def test_a_product_of_two_variables_is_found_and_its_force_is_that_of_the_machin
     q, v = rng.uniform(-0.4, 0.4, 200), rng.uniform(-0.8, 0.8, 200)
     made, _ = out.force({"q": q, "q_dot": v}, 0)
     np.testing.assert_allclose(made, -2.0 * q * v, atol=0.05)
+
+
+@pytest.mark.parametrize("sizes", [(1.0,), (1.0, 1.0, 1.0), (3.0, 1.0, 0.1, 0.01), (1.0,) * 200])
+def test_chances_of_a_variance_are_right_where_weights_have_none(sizes: tuple[float, ...]) -> None:
+    """Scores of functions of any sizes, more of them than there are draws too."""
+    rng = np.random.default_rng(len(sizes))
+    turn = np.linalg.qr(rng.normal(size=(len(sizes), len(sizes))))[0] * np.array(sizes)
+    chances = []
+    for _ in range(400):
+        rows = rng.normal(size=(len(sizes), 1 + DRAWS))
+        scores = (turn @ rows)[None]
+        some = FunctionScores(scores[..., 0], scores[..., 1:], np.zeros(len(sizes)), DRAWS)
+        chances.append(np.exp(log_chance(some)))
+    for level in (0.05, 0.2, 0.5):
+        error = (level * (1.0 - level) / len(chances)) ** 0.5
+        assert np.mean(np.array(chances) < level) == pytest.approx(level, abs=4.0 * error + 0.15 * level)
+
+
+def test_a_force_that_is_there_has_next_to_no_chance() -> None:
+    rng = np.random.default_rng(0)
+    drawn = rng.normal(size=(1, 6, DRAWS))
+    own = np.zeros((1, 6))
+    own[0, 2] = 8.0
+    assert log_chance(FunctionScores(own, drawn, np.zeros(6), DRAWS)) < np.log(1e-6)

@@ -20,7 +20,8 @@ def as_it_stands(system: System, runs: list[Run]) -> Optimum:
     """A pass with the values of the system and the first guess of the noise."""
     problem = LogLikelihood(system, runs)
     levels, about = problem.first(problem.vector.start)
-    return Optimum(problem, levels, about, problem.filtered(levels, about))
+    free = np.arange(len(problem.vector))
+    return Optimum(problem, levels, about, problem.filtered(levels, about), free)
 
 
 def test_a_run_is_predicted_as_by_a_fit_to_the_others() -> None:

@@ -8,9 +8,8 @@ matrices, under the noise levels that the functions leave: levels found without 
 explain most of folds left out are fitted to the end; the best joins the physics if it is needed after correction for
 the size of the library. In the end each effect and each law is looked at again, as in the selection.
 
-Laws are tried first in the place of effects that may only imitate one: where the shape of an effect ends at the largest
-that the data tell from another law (`bent_shape`), where one term is likelier (`Selected.law`), and where two effects
-are laws of one variable (a friction and a quadratic damping for a cubic one).
+Laws are tried first in the place of effects that may only imitate one: where one term is likelier (`Selected.law`), and
+where two effects are laws of one variable (a friction and a quadratic damping for a cubic one).
 
 A law has to explain a good share of what functions do: several terms that each win a little of a surface of two
 variables are an approximation of it, and no laws; and beside much that nobody knows, any term straightens a little.
@@ -43,7 +42,6 @@ from nsde_torch.diagnosis.gram_table import GramTable
 from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSearch, JointSelection, coordinate_of
 from nsde_torch.diagnosis.laws import Term, tables, terms_on, with_places
 from nsde_torch.diagnosis.outcome import Outcome
-from nsde_torch.diagnosis.search import bent_shape
 from nsde_torch.effects import Effect, Law, Parameter, Port, effect_class
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import AND, split_name
@@ -74,15 +72,10 @@ def with_laws(
     # not of what feedback may have made: that is not named under another name either
     names = [f.name for f in outcome.found if f.name in joint.selected]
     near = [(name,) for name in names if joint.selected[name].law]
-    bent = [
-        (f.name,)
-        for f in outcome.found
-        if (f.name,) not in near and not is_law(f.name) and bent_shape(outcome.final.regression, f.name)
-    ]
     alike = [pair for pair in combinations(names, 2) if of_one_variable(*pair)]
     likelier, as_good = settings.decisions.alike_nats, -settings.decisions.wider_nats
     for replaced, least in (
-        *((one, likelier) for one in (*bent, *near)),
+        *((one, likelier) for one in near),
         *((pair, as_good) for pair in alike),
     ):
         settings.say(f"trying laws in the place of {AND.join(replaced)}", 0, 1)

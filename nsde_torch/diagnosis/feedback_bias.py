@@ -13,8 +13,7 @@ reason, unless signals from outside the loop show it (`sysid.instruments`).
 
 **Vanishing gains.** Where inputs answer the states, they can cancel what the physics lacks so nearly that no gain is
 seen at all. A fit whose gain stands at the bound 0 has not measured that the input does nothing: no interval is given
-for it, and what acts on inputs beside such a gain (a lag, a delay, a loss) is seen in part, and is a lead. In an open
-loop a gain of nothing is what was measured.
+for it. In an open loop a gain of nothing is what was measured.
 
 **Behind smoothers.** A smoother spreads the noise of a row over its neighbours. An input that answers the noise of its
 row therefore answers a part of what the rows after it will show, and seems to do less, or later, than it does: on a
@@ -155,15 +154,6 @@ def vanishing_gains(regression: Regression) -> frozenset[str]:
 def unmeasured_gains(outcome: Outcome) -> frozenset[str]:
     """Labels of gains at nothing that a closed loop may hide."""
     return vanishing_gains(outcome.final.regression) if outcome.test.closed_loop else frozenset()
-
-
-def beside_vanishing_gains(outcome: Outcome) -> Outcome:
-    """The outcome, effects on inputs provisional beside gains that a closed loop may hide."""
-    gone = unmeasured_gains(outcome)
-    if not gone:
-        return outcome
-    reason = f"{', '.join(sorted(gone))} went to nothing, which the loop may hide: what acts on inputs is seen in part"
-    return outcome.provisional(lambda f: reason if effect_class(f.name).port is Port.INPUT else "")
 
 
 # ---- behind smoothers ----------------------------------------------------------------------------------

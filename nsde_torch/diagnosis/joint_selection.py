@@ -348,18 +348,17 @@ class JointSearch:
         return place
 
     def _next(self, place: FittedPhysics) -> FittedPhysics | None:
-        """The physics with the best candidate that holds what it promises once it is fitted."""
+        """The physics with the candidate that brings most once it is fitted."""
         look = self.look(place)
         best, risen = None, 0.0
         tried = _in_order(self.search, look, self.added(place.system), place)[:_TRIED]
         for proposal in tried:
             if best is not None and proposal.nats < risen:
                 continue
-            there = self._fitted_as_promised(proposal, place)
-            if not self._holds(proposal, there, place):
-                continue
-            if best is None or there.best.likelihood > best.best.likelihood:
-                best, risen = there, there.best.likelihood - place.best.likelihood
+            there = self._fitted_to_the_end(proposal, place, risen)
+            gained = there.best.likelihood - place.best.likelihood
+            if gained > risen and (gained > _RISES * proposal.nats or self._surely_brings(there, place)):
+                best, risen = there, gained
             if risen >= proposal.nats:
                 break
             # it is not what its step promised: a lag in the place of a delay (carts of seed 9002, case 11)
@@ -373,38 +372,41 @@ class JointSearch:
         (2.7 and 27 nats, tests/diagnosis/test_buys.py). And where what is missing bends the physics far, as a motor's
         lag does a gain that one flight shows best, steps from there disagree between runs
         (tests/diagnosis/test_turned_axes.py).
-
-        What is there in one run alone (tests/diagnosis/test_one_run.py) is no law of the machine.
         """
-        best, last = None, None
-        for proposal in _simpler_first(proposals[:_TRIED]):
-            there = self.fitted(
-                proposal.system, place, place.best.likelihood + self.search.decisions.alike_nats
-            )
-            new = self.added(there.system) - self.added(place.system)
-            if there.best.likelihood > place.best.likelihood and all(
-                self.needed(n, there, place) for n in new
-            ):
-                last = held_out_density(place.at) if last is None else last
-                density = held_out_density(there.at)
-                if _surely_more(self.search, density - last, place):
-                    best, last = there, density
+        best, last = None, place
+        for proposal in proposals[:_TRIED]:
+            least = place.best.likelihood + self.search.decisions.alike_nats
+            there = self.fitted(proposal.system, place, least)
+            if there.best.likelihood > least and self._surely_brings(there, place, last):
+                best = last = there
         return best
 
-    def _holds(self, proposal: Explained, there: FittedPhysics, place: FittedPhysics) -> bool:
-        """Whether the likelihood rose as a linearised step promised."""
-        risen = there.best.likelihood - place.best.likelihood
-        return risen > max(0.0, _RISES * proposal.nats)
+    def _fitted_to_the_end(self, proposal: Explained, place: FittedPhysics, least: float) -> FittedPhysics:
+        """A candidate fitted from where its linearised step ends, or else from where that begins.
 
-    def _fitted_as_promised(self, proposal: Explained, place: FittedPhysics) -> FittedPhysics:
-        """A candidate fitted from where its linearised step ends, or else from where that begins."""
-        wanted = place.best.likelihood + max(0.0, _RISES * proposal.nats)
+        Fits that have no way to more nats than some end early.
+        """
+        wanted = place.best.likelihood + max(least, self.search.decisions.alike_nats)
         there = self.fitted(proposal.system, place, wanted)
-        if self._holds(proposal, there, place):
+        if there.best.likelihood > place.best.likelihood + _RISES * proposal.nats:
             return there
         # an undeclared delay makes a gain of 0, beside which a step of the delay goes anywhere
         # (test_a_delay_is_selected_whose_lack_hides_the_gain_of_the_input)
-        return self.fitted(proposal.begun, place, wanted)
+        other = self.fitted(proposal.begun, place, wanted)
+        return max(there, other, key=lambda f: f.best.likelihood)
+
+    def _surely_brings(
+        self, there: FittedPhysics, place: FittedPhysics, last: FittedPhysics | None = None
+    ) -> bool:
+        """Whether effects that are beside some physics are needed, and explain rows left out as others do at least.
+
+        Asked where a fit is not what a linearised step promised. What is there in one run alone
+        (tests/diagnosis/test_one_run.py) is no law of the machine.
+        """
+        new = self.added(there.system) - self.added(place.system)
+        return all(self.needed(n, there, place) for n in new) and _surely_more(
+            self.search, held_out_density(there.at) - held_out_density((last or place).at), place
+        )
 
     def looked_at_again(
         self, place: FittedPhysics, before: Mapping[str, Instead]
@@ -494,8 +496,9 @@ class JointSearch:
         among += len(self.libraries.get(name, ()))
         risen = max(place.best.likelihood - without.best.likelihood, 0.0)
         p = bonferroni(float(chdtrc(len(labels), 2.0 * risen)), among)
-        return p < self.search.level("effects") and risen - len(labels) > _sure(
-            self.search, place.at.blocks - without.at.blocks
+        difference = place.at.blocks - without.at.blocks
+        return p < self.search.level("effects") and _surely_more(
+            self.search, difference, without, len(labels)
         )
 
     def _rivals(
@@ -638,12 +641,6 @@ def _in_order(search: Search, look: Look, added: Collection[str], place: FittedP
         p for p in ranked if set(effect_class(p.name).includes) & set(added) and best.rank < p.rank + price
     ]
     return [*simpler, *(p for p in ranked if all(p is not s for s in simpler))]
-
-
-def _simpler_first(proposals: Sequence[Explained]) -> list[Explained]:
-    """Candidates, each after those that it contains."""
-    names = {p.name for p in proposals}
-    return sorted(proposals, key=lambda p: len(names & set(effect_class(p.name).includes)))
 
 
 @dataclass(frozen=True)
@@ -812,15 +809,15 @@ def _compared(search: Search, name: str, rival: str, place: FittedPhysics, there
     return gained if gained > sure else 0.0 if gained > -sure else -1.0
 
 
-def _surely_more(search: Search, nats: Array, place: FittedPhysics) -> bool:
-    """Whether what a candidate explains beside some physics, by block of time (B,), is surely more than nothing.
+def _surely_more(search: Search, nats: Array, place: FittedPhysics, price: float = 0.0) -> bool:
+    """Whether what is explained beside some physics, by block of time (B,), is surely more than a price [nats].
 
     Nats are half the square of a score. Where that scatters as it should, they are known to the root of twice their
     sum: what acts in a few blocks alone scatters over blocks, and is sure (a cubic damping at the highest speeds of a
     spring, 40 +- 36 nats by the scatter, tests/diagnosis/test_laws_beyond_the_catalogue.py).
     """
     whole = float(nats.sum())
-    return whole > _sure(search, nats, (2.0 * max(whole, 0.0) * place.best.inflation) ** 0.5)
+    return whole - price > _sure(search, nats, (2.0 * max(whole, 0.0) * place.best.inflation) ** 0.5)
 
 
 def _sure(search: Search, difference: Array, most: float = inf) -> float:

@@ -49,7 +49,6 @@ from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decision
 from nsde_torch.diagnosis.explanation import Explanation, explained
 from nsde_torch.diagnosis.feedback_bias import (
     behind_smoothers,
-    beside_vanishing_gains,
     not_sure_behind_smoothers,
     with_suspects,
 )
@@ -356,7 +355,7 @@ def _diagnosed(
     guard = stages.attempt("the comparison with simple fits", partial(guard_of, log, outcome), Guarded())
     course.lap("search")
     course.known(OTHER_ROWS, log, outcome, guard=guard)
-    outcome = beside_vanishing_gains(doubted(outcome, guard))
+    outcome = doubted(outcome, guard)
     outcome = not_sure_behind_smoothers(outcome)
     outcome, instrumented = stages.attempt(ESTIMATES, partial(_identified, log, outcome), (outcome, None))
     outcome = sized(outcome)

@@ -284,7 +284,6 @@ def _at(log: Log, system: System) -> Log:
 
 MUCH_STANDSTILL = 0.3
 """Share of the rows in which a coordinate stands or turns round, beyond which friction may hold it."""
-_STANDS = "the machine mostly stands, and where it moves this is not found: friction may hold it"
 
 
 def without_standstill(
@@ -307,7 +306,7 @@ def without_standstill(
             return log, search, outcome
         there = _where_it_moves(log, None, speeds, searched)
         if there is None or not _dry(there[2], log):
-            return log, search, outcome if stands < MUCH_STANDSTILL else _held(outcome, there)
+            return log, search, outcome
         log, search, outcome = there
         speeds = _dry(outcome, log)
         if speeds.keys() == log.slowest.keys():
@@ -338,9 +337,3 @@ def _where_it_moves(
 def _dry(outcome: Outcome, log: Log) -> dict[int, float]:
     """Speeds whose direction is not known, of coordinates in which dry friction was found or declared."""
     return slowest(outcome.system, outcome.final.regression.physics.sensor_std, log.runs)
-
-
-def _held(outcome: Outcome, there: tuple[Log, Search, Outcome] | None) -> Outcome:
-    """The outcome of a machine that mostly stands: what is not found where it moves is no last word."""
-    names = set() if there is None else {f.name for f in there[2].found}
-    return outcome.provisional(lambda f: "" if f.name in names else _STANDS)

@@ -2,9 +2,9 @@
 
     python benchmarks/bench_networks.py --seeds 3 --out networks/
 
-Plants are of simulators of their own (`blind/small_machines.py`, `blind/loop_machine.py`: flights in a closed loop).
-Each is trained as `nsde train` does, beside it the
-declared physics alone and the physics with the law declared (`model=sysid`). The share is that of the logarithm of what
+Plants are of simulators of their own (`blind/small_machines.py`, `examples/double_pendulum/make_data.py`,
+`blind/loop_machine.py`: flights in a closed loop). Each is trained as `nsde train` does, beside it the declared physics
+alone and the physics with the law declared (`model=sysid`). The share is that of the logarithm of what
 they leave of the rates of a run held out, means over 0.25 s:
 
     log(without / networks) / log(without / with)
@@ -29,12 +29,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parent / "blind"))
 
 import numpy as np
 import torch
-from law_machines import flights
+from law_machines import flights, make_data
 from loop_machine import Machine
 from small_machines import STATES, Small, run
 
 import nsde_torch
 
+JOINTS = "double_pendulum:DoublePendulum"
 SPRING, CART = {"k": 4.0, "b": 0.5, "g": 1.0}, {"g": 1.0, "s": 0.3, "l": 0.5}
 PLANTS: dict[str, tuple[str, dict[str, Any], list[Any]]] = {
     "spring: nothing": ("mass_spring_damper", {}, []),
@@ -64,6 +65,22 @@ PLANTS: dict[str, tuple[str, dict[str, Any], list[Any]]] = {
     "hexacopter: linear drag": ("hexacopter", {"linear_drag": {"drag": [0.15, 0.15, 0.1]}}, ["linear_drag"]),
     "hexacopter: lag": ("hexacopter", {"motor_lag": {"time_constant": 0.05}}, ["motor_lag"]),
     "hexacopter: coupling": ("hexacopter", {"law": {"of": "coupling"}}, ["body_force[y] = c1 v_body_x w_z"]),
+    "quadrotor: nothing": ("quadrotor", {}, []),
+    "quadrotor: ground effect": (
+        "quadrotor",
+        {"ground_effect": {"area": 0.03, "height": 0.2}},
+        ["ground_effect"],
+    ),
+    "quadrotor: quadratic drag": (
+        "quadrotor",
+        {"quadratic_drag": {"drag": [0.08, 0.08, 0.05]}},
+        ["quadratic_drag"],
+    ),
+    "quadrotor: flapping": ("quadrotor", {"flapping_moment": {"gain": [1.5, 1.5]}}, ["flapping_moment"]),
+    "joints: nothing": (JOINTS, {}, []),
+    "joints: dry friction": (JOINTS, {"dry": 0.1}, ["coulomb_friction[q1]"]),
+    "joints: quadratic damping": (JOINTS, {"quadratic": 0.03}, ["quadratic_damping[q1]"]),
+    "joints: damping by place": (JOINTS, {"by_place": 0.15}, ["torque[q1] = c1 q1^2 q1_dot"]),
 }
 """Machine, what it holds, and the law of the catalogue that this is."""
 SECONDS, RUNS, DT = 12.0, 5, 0.01
@@ -80,23 +97,47 @@ class Coupling:
         return 0.8 * seen[:, 0] * seen[:, 5]
 
 
-def write_flights(folder: Path, effects: dict[str, Any], seed: int) -> None:
-    """Flights of a hexacopter as files."""
+TORQUES = {
+    "dry": lambda size, q, w: -size * np.tanh(w / 0.02),
+    "quadratic": lambda size, q, w: -size * abs(w) * w,
+    "by_place": lambda size, q, w: -size * q * q * w,
+}
+"""What acts on the first joint [N m]."""
+
+
+def write_joints(folder: Path, effects: dict[str, Any], seed: int) -> None:
+    """Runs of a double pendulum as files."""
+
+    def push(q: np.ndarray, w: np.ndarray) -> np.ndarray:
+        return np.array([sum(TORQUES[name](size, q[0], w[0]) for name, size in effects.items()), 0.0])
+
+    make_data.write(folder, push, seed=seed, runs=RUNS, seconds=SECONDS, noise=1.0)
+
+
+MULTIROTORS = {
+    "hexacopter": (4.9, -0.8, (95.0, 90.0, 4.0), (0.55, 0.58)),
+    "quadrotor": (6.5, -0.8, (58.0, 56.0, 3.0), (0.52, 0.5)),
+}
+
+
+def write_flights(folder: Path, system: str, effects: dict[str, Any], seed: int) -> None:
+    """Flights of a multirotor as files."""
     held = {"law": {"of": Coupling()}} if "law" in effects else effects
     gust = (0.05, 0.05, 0.05, 0.5, 0.5, 0.1)
-    machine = Machine("hexacopter", 4.9, -0.8, (95.0, 90.0, 4.0), (0.55, 0.58), held, gust)
+    machine = Machine(system, *MULTIROTORS[system], held, gust)
     columns = ["p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z"]
-    header = ",".join(["t", *columns, *(f"u_{i}" for i in range(1, 7))])
     for i, run_of in enumerate(flights(machine, seed, FLIGHT_S, PATHS, 0.5)):
+        header = ",".join(["t", *columns, *(f"u_{k + 1}" for k in range(run_of.u.shape[1]))])
         table = np.column_stack([run_of.t + 100.0 * i, run_of.x, run_of.u])
         np.savetxt(folder / f"run_{i}.csv", table, "%.9g", ",", header=header, comments="")
 
 
 def write(folder: Path, system: str, effects: dict[str, Any], seed: int) -> None:
     """Runs of a plant as files."""
-    if system == "hexacopter":
-        write_flights(folder, effects, seed)
-        return
+    if system in MULTIROTORS:
+        return write_flights(folder, system, effects, seed)
+    if system == JOINTS:
+        return write_joints(folder, effects, seed)
     values = SPRING if system == "mass_spring_damper" else CART
     noise = (0.001, 0.003) if system == "mass_spring_damper" else (0.0005, 0.005, 0.001, 0.01)
     machine = Small(system, values, effects, noise, gust=0.02)

@@ -659,8 +659,9 @@ def _free(vector: ParameterVector, theta: Array, held: Grams) -> Labels:
 
 def _driven(at: Pass, levels: Levels, space: StateSpace) -> Array:
     """Share of the variance of the innovations of each measured channel that is not its sensor's noise (m,)."""
-    live = space.chunks.counted
-    variance = torch.where(live[..., None], at.errors, 0.0).square().sum((0, 1)) / live.sum().clamp_min(1)
+    live = space.chunks.counted[..., None].expand_as(at.errors)
+    live = live if space.measured is None else live & space.measured
+    variance = torch.where(live, at.errors, 0.0).square().sum((0, 1)) / live.sum((0, 1)).clamp_min(1)
     return (1.0 - torch.exp(2.0 * levels.sensor) / variance.clamp_min(1e-300)).clamp(0.0, 1.0).numpy()
 
 

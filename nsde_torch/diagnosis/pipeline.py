@@ -450,7 +450,8 @@ def _selected(
 
     def as_predicted(those: FittedPhysics, all_rows: FittedPhysics) -> bool:
         # half: drive 1 of bench_friction_drive.py, where the past predicts 8 % of the innovations apart, 92 % of all
-        return those.best.worst < max(1.0, share * all_rows.best.worst)
+        driven = those.best.driven
+        return those.best.worst(driven) < max(1.0, share * all_rows.best.worst(driven))
 
     made, coarser = of(0.0), search.steps.dt < 0.5 * apart
     if smoothed and coarser and made.declared.best.misfit:

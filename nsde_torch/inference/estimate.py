@@ -130,15 +130,16 @@ class MaximumLikelihood:
                 out.append(f"{100 * share:.0f} % of the prediction errors of {name} could be predicted")
         return out
 
-    @property
-    def worst(self) -> float:
+    def worst(self, driven: Array) -> float:
         """How far the innovations are from what they should be, in what `misfit` allows; nan where it diverged.
 
-        Of a channel whose innovations are nearly all sensor noise little is known of the physics, whatever that noise
-        is like: velocities that were worked out of positions 1000 times as precise (the published flights).
+        Args:
+            driven: Weights of the channels (m,). Of one whose innovations are nearly all sensor noise little is known
+                of the physics, whatever that noise is like: velocities that were worked out of positions 1000 times as
+                precise (the published flights).
         """
         off = np.maximum(np.abs(self.square - 1.0) / _LARGE, self.predictable / _WHITE)
-        return float((self.driven * off).max())
+        return float((driven * off).max())
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""

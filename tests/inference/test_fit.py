@@ -203,4 +203,5 @@ def test_a_sensor_beside_a_far_better_one_says_little_of_the_physics() -> None:
     alone = fit(spring(), linear_runs(2, 12.0, seed=2))
     assert found.predictable[1] > 0.5
     assert found.driven[1] < 0.02 < 0.3 < found.driven[0]
-    assert found.worst < 2.0 + alone.worst
+    assert found.worst(found.driven) < 2.0 + alone.worst(alone.driven)
+    assert found.worst(np.ones(2)) > 20.0

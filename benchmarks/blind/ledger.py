@@ -50,18 +50,24 @@ from ledger_rules import RULES, counted, without
 Json = dict[str, Any]
 
 
-def _generated(system: str, seed: int, count: int) -> dict[str, Callable[[], Json]]:
-    """Cases of `generate.py`, each written, diagnosed and judged."""
+def _generated(system: str, seed: int, count: int, smooth: bool = False) -> dict[str, Callable[[], Json]]:
+    """Cases of `generate.py`, each written, diagnosed and judged; or those of one effect or none behind a smoother."""
 
-    def answer(case: generate.Case) -> Json:
-        with tempfile.TemporaryDirectory() as folder:
-            generate.write(case, folder)
-            found = run.diagnose_case(Path(folder), case.name)
-            truth = json.loads((Path(folder) / "truth" / f"{case.name}.json").read_text(encoding="utf-8"))
+    def answer(case: generate.Case, number: int) -> Json:
+        with tempfile.TemporaryDirectory() as raw, tempfile.TemporaryDirectory() as behind:
+            generate.write(case, raw)
+            if smooth:
+                smoothed.smooth(Path(raw), Path(behind), number)
+            folder = Path(behind if smooth else raw)
+            found = run.diagnose_case(folder, case.name)
+            truth = json.loads((folder / "truth" / f"{case.name}.json").read_text(encoding="utf-8"))
         judged = run.judge(truth, found)
         return {**corpus.verdict(found, judged), "truth": judged["true"]}
 
-    return {case.name: partial(answer, case) for case in generate.cases(seed, count, systems=(system,))}
+    some = [
+        c for c in generate.cases(seed, count, systems=(system,)) if not smooth or c.kind in smoothed.KINDS
+    ]
+    return {case.name: partial(answer, case, number) for number, case in enumerate(some)}
 
 
 def _studied(case: Callable[..., Json], seed: int, count: int, **given: Any) -> dict[str, Callable[[], Json]]:
@@ -113,13 +119,13 @@ def _flown(seed: int, names: tuple[str, ...], smoother: int | None = None) -> di
     """Closed loops of `closed_loop.py`, as logged or behind a smoother of `smoothed.py`."""
 
     def answer(case: closed_loop.Case) -> Json:
-        with tempfile.TemporaryDirectory() as made, tempfile.TemporaryDirectory() as bent:
-            closed_loop.write(case, loop_flight.fly(closed_loop.flights_of(case)), Path(made))
-            truth = json.loads((Path(made) / "truth" / f"{case.name}.json").read_text(encoding="utf-8"))
+        with tempfile.TemporaryDirectory() as raw, tempfile.TemporaryDirectory() as behind:
+            closed_loop.write(case, loop_flight.fly(closed_loop.flights_of(case)), Path(raw))
+            truth = json.loads((Path(raw) / "truth" / f"{case.name}.json").read_text(encoding="utf-8"))
             if smoother is not None:
-                smoothed.smooth(Path(made), Path(bent), smoother)
+                smoothed.smooth(Path(raw), Path(behind), smoother)
             content = _content(
-                Path(bent if smoother is not None else made) / "data" / case.name, truth["system"]
+                Path(behind if smoother is not None else raw) / "data" / case.name, truth["system"]
             )
         judged = closed_loop_run.judge(truth, {"status": "done", "seconds": 0.0}, content)
         inside = [judged["inside"], judged["intervals"]]
@@ -133,22 +139,6 @@ def _flown(seed: int, names: tuple[str, ...], smoother: int | None = None) -> di
         }
 
     return {case.name: partial(answer, case) for case in closed_loop.cases(seed) if case.name in names}
-
-
-def _smoothed(system: str, seed: int, count: int) -> dict[str, Callable[[], Json]]:
-    """Cases of `generate.py` of one effect or none, behind a smoother of `smoothed.py`."""
-
-    def answer(case: generate.Case, number: int) -> Json:
-        with tempfile.TemporaryDirectory() as made, tempfile.TemporaryDirectory() as bent:
-            generate.write(case, made)
-            smoothed.smooth(Path(made), Path(bent), number)
-            found = run.diagnose_case(Path(bent), case.name)
-            truth = json.loads((Path(bent) / "truth" / f"{case.name}.json").read_text(encoding="utf-8"))
-        judged = run.judge(truth, found)
-        return {**corpus.verdict(found, judged), "truth": judged["true"]}
-
-    some = [c for c in generate.cases(seed, count, systems=(system,)) if c.kind in smoothed.KINDS]
-    return {case.name: partial(answer, case, number) for number, case in enumerate(some)}
 
 
 def _odd_machines(seed: int, names: tuple[str, ...]) -> dict[str, Callable[[], Json]]:
@@ -203,8 +193,8 @@ SETS: dict[str, dict[str, Callable[[], Json]]] = {
     "odd springs": _odd_springs(8601, 4),
     "springs": _generated("mass_spring_damper", 8123, 12),
     "carts": _generated("cartpole", 8123, 8),
-    "smoothed springs": _smoothed("mass_spring_damper", 8123, 10),
-    "smoothed carts": _smoothed("cartpole", 8123, 8),
+    "smoothed springs": _generated("mass_spring_damper", 8123, 10, smooth=True),
+    "smoothed carts": _generated("cartpole", 8123, 8, smooth=True),
     "late": _late(8123, 6),
     "standing": _odd_machines(1, ("sticks", "nothing", "levels", "coarse encoder", "slew", "three")),
     "closed loops": _flown(77, ("case_01", "case_05", "case_06", "case_07", "case_11", "case_15", "case_18")),

@@ -83,6 +83,11 @@ class FittedPhysics:
     best: MaximumLikelihood  # parameters and noise levels
     at: Optimum  # the likelihood there
 
+    @cached_property
+    def density(self) -> Array:
+        """Log density of each block of time (B,) under parameters that were fitted to others [nats]."""
+        return held_out_density(self.at)
+
 
 @dataclass(frozen=True)
 class Round:
@@ -405,7 +410,7 @@ class JointSearch:
         """
         new = self.added(there.system) - self.added(place.system)
         return all(self.needed(n, there, place) for n in new) and _surely_more(
-            self.search, held_out_density(there.at) - held_out_density((last or place).at), place
+            self.search, there.density - (last or place).density, place
         )
 
     def looked_at_again(

@@ -369,8 +369,6 @@ class _Choice:
         likely = sorted(singles, key=lambda g: self._chances.get(g, 0.0))
         while sum(g.port == port for g in chosen) < self._most:
             tried = [g for g in singles if g not in chosen and g not in nothing]
-            if not tried and self._among is not None:
-                break
             gains = self._gains(self._few, tried, chosen)
             ranked = sorted((g for g in gains if g.kind != "past"), key=lambda g: -gains[g][0])
             near = [v for g in chosen if g.port == port and g.kind != "past" for v in g.variables]

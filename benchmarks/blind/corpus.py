@@ -3,11 +3,16 @@
     python benchmarks/blind/corpus.py --out corpus/before
     python benchmarks/blind/corpus.py --out corpus/after --against corpus/before
     python benchmarks/blind/corpus.py --out corpus/before --sets springs joints      # some of the sets
+    python benchmarks/blind/corpus.py --out corpus/before --sets recorded \
+        --logs "published flights=DATA/hexacopter/trajs.pkl" "strong wind=NEURAL_FLY/custom_figure8_baseline_100wind"
 
 Each set runs in a process of its own on fixed seeds; sets whose outcome is in the folder are not run again. The table
 says how many answers are right, how many machines without an undeclared effect stay silent, how many 90 % intervals
 of effects hold, the processor time of a case and the largest memory of a process of the set. `--against` lists
 the cases whose verdict, effects or ties differ, or a value that moved by more than a tenth of its half-width.
+
+Logs of real machines are a set, too, of those whose place is given (`RECORDED` has their sources). Nobody knows their
+truth: right is what earlier diagnoses found and independent evidence supports.
 """
 
 from __future__ import annotations
@@ -17,6 +22,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +46,17 @@ STUDIES = {
 """Studies that make and diagnose their cases in one command."""
 
 
+RECORDED: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "published flights": ("system=hexacopter data=published", ("motor_lag", "linear_drag")),
+    "strong wind": (  # aerorobotics/neural-fly, data/experiment, the table in a folder of its own
+        "system=quadrotor system.options.yaw_direction=-1",
+        ("wind",),
+    ),
+    "nanobench": ("system=quadrotor data.dt=0.01", ("battery",)),  # syediu/nanobench-iros2026, with a mapping
+}
+"""Arguments of `nsde diagnose` for each log, and the effects that are expected of it."""
+
+
 def ran(words: list[str], log: Path) -> tuple[float, float]:
     """Run a script of this folder; its processor seconds, and the largest memory of one of its processes [MB]."""
     with log.open("a", encoding="utf-8") as out:
@@ -52,12 +69,30 @@ def ran(words: list[str], log: Path) -> tuple[float, float]:
     return usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
 
 
-def answered(name: str, out: Path) -> Json:
+def of_logs(logs: Mapping[str, Path], folder: Path, log: Path) -> tuple[float, float]:
+    """Diagnose recorded logs, the answers written to a folder; processor seconds and the largest memory [MB]."""
+    folder.mkdir(exist_ok=True)
+    costs = []
+    for name, path in logs.items():
+        words, expected = RECORDED[name]
+        where = folder.parent / name.replace(" ", "_")
+        given = [*words.split(), f"data.path={path}", "retrain=false", f"out_dir={where}"]
+        costs.append(ran(["-m", "cli", "diagnose", *given], log))
+        found = json.loads((where / "diagnosis.json").read_text(encoding="utf-8"))
+        found |= {"truth": list(expected), "right": set(expected) <= set(found["added"])}
+        (folder / f"{where.name}.json").write_text(json.dumps(found), encoding="utf-8")
+    return sum(s for s, _ in costs), max(mb for _, mb in costs)
+
+
+def answered(name: str, out: Path, logs: Mapping[str, Path]) -> Json:
     """Run a set; its cost and its answers, each with `right`, `null` and `inside`."""
     folder = out / name.replace(" ", "_")
     folder.mkdir(parents=True, exist_ok=True)
     log = folder / "output.log"
-    if name in GENERATED:
+    if name == "recorded":
+        answers, judged = folder / "answers", {}
+        seconds, memory = of_logs(logs, answers, log)
+    elif name in GENERATED:
         cases = ["--out", str(folder)]
         ran([str(HERE / "generate.py"), *GENERATED[name].split(), *cases], log)
         seconds, memory = ran([str(HERE / "run.py"), "--cases", str(folder)], log)
@@ -141,17 +176,25 @@ def table(sets: dict[str, Json]) -> list[str]:
 
 def main() -> None:
     """Run the sets that have no outcome yet, print the table, and compare."""
-    names = [*GENERATED, *STUDIES]
+    names = [*GENERATED, *STUDIES, "recorded"]
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder of the answers")
-    parser.add_argument("--sets", nargs="*", choices=names, default=names)
+    parser.add_argument("--sets", nargs="*", choices=names, default=names[:-1])
+    parser.add_argument(
+        "--logs", nargs="+", default=[], metavar="NAME=PATH", help=f"recorded logs: {', '.join(RECORDED)}"
+    )
     parser.add_argument("--against", type=Path, help="folder of the answers of other code")
     a = parser.parse_args()
+    logs = {name: Path(path).resolve() for name, path in (word.split("=", 1) for word in a.logs)}
+    if unknown := logs.keys() - RECORDED.keys():
+        parser.error(f"--logs knows {', '.join(RECORDED)}; not {', '.join(sorted(unknown))}")
+    if "recorded" in a.sets and not logs:
+        parser.error("the set recorded needs --logs NAME=PATH ...")
     sets = {}
     for name in a.sets:
         path = a.out / f"{name.replace(' ', '_')}.json"
         if not path.is_file():
-            found = answered(name, a.out)  # the folder exists from here on
+            found = answered(name, a.out, logs)  # the folder exists from here on
             path.write_text(json.dumps(found, indent=1), encoding="utf-8")
         sets[name] = json.loads(path.read_text(encoding="utf-8"))
         print("\n".join(table({name: sets[name]})[-1:]), flush=True)

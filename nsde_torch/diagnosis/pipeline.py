@@ -170,8 +170,7 @@ class DiagnosisCourse:
         """Tell that `done` of `total` pieces of a stage are done."""
         if self._done == _ORDER.index(OTHER_ROWS):
             stage = f"second search, {stage}"
-        if stage != self._during:
-            give_back()
+        give_back()
         self._during = stage
         check_time()
         self._tell(stage, done, total)
@@ -454,7 +453,7 @@ def _selected(
         return those.best.worst(driven) < max(1.0, share * all_rows.best.worst(driven))
 
     made, coarser = of(0.0), search.steps.dt < 0.5 * apart
-    if smoothed and coarser and made.declared.best.misfit:
+    if coarser and made.declared.best.misfit:
         search.say(f"rows {apart:g} s apart", 0, 1)
         other = of(apart)
         if as_predicted(other.declared, made.declared):

@@ -67,7 +67,6 @@ _DAMPINGS = (0.0, 1e-4, 1e-3, 0.01, 0.1, 1.0, 10.0, 100.0)
 _SHOWN = 1.0  # nats that a step may bring, for a parameter to be stepped
 _PASSES = 4  # until the states that a filter is linearised about have settled
 _LOST = 1.0  # nats by which the nonlinear filter may differ from its linearisation
-_KEPT = 2  # passes
 _LATE = 30  # rows after the start of a stretch in which unmeasured states are known from later ones
 _SHORTEST, _FEWEST = 32, 50  # steps of a stretch, rows in all
 _SHORTEST_OF_STATES = 10
@@ -175,24 +174,20 @@ class MaximumLikelihood:
         }
 
 
-class Recent(Generic[T]):
-    """What was made last for some owners.
+class Latest(Generic[T]):
+    """What was made last, and for whom."""
 
-    Args:
-        most: How many are kept.
-    """
-
-    def __init__(self, most: int) -> None:
-        self._most, self._kept = most, list[tuple[object, T]]()
+    def __init__(self) -> None:
+        self._kept: tuple[object, T] | None = None
 
     def keep(self, owner: object, value: T) -> T:
-        """Keep a value, in the place of the oldest."""
-        self._kept[:] = [(owner, value), *self._kept][: self._most]
+        """Keep a value, in the place of the one before."""
+        self._kept = owner, value
         return value
 
     def of(self, owner: object) -> T | None:
         """The value of an owner; None where it is not kept any more."""
-        return next((value for whose, value in self._kept if whose is owner), None)
+        return self._kept[1] if self._kept is not None and self._kept[0] is owner else None
 
 
 @final
@@ -211,8 +206,8 @@ class LogLikelihood:
 
     Attributes:
         apart_s: `apart`.
-        passes: The last passes of optima, and of what they are linearised about.
-        scores: The last `nsde_torch.inference.force_scores` of an optimum, which take 120 MB.
+        passes: The last pass of an optimum, and what it is linearised about: of 180 s of a hexacopter's flight 150 MB.
+        scores: The last `nsde_torch.inference.force_scores` of an optimum, 120 MB.
 
     Raises:
         DataError: no run, no stretch that is long enough, or nothing moves.
@@ -230,8 +225,7 @@ class LogLikelihood:
         disturbances: tuple[tuple[Port, int], ...] | None = None,
     ) -> None:
         self._unknown = inferred_columns(system, runs)
-        self.passes = Recent[tuple[Linearisation, Pass]](_KEPT)
-        self.scores = Recent[Any](1)
+        self.passes, self.scores = Latest[tuple[Linearisation, Pass]](), Latest[Any]()
         shortest, fewest = (_SHORTEST_OF_STATES, 1) if states else (_SHORTEST, _FEWEST)
         steps = steps_of(
             system,
@@ -276,7 +270,7 @@ class LogLikelihood:
     def some(self, which: Tensor) -> "LogLikelihood":
         """That of some of the chunks, by number, with the values in use."""
         out = copy.copy(self)
-        out.space, out.passes, out.scores = self.space.some(which), Recent(_KEPT), Recent(1)
+        out.space, out.passes, out.scores = self.space.some(which), Latest(), Latest()
         out.start = Start(out.space.chunks.y[0], self.start.std)
         return out
 
@@ -412,7 +406,7 @@ class Optimum:
     """Where the likelihood is largest, for those who go on from there.
 
     What a pass leaves is a hundred times as large as the states that it is about. So it is made again where it is asked
-    for, and kept for the last ones (1.7 GB for 184 s of a hexacopter's flight with the passes of all fitted physics).
+    for, and kept for the last one (1.7 GB for 184 s of a hexacopter's flight with the passes of all fitted physics).
 
     Args:
         of: The likelihood, with theta of the optimum in use.

@@ -35,7 +35,7 @@ from nsde_torch.time_limit import check_time
 DRAWS = 96
 """Draws of white rows: an information is then known to 15 %, and tests allow for that."""
 _ROWS = 40_000  # that are enough: the draws of six ports then take 120 MB
-_AT_ONCE = 16  # rows side by side of one pass
+_AT_ONCE = 8  # rows side by side of one pass
 _BLOCKS = 60  # of time that are enough: below, chunks are parted
 _BLOCK_S = 0.25  # the shortest of them [s]
 # without it a damping beside that of the machine has a score of 5 standard errors, of rounding alone
@@ -217,16 +217,18 @@ def _force_scores(at: Optimum) -> ForceScores:
     left = array(here.white) - moved @ (inverse @ np.einsum("tcmk,tcm->k", moved, array(here.white)))
     forces, own = back(parted(left[..., None]))
     shared, _ = back(moved)
-    drawn, of_draws = [], []
+    drawn = torch.empty(*forces.shape[:3], parts, DRAWS)
+    of_draws, done = [], 0
     for white in _white(here.white.shape, max(1, _AT_ONCE // parts)):
         scores, parameters = back(parted(white))
-        drawn.append(scores.float().unflatten(3, (parts, -1)))
         of_draws.append(parameters.unflatten(2, (parts, -1)))
+        drawn[..., done : done + of_draws[-1].shape[3]] = scores.unflatten(3, (parts, -1))
+        done += of_draws[-1].shape[3]
     return ForceScores(
         at,
         forces.contiguous().numpy(),
         shared.contiguous().numpy(),
-        torch.cat(drawn, 4).flatten(3).numpy(),
+        drawn.flatten(3).numpy(),
         torch.cat([own[..., None], *of_draws], 3).transpose(1, 2).numpy(),
         inverse,
         columns,

@@ -201,9 +201,13 @@ class _View:
         count = chunks.count
         if most is not None:
             count = min(count, max(_FOLDS, round(most * chunks.count / float(chunks.counted.sum()))))
-        some = torch.linspace(0, chunks.count - 1, count).round().long()
-        self.space = at.of.space.some(some)
-        self.about, self.start = at.about.of(some), at.of.start
+        self.space, self.about, self.start = at.of.space, at.about, at.of.start
+        self._passes: list[tuple[Levels, Pass]] = []
+        if count < chunks.count:
+            some = torch.linspace(0, chunks.count - 1, count).round().long()
+            self.space, self.about = self.space.some(some), self.about.of(some)
+        else:
+            self._passes.append((at.levels, at.at))
         x, u = self.about.x, self.space.chunks.u
         middle = self.space.midway(x, self.about.after)
         flat = variables.values(middle.flatten(0, 1), u.flatten(0, 1)).numpy()
@@ -214,7 +218,6 @@ class _View:
         order = np.lexsort((firsts, owners))
         self.fold = np.empty(len(order), dtype=np.int64)
         self.fold[order] = np.arange(len(order)) * _FOLDS // len(order)
-        self._passes: list[tuple[Levels, Pass]] = []
         self._turns: tuple[Levels, dict[BasisGroup, Array]] | None = None
 
     def at(self, levels: Levels) -> Pass:

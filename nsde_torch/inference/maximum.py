@@ -178,13 +178,13 @@ def likeliest(
 @torch.no_grad()
 def level_columns(space: StateSpace, levels: Levels, about: Linearisation, start: Start) -> Tensor:
     """What the levels do to the whitened innovations (T, C, m, p): nuisances beside theta, above all under feedback."""
-    out = []
+    out = about.seen.new_empty(*about.seen.shape, len(space.observed) + 3 * space.nd)
     for some in torch.arange(space.chunks.count).split(_most(space)):
         check_time()
         near = about.of(some)
         here = filtered(space, levels, near, start, space.chunks.counted[:, some], covariances=True)
-        out.append(-level_slopes(space, levels, near, here)[0])
-    return torch.cat(out, 1)
+        out[:, some] = -level_slopes(space, levels, near, here)[0]
+    return out
 
 
 def _curved(known: Tensor, moved: Tensor, bent: Tensor) -> Tensor:

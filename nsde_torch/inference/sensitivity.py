@@ -26,7 +26,7 @@ from nsde_torch.inference.state_space import StateSpace
 
 _WHOLE = 0.999  # share of what is known of a direction that one block may bring, for it to be left out
 _RANK = 1e-10
-_NUMBERS = 4_000_000  # of whitened rows that are held at once
+_NUMBERS = 2_000_000  # of whitened rows that are held at once
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def grams(
     for some in torch.arange(chunks.count).split(most):
         extra = None if nuisances is None else nuisances[:, some]
         pushed = [(j, force[:, some]) for j, force in forces]
-        near, here = about.of(some), at.of(some)
+        near, here = (about, at) if len(some) == chunks.count else (about.of(some), at.of(some))
         for p, table in enumerate(
             _tables(space, levels, near, here, columns[:, some], pushed, extra, some, buffer)
         ):

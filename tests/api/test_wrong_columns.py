@@ -210,6 +210,14 @@ def test_a_sound_cart_and_a_sound_flight_are_not_suspected(tmp_path: Path, syste
     assert "exchanged" not in said
 
 
+def test_a_single_value_that_is_off_by_far_is_no_doubt_of_its_column(tmp_path: Path) -> None:
+    columns = spring()
+    columns["q"][700] = 1e6
+    found, _ = asked(tmp_path, columns, SPRING)
+    assert not found.doubts, found.doubts
+    assert "single samples of 'q' off by far" in " ".join(found.notes)
+
+
 @pytest.mark.parametrize("speed", [0.0, 2.0])
 @pytest.mark.parametrize("noise", [0.0, 2e-3])
 def test_an_axis_that_rests_or_turns_steadily_is_no_doubt(tmp_path: Path, speed: float, noise: float) -> None:

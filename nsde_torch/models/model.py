@@ -186,9 +186,7 @@ class Model(nn.Module, ABC):
             Medians and intervals beside what was measured, with `coverage`, `plot()` and `to_frame()`.
 
         Raises:
-            ConfigError: `horizon` or `level` is out of range, or `run` is no run.
-            DataError: the run is shorter than the horizon.
-            ShapeError: the run is of another system.
+            ConfigError, DataError, ShapeError: an argument out of range, a run that is too short or of another system.
             NonFiniteError: a path leaves the finite numbers.
         """
         from nsde_torch.models.prediction import predict

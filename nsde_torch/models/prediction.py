@@ -10,9 +10,10 @@ import torch
 
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run, Windows
-from nsde_torch.errors import ConfigError, ShapeError
+from nsde_torch.errors import ConfigError, DataError, ShapeError
 from nsde_torch.models.before import sampled
 from nsde_torch.plots.euler import with_angles
+from nsde_torch.plots.evolution import PredictionBand, evolution
 from nsde_torch.shown import data_frame, preformatted
 
 if TYPE_CHECKING:
@@ -36,8 +37,7 @@ class RunPrediction:
         t: Logged times [s] (n,).
         ahead: Times since the start [s] (n,); 0 where the next prediction begins.
         measured: What was measured (n, channels).
-        median: Median of the sampled paths (n, channels).
-        low, high: Ends of the central interval (n, channels).
+        low, median, high: Quantiles of the sampled paths: the central interval and its middle (n, channels).
     """
 
     run: str
@@ -48,8 +48,8 @@ class RunPrediction:
     t: Array
     ahead: Array
     measured: Array
-    median: Array
     low: Array
+    median: Array
     high: Array
 
     @property
@@ -61,45 +61,32 @@ class RunPrediction:
         return dict(zip(self.names, inside.tolist(), strict=True))
 
     def __repr__(self) -> str:
-        starts, level = int((self.ahead == 0).sum()), f"{100 * self.level:.4g} %"
-        return (
-            f"<RunPrediction of {self.run!r}: {starts} starts, {self.horizon:.4g} s each, {level} intervals>"
-        )
+        size = f"{int((self.ahead == 0).sum())} starts, {self.horizon:.4g} s each"
+        return f"<RunPrediction of {self.run!r}: {size}, {100 * self.level:.4g} % intervals>"
 
     def __str__(self) -> str:
-        if self.coverage is None:
-            return f"{self!r}\nno intervals: the model has no noise"
-        inside = ", ".join(f"{name} {share:.0%}" for name, share in self.coverage.items())
-        return f"{self!r}\nmeasurements inside: {inside}"
+        inside = ", ".join(f"{name} {share:.0%}" for name, share in (self.coverage or {}).items())
+        return f"{self!r}\nmeasurements inside: {inside or 'no intervals, as the model has no noise'}"
 
     def _repr_html_(self) -> str:
         return preformatted(str(self))
 
     def to_frame(self) -> Any:
-        """A `pandas.DataFrame` by time: `t`, `ahead`, and NAME, NAME_median, NAME_low, NAME_high of each channel."""
-        columns: dict[str, Array] = {"t": self.t, "ahead": self.ahead}
-        for k, name in enumerate(self.names):
-            for end, table in (
-                ("", self.measured),
-                ("_median", self.median),
-                ("_low", self.low),
-                ("_high", self.high),
-            ):
-                columns[name + end] = table[:, k]
-        return data_frame(columns)
+        """A `pandas.DataFrame` by time: `t`, `ahead`, and NAME, NAME_low, NAME_median, NAME_high of each channel."""
+        tables = {"": self.measured, "_low": self.low, "_median": self.median, "_high": self.high}
+        channels = {
+            f"{name}{end}": table[:, k] for k, name in enumerate(self.names) for end, table in tables.items()
+        }
+        return data_frame({"t": self.t, "ahead": self.ahead, **channels})
 
     def plot(self) -> Figure:
         """A matplotlib figure with one panel per channel: what was measured, the median and the interval."""
-        from nsde_torch.plots.evolution import PredictionBand, evolution
-
         start = self.ahead[:, None] == 0  # a line ends before the next one begins
-        band = PredictionBand(
-            "predicted", *(np.where(start, np.nan, v) for v in (self.median, self.low, self.high))
-        )
+        drawn = [np.where(start, np.nan, table) for table in (self.median, self.low, self.high)]
         return evolution(
             self.t,
             self.measured,
-            [band],
+            [PredictionBand("predicted", *drawn)],
             names=self.names,
             units=self.units,
             title=f"Run {self.run}: predicted {self.horizon:.4g} s ahead from each start, under the logged inputs",
@@ -126,25 +113,21 @@ def predict(
     if not horizon >= dt:
         raise ConfigError(f"`horizon` must be at least the model's step of {dt:.4g} s; got {horizon!r}.")
     windows = Windows([run], dt, round(horizon / dt), dtype=like.dtype, device=like.device)
-    generator = torch.Generator().manual_seed(seed)
-    ahead = dt * np.arange(windows.horizon + 1)
-    names, units = list(system.state_names), list(system.state_units)
-    parts = []
+    generator, ahead = torch.Generator().manual_seed(seed), dt * np.arange(windows.horizon + 1)
+    names, units, parts = list(system.state_names), list(system.state_units), []
     for indices in windows.starts(windows.span * windows.dt).split(_BATCH):
         x, samples, t0 = sampled(model, windows, indices, particles=particles, generator=generator)
         for k, first in enumerate(t0.tolist()):
-            shown = (x[k].cpu().numpy(), samples[:, k].cpu().numpy(), system.state_names, system.state_units)
-            if system.quaternion is not None:
-                measured, paths, names, units = with_angles(*shown, system.quaternion)
-            else:
-                measured, paths = shown[:2]
-            # a new path lies below each of the `particles` with the same probability, as where models are scored
+            measured, paths = x[k].cpu().numpy(), samples[:, k].cpu().numpy()
+            if (q := system.quaternion) is not None:
+                shown = with_angles(measured, paths, system.state_names, system.state_units, q)
+                measured, paths, names, units = shown
+            # a new path lies between any two of the others with the same probability, as where models are scored
             ends = np.quantile(paths, ((1 - level) / 2, 0.5, (1 + level) / 2), axis=0, method="weibull")
             parts.append((first + ahead, ahead, measured, *ends))
-    t, since, measured, low, median, high = (
-        np.concatenate(p).astype(float) for p in zip(*parts, strict=True)
-    )
-    length = windows.horizon * dt
-    return RunPrediction(
-        run.name, length, level, tuple(names), tuple(units), t, since, measured, median, low, high
-    )
+    if not parts:
+        raise DataError(
+            f"run {run.name!r}: no start has {horizon:.4g} s without a gap after it; shorten `horizon`."
+        )
+    columns = (np.concatenate(part).astype(float) for part in zip(*parts, strict=True))
+    return RunPrediction(run.name, windows.horizon * dt, level, tuple(names), tuple(units), *columns)

@@ -55,7 +55,7 @@ def test_each_has_a_line_and_a_page_of_its_own(data: DataSet, model: Model, scor
     assert data._repr_html_().startswith("<pre>data: ")
     found = model.predict(data[2], horizon=0.5)
     assert repr(found) == "<RunPrediction of 'run_2': 10 starts, 0.5 s each, 90 % intervals>"
-    assert "no intervals: the model has no noise" in found._repr_html_()
+    assert "no intervals, as the model has no noise" in found._repr_html_()
     assert found.coverage is None
 
 
@@ -84,8 +84,8 @@ def test_tables_hold_what_was_found(data: DataSet, model: Model, scores: Compari
         "t",
         "ahead",
         "q",
-        "q_median",
         "q_low",
+        "q_median",
         "q_high",
     ]
 

@@ -256,6 +256,15 @@ def test_an_angle_that_was_wrapped_is_no_doubt(tmp_path: Path) -> None:
     assert "wraps of the angle" in said
 
 
+def test_exchanged_motors_are_said_by_diagnose_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_table(tmp_path / "run_0.csv", order(flight(10.0), "u_1", "u_3"))
+    words = [f"system={QUAD}", f"data.path={tmp_path}", "data.test=[9]", f"out_dir={tmp_path / 'd'}"]
+    assert main(["diagnose", *words]) == 2  # there is no run 9, which is said after the summary
+    assert "u_1 and u_3 exchanged" in capsys.readouterr().out
+
+
 def test_frames_and_exchanged_motors_are_said_by_read_as_by_inspect(tmp_path: Path) -> None:
     sound = flight(10.0)
     assert asked(tmp_path, sound, QUAD, physics=True)[0].doubts == []

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from nsde_torch.api.reading import split_runs
+from nsde_torch.api.reading import columns_checked, split_runs
 from nsde_torch.data import DataSet, Split, SystemInfo
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.models import MODELS, ModelOptions
@@ -100,9 +100,8 @@ def dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
     given = options(config, *_NOT_FOR_DATA)
     if config.kind == "simulated":
         return simulated(machine, **given, **options(config.options))
-    return _restored(
-        config, read(config.kind, machine, own_rate=True, **given, **_reader_options(config)), machine
-    )
+    data = read(config.kind, machine, own_rate=True, **given, **_reader_options(config))
+    return columns_checked(machine, _restored(config, data, machine))
 
 
 def other_dataset(config: DictConfig, machine: SystemInfo) -> DataSet:

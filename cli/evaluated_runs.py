@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from nsde_torch.errors import CheckpointError, ConfigError
 from nsde_torch.models import Model
 from nsde_torch.models.run_directory import CONFIG, METRICS, load, read_metrics
+from nsde_torch.plain_yaml import read_yaml
 
 from .jobs import FAILED
 from .own_modules import see_own_modules
@@ -119,6 +118,6 @@ def _what_is_wrong(folder: Path) -> str:
 
 
 def _trained(folder: Path) -> Mapping[str, Any]:
-    content = yaml.safe_load((folder / CONFIG).read_text(encoding="utf-8"))
-    config = content.get("config")
+    content = read_yaml(folder / CONFIG)
+    config = content.get("config") if isinstance(content, dict) else None
     return config if isinstance(config, dict) else {}

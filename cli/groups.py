@@ -16,6 +16,7 @@ from typing import Any
 import yaml
 
 from nsde_torch.errors import ConfigError
+from nsde_torch.plain_yaml import read_yaml
 
 from .keys import Key, walk
 from .registry import hydra_command
@@ -35,22 +36,6 @@ def config_dir(words: Sequence[str]) -> Path | None:
     return None
 
 
-def read_yaml(file: Path) -> Any:
-    """What a YAML file of the user's own holds.
-
-    Raises:
-        ConfigError: it is no plain YAML in UTF-8.
-    """
-    try:
-        return yaml.safe_load(file.read_text(encoding="utf-8"))
-    except UnicodeDecodeError:
-        raise ConfigError(f"{file} is no UTF-8 text; expected a YAML file.") from None
-    except yaml.YAMLError as error:
-        mark, why = getattr(error, "problem_mark", None), getattr(error, "problem", None) or str(error)
-        line = "" if mark is None else f", line {mark.line + 1}"
-        raise ConfigError(f"{file}{line}: no plain YAML ({' '.join(why.split())}).") from None
-
-
 def check_own_files(folder: Path, chosen: Mapping[str, str]) -> None:
     """Refuse choices of the user's own that cannot be read, before Hydra reads them.
 
@@ -59,12 +44,14 @@ def check_own_files(folder: Path, chosen: Mapping[str, str]) -> None:
         chosen: Choice of every group.
 
     Raises:
-        ConfigError: one is no plain YAML, which could name objects of Python.
+        ConfigError: one is no plain YAML, which could name objects of Python, or holds no keys.
     """
     for group, choice in chosen.items():
         for name in (choice, *_parents(group, choice, folder)):
             if (file := folder / group / f"{name}.yaml").is_file():
-                read_yaml(file)
+                content = read_yaml(file)
+                if not isinstance(content, dict | None):
+                    raise ConfigError(f"{file} must hold `KEY: VALUE` lines; got {type(content).__name__}.")
 
 
 def schema(command: str) -> type:

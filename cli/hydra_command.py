@@ -243,6 +243,8 @@ def _refuse_used_folders(words: Sequence[str]) -> None:
     for word in words:
         key, _, value = word.partition("=")
         folder = Path(typed_path(value))
+        if key in ("run_dir", "sweep_dir", "out_dir") and not value.strip("'\""):
+            raise ConfigError(f"`{key}` is empty; name a folder.")
         if key == "run_dir" and (folder / ".hydra").is_dir() and not _never_began(folder):
             raise ConfigError(
                 f"`run_dir={folder}` holds a run already. Continue it with {as_typed(paths={'resume': folder})}, or "
@@ -292,6 +294,8 @@ def _options_first(words: Sequence[str]) -> list[str]:
     rest = iter(words)
     for word in rest:
         name = _WITH_VALUE.get(word, word)
+        if word.startswith(("=", "~")):
+            raise ConfigError(f"`{word}` is not KEY=VALUE; no key can be taken out of the configuration.")
         if not word.startswith("-"):
             overrides.append(word)
         elif name in _WITH_VALUE.values() and (value := next(rest, None)) is not None:
@@ -307,24 +311,30 @@ def _resume(words: list[str], folder: Path, key: str) -> list[str]:
     Raises:
         CheckpointError: The folder does not hold a run of this command.
     """
-    import yaml
+    from nsde_torch.plain_yaml import read_yaml
 
     stored = folder / ".hydra" / "overrides.yaml"
     if not stored.is_file():
         raise CheckpointError(f"`resume={folder}`: there is no run to continue (no {stored}).")
-    before = [
-        str(word)
-        for word in yaml.safe_load(stored.read_text(encoding="utf-8")) or []
-        if not str(word).startswith(("resume=", f"{key}="))
-    ]
+    try:
+        typed = [str(word) for word in read_yaml(stored) or []]
+        started = read_yaml(folder / ".hydra" / "hydra.yaml")
+        sources = [
+            (str(s["provider"]), str(s["path"])) for s in started["hydra"]["runtime"]["config_sources"]
+        ]
+    except (ConfigError, LookupError, TypeError) as error:
+        raise CheckpointError(
+            f"`resume={folder}`: the record of its command in {stored.parent} is damaged. Start the command again in "
+            "another folder."
+        ) from error
+    before = [word for word in typed if not word.startswith(("resume=", f"{key}="))]
     # Hydra's record of the first start stays as it is, so that the run can be continued again.
     name = quoted(str(folder))
     fixed = [f"{key}={name}", f"hydra.run.dir={name}", "hydra.output_subdir=null"]
-    sources = yaml.safe_load((folder / ".hydra" / "hydra.yaml").read_text(encoding="utf-8"))
-    for source in sources["hydra"]["runtime"]["config_sources"]:
-        if source["provider"] == "command-line" and groups.config_dir(words) is None:
-            sys.path.insert(0, source["path"])
-            fixed = ["--config-dir", source["path"], *fixed]
+    for provider, path in sources:
+        if provider == "command-line" and groups.config_dir(words) is None:
+            sys.path.insert(0, path)
+            fixed = ["--config-dir", path, *fixed]
     return [*before, *words, *fixed]
 
 

@@ -26,7 +26,7 @@ _KEYS = {
 }
 # What the system says of a path that cannot be written to, or is none.
 _NO_PLACE = {
-    *(errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.EPERM),
+    *(errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.EPERM),
     *(errno.ELOOP, errno.ENAMETOOLONG, errno.ENOSPC, errno.EROFS),
 }
 _TYPES = {"Float": "a number, without its unit", "Integer": "a whole number", "Boolean": "true or false"}
@@ -71,6 +71,8 @@ def explain(error: Exception, command: str, words: Sequence[str]) -> str | None:
             f"`{error.override}` is not in Hydra's grammar. Put text with spaces, brackets, quotes or letters beyond "
             "ASCII into quotes, of the shell too: \"KEY='VALUE'\"."
         )
+    if isinstance(error, RecursionError) and groups.config_dir(words) is not None:
+        return "A file of --config-dir includes itself (`defaults`), or nests too deeply."
     if isinstance(error, yaml.YAMLError):
         return f"A file of --config-dir is no plain YAML: {' '.join(str(error).split())}."
     absent = _NO_GROUP.search(str(error))

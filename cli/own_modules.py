@@ -7,9 +7,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from nsde_torch.errors import ConfigError
+from nsde_torch.plain_yaml import read_yaml
 
 from . import groups
 
@@ -19,7 +18,7 @@ def see_own_modules(folder: Path) -> None:
     for record in (folder / ".hydra" / "hydra.yaml", folder.parent / ".hydra" / "hydra.yaml"):
         if not record.is_file():  # the model of a diagnosis lies in a folder of its own
             continue
-        content = yaml.safe_load(record.read_text(encoding="utf-8"))
+        content = read_yaml(record)
         for path in config_folders(content["hydra"]["runtime"]["config_sources"]):
             if path not in sys.path:
                 sys.path.insert(0, path)

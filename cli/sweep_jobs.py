@@ -10,7 +10,7 @@ from pathlib import Path
 from statistics import fmean, stdev
 from typing import Any
 
-import yaml
+from nsde_torch.plain_yaml import read_yaml
 
 DONE, FAILED, UNFINISHED = "done", "failed", "unfinished"
 _SCALE = ("system", "model", "loss")
@@ -107,7 +107,7 @@ def numbers(content: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
 
 
 def _read_job(folder: Path) -> SweepJob:
-    listed = yaml.safe_load((folder / ".hydra" / "overrides.yaml").read_text(encoding="utf-8")) or []
+    listed = read_yaml(folder / ".hydra" / "overrides.yaml") or []
     overrides = {key.lstrip("+"): value for key, _, value in (str(word).partition("=") for word in listed)}
     if (folder / "failed.json").is_file():
         return SweepJob(folder, overrides, FAILED, reason=_reason(folder / "failed.json"))

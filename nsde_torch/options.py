@@ -139,6 +139,8 @@ def check(schema: type, values: Mapping[str, Any], prefix: str = "") -> None:
         if value is None or (value == math.inf and entry.default == math.inf):
             continue  # infinity says that there is no limit
         for item in value if isinstance(value, (list, tuple)) else [value]:
+            if isinstance(item, int) and abs(item) >= 1 << 63:
+                raise ConfigError(f"`{prefix}{entry.path}` must have fewer than 19 digits; got {item!r}.")
             if not _allowed(entry, item):
                 raise ConfigError(f"`{prefix}{entry.path}` must be {entry.allowed}; got {item!r}.")
 

@@ -114,7 +114,7 @@ def run(config: DictConfig, job: Job) -> None:
     effects_file.expand(config.system)
     machine = build.system_options(config.system)
     system = machine.make()
-    check_candidates(system, config.candidates or ())
+    check_candidates(system, config.candidates or (), config.also)
     data = build.dataset(config.data, system)
     print(data.summary if config.verbose else data.summary.short, flush=True)
     note = f"found by nsde diagnose; use it with: {_training(config, job)}"

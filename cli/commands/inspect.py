@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 KEYS = {
     "system": "machine that the log is of: name, or module:Class of your own; left out: guessed",
     "kind": "reader of the format; left out: by the names of the files",
-    "mapping": "YAML file of a mapping to check; left out: one is proposed",
+    "mapping": "YAML file of a mapping to check; left out: mapping.yaml beside the logs, else one is proposed",
     "out": "file to write the mapping to; left out: mapping.yaml beside the logs; none: nothing is written",
-    "overwrite": "true replaces a mapping that is there",
+    "overwrite": "true replaces a mapping that is there by a proposal",
     "physics": "false leaves out the fit of the declared physics",
     "json": "file to write all that was found to, for a program",
     "columns": "all lists every column, else those that move (40 at most)",
@@ -60,15 +60,22 @@ def _inspect(path: str, given: dict[str, str], folder: Path | None) -> int:
     import torch
 
     from nsde_torch.api.inspecting import inspect
+    from nsde_torch.data.any_log import format_of
+    from nsde_torch.data.mapping.files import mapping_beside
+    from nsde_torch.data.readers import READERS
 
     torch.set_num_threads(1)
     sys.path.insert(0, str((folder or Path.cwd()).resolve()))  # a system of the user's own, in a file there
     target = None if given.get("out") == "none" else Path(given.get("out") or _beside(path))
+    # what lies beside the logs is what they will be read by, unless another one is to be written
+    proposes = given.get("overwrite") == "true" or target not in (None, _beside(path))
+    kind = given.get("kind") or format_of(path)
+    there = mapping_beside(path) if kind in READERS and READERS[kind].mapped and not proposes else None
     found = inspect(
         path,
         system=own_system(given["system"], folder) if "system" in given else None,
         kind=given.get("kind"),
-        mapping=given.get("mapping"),
+        mapping=given.get("mapping") or there,
         physics=given.get("physics", "true") != "false",
     )
     print(report(found, everything=given.get("columns") == "all"))
@@ -112,7 +119,7 @@ def _write(found: Inspection, target: Path, *, overwrite: bool) -> str:
     if found.missing:
         return f"\nnot written: complete the mapping above and save it as {target}"
     if target.exists() and not overwrite:
-        same = target.read_text(encoding="utf-8", errors="replace") == found.yaml
+        same = target.is_file() and target.read_text(encoding="utf-8", errors="replace") == found.yaml
         if same:
             return f"\n{target} holds this mapping"
         return f"\n{target} is there and was not replaced (overwrite=true, or out=FILE)"

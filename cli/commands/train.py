@@ -25,6 +25,7 @@ class TrainConfig:
     device: str = key("cpu", "where tensors live: cpu, cuda or cuda:N")
     dtype: str = key("float32", "precision", choices=("float32", "float64"))
     threads: int = key(1, "CPU threads of torch; more seldom help and hurt on a busy machine", low=1)
+    verbose: bool = key(False, "print every table of the test, baselines and the summary of the data too")
     run_dir: str = key("???", "folder of this run", file=True)
     sweep_dir: str = key("???", "folder of a sweep (-m); its jobs lie inside", file=True)
     resume: str | None = key(
@@ -116,6 +117,7 @@ def fit(config: DictConfig, job: Job, run_dir: Path, *, about: dict[str, Any]) -
         instruments=list(config.data.instruments),
         seed=config.seed,
         run_dir=run_dir,
+        verbose=config.verbose,
         device=device,
         dtype=dtype,
         about={"command": "train", "config": about},

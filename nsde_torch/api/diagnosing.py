@@ -104,7 +104,7 @@ def diagnose(
     )
     machine_options = system_options(system, effects=effects, declared=declared, parameters=parameters)
     machine = machine_options.make()
-    check_candidates(machine, options.candidates or ())
+    check_candidates(machine, options.candidates or (), options.also)
 
     def rows_of(source: Data) -> DataSet:
         return no_finer(read(source, system=machine), machine)

@@ -25,7 +25,7 @@ from nsde_torch.data.places import files_of, log_place
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.readers import READERS, reader
 from nsde_torch.data.streams import moving
-from nsde_torch.errors import DataError, NsdeError
+from nsde_torch.errors import ConfigError, DataError, NsdeError
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import SystemOptions, system_options
 from nsde_torch.threads import one_thread
@@ -169,8 +169,13 @@ def inspect(
     log_place(path, "a log or a folder of logs")
     machine = None if system is None else system_options(system).make()
     kind = kind or format_of(path, machine)
+    if kind not in READERS:
+        raise ConfigError(f"`kind` must be one of {', '.join(READERS)}; got {kind!r}.")
     given = read_mapping(mapping) if isinstance(mapping, str | Path) else mapping
     if kind == "published":
+        reader(kind)(
+            machine or system_options("hexacopter").make(), path=path
+        )  # a pickle that is none says so
         raise DataError(
             f"`path`: {path} holds the published files, which `data=published` reads as they are."
         )
@@ -267,6 +272,8 @@ def _native(path: Path, kind: str, machine: System | None, *, physics: bool) -> 
     """A log whose reader needs no mapping."""
     suffixes = READERS[kind].suffixes or (".csv",)
     files = [path] if path.is_file() else files_of(path, suffixes)
+    if not files:
+        raise DataError(f"`path`: {path} holds no file of the kind {kind!r} ({', '.join(suffixes)}).")
     log = open_ulog(files[0]) if kind == "ulog" else LogFile(files[0].stem, files[0], "table").open()
     machine = machine or system_options(_px4_frame(log) if kind == "ulog" else guess_system(log)).make()
     out = Inspection(str(path), kind, [p.stem for p in files], rows_of(log), machine.name, native=True)

@@ -108,12 +108,17 @@ def read(
         state_smoothing=state_smoothing,
         taken_out=taken_out,
     )
+    return columns_checked(machine, found) if isinstance(data, str | Path) else found
+
+
+def columns_checked(machine: SystemInfo, found: DataSet) -> DataSet:
+    """Runs of files with what their summary says of columns that the physics of the machine contradicts."""
     # beside columns that kinematics speak against, physics would find what does a little better, and no cause
     suspect = any(one.kind == SUSPECT for one in found.summary.findings)
-    if isinstance(data, str | Path) and isinstance(machine, System) and not suspect:
-        more = (*found.summary.findings, *_columns_otherwise(machine, found))
-        found = replace(found, summary=replace(found.summary, findings=more))
-    return found
+    if not isinstance(machine, System) or suspect:
+        return found
+    more = (*found.summary.findings, *_columns_otherwise(machine, found))
+    return replace(found, summary=replace(found.summary, findings=more))
 
 
 def _columns_otherwise(machine: System, data: DataSet) -> list[Finding]:

@@ -50,6 +50,7 @@ def train(
     dtype: str | torch.dtype = "float32",
     about: Mapping[str, Any] | None = None,
     say: Callable[[str], None] | Literal[False] = print,
+    verbose: bool = False,
 ) -> Model:
     """Train a model on runs and score it on runs held out, as `nsde train` does.
 
@@ -81,6 +82,7 @@ def train(
         dtype: Precision, "float32" or "float64".
         about: Plain values for the run directory's `config.yaml`.
         say: Takes what is going on, line by line; a bar counts steps in a terminal and a notebook. False: neither.
+        verbose: Say all: the summary of the data, every table of the test and the baselines.
 
     Returns:
         The model, in evaluation mode; `model.metrics` holds what `metrics.json` does: parameters with intervals,
@@ -127,6 +129,7 @@ def train(
             dtype=dtype,
             about=about,
             say=say,
+            verbose=verbose,
             other_sensors=other is not None,
             instruments=list(instruments),
             kept=run_dir is not None,

@@ -12,6 +12,7 @@ import numpy as np
 from nsde_torch.arrays import Array
 from nsde_torch.data.places import (
     LONGEST,
+    NOTHING,
     check_names,
     count_rows,
     entries,
@@ -117,7 +118,7 @@ def _explain(path: Path, names: Sequence[str]) -> DataError:
                     "be cut short, or a decimal comma splits a number."
                 )
             for name, cell in zip(names, cells, strict=True):
-                if cell and not _is_number(cell):
+                if cell not in NOTHING and not _is_number(cell):
                     return DataError(
                         f"{path}:{number}: column {name!r} holds {cell!r}; expected a number or `nan`."
                     )
@@ -127,7 +128,7 @@ def _explain(path: Path, names: Sequence[str]) -> DataError:
 
 
 def _missing_as_nan(cell: str) -> float:
-    return float(cell) if cell.strip() else float("nan")
+    return float("nan") if cell.strip() in NOTHING else float(cell)
 
 
 def _table(path: Path, names: Sequence[str]) -> Array:

@@ -19,6 +19,8 @@ LONGEST = 1 << 20
 """Most characters of a line of text."""
 WIDEST = 10_000
 """Most columns of a table."""
+NOTHING = {"", "nan", "NaN", "NAN", "null", "None", "NA", "N/A", "n/a", "-"}
+"""Cells of a table of text whose value is missing."""
 _HOLE = 1 << 24  # bytes of zeros at the end of a file; those of a preallocated log are fewer
 
 
@@ -30,7 +32,7 @@ def log_place(path: str | Path, expected: str) -> Path:
         expected: What should be there, for messages.
 
     Raises:
-        DataError: nothing is there, or something that is neither a regular file nor a folder, or that holds zeros.
+        DataError: nothing is there, or what is neither a regular file nor a folder, is empty, or ends with zeros.
     """
     path = Path(path)
     try:
@@ -41,6 +43,10 @@ def log_place(path: str | Path, expected: str) -> Path:
         why = error.strerror if isinstance(error, OSError) else error
         raise DataError(f"`path`: {path} cannot be opened ({why}); expected {expected}.") from None
     if stat.S_ISREG(found.st_mode):
+        if not found.st_size:
+            raise DataError(
+                f"{path} is empty: a recording that never began, or a copy that failed. Leave it out."
+            )
         if found.st_size >= _HOLE:
             _refuse_holes(path, found.st_size)
     elif not stat.S_ISDIR(found.st_mode):

@@ -6,13 +6,13 @@ import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from nsde_torch.arrays import Array
 from nsde_torch.errors import DataError, ShapeError
+from nsde_torch.shown import data_frame, preformatted
 
 if TYPE_CHECKING:
     from nsde_torch.data.findings import Finding
@@ -229,7 +229,17 @@ class DataSet:
         )
 
     def _repr_html_(self) -> str:
-        return f"<pre>{escape(str(self.summary))}</pre>"
+        return preformatted(str(self.summary))
+
+    def to_frame(self) -> Any:
+        """A `pandas.DataFrame` of all rows: `run`, `t` [s], the states, the inputs, and what else every run holds."""
+        shared = set.intersection(*(set(run.extra) for run in self.runs)) - set(self.input_names)
+        columns: dict[str, Any] = {"run": np.repeat(self.names, [len(run) for run in self.runs])}
+        columns["t"] = np.concatenate([run.t for run in self.runs])
+        columns |= zip(self.state_names, np.concatenate([run.x for run in self.runs]).T, strict=True)
+        columns |= zip(self.input_names, np.concatenate([run.u for run in self.runs]).T, strict=True)
+        columns |= {name: np.concatenate([run.extra[name] for run in self.runs]) for name in sorted(shared)}
+        return data_frame(columns)
 
     def __len__(self) -> int:
         return len(self.runs)

@@ -3,7 +3,7 @@
 from collections.abc import Collection, Mapping, Sequence
 from math import prod
 
-from nsde_torch.effects import EFFECTS, Effect, Law, Port, effect_class, effects_of
+from nsde_torch.effects import EFFECTS, Effect, Law, Port, effect_class, effects_of, register
 from nsde_torch.effects.law import joined_name, split_name
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import System
@@ -41,12 +41,16 @@ def why_not(system: System, name: str) -> str:
     )
 
 
-def check_candidates(system: System, names: Sequence[str]) -> None:
-    """Refuse candidates that a system cannot have whatever is logged: this needs no data.
+def check_candidates(system: System, names: Sequence[str], also: Sequence[str] = ()) -> list[str]:
+    """Refuse candidates that a system cannot have whatever is logged, and register those of one's own: needs no data.
+
+    Returns:
+        Own names of `also`.
 
     Raises:
-        ConfigError: one is not in the catalogue, is declared, or is for other machines.
+        ConfigError: one is not in the catalogue, is declared, or is for other machines; or there is no such class.
     """
+    own = [register(key) for key in also]
     for name in names:
         if split_name(system.effect_key(name))[0] not in EFFECTS:
             raise ConfigError(
@@ -67,6 +71,7 @@ def check_candidates(system: System, names: Sequence[str]) -> None:
                 f"`candidates` names {name!r}, which {system.name!r} cannot have beyond its declared physics; it could "
                 f"have: {', '.join(able)}."
             )
+    return own
 
 
 def on_coordinates(system: System, names: Sequence[str]) -> list[str]:

@@ -28,7 +28,7 @@ from nsde_torch.diagnosis.joint_selection import JointSelection
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.search import Search, at_bounds, fitted_system, search_in
 from nsde_torch.diagnosis.stages import Begun, OptionalStages
-from nsde_torch.effects import effect_class, effects_of, register
+from nsde_torch.effects import effect_class, effects_of
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.recording.chain import Recorded, instead_of_effects, undo
 from nsde_torch.recording.fault import level
@@ -118,10 +118,11 @@ def read_effects(system: System, runs: Sequence[Run], options: Options) -> dict[
         DataError: an instrument is no column of the log.
         ConfigError: a candidate that the system cannot have.
     """
-    check_candidates(system, options.candidates or ())
+    own = dict(
+        zip(options.also, check_candidates(system, options.candidates or (), options.also), strict=True)
+    )
     if options.instruments:  # told before any work
         with_columns(system, runs, options.instruments)
-    own = {key: register(key) for key in options.also}
     reading = system.reading(*logged_channels(system, runs))
     able = candidate_names(reading)
     for name in on_coordinates(reading, options.candidates or ()):

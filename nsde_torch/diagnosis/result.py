@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from html import escape
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -40,6 +39,7 @@ from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording.chain import Recorded
 from nsde_torch.recording.fault import Detected
 from nsde_torch.recording.faults import remedies
+from nsde_torch.shown import data_frame, preformatted
 from nsde_torch.sysid.feedback_test import FeedbackTest
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
@@ -165,7 +165,15 @@ class Diagnosis:
         )
 
     def _repr_html_(self) -> str:
-        return f"<pre>{escape(str(self))}</pre>"
+        return preformatted(str(self))
+
+    def to_frame(self) -> Any:
+        """A `pandas.DataFrame` of what was found: `name`, `value`, `low`, `high` (None: no interval) and `unit`."""
+        rows = [
+            (name, p["value"], *(p["interval_90"] or (None, None)), p["unit"])
+            for name, p in self.parameters.items()
+        ]
+        return data_frame(rows, ("name", "value", "low", "high", "unit"))
 
     def content(self) -> Content:
         """What `diagnosis.json` holds; its keys are in docs/content/reference/diagnosis-json.md."""

@@ -147,8 +147,9 @@ class Parametrised(nn.Module):
         v = v.expand(raw.numel())
         low, high, scale = spec.low, spec.high, self._scales[name]
         if (low is not None and bool((v <= low).any())) or (high is not None and bool((v >= high).any())):
+            ends = [f"{word} {end:g}" for word, end in (("above", low), ("below", high)) if end is not None]
             raise ConfigError(
-                f"parameter {name!r} [{spec.unit}] must lie strictly between {low} and {high}; got {v.tolist()}."
+                f"parameter {name!r} [{spec.unit}] must be {' and '.join(ends)}; got {v.tolist()}."
             )
         if low is not None and high is not None:
             share = (v - low) / (high - low)

@@ -17,6 +17,7 @@ import yaml
 
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.errors import ConfigError
+from nsde_torch.plain_yaml import read_yaml
 from nsde_torch.whole_files import write_whole
 
 SUFFIXES = (".yaml", ".yml")
@@ -41,9 +42,9 @@ def read(path: str | Path, key: str = "system.effects") -> tuple[str, dict[str, 
     if not file.is_file():
         raise ConfigError(f"`{key}`: no file {str(path)!r}. `nsde diagnose` writes effects.yaml.")
     try:
-        content = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"`{key}`: {file} is not YAML: {error}") from error
+        content = read_yaml(file)
+    except ConfigError as error:
+        raise ConfigError(f"`{key}`: {error}") from None
     effects = content.get("effects") if isinstance(content, Mapping) else None
     if not isinstance(effects, Mapping) or not all(isinstance(v, Mapping | None) for v in effects.values()):
         raise ConfigError(f"`{key}`: {file} must hold `effects:` with `NAME: {{parameter: value}}` under it.")

@@ -23,8 +23,8 @@ from torch import Tensor
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.errors import DataError, NonFiniteError
-from nsde_torch.evaluation.before import inputs_before
 from nsde_torch.evaluation.metrics import horizons_of, interval_quantiles, start_grid
+from nsde_torch.models.before import inputs_before
 from nsde_torch.models.neural_sde import NeuralSDE
 
 _LEVEL = 0.9

@@ -57,6 +57,7 @@ from nsde_torch.evaluation.metrics import START_EVERY, summary
 from nsde_torch.evaluation.one_step import one_step
 from nsde_torch.evaluation.scores import LEVELS, PARTICLES, Scores, baseline_squares, score
 from nsde_torch.evaluation.seen import BY_NAME, NAMESAKE, PART, WHOLE, trained_on
+from nsde_torch.shown import data_frame, preformatted
 from nsde_torch.systems import System
 
 RESULT = "evaluation.json"
@@ -87,6 +88,31 @@ class Comparison:
 
     def __str__(self) -> str:
         return self.report
+
+    def __repr__(self) -> str:
+        names = ", ".join(c.name for c in self.candidates)
+        return f"<Comparison of {names} on {self.content['system']}: {self.content['starts']} starts>"
+
+    def _repr_html_(self) -> str:
+        return preformatted(self.report)
+
+    def to_frame(self) -> Any:
+        """A `pandas.DataFrame`: `model`, `group`, `horizon` [s], `error` (rms), `unit`, `coverage_90`."""
+        units = self.content["units"]["errors"]
+        rows = [
+            (
+                m["name"],
+                group,
+                float(h),
+                error,
+                units[group],
+                m["coverage"] and m["coverage"]["0.9"][group][h],
+            )
+            for m in self.content["models"]
+            for group, errors in m["errors"].items()
+            for h, error in errors.items()
+        ]
+        return data_frame(rows, ("model", "group", "horizon", "error", "unit", "coverage_90"))
 
     def save(self, folder: str | Path) -> list[Path]:
         """Write `evaluation.json` and the figures in `plots/`.

@@ -9,10 +9,10 @@ import torch
 
 from nsde_torch import plots
 from nsde_torch.errors import NonFiniteError
-from nsde_torch.evaluation.before import inputs_before
 from nsde_torch.evaluation.common_grid import Candidate, Grid
 from nsde_torch.evaluation.comparison import Comparison
 from nsde_torch.evaluation.comparison_text import label
+from nsde_torch.models.before import sampled
 
 _PARTICLES = 199
 _COLUMNS = 4  # models side by side
@@ -130,16 +130,14 @@ def _rollouts(comparison: Comparison) -> Iterator[Any]:
 
 @torch.no_grad()
 def _paths(candidate: Candidate, grid: Grid, at: int, seed: int) -> tuple[Any, Any, Any]:
-    x, u, t0 = grid.windows.batch(grid.starts[at : at + 1])
-    samples = candidate.model.sample(
-        x[:, 0],
-        u,
-        dt=grid.dt,
+    x, samples, _ = sampled(
+        candidate.model,
+        grid.windows,
+        grid.starts[at : at + 1],
         particles=_PARTICLES,
         generator=torch.Generator().manual_seed(seed),
-        t0=t0.to(x.dtype),
+        dt=grid.dt,
         measurement_std=candidate.measurement_std,
-        u_before=inputs_before(candidate.model.system, grid.windows, grid.starts[at : at + 1]),
     )
     t = np.arange(grid.windows.horizon + 1) * grid.windows.dt_model
     return t, x[0].cpu().numpy(), samples[:, 0].cpu().numpy()

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from nsde_torch import plots
 from nsde_torch.data import DataSet, Run, Windows
-from nsde_torch.evaluation.before import inputs_before
+from nsde_torch.models.before import sampled
 from nsde_torch.models.capabilities import is_stochastic
 from nsde_torch.models.model import Model
 from nsde_torch.models.neural_sde import NeuralSDE
@@ -90,15 +90,8 @@ def _rollouts(model: Model, runs: Sequence[Run], horizon_s: float, seed: int, no
         if count > 1
         else torch.tensor([0])
     )
-    x, u, t0 = windows.batch(at)
-    samples = model.sample(
-        x[:, 0],
-        u,
-        dt=dt,
-        particles=_PARTICLES,
-        generator=torch.Generator().manual_seed(seed),
-        t0=t0.to(x.dtype),
-        u_before=inputs_before(model.system, windows, at),
+    x, samples, t0 = sampled(
+        model, windows, at, particles=_PARTICLES, generator=torch.Generator().manual_seed(seed)
     )
     system = model.system
     where = [f"{name}, t = {float(t):.1f} s" for name, t in zip(_names(windows, at), t0, strict=True)]

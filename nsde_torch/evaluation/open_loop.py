@@ -9,8 +9,8 @@ from torch import Tensor
 
 from nsde_torch.columns import few_operations
 from nsde_torch.data import Windows
-from nsde_torch.evaluation.before import inputs_before
 from nsde_torch.evaluation.scores import group_squares
+from nsde_torch.models.before import inputs_before
 from nsde_torch.models.identified import IdentifiedModel
 from nsde_torch.sde import make_step
 from nsde_torch.systems.parameters import ParameterVector

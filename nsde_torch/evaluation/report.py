@@ -6,6 +6,7 @@ from typing import Any
 
 REPLAYED = "rms error, inputs replayed"
 """Head of a table of errors whose inputs are the log's own: in a closed loop they answer what disturbed."""
+NO_INTERVALS = "the model is deterministic: it has no intervals"
 SHOWN_LEVELS = ("0.5", "0.9", "0.95")
 
 
@@ -68,8 +69,7 @@ def error_table(test: Mapping[str, Any]) -> str:
         for key, name in names.items():
             values = test["errors"][key][group]
             rows.append([f"{group} [{unit}]", name, *(number(values[h]) for h in horizons)])
-    what = "rms error" if test.get("inputs") == "interventional" else REPLAYED
-    return table([what, "", *(f"{h} s" for h in horizons)], rows)
+    return table([what_error(test), "", *(f"{h} s" for h in horizons)], rows)
 
 
 def coverage_table(test: Mapping[str, Any]) -> str:
@@ -82,6 +82,22 @@ def coverage_table(test: Mapping[str, Any]) -> str:
             rows.append([group, f"{float(level):.0%} interval", *(f"{values[h]:.0%}" for h in horizons)])
         rows.append([group, f"CRPS [{unit}]", *(number(test["crps"][group][h]) for h in horizons)])
     return table(["held out", "", *(f"{h} s" for h in horizons)], rows)
+
+
+def short_table(test: Mapping[str, Any], *, noisy: bool) -> str:
+    """Held-out errors of the model at each horizon, and how many measurements lie inside its 90 % intervals."""
+    horizons = [f"{h:g}" for h in test["horizons_s"]]
+    rows = []
+    for group, unit in test["units"].items():
+        errors, inside = test["errors"]["model"][group], test["coverage"]["0.9"][group].values()
+        share = f"{sum(inside) / len(inside):.0%}" if noisy else "no intervals"
+        rows.append([f"{group} [{unit}]", *(number(errors[h]) for h in horizons), share])
+    return table([what_error(test), *(f"{h} s" for h in horizons), "in 90% interval"], rows)
+
+
+def what_error(test: Mapping[str, Any]) -> str:
+    """Head of a table of errors: whether the log's own inputs, or interventions, drove the predictions."""
+    return "rms error" if test.get("inputs") == "interventional" else REPLAYED
 
 
 def lookahead(smoothing: float, reach: float) -> str:

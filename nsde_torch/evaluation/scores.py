@@ -20,7 +20,7 @@ from torch import Tensor
 
 from nsde_torch.data import Windows
 from nsde_torch.errors import NonFiniteError
-from nsde_torch.evaluation.before import inputs_before
+from nsde_torch.models.before import sampled
 from nsde_torch.models.model import Model
 from nsde_torch.systems import System
 
@@ -191,18 +191,16 @@ def score(
     parts = list(torch.arange(len(starts)).split(_BATCH))
     while parts:
         part = parts.pop(0)
-        x, u, t0 = windows.batch(starts[part])
         try:
-            samples = model.sample(
-                x[:, 0],
-                u,
-                dt=model.spec.dt if dt is None else dt,
+            x, samples, _ = sampled(
+                model,
+                windows,
+                starts[part],
                 particles=particles,
                 generator=generator,
+                dt=model.spec.dt if dt is None else dt,
                 compile=compile,
-                t0=t0.to(x.dtype),
                 measurement_std=measurement_std,
-                u_before=inputs_before(system, windows, starts[part]),
             )
         except NonFiniteError:
             if len(part) > 1:  # look for those at fault; the others are scored

@@ -141,7 +141,7 @@ class GaussianEnsemble(Model):
         """Distance of the bounds of the log-variance (members, 1, n_change)."""
         return nn.functional.softplus(self.gap)
 
-    def predict(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+    def change(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and standard deviation of the change over one step, member by member.
 
         Args:
@@ -166,7 +166,7 @@ class GaussianEnsemble(Model):
         Returns:
             Log-density (N,) in nats, per unit of each channel of the change.
         """
-        mean, std = self.predict(x, u)
+        mean, std = self.change(x, u)
         z = (self.chart.change(x, after) - mean) / std
         each = (-0.5 * z.square() - std.log() - 0.5 * math.log(2 * math.pi)).sum(-1)
         return torch.logsumexp(each, 0) - math.log(self.spec.members)

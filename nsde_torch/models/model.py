@@ -4,14 +4,19 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, asdict, dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import torch
 from torch import Tensor, nn
 
 from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
 from nsde_torch.models.input_filter import InputFilter
+from nsde_torch.shown import data_frame, preformatted
 from nsde_torch.systems import System, make_system
+
+if TYPE_CHECKING:
+    from nsde_torch.data import Run
+    from nsde_torch.models.prediction import RunPrediction
 
 
 @dataclass(frozen=True)
@@ -164,6 +169,51 @@ class Model(nn.Module, ABC):
             ShapeError: wrong axes or columns.
             NonFiniteError: x0 or u is not finite, or a path leaves the finite numbers.
         """
+
+    def predict(
+        self, run: "Run", *, horizon: float, level: float = 0.9, particles: int = 199, seed: int = 0
+    ) -> "RunPrediction":
+        """Predict a run piece by piece, each from a measured state and under the logged inputs.
+
+        Args:
+            run: A run of the model's system, such as `nsde_torch.read(...)[0]`.
+            horizon: Length of a piece [s], rounded to whole steps of the model.
+            level: Share of the measurements that the intervals should hold, in (0, 1).
+            particles: Paths per piece.
+            seed: Seed of the paths.
+
+        Returns:
+            Medians and intervals beside what was measured, with `coverage`, `plot()` and `to_frame()`.
+
+        Raises:
+            ConfigError, DataError, ShapeError: an argument out of range, a run that is too short or of another system.
+            NonFiniteError: a path leaves the finite numbers.
+        """
+        from nsde_torch.models.prediction import predict
+
+        return predict(self, run, horizon=horizon, level=level, particles=particles, seed=seed)
+
+    def to_frame(self) -> Any:
+        """A `pandas.DataFrame` of fitted parameters: `name`, `value`, `half_width_90` (None: no interval), `unit`."""
+        return data_frame(self._parameter_rows(), ("name", "value", "half_width_90", "unit"))
+
+    def __repr__(self) -> str:
+        spec, size = self.spec, sum(parameter.numel() for parameter in self.parameters())
+        return f"<Model {spec.kind} of {spec.system}: {size} parameters, steps of {spec.dt:.4g} s>"
+
+    def _repr_html_(self) -> str:
+        shown = [
+            f"{name} = {value:.4g}{'' if half is None else f' +- {half:.2g}'} {unit}"
+            for name, value, half, unit in self._parameter_rows()
+        ]
+        return preformatted("\n".join([repr(self), *shown]))
+
+    def _parameter_rows(self) -> list[tuple[str, float, float | None, str]]:
+        return [
+            (name, value, half, p["unit"])
+            for name, p in self.metrics.get("parameters", {}).items()
+            for value, half in zip(p["value"], p["half_width_90"], strict=True)
+        ]
 
     @property
     def capabilities(self) -> Capabilities:

@@ -11,15 +11,11 @@ from numpy.typing import ArrayLike
 from nsde_torch.arrays import Array
 from nsde_torch.errors import ShapeError
 from nsde_torch.plots.calibration import TARGET
-from nsde_torch.plots.euler import with_angles
-from nsde_torch.plots.rollouts import BANDS
+from nsde_torch.plots.rollouts import BANDS, grid_of_bands
 from nsde_torch.plots.style import (
     BLACK,
-    BLUE,
     GREY,
-    few_ticks,
     key,
-    label,
     model_look,
     panels,
     seconds_axis,
@@ -27,7 +23,6 @@ from nsde_torch.plots.style import (
 )
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _ROOM = 4.0  # how far a band may go beyond the range of what was measured, in such ranges
@@ -124,7 +119,7 @@ def rollouts_of_models(
     Raises:
         ShapeError: the arrays do not fit together.
     """
-    parts = {}
+    columns = []
     for model in t:
         times, m, s = (np.asarray(v[model], dtype=float) for v in (t, measured, samples))
         if s.ndim != 3 or m.shape != s.shape[1:] or times.shape != m.shape[:1] or len(names) != m.shape[1]:
@@ -132,36 +127,8 @@ def rollouts_of_models(
                 f"`measured[{model!r}]` must be (T+1, nx={len(names)}), `samples` (P, T+1, nx) and `t` (T+1,); got "
                 f"{m.shape}, {s.shape} and {times.shape}."
             )
-        shown = (m, s, list(names), list(units))
-        parts[model] = (
-            times,
-            *(shown if quaternion is None else with_angles(m, s, names, units, quaternion)),
-        )
-    rows = next(iter(parts.values()))[1].shape[1]
-    height = 1.0 + rows * (2.0 if rows <= 2 else 1.45 if rows <= 6 else 1.05)
-    figure, axes = panels(rows, len(parts), height=height, title=title, sharex=True, sharey="row")
-    for column, (model, (times, m, s, channels, channel_units)) in enumerate(parts.items()):
-        for k in range(rows):
-            ax = axes[k, column]
-            _bands(ax, times, m[:, k], s[..., k])
-            if column == 0:
-                ax.set_xlim(times[0], times[-1])
-                ax.set_ylim(*_limits([(part[1][:, k], part[2][..., k]) for part in parts.values()]))
-                ax.set_ylabel(label(channels[k], channel_units[k]))
-                few_ticks(ax, y=4)
-        axes[0, column].set_title(model)
-        axes[-1, column].set_xlabel("time from the start [s]")
-    figure.align_ylabels(list(axes[:, 0]))
-    key(figure, axes[0, 0])
-    return figure
-
-
-def _bands(ax: Axes, t: Array, measured: Array, samples: Array) -> None:
-    for level, colour in BANDS:
-        low, high = np.quantile(samples, [(1 - level) / 2, (1 + level) / 2], axis=0)
-        ax.fill_between(t, low, high, color=colour, linewidth=0, label=f"{100 * level:.0f} %")
-    ax.plot(t, np.median(samples, axis=0), color=BLUE, label="median")
-    ax.plot(t, measured, color=BLACK, linewidth=1.2, linestyle=(0, (4, 1.5)), label="measured")
+        columns.append((model, times, m, s))
+    return grid_of_bands(columns, names, units, quaternion, title=title, limits=_limits)
 
 
 def _limits(pairs: Sequence[tuple[Array, Array]]) -> tuple[float, float]:

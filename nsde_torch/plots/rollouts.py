@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from nsde_torch.arrays import Array
 from nsde_torch.errors import ShapeError
 from nsde_torch.plots.euler import with_angles
 from nsde_torch.plots.style import BLACK, BLUE, few_ticks, key, label, panels, styled
@@ -62,28 +63,52 @@ def rollout_bands(
     headings = list(starts) if starts is not None else [f"start {k + 1}" for k in range(len(true))]
     if len(headings) != len(true):
         raise ShapeError(f"`starts` must hold {len(true)} headings; got {len(headings)}.")
+    columns = [(heading, t, m, s) for heading, m, s in zip(headings, true, drawn, strict=True)]
+    return grid_of_bands(
+        columns, names, units, quaternion, title=title, named=len(columns) > 1 or starts is not None
+    )
+
+
+def grid_of_bands(
+    columns: Sequence[tuple[str, Array, Array, Array]],
+    names: Sequence[str],
+    units: Sequence[str],
+    quaternion: slice | None,
+    *,
+    title: str,
+    named: bool = True,
+    limits: Callable[[Sequence[tuple[Array, Array]]], tuple[float, float]] | None = None,
+) -> Figure:
+    """One row of panels per channel, one column per heading, times, measured states and samples.
+
+    `limits` makes the axis that the panels of a row share, from what is measured and sampled in each.
+    """
     parts = []
-    for m, s in zip(true, drawn, strict=True):
+    for heading, t, m, s in columns:
         shown = (m, s, list(names), list(units))
-        parts.append(shown if quaternion is None else with_angles(m, s, names, units, quaternion))
-    rows, columns = parts[0][0].shape[1], len(parts)
+        parts.append((heading, t, *(shown if quaternion is None else with_angles(*shown, quaternion))))
+    rows = parts[0][2].shape[1]
     height = 1.0 + rows * (2.0 if rows <= 2 else 1.45 if rows <= 6 else 1.05)
-    figure, axes = panels(rows, columns, height=height, title=title, sharex=True)
-    for e, (m, s, channel_names, channel_units) in enumerate(parts):
+    shared: bool | str = False if limits is None else "row"
+    figure, axes = panels(rows, len(parts), height=height, title=title, sharex=True, sharey=shared)
+    for column, (heading, t, m, s, channels, channel_units) in enumerate(parts):
         for k in range(rows):
-            ax = axes[k, e]
+            ax = axes[k, column]
             for level, colour in BANDS:
                 low, high = np.quantile(s[..., k], [(1 - level) / 2, (1 + level) / 2], axis=0)
                 ax.fill_between(t, low, high, color=colour, linewidth=0, label=f"{100 * level:.0f} %")
             ax.plot(t, np.median(s[..., k], axis=0), color=BLUE, label="median")
             ax.plot(t, m[:, k], color=BLACK, linewidth=1.2, linestyle=(0, (4, 1.5)), label="measured")
-            ax.set_xlim(t[0], t[-1])
-            few_ticks(ax, y=4)
-            if e == 0:
-                ax.set_ylabel(label(channel_names[k], channel_units[k]))
-        if columns > 1 or starts is not None:
-            axes[0, e].set_title(headings[e])
-        axes[-1, e].set_xlabel("time from the start [s]")
+            if column == 0 or limits is None:
+                ax.set_xlim(t[0], t[-1])
+                few_ticks(ax, y=4)
+            if column == 0:
+                ax.set_ylabel(label(channels[k], channel_units[k]))
+                if limits is not None:
+                    ax.set_ylim(*limits([(part[2][:, k], part[3][..., k]) for part in parts]))
+        if named:
+            axes[0, column].set_title(heading)
+        axes[-1, column].set_xlabel("time from the start [s]")
     figure.align_ylabels(list(axes[:, 0]))
     key(figure, axes[0, 0])
     return figure

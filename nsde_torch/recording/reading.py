@@ -38,6 +38,8 @@ from nsde_torch.recording.fault import Fault
 from nsde_torch.recording.faults import in_order, remedies
 from nsde_torch.recording.latency import late_channels, latency_findings, surely_late
 
+_FINER = 1000
+"""Steps of the data are divided into that many at most."""
 SHORT_S = 2.0 * kinematics.MIN_INTERVALS * kinematics.INTERVAL_S
 """Runs shorter than this are measured together against the clock [s]; each alone has too few intervals."""
 
@@ -207,6 +209,11 @@ def assemble(
     if not all(times.follows(run.t, own_step) for run in raw):
         own_step = times.mean_step(raw, own_step)  # of times that were rounded to it
     wanted = own_step if dt is None else float(dt)
+    if wanted < own_step / _FINER:
+        raise ConfigError(
+            f"`dt` must be at least 1/{_FINER} of the data's step of {own_step:.4g} s, between whose rows nothing was "
+            f"measured; got {wanted:.4g} s."
+        )
     limit = times.GAP_STEPS * max(wanted, own_step) if gap is None else float(gap)
     if limit <= wanted:
         raise ConfigError(f"`gap` must be longer than the step of {wanted:.4g} s; got {limit:.4g} s.")

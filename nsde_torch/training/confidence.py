@@ -18,7 +18,7 @@ from scipy.special import stdtrit
 from torch import Tensor
 
 from nsde_torch.data import Windows
-from nsde_torch.evaluation.before import inputs_before
+from nsde_torch.models.before import inputs_before
 from nsde_torch.models.neural_sde import NeuralSDE
 
 _HORIZON_S, _CLUSTER_S, _WINDOWS = 0.25, 4.0, 600

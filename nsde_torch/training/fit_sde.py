@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from nsde_torch.data import Windows
 from nsde_torch.errors import NonFiniteError
-from nsde_torch.evaluation.before import inputs_before
+from nsde_torch.models.before import inputs_before
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.sde import brownian
 from nsde_torch.training.confidence import declared_confidence

@@ -60,6 +60,7 @@ def fit_sysid(task: Task) -> Fitted:
         found.parameters,
         facts,
         said=summary(found),
+        details=rates_table(found),
     )
 
 
@@ -86,17 +87,14 @@ def summary(found: Identification) -> str:
         )
         rows.append([v.labels[i], number(value, 0.0 if half != half else 2 * half), *cells, v.units[i]])
     head = ["declared parameter", "value", "standard error", f"{_LEVEL:.0%} interval", "unit"]
+    return "\n".join([*lines, "", table(head, rows)])
+
+
+def rates_table(found: Identification) -> str:
+    """What the declared physics leaves of the rates."""
     channels = [
         [c.name, number(c.measured), number(c.residual), number(c.sensor), f"{c.r2:.1%}", c.unit]
         for c in found.channels
     ]
     width = f"rate, means over {number(found.width_s)} s"
-    return "\n".join(
-        [
-            *lines,
-            "",
-            table(head, rows),
-            "",
-            table([width, "measured", "left", "by sensors", "explained", "unit"], channels),
-        ]
-    )
+    return table([width, "measured", "left", "by sensors", "explained", "unit"], channels)

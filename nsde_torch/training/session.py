@@ -19,7 +19,14 @@ from nsde_torch.evaluation import seen
 from nsde_torch.evaluation.calibration import Coverage, extrapolate, widen
 from nsde_torch.evaluation.metrics import evaluate, horizons_of
 from nsde_torch.evaluation.one_step import one_step_table
-from nsde_torch.evaluation.report import coverage_table, error_table, lookahead, parameter_table
+from nsde_torch.evaluation.report import (
+    NO_INTERVALS,
+    coverage_table,
+    error_table,
+    lookahead,
+    parameter_table,
+    short_table,
+)
 from nsde_torch.models.capabilities import is_stochastic, learns_sensors
 from nsde_torch.models.kind import model_kind
 from nsde_torch.models.model import Model, ModelSpec
@@ -78,11 +85,12 @@ class Training:
         other_sensors: bool = False,
         instruments: Sequence[str] = (),
         kept: bool = True,
+        verbose: bool = False,
     ) -> None:
         self.spec, self.data, self.split, self.loss, self.options = spec, data, split, loss, options
         self.validation, self.seed, self.values = validation, seed, values
         self.device, self.dtype = torch.device(device), dtype
-        self.instruments, self.kept = tuple(instruments), kept
+        self.instruments, self.kept, self.verbose = tuple(instruments), kept, verbose
         self.folder, self.about, self.other_sensors = Path(run_dir), about, other_sensors
         self.say, self.quiet = say or (lambda text: None), say is False
         compiles = model_kind(spec.kind).compiles
@@ -99,7 +107,7 @@ class Training:
             What `metrics.json` holds.
         """
         started = time.perf_counter()
-        self.say(str(self.data.summary))
+        self.say(str(self.data.summary) if self.verbose else self.data.summary.short)
         self._say_split()
         if self.split.test and not horizons_of(self.split.test, self.spec.dt):
             names = ", ".join(run.name for run in self.split.test)
@@ -116,6 +124,8 @@ class Training:
             f"validation {p.best_score:.4f}"
             + (f"; then {p.polished} steps on all windows" if p.polished else "")
         )
+        if self.verbose and fit.details:
+            self.say(f"\n{fit.details}")
         save(model, self.folder, about={"calibrated": False, **(self.about or {})})
         calibration = self._calibrate(fit)
         loop = {} if "feedback" in fit.facts else self._feedback(model)
@@ -292,21 +302,21 @@ class Training:
             self.say("\n" + parameter_table(metrics["parameters"]))
         test = metrics.get("test")
         if test and test["errors"]:
-            self.say(
-                f"\nHeld-out runs: {_names(metrics['test_runs'])}; {test['starts']} starts, "
-                f"{test['diverged']} diverged\n"
-            )
-            if test["one_step"]:
-                self.say(one_step_table(test["one_step"]) + "\n")
-            self.say(error_table(test))
-            if any(value > 0 for by in test["spread"].values() for value in by.values()):
-                self.say("\n" + coverage_table(test))
-            else:
-                self.say("\nthe model is deterministic: it has no intervals")
+            noisy = any(value > 0 for by in test["spread"].values() for value in by.values())
+            starts = f"{_names(metrics['test_runs'])}; {test['starts']} starts, {test['diverged']} diverged"
+            tables = [
+                f"Held-out runs: {starts}",
+                one_step_table(test["one_step"]) if test["one_step"] else "",
+            ]
+            tables += [error_table(test), coverage_table(test) if noisy else NO_INTERVALS]
+            if not self.verbose:
+                tables = [f"held out: {starts}\n{short_table(test, noisy=noisy)}"]
+            self.say("\n" + "\n\n".join(filter(None, tables)))
         if self.note():
             self.say(f"\nnote: {self.note()}")
         wrote = f"; wrote {self.folder}" if self.kept else ""
-        self.say(f"\ntook {metrics['seconds']['total']:.0f} s{wrote}")
+        more = "" if self.verbose else "; verbose=true prints all tables"
+        self.say(f"\ntook {metrics['seconds']['total']:.0f} s{wrote}{more}")
 
     def _scalars(self, name: str) -> Callable[[int, dict[str, float]], None]:
         from torch.utils.tensorboard import SummaryWriter

@@ -210,6 +210,14 @@ def test_a_sound_cart_and_a_sound_flight_are_not_suspected(tmp_path: Path, syste
     assert "exchanged" not in said
 
 
+def test_a_single_value_that_is_off_by_far_is_no_doubt_of_its_column(tmp_path: Path) -> None:
+    columns = spring()
+    columns["q"][700] = 1e6
+    found, _ = asked(tmp_path, columns, SPRING)
+    assert not found.doubts, found.doubts
+    assert "single samples of 'q' off by far" in " ".join(found.notes)
+
+
 @pytest.mark.parametrize("speed", [0.0, 2.0])
 @pytest.mark.parametrize("noise", [0.0, 2e-3])
 def test_an_axis_that_rests_or_turns_steadily_is_no_doubt(tmp_path: Path, speed: float, noise: float) -> None:
@@ -246,6 +254,15 @@ def test_an_angle_that_was_wrapped_is_no_doubt(tmp_path: Path) -> None:
     found, said = asked(tmp_path, columns, CART)
     assert found.doubts == []
     assert "wraps of the angle" in said
+
+
+def test_exchanged_motors_are_said_by_diagnose_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_table(tmp_path / "run_0.csv", order(flight(10.0), "u_1", "u_3"))
+    words = [f"system={QUAD}", f"data.path={tmp_path}", "data.test=[9]", f"out_dir={tmp_path / 'd'}"]
+    assert main(["diagnose", *words]) == 2  # there is no run 9, which is said after the summary
+    assert "u_1 and u_3 exchanged" in capsys.readouterr().out
 
 
 def test_frames_and_exchanged_motors_are_said_by_read_as_by_inspect(tmp_path: Path) -> None:

@@ -20,6 +20,12 @@ from nsde_torch.errors import ConfigError
 CHOICES = [(group, choice) for group in groups.defaults("train") for choice in groups.choices(group)]
 
 
+BOMB = "\n".join(
+    f"k{n}: &k{n} [{', '.join([f'*k{n - 1}'] * 9 if n else 'x' * 9)}]" for n in range(9)
+).encode()
+"""Aliases of aliases: a file of 300 bytes that represents 400 million values."""
+
+
 @pytest.fixture
 def hydra_ready() -> Iterator[None]:
     store(hydra_command("train"))
@@ -151,6 +157,10 @@ def test_parameters_of_effects_are_reached_with_dots() -> None:
         (["system=[a"], "`system=[a` is not in Hydra's grammar."),
         (["--config-dir", "nowhere"], "`--config-dir nowhere`: no such folder."),
         (["resume=nowhere"], "there is no run to continue"),
+        (["seed=99999999999999999999"], "`seed` must have fewer than 19 digits"),
+        (["run_dir="], "`run_dir` is empty; name a folder."),
+        (["=1"], "`=1` is not KEY=VALUE"),
+        (["~seed"], "no key can be taken out of the configuration"),
         (["-m", "run_dir=a"], "a sweep takes `sweep_dir=...`"),
         (["-m", "resume=a"], "`resume` continues one run; leave out -m."),
     ],
@@ -178,6 +188,10 @@ def test_a_mistake_is_one_clean_message(
         (b"name: !!python/object/apply:os.system ['touch hacked']\n", "mine.yaml, line 1: no plain YAML"),
         (b"name: [unclosed\n", "mine.yaml, line 2: no plain YAML"),
         (b"\xff\xfe", "mine.yaml is no UTF-8 text"),
+        (b"- 1\n", "mine.yaml must hold `KEY: VALUE` lines; got list"),
+        (BOMB, "mine.yaml: its aliases represent more than a million values"),
+        (b"a: &a [*a]\n", "mine.yaml: no plain YAML (it refers to itself"),
+        (b"[" * 9999, "mine.yaml: no plain YAML (it refers to itself, or is nested too deeply"),
     ],
 )
 @pytest.mark.parametrize("command", ["train", "effects"])
@@ -191,6 +205,36 @@ def test_a_file_of_ones_own_that_is_no_plain_yaml_is_named(
     assert expected in said
     assert len(said.splitlines()) == 1
     assert not (tmp_path / "hacked").exists()
+
+
+def test_a_file_of_ones_own_that_includes_itself_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "system").mkdir()
+    (tmp_path / "system" / "mine.yaml").write_text("defaults: [mine, _self_]\n")
+    assert main(["train", "--config-dir", str(tmp_path), "system=mine"]) == 2
+    assert "includes itself (`defaults`)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("record", ["a: b", "!!python/object/apply:os.system ['touch hacked']", "[", "3"])
+def test_a_damaged_record_of_the_command_is_said_where_it_is_resumed(
+    record: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "run" / ".hydra").mkdir(parents=True)
+    for name in ("overrides.yaml", "hydra.yaml"):
+        (tmp_path / "run" / ".hydra" / name).write_text(record)
+    assert main(["train", "resume=run"]) == 2
+    assert "`resume=run`: the record of its command in run/.hydra is damaged" in capsys.readouterr().err
+    assert not (tmp_path / "hacked").exists()
+
+
+def test_an_effect_of_ones_own_that_is_none_is_refused_before_data_are_read(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["diagnose", "system=mass_spring_damper", "data.path=nowhere", "also=[os:system]"]) == 2
+    assert "effect 'os:system' must be a subclass" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("value", ["abc", "[1, [2]]", "2024-01-01", "{a: 1}", "yes"])

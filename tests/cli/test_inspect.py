@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -162,12 +163,33 @@ def test_faults_of_the_user_are_one_sentence(tmp_path: Path, capsys: pytest.Capt
         ([str(tmp_path), "sistem=quadrotor"], "Did you mean `system=`"),
         ([str(tmp_path), "system=quadrotr"], "Did you mean 'quadrotor'"),
         ([str(tmp_path), "physics=maybe"], "must be true or false"),
+        ([str(tmp_path), "kind=os:system"], "`kind` must be one of csv, ulog"),
+        ([str(tmp_path), "kind=ulog"], "holds no file of the kind 'ulog' (.ulg)"),
         ([], "Usage"),
     ):
         assert main(["inspect", *words]) == 2
         said = capsys.readouterr()
         assert message in said.err + said.out
         assert "Traceback" not in said.err
+
+
+def test_the_mapping_beside_the_logs_is_checked_as_reading_takes_it(
+    springs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs = tmp_path / "logs"
+    shutil.copytree(springs, logs, ignore=shutil.ignore_patterns("mapping.yaml"))
+    words = ["inspect", str(logs), "system=mass_spring_damper", "physics=false"]
+    (logs / "mapping.yaml").write_text("columns: [\n")
+    assert main(words) == 2
+    assert "mapping.yaml, line 2: no plain YAML" in capsys.readouterr().err
+    exchanged = "{q: {from: 'speed [mm/s]', unit: mm}, q_dot: {from: 'position [mm]', unit: mm/s}}"
+    (logs / "mapping.yaml").write_text(f"time: {{from: time_ms, unit: ms}}\ncolumns: {exchanged}\n")
+    assert main(words) == 1
+    assert "next: mend this first" in capsys.readouterr().out
+    assert main([*words, "overwrite=true"]) == 0
+    assert f"wrote {logs / 'mapping.yaml'}" in capsys.readouterr().out
+    assert main([*words, f"out={logs / 'run_0.csv'}"]) == 0
+    assert "is there and was not replaced" in capsys.readouterr().out
 
 
 def test_a_folder_of_ones_own_machines_stays_in_the_command_that_comes_next(

@@ -146,7 +146,11 @@ def test_hexacopter_with_a_further_effect_and_a_second_process_that_loads_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = train(
-        tmp_path / "run", "system=hexacopter", "data.durations=[5,5,4]", "system.effects=[linear_drag]"
+        tmp_path / "run",
+        "system=hexacopter",
+        "data.durations=[5,5,4]",
+        "system.effects=[linear_drag]",
+        "verbose=true",
     )
     metrics = check(folder, "hexacopter")
     assert len(metrics["parameters"]["linear_drag.drag"]["value"]) == 3

@@ -100,6 +100,18 @@ def test_a_faulty_file_is_refused_with_place_and_remedy(tmp_path: Path, text: st
         read("csv", MSD, path=folder(tmp_path, text))
 
 
+@pytest.mark.parametrize("cell", ["", "nan", "N/A", "NA", "null", "-"])
+def test_a_cell_that_says_nothing_is_missing(tmp_path: Path, cell: str) -> None:
+    data = read("csv", MSD, path=folder(tmp_path, lines(rows=[*ROWS[:7], f"0.07,{cell},1,0", *ROWS[8:]])))
+    assert any(one.kind == "missing" or "missing" in one.message for one in data.summary.findings)
+    assert np.isfinite(data[0].x).all()
+
+
+def test_a_step_far_below_that_of_the_data_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"`dt` must be at least 1/1000 of the data's step of 0.01 s"):
+        read("csv", MSD, path=folder(tmp_path, lines()), dt=1e-9)
+
+
 def test_paths_that_are_no_data_set_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"holds no .csv file \(it holds nothing\)"):
         read("csv", MSD, path=str(tmp_path))

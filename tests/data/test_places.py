@@ -67,10 +67,19 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "hole.csv": (_hole, "holds bytes of zero"),
     "endless.csv": (_endless, "is longer than"),
     "endless_inside": (_folder(_endless), "is longer than"),
-    "empty.csv": (Path.touch, ""),
+    "image.png": (
+        lambda path: path.write_bytes(b"\x89PNG\r\n" + bytes(range(1, 200))),
+        "save a table as CSV in UTF-8",
+    ),
+    "packed": (
+        lambda path: (path.mkdir(), (path / "run.csv.gz").write_bytes(b"\x1f\x8b")),
+        "it holds run.csv.gz",
+    ),
+    "damaged.pkl": (lambda path: path.write_bytes(b"\xc3" * 99), "is not a readable pickle"),
     "empty": (Path.mkdir, "holds no"),
     "utf16.csv": (lambda path: path.write_text(GOOD, encoding="utf-16"), "not UTF-8"),
     "noise.csv": (lambda path: path.write_bytes(np.random.default_rng(1).bytes(9999)), ""),
+    **{f"empty{suffix}": (Path.touch, "is empty") for suffix in PIPES},
     **{f"pipe{suffix}": (os.mkfifo, "is no regular file") for suffix in PIPES},
     **{f"sparse{suffix}": (_sparse, "ends with 16 MiB of zeros") for suffix in SPARSE},
 }

@@ -130,8 +130,12 @@ def test_missing_files_folders_and_damage_are_named(tmp_path: Path) -> None:
         read_pickle(tmp_path / "none.pkl")
     with pytest.raises(DataError, match="is a folder"):
         read_pickle(tmp_path)
-    for content in (b"", b"hello", pickle.dumps(np.zeros((100, 3)))[:-700]):
-        with pytest.raises(DataError, match="not a readable pickle"):
+    for content, message in (
+        (b"", "is empty"),
+        (b"hello", "not a readable pickle"),
+        (pickle.dumps(np.zeros((100, 3)))[:-700], "not a readable pickle"),
+    ):
+        with pytest.raises(DataError, match=message):
             load(tmp_path, content)
 
 

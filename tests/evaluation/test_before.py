@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from nsde_torch.data import Run, Windows
-from nsde_torch.evaluation.before import inputs_before
 from nsde_torch.evaluation.open_loop import rollout_squares
 from nsde_torch.evaluation.scores import score
 from nsde_torch.models import IdentifiedModel, NeuralSDE, SDESpec, SysidSpec
+from nsde_torch.models.before import inputs_before
 from nsde_torch.systems import make_system
 from nsde_torch.training.fit_sde import Fit
 from nsde_torch.training.options import LossOptions, TrainerOptions

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 import nsde_torch
+from nsde_torch.data import Run
 from nsde_torch.errors import NsdeError
 from nsde_torch.models import Model, make_spec
 from nsde_torch.models.kind import model_kind
@@ -57,6 +59,19 @@ class ModelContract:
         torch.testing.assert_close(self.sample(trained, x, u), self.sample(trained, x, u))
         if bool((self.sample(trained, x, u)[0] != self.sample(trained, x, u)[1]).any()):
             assert bool((self.sample(trained, x, u) != self.sample(trained, x, u, seed=1)).any())
+
+    def test_a_run_is_predicted_piece_by_piece(self, trained: Model) -> None:
+        x, _ = self.rows(trained, n=1)
+        dt, system = trained.spec.dt, trained.system
+        u = np.full((13, system.nu + len(system.exogenous)), 0.1)
+        run = Run("a", dt * np.arange(13), x.expand(13, -1).cpu().double().numpy(), u)
+        found = trained.predict(run, horizon=4 * dt, particles=9)
+        assert (found.ahead == 0).sum() == 3
+        np.testing.assert_allclose(
+            found.median[found.ahead == 0], found.measured[found.ahead == 0], atol=1e-4
+        )
+        assert bool((found.low <= found.high).all())
+        assert trained.spec.system in repr(trained)
 
     def test_rows_that_do_not_fit_are_refused(self, trained: Model) -> None:
         x, u = self.rows(trained)

@@ -77,7 +77,7 @@ def test_batched_members_equal_members_one_by_one() -> None:
 
 
 def test_members_start_from_different_weights() -> None:
-    mean, _ = make(rough=False).predict(*rows(make()))
+    mean, _ = make(rough=False).change(*rows(make()))
     assert float(mean.std(0).min()) > 1e-3
 
 
@@ -85,7 +85,7 @@ def test_members_start_from_different_weights() -> None:
 def test_every_row_is_moved_by_its_own_member(system: str) -> None:
     model = make(system)
     x, u = rows(model, 40)
-    mean, std = model.predict(x, u)
+    mean, std = model.change(x, u)
     members = model.draw_members(40, generator(3))
     noise = torch.randn(40, model.chart.n_change, generator=generator(4))
     after = model.advance(x, u, members, noise)
@@ -97,7 +97,7 @@ def test_every_row_is_moved_by_its_own_member(system: str) -> None:
 def test_a_single_row_and_members_without_rows_are_no_special_case() -> None:
     model = make()
     x, u = rows(model, 1)
-    mean, _ = model.predict(x, u)
+    mean, _ = model.change(x, u)
     for m in range(5):
         after = model.advance(x, u, torch.tensor([m]), torch.zeros(1, 4))
         torch.testing.assert_close(after, x + mean[m])
@@ -108,7 +108,7 @@ def test_the_log_density_is_that_of_torchs_mixture_of_normals(system: str) -> No
     model = make(system)
     x, u = rows(model)
     after, _ = rows(model, seed=5)
-    mean, std = model.predict(x, u)
+    mean, std = model.change(x, u)
     parts = Independent(Normal(mean.transpose(0, 1), std.transpose(0, 1)), 1)
     mixture = MixtureSameFamily(Categorical(torch.ones(len(x), 5)), parts)
     torch.testing.assert_close(model.log_density(x, u, after), mixture.log_prob(model.chart.change(x, after)))
@@ -137,7 +137,7 @@ def test_the_output_does_not_see_a_full_turn_of_the_pole() -> None:
     model = make()
     x, u = rows(model)
     turned = x + 2 * math.pi * torch.tensor([0.0, 0, 1, 0])
-    for a, b in zip(model.predict(x, u), model.predict(turned, u), strict=True):
+    for a, b in zip(model.change(x, u), model.change(turned, u), strict=True):
         torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-5)
 
 
@@ -218,7 +218,7 @@ def test_mean_and_variance_of_a_sampled_step_are_those_of_the_mixture(propagatio
     model = make(propagation=propagation).double()
     x, u = rows(model, 3)
     x, u = x.double(), u.double()
-    mean, std = model.predict(x, u)
+    mean, std = model.change(x, u)
     count = 40_000
     path = model.sample(x, u[:, None], dt=0.02, particles=count, generator=generator(2))
     change = path[:, :, 1] - x

@@ -26,7 +26,7 @@ def swing(name: str, seconds: float, seed: int) -> RawRun:
 
 
 def run(
-    seconds: list[float], folder: Path, *, test: list[int] | None, horizon: int = 10
+    seconds: list[float], folder: Path, *, test: list[int] | None, horizon: int = 10, verbose: bool = False
 ) -> tuple[dict[str, Any], str]:
     raw = [swing(f"swing_{k}", s, k) for k, s in enumerate(seconds)]
     data = assemble(raw, make_system("mass_spring_damper"), kind="csv")
@@ -40,6 +40,7 @@ def run(
         seed=0,
         run_dir=folder,
         say=said.append,
+        verbose=verbose,
     )
     return metrics, "\n".join(said)
 
@@ -67,3 +68,19 @@ def test_a_test_run_that_is_too_short_is_refused_before_the_first_step(tmp_path:
 def test_data_without_a_training_window_are_refused_with_the_remedy(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="Shorten `horizon`"):
         run([0.5, 6.0], tmp_path, test=[1], horizon=100)
+
+
+def test_a_training_says_what_matters_in_twenty_lines_and_all_when_asked(tmp_path: Path) -> None:
+    _, said = run([6.0, 6.0, 6.0], tmp_path / "short", test=None)
+    assert len(said.splitlines()) <= 22
+    for word in (
+        "declared parameter",
+        "held out: swing_2",
+        "in 90% interval",
+        "verbose=true prints all tables",
+    ):
+        assert word in said
+    _, all_of_it = run([6.0, 6.0, 6.0], tmp_path / "long", test=None, verbose=True)
+    for word in ("channel", "held-out rate of", "constant velocity", "50% interval", "CRPS"):
+        assert word in all_of_it
+        assert word not in said

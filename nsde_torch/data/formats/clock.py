@@ -107,7 +107,10 @@ def timed(name: str, fields: dict[str, Array], clock: ClockOf, *, source: str) -
         raise ConfigError(f"`unit` of the time must be one of {', '.join(SECONDS)}; got {unit!r}.")
     good = np.isfinite(values)
     if good.sum() < 2 or not np.diff(values[good]).any():
-        raise DataError(f"{source}: the column {column!r} is taken for the time and does not increase.")
+        raise DataError(
+            f"{source}: the column {column!r} is taken for the time and does not increase; a run needs two rows. "
+            "Record longer, or say in a mapping which column it is, `time: {from: NAME, unit: s}`."
+        )
     times = values[good] * SECONDS[unit]
     _, shuffled = disorder(times, column)
     if shuffled:

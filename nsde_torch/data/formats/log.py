@@ -80,4 +80,7 @@ def lacking(package: str, extra: str, path: Path) -> ConfigError:
 def unreadable(path: Path, what: str, error: Exception | str) -> DataError:
     """The error for a file that its parser refuses."""
     reason = error if isinstance(error, str) else f"{type(error).__name__}: {error}"
-    return DataError(f"{path} is not a readable {what} ({' '.join(reason.split())[:200]}).")
+    return DataError(
+        f"{path} is not a readable {what} ({' '.join(reason.split())[:200]}). It may be cut short or of another "
+        "format: copy it again, unpack an archive, or save a table as CSV in UTF-8."
+    )

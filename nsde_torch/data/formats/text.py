@@ -19,13 +19,12 @@ import numpy as np
 from nsde_torch.arrays import Array
 from nsde_torch.data.formats.clock import UNNAMED
 from nsde_torch.data.formats.log import unreadable
-from nsde_torch.data.places import LONGEST, check_names, count_rows, refuse_larger
+from nsde_torch.data.places import LONGEST, NOTHING, check_names, count_rows, refuse_larger
 from nsde_torch.errors import DataError
 
 _MARKS = (",", ";", "\t")
 _COMMENT = ("#", "%")
 _PROBED = 200  # rows that tell which columns hold numbers
-_NOTHING = {"", "nan", "NaN", "NAN", "null", "None", "NA", "N/A", "n/a", "-"}
 _BRACKETS = re.compile(r"[\[(][^\[\]()]*[\])]")
 _BARE_LIST = {mark: re.compile(rf"(?:^|(?<={mark}))\s*{_BRACKETS.pattern}") for mark in (*_MARKS, " ")}
 _ARRAY = re.compile(r"^(?:np\.|numpy\.)?array\(|,?\s*dtype=[\w.]+")
@@ -112,7 +111,7 @@ def _layout(path: Path) -> _Layout:
     cells = _cells(first, mark)
     below = _cells(rows[1][1], mark) if len(rows) == 2 else cells
     pairs = list(zip(cells, below, strict=False))
-    counted = [_is_numeric(a, mark) or a in _NOTHING for a, b in pairs if _is_numeric(b, mark)]
+    counted = [_is_numeric(a, mark) or a in NOTHING for a, b in pairs if _is_numeric(b, mark)]
     if not (all(counted) and any(_is_numeric(cell, mark) for cell in cells)):
         return _Layout(cells, mark, number, False)
     for _, line in reversed(comments):  # the one nearest to the rows that has a name for each column
@@ -191,7 +190,7 @@ def _cell_by_cell(path: Path, layout: _Layout, use: dict[int, int], notes: list[
             one = _number(cells[k], layout.mark)
             values = (_list(cells[k]) or []) if width else [] if one is None else [one]
             if len(values) != max(width, 1):
-                if cells[k] not in _NOTHING:
+                if cells[k] not in NOTHING:
                     words[k].append(f"{cells[k][:40]!r} in line {number}")
                 values = [float("nan")] * max(width, 1)
             read[k].extend(values)
@@ -221,7 +220,7 @@ def _width(cells: list[str], mark: str) -> int:
     """What most cells of a column hold: 0 of numbers, the length of lists, -1 of words."""
     lists = [len(one) for cell in cells if _number(cell, mark) is None and (one := _list(cell)) is not None]
     numbers = sum(_number(cell, mark) is not None for cell in cells)
-    words = sum(cell not in _NOTHING for cell in cells) - numbers - len(lists)
+    words = sum(cell not in NOTHING for cell in cells) - numbers - len(lists)
     if lists and len(lists) > max(words, numbers):
         return max(set(lists), key=lists.count)
     return 0 if numbers > words + len(lists) or not words + len(lists) else -1

@@ -47,6 +47,8 @@ SUSPECT = "columns"
 ATTITUDE, VELOCITY = VECTORS = ("attitude and rates", "position and velocity")
 """Names of the checks of the vectors of a vehicle."""
 _MOST = 60_000  # rows
+_SPIKE = 20.0  # such a multiple of the largest usual changes between rows is no movement
+_FEW = 200  # rows, of fewer one spike is a usual change
 _TURN = 6.3  # range of an angle that was logged within one turn [rad]
 _SIZES = (1e-3, 1e-2, 0.3048, 1.0 / 0.3048, 1e2, 1e3)
 """Factors that a forgotten unit would be."""
@@ -102,7 +104,7 @@ def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -
         rows = slice(first, first + _MOST)
         run = RawRun(run.name, run.t[rows], run.x[rows], run.u[rows])
     own = np.diff(run.t, prepend=-np.inf) > 0
-    run = RawRun(run.name, run.t[own], _unwrapped(system, run.x[own]), run.u[own])
+    run = RawRun(run.name, run.t[own], _without_spikes(_unwrapped(system, run.x[own])), run.u[own])
     other = times_misread(system, run, mapping)
     if other is not None:
         return [LogCheck("time", False, f"{other.words}.", other.remedy)]
@@ -130,6 +132,17 @@ def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -
                 if not moved & {system.state_names[a], system.state_names[b]}:
                     out.append(_axis(system, run, a, b, mapping))
     return out
+
+
+def _without_spikes(x: Array) -> Array:
+    """States (n, nx) with single values that are off by far set to a neighbour's: they say nothing of the columns."""
+    if len(x) < _FEW:
+        return x
+    neighbours = np.sort(np.stack((x[:-2], x[1:-1], x[2:])), axis=0)[1]
+    change = np.quantile(np.abs(np.diff(np.nan_to_num(x), axis=0)), 0.99, axis=0)
+    off = (np.abs(x[1:-1] - neighbours) > _SPIKE * change) & (change > 0.0)
+    x[1:-1][off] = neighbours[off]
+    return x
 
 
 def _unwrapped(system: SystemInfo, x: Array) -> Array:

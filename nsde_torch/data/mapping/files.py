@@ -74,7 +74,10 @@ def log_files(kind: str, path: str | Path) -> list[LogFile]:
     log_place(path, f"a file ({', '.join(suffixes)}) or a folder of them")
     files = [path] if path.is_file() or _is_bag(path) else _inside(path, suffixes, kind)
     if not files:
-        raise DataError(f"`path`: {path} holds no file of the kind {kind!r} ({', '.join(suffixes)}).")
+        held = ", ".join(p.name for p in entries(path)[:5]) or "nothing"
+        raise DataError(
+            f"`path`: {path} holds no file of the kind {kind!r} ({', '.join(suffixes)}); it holds {held}."
+        )
     if kind == "betaflight":
         return [
             LogFile(file.stem if count == 1 else f"{file.stem}_{k}", file, kind, k)

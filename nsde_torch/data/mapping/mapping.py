@@ -30,12 +30,12 @@ from nsde_torch.data.formats.clock import SECONDS, ClockOf
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError
 from nsde_torch.lookup import did_you_mean
+from nsde_torch.plain_yaml import read_yaml
 
 WORLDS, BODIES = ("ENU", "NED"), ("FLU", "FRD")
 AXES = ("world", "body")
 ORDERS = ("wxyz", "xyzw")
 TURNS = ("body to world", "world to body")
-_LARGEST = 1 << 20  # bytes of the file
 
 
 @dataclass(frozen=True)
@@ -115,17 +115,10 @@ def read_mapping(path: str | Path) -> LogMapping:
     Raises:
         ConfigError: no such file, not YAML, an unknown key or a value out of range; the message names the key.
     """
-    path = Path(path)
-    if path.exists() and not path.is_file():
-        raise ConfigError(f"`mapping`: {path} is no regular file; expected a YAML file.")
     try:
-        if path.stat().st_size > _LARGEST:
-            raise ConfigError(f"`mapping`: {path} is larger than 1 MiB; no mapping is.")
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"`mapping`: {path} cannot be read ({type(error).__name__}).") from error
-    except (yaml.YAMLError, RecursionError) as error:
-        raise ConfigError(f"`mapping`: {path} is not YAML ({' '.join(str(error).split())[:160]}).") from error
+        content = read_yaml(path)
+    except ConfigError as error:
+        raise ConfigError(f"`mapping`: {error}") from None
     return mapping_of(content, str(path))
 
 

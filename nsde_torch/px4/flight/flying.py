@@ -28,6 +28,7 @@ from nsde_torch.px4.flight.setpoint import SetpointLimits
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.connection import Connection
 from nsde_torch.px4.link.telemetry import VehicleState
+from nsde_torch.px4.link.urgent import STREAM, urgent
 from nsde_torch.px4.link.vectors import Vec, distance
 
 RATE = 100.0
@@ -251,6 +252,10 @@ def fly(
         stack.enter_context(_undisturbed())
         if link.live:
             stack.enter_context(_signals(flight.stop))
+            if not stack.enter_context(urgent(STREAM)):
+                say(
+                    "           note: no real-time priority: a busy computer delays setpoints. `ulimit -r 2` allows it"
+                )
         try:
             _loop(link, flight, recorder, 1.0 / rate, watch)
         except BaseException:

@@ -59,6 +59,11 @@ def faults(
     age = now - state.time
     if age > limits.estimate:
         out.append(f"the newest state is {age:.2f} s old")
+    late = endpoint.telemetry.sync.late
+    if (
+        late is not None
+    ):  # the age of states is then a guess from below, and a late line looks like a quick one
+        out.append(f"TIMESYNC is answered after {late:.1f} s: a faster link is needed")
     if endpoint.telemetry.rate < FEWEST:
         out.append(
             f"states come at {endpoint.telemetry.rate:.0f} Hz, less than {FEWEST:.0f}: a faster link is needed"

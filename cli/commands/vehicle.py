@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.px4.simulator.clock import CLOCK
+from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 
 from ..hydra_command import HydraCommand
-from ..keys import group, key
+from ..keys import group, key, mirrors
 from ..schemas.control import FlownPlantConfig, LinkConfig
 
 if TYPE_CHECKING:
@@ -19,6 +20,11 @@ if TYPE_CHECKING:
     from nsde_torch.px4.simulator.body import Body
 
     from ..jobs import Job
+
+
+@mirrors(SensorErrors)
+class SensorsConfig:
+    """What the sensors of a simulated vehicle get wrong."""
 
 
 @dataclass
@@ -38,6 +44,9 @@ class VehicleConfig:
     threads: int = key(1, "CPU threads of torch", low=1)
     plant: FlownPlantConfig = group(FlownPlantConfig, "the machine that it flies")
     link: LinkConfig = group(LinkConfig, "how it is reached")
+    sensors: SensorsConfig = group(
+        SensorsConfig, "what its sensors get wrong; plant.sensor_noise is a factor"
+    )
 
 
 def _keys(arguments: Sequence[str]) -> list[str]:
@@ -56,7 +65,7 @@ COMMAND = HydraCommand(
     help="Be a simulated PX4 vehicle, for nsde fly and its tests",
     schema=VehicleConfig,
     module=__name__,
-    groups={"plant": "hexacopter", "link": "vehicle"},
+    groups={"plant": "hexacopter", "link": "vehicle", "sensors": "default"},
     words=_keys,
 )
 
@@ -118,10 +127,10 @@ def _simulate(config: DictConfig, body: Callable[[], Body]) -> None:
 
     if not config.hil.startswith("tcpin:"):
         raise ConfigError(f"`hil` takes tcpin:HOST:PORT, where PX4 connects; got {config.hil!r}.")
-    seed, noise = config.seed, config.plant.sensor_noise
+    seed, noise, errors = config.seed, config.plant.sensor_noise, _errors(config.sensors)
     first = body()
     transport = open_transport(config.hil, expose=config.link.expose, name="hil")
-    server = HilServer(lambda: HilPlant(body(), seed=seed, noise=noise), transport, say=_say)
+    server = HilServer(lambda: HilPlant(body(), seed=seed, noise=noise, errors=errors), transport, say=_say)
     _say(
         f"a {first.system.name} as PX4's simulator on {config.hil}; Ctrl-C ends it. PX4 must know the machine:"
     )
@@ -133,6 +142,25 @@ def _simulate(config: DictConfig, body: Callable[[], Body]) -> None:
         pass
     finally:
         transport.close()
+
+
+def _errors(config: DictConfig) -> SensorErrors:
+    """The group `sensors`.
+
+    Raises:
+        ConfigError: an error along axes that are not three.
+    """
+    from nsde_torch.errors import ConfigError
+
+    from .. import build
+
+    given: dict[str, Any] = build.options(config)
+    for name, value in given.items():
+        if isinstance(value, list):
+            if len(value) != 3:
+                raise ConfigError(f"`sensors.{name}` takes three numbers; got {value}.")
+            given[name] = tuple(value)
+    return SensorErrors(**given)
 
 
 def _say(line: str) -> None:
@@ -163,6 +191,7 @@ def _fly(config: DictConfig, body: Body, parameters: dict[str, float]) -> None:
         sensor_noise=plant.sensor_noise,
         stream=transport.stream,
         parameters=parameters,
+        errors=_errors(config.sensors),
     )
     vehicle = Vehicle(autopilot, transport, speed=config.clock)
     print(f"a simulated {body.system.name} on {config.link.url}; Ctrl-C ends it", flush=True)

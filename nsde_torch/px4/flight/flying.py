@@ -11,7 +11,7 @@ from array import array
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from math import degrees
+from math import degrees, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,9 @@ from nsde_torch.px4.link.vectors import Vec, distance
 
 RATE = 100.0
 """Ticks of the loop in a second; each sends a setpoint."""
+DEVIATIONS = ("horizontal", "vertical")
+QUALITIES = ("velocity", "position", "height", "heading", *DEVIATIONS)
+"""What of `EstimateQuality` is reported."""
 LOGGED_FROM = 0.3
 """Height above which a flight is logged [m]: below, the ground acts on it."""
 
@@ -55,6 +58,7 @@ class FlightReport:
         link: What became of frames.
         texts: What the autopilot said.
         drift: Seconds that its clock gains in one of ours.
+        quality: The worst that the vehicle's estimator said of itself in flight, by the names of `EstimateQuality`.
     """
 
     outcome: FlightOutcome
@@ -70,6 +74,7 @@ class FlightReport:
     link: dict[str, int] = field(default_factory=dict)
     texts: list[str] = field(default_factory=list)
     drift: float = 0.0
+    quality: dict[str, float] = field(default_factory=dict)
 
     @property
     def rmse(self) -> float | None:
@@ -97,6 +102,8 @@ class FlightReport:
             "without_plans_s": o.without_plans,
             "rmse_m": self.rmse,
             "position_error_max_m": max(self.errors, default=None),
+            "estimator_innovation_ratio_max": {k: v for k, v in self.quality.items() if k not in DEVIATIONS},
+            "estimator_deviation_max_m": {k: v for k, v in self.quality.items() if k in DEVIATIONS},
             "setpoint_gap_ms": _spread([1e3 * g for g in self.gaps]),
             "state_age_ms": _spread([1e3 * a for a in self.ages]),
             "clock_drift": self.drift,
@@ -148,6 +155,10 @@ class Recorder:
             return
         new = self._new_states()
         if f.phase in FLYING:
+            worst = self.report.quality
+            for name in () if status.quality is None else QUALITIES:
+                if isfinite(value := getattr(status.quality, name)):
+                    worst[name] = max(worst.get(name, value), value)
             tracked = f.phase is Phase.TRACK
             self._flown += [(FlownState(one, status.motors, status.voltage, f.sent), tracked) for one in new]
         while self._flown and self._flown[0][0].state.received <= f.ours_until:

@@ -35,11 +35,12 @@ INTERVALS: dict[str, float] = {
     "SYS_STATUS": 2.0,
     "ATTITUDE_TARGET": 50.0,
     "POSITION_TARGET_LOCAL_NED": 10.0,
+    "ESTIMATOR_STATUS": 5.0,
 }
 """Messages that are asked for, with their rates [Hz].
 
 PX4's estimator runs at 125 Hz in simulation: 100 Hz would come as three states after 8 ms each and one after 16. The
-last two are the setpoints that it follows; it sends no position while it follows rates.
+two targets are the setpoints that it follows; it sends no position while it follows rates.
 """
 _OTHERS = (
     "HEARTBEAT",

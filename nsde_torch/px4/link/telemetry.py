@@ -73,6 +73,29 @@ class Ack:
     result: int
 
 
+@dataclass(frozen=True)
+class EstimateQuality:
+    """What the autopilot's estimator says of itself (ESTIMATOR_STATUS); `nan` where it does not say.
+
+    Args:
+        time: When it came, on our clock [s].
+        velocity: Innovation over the gate of its test, squared; above 1 the estimator rejects that sensor.
+        position: The same of the horizontal position.
+        height: The same of the height.
+        heading: The same of the heading, or of the magnetometer.
+        horizontal: Standard deviation of the horizontal position [m].
+        vertical: Standard deviation of the height [m].
+    """
+
+    time: float
+    velocity: float
+    position: float
+    height: float
+    heading: float
+    horizontal: float
+    vertical: float
+
+
 Followed = tuple[float, Vec | None]
 """When the autopilot told a setpoint that it follows [s], and its body rates, FLU [rad/s]; None: a position."""
 
@@ -93,6 +116,7 @@ class Status:
         motors_stamp: Their time on the autopilot's clock [s].
         receiver: Whether it hears a transmitter; None where it does not say.
         home: Place of take-off, ENU [m], as far as the autopilot tells.
+        quality: What its estimator says of itself, as far as it is sent.
     """
 
     heard: float = -inf
@@ -106,6 +130,7 @@ class Status:
     motors_stamp: float = nan
     receiver: bool | None = None
     home: Vec | None = None
+    quality: EstimateQuality | None = None
     texts: deque[Text] = field(default_factory=lambda: deque(maxlen=_TEXTS))
     acks: deque[Ack] = field(default_factory=lambda: deque(maxlen=_TEXTS))
     parameters: dict[str, float] = field(default_factory=dict)
@@ -177,6 +202,10 @@ class Telemetry:
     def _home_position(self, m: Message, now: float) -> None:
         at = frames.world((m.x, m.y, m.z))
         self.status.home = at if finite(*at) else None
+
+    def _estimator_status(self, m: Message, now: float) -> None:
+        ratios = (m.vel_ratio, m.pos_horiz_ratio, m.pos_vert_ratio, m.mag_ratio)
+        self.status.quality = EstimateQuality(now, *ratios, m.pos_horiz_accuracy, m.pos_vert_accuracy)
 
     def _attitude_target(self, m: Message, now: float) -> None:
         self.followed.append((now, frames.body((m.body_roll_rate, m.body_pitch_rate, m.body_yaw_rate))))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from functools import partial
 from math import radians
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,9 @@ from nsde_torch.px4.flight.setpoint import SetpointLimits
 from nsde_torch.px4.link.codec import signing_key
 
 from . import build
+
+say = partial(print, flush=True)
+"""Takes a line about each step."""
 
 
 def key(config: DictConfig) -> bytes | None:

@@ -34,14 +34,17 @@ def _with(**changed: float) -> EstimateQuality:
     [
         (GOOD, ""),
         (None, ""),
-        (_with(velocity=1.2), "velocity innovation ratio is 1.20, more than 1"),
-        (_with(position=7.0, velocity=2.0), "position innovation ratio is 7.00"),
-        (_with(height=1.01), "height innovation ratio"),
-        (_with(heading=9.0), ""),  # wrong by design until it is reset in the climb
-        (_with(velocity=nan, position=nan, height=nan, horizontal=nan, vertical=nan), ""),
-        (_with(horizontal=1.6), "gives its position an error of 1.6 m, more than 1.5"),
-        (_with(vertical=inf), ""),
-        (_with(velocity=9.0, time=-3.0), ""),  # it no longer says anything
+        (_with(velocity_ratio=1.2), "velocity innovation ratio is 1.20, more than 1"),
+        (_with(position_ratio=7.0, velocity_ratio=2.0), "position innovation ratio is 7.00"),
+        (_with(height_ratio=1.01), "height innovation ratio"),
+        (_with(heading_ratio=9.0), ""),  # wrong by design until it is reset in the climb
+        (
+            _with(velocity_ratio=nan, position_ratio=nan, height_ratio=nan, horizontal_m=nan, vertical_m=nan),
+            "",
+        ),
+        (_with(horizontal_m=1.6), "gives its position an error of 1.6 m, more than 1.5"),
+        (_with(vertical_m=inf), ""),
+        (_with(velocity_ratio=9.0, time=-3.0), ""),  # it no longer says anything
     ],
 )
 def test_what_an_estimator_says_against_itself_is_put_in_words(
@@ -105,11 +108,10 @@ def test_the_worst_in_flight_is_in_the_report() -> None:
         world.vehicle.estimator.contradicted = 0.8 if world.phase is Phase.TRACK else 0.02
 
     found = (world.run(doubt), recorder.finish().as_dict())[1]
-    assert found["estimator_innovation_ratio_max"]["height"] == pytest.approx(0.8)
-    assert found["estimator_deviation_max_m"] == {
-        "horizontal": pytest.approx(0.2),
-        "vertical": pytest.approx(0.2),
-    }
+    worst = found["estimator_worst"]
+    assert worst["height_ratio"] == pytest.approx(0.8)
+    assert (worst["horizontal_m"], worst["vertical_m"]) == pytest.approx((0.2, 0.2))
+    assert "time" not in worst
 
 
 def _astray(heading: float) -> Callable[[World], None]:

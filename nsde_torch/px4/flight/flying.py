@@ -33,9 +33,6 @@ from nsde_torch.px4.link.vectors import Vec, distance
 
 RATE = 100.0
 """Ticks of the loop in a second; each sends a setpoint."""
-DEVIATIONS = ("horizontal", "vertical")
-QUALITIES = ("velocity", "position", "height", "heading", *DEVIATIONS)
-"""What of `EstimateQuality` is reported."""
 LOGGED_FROM = 0.3
 """Height above which a flight is logged [m]: below, the ground acts on it."""
 
@@ -102,8 +99,7 @@ class FlightReport:
             "without_plans_s": o.without_plans,
             "rmse_m": self.rmse,
             "position_error_max_m": max(self.errors, default=None),
-            "estimator_innovation_ratio_max": {k: v for k, v in self.quality.items() if k not in DEVIATIONS},
-            "estimator_deviation_max_m": {k: v for k, v in self.quality.items() if k in DEVIATIONS},
+            "estimator_worst": self.quality,
             "setpoint_gap_ms": _spread([1e3 * g for g in self.gaps]),
             "state_age_ms": _spread([1e3 * a for a in self.ages]),
             "clock_drift": self.drift,
@@ -156,8 +152,8 @@ class Recorder:
         new = self._new_states()
         if f.phase in FLYING:
             worst = self.report.quality
-            for name in () if status.quality is None else QUALITIES:
-                if isfinite(value := getattr(status.quality, name)):
+            for name, value in vars(status.quality).items() if status.quality else ():
+                if name != "time" and isfinite(value):
                     worst[name] = max(worst.get(name, value), value)
             tracked = f.phase is Phase.TRACK
             self._flown += [(FlownState(one, status.motors, status.voltage, f.sent), tracked) for one in new]

@@ -84,12 +84,12 @@ def contradicted(quality: EstimateQuality | None, limits: Limits, now: float, *,
     """
     if quality is None or now - quality.time > QUALITY_AGE:
         return ""
-    ratios = {"velocity": quality.velocity, "position": quality.position, "height": quality.height}
-    known = {what: ratio for what, ratio in ratios.items() if isfinite(ratio)}
-    worst = max(known, key=lambda what: known[what], default="")
-    if worst and known[worst] > part * limits.innovation:
-        return f"the estimator's {worst} innovation ratio is {known[worst]:.2f}, more than {part * limits.innovation:g}"
-    deviation = max((s for s in (quality.horizontal, quality.vertical) if isfinite(s)), default=0.0)
+    q, most = quality, part * limits.innovation
+    ratios = ((q.velocity_ratio, "velocity"), (q.position_ratio, "position"), (q.height_ratio, "height"))
+    ratio, worst = max((one for one in ratios if isfinite(one[0])), default=(0.0, ""))
+    if ratio > most:
+        return f"the estimator's {worst} innovation ratio is {ratio:.2f}, more than {most:g}"
+    deviation = max((s for s in (q.horizontal_m, q.vertical_m) if isfinite(s)), default=0.0)
     if deviation > limits.accuracy:
         return (
             f"the estimator gives its position an error of {deviation:.1f} m, more than {limits.accuracy:g}"

@@ -45,13 +45,12 @@ two targets are the setpoints that it follows; it sends no position while it fol
 _OTHERS = (
     "HEARTBEAT",
     "STATUSTEXT",
-    "COMMAND_ACK",
     "PARAM_VALUE",
     "TIMESYNC",
     "ACTUATOR_OUTPUT_STATUS",
     "HOME_POSITION",
 )
-_IN_ORDER = frozenset(("HEARTBEAT", "STATUSTEXT", "COMMAND_ACK", "EXTENDED_SYS_STATE", "SYS_STATUS"))
+_IN_ORDER = frozenset(("HEARTBEAT", "STATUSTEXT", "EXTENDED_SYS_STATE", "SYS_STATUS"))
 NUMBERS: dict[str, int] = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
 WANTED = frozenset(NUMBERS[name] for name in (*INTERVALS, *_OTHERS))
 HEARTBEATS = 0.2

@@ -65,35 +65,26 @@ class Text:
 
 
 @dataclass(frozen=True)
-class Ack:
-    """An answer to a command."""
-
-    time: float
-    command: int
-    result: int
-
-
-@dataclass(frozen=True)
 class EstimateQuality:
     """What the autopilot's estimator says of itself (ESTIMATOR_STATUS); `nan` where it does not say.
 
     Args:
         time: When it came, on our clock [s].
-        velocity: Innovation over the gate of its test, squared; above 1 the estimator rejects that sensor.
-        position: The same of the horizontal position.
-        height: The same of the height.
-        heading: The same of the heading, or of the magnetometer.
-        horizontal: Standard deviation of the horizontal position [m].
-        vertical: Standard deviation of the height [m].
+        velocity_ratio: Innovation over the gate of its test, squared; above 1 the estimator rejects that sensor.
+        position_ratio: The same of the horizontal position.
+        height_ratio: The same of the height.
+        heading_ratio: The same of the heading, or of the magnetometer.
+        horizontal_m: Standard deviation of the horizontal position [m].
+        vertical_m: Standard deviation of the height [m].
     """
 
     time: float
-    velocity: float
-    position: float
-    height: float
-    heading: float
-    horizontal: float
-    vertical: float
+    velocity_ratio: float
+    position_ratio: float
+    height_ratio: float
+    heading_ratio: float
+    horizontal_m: float
+    vertical_m: float
 
 
 Followed = tuple[float, Vec | None]
@@ -132,7 +123,6 @@ class Status:
     home: Vec | None = None
     quality: EstimateQuality | None = None
     texts: deque[Text] = field(default_factory=lambda: deque(maxlen=_TEXTS))
-    acks: deque[Ack] = field(default_factory=lambda: deque(maxlen=_TEXTS))
     parameters: dict[str, float] = field(default_factory=dict)
 
 
@@ -156,7 +146,6 @@ class Telemetry:
         self.history: deque[VehicleState] = deque(maxlen=100)
         self.followed: deque[Followed] = deque(maxlen=50)
         self.rejected = 0
-        self.odometry_rate = 0.0
         self.rate = 0.0
         """States a second, smoothed over 20 of them."""
         self._position: tuple[float, Vec, Vec] | None = None
@@ -212,9 +201,6 @@ class Telemetry:
 
     def _position_target_local_ned(self, m: Message, now: float) -> None:
         self.followed.append((now, None))
-
-    def _command_ack(self, m: Message, now: float) -> None:
-        self.status.acks.append(Ack(now, m.command, m.result))
 
     def _param_value(self, m: Message, now: float) -> None:
         self.status.parameters[m.param_id.rstrip("\x00")] = parameter_value(m.param_value, m.param_type)
@@ -312,4 +298,4 @@ class Telemetry:
     def snapshot(self) -> Status:
         """A copy of the status that stays as it is."""
         s = self.status
-        return replace(s, texts=s.texts.copy(), acks=s.acks.copy(), parameters=dict(s.parameters))
+        return replace(s, texts=s.texts.copy(), parameters=dict(s.parameters))

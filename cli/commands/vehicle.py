@@ -96,6 +96,7 @@ def run(config: DictConfig, job: Job) -> None:
             "a vehicle is plant=hexacopter or plant=quadrotor, without plant.dt and plant.state_latency."
         )
     parameters = build.options(config)["parameters"]
+    errors = SensorErrors(**build.options(config)["sensors"])
     unknown = sorted(set(parameters) - set(PARAMETERS))
     if unknown:
         raise ConfigError(f"`parameters` names {unknown}; the vehicle has {', '.join(PARAMETERS)}.")
@@ -114,12 +115,12 @@ def run(config: DictConfig, job: Job) -> None:
         )
 
     if config.hil is not None:
-        _simulate(config, body)
+        _simulate(config, body, errors)
     else:
-        _fly(config, body(), parameters)
+        _fly(config, body(), parameters, errors)
 
 
-def _simulate(config: DictConfig, body: Callable[[], Body]) -> None:
+def _simulate(config: DictConfig, body: Callable[[], Body], errors: SensorErrors) -> None:
     """Be the simulator of a real PX4."""
     from nsde_torch.errors import ConfigError
     from nsde_torch.px4.link.transport import open_transport
@@ -127,7 +128,7 @@ def _simulate(config: DictConfig, body: Callable[[], Body]) -> None:
 
     if not config.hil.startswith("tcpin:"):
         raise ConfigError(f"`hil` takes tcpin:HOST:PORT, where PX4 connects; got {config.hil!r}.")
-    seed, noise, errors = config.seed, config.plant.sensor_noise, _errors(config.sensors)
+    seed, noise = config.seed, config.plant.sensor_noise
     first = body()
     transport = open_transport(config.hil, expose=config.link.expose, name="hil")
     server = HilServer(lambda: HilPlant(body(), seed=seed, noise=noise, errors=errors), transport, say=_say)
@@ -144,25 +145,6 @@ def _simulate(config: DictConfig, body: Callable[[], Body]) -> None:
         transport.close()
 
 
-def _errors(config: DictConfig) -> SensorErrors:
-    """The group `sensors`.
-
-    Raises:
-        ConfigError: an error along axes that are not three.
-    """
-    from nsde_torch.errors import ConfigError
-
-    from .. import build
-
-    given: dict[str, Any] = build.options(config)
-    for name, value in given.items():
-        if isinstance(value, list):
-            if len(value) != 3:
-                raise ConfigError(f"`sensors.{name}` takes three numbers; got {value}.")
-            given[name] = tuple(value)
-    return SensorErrors(**given)
-
-
 def _say(line: str) -> None:
     print(line, flush=True)
 
@@ -173,7 +155,7 @@ def _ends(duration: float | None) -> Callable[[], bool]:
     return lambda: end is not None and time.monotonic() >= end
 
 
-def _fly(config: DictConfig, body: Body, parameters: dict[str, float]) -> None:
+def _fly(config: DictConfig, body: Body, parameters: dict[str, float], errors: SensorErrors) -> None:
     """Be a vehicle with a PX4 in it."""
     from nsde_torch.px4.link.transport import open_transport
     from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
@@ -191,7 +173,7 @@ def _fly(config: DictConfig, body: Body, parameters: dict[str, float]) -> None:
         sensor_noise=plant.sensor_noise,
         stream=transport.stream,
         parameters=parameters,
-        errors=_errors(config.sensors),
+        errors=errors,
     )
     vehicle = Vehicle(autopilot, transport, speed=config.clock)
     print(f"a simulated {body.system.name} on {config.link.url}; Ctrl-C ends it", flush=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from nsde_torch.errors import ConfigError
 from nsde_torch.options import check, documented, key
 from nsde_torch.px4.link.vectors import Vec
 
@@ -45,3 +46,6 @@ class SensorErrors:
 
     def __post_init__(self) -> None:
         check(type(self), vars(self))
+        for name, value in vars(self).items():
+            if isinstance(value, (list, tuple)) and len(value) != 3:
+                raise ConfigError(f"`sensors.{name}` takes three numbers; got {value}.")

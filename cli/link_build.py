@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+from functools import partial
 from math import radians
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,9 @@ from nsde_torch.px4.flight.setpoint import SetpointLimits
 from nsde_torch.px4.link.codec import signing_key
 
 from . import build
+
+say = partial(print, flush=True)
+"""Takes a line about each step."""
 
 
 def key(config: DictConfig) -> bytes | None:
@@ -36,22 +41,8 @@ def limits(config: DictConfig) -> Limits:
     Raises:
         ConfigError: a fence that is none.
     """
-    return Limits(
-        fence=_fence(build.options(config)["fence"]),
-        speed=config.speed,
-        tilt=config.tilt,
-        battery=config.battery,
-        voltage=config.voltage,
-        estimate=config.estimate,
-        silence=config.silence,
-        solver=config.solver,
-        without_plans=config.without_plans,
-        tracking_error=config.tracking_error,
-        tracking_time=config.tracking_time,
-        tipped_plans=config.tipped_plans,
-        jump=config.jump,
-        velocity_jump=config.velocity_jump,
-    )
+    given = {f.name: config[f.name] for f in fields(Limits) if f.name in config}
+    return Limits(**{**given, "fence": _fence(build.options(config)["fence"])})
 
 
 def setpoints(config: DictConfig) -> SetpointLimits:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -128,16 +128,8 @@ def run(config: DictConfig, job: Job) -> float | None:
     asked = fly_build.check(config, reference, known)
     path = PathPoints(reference.path)
     limits, setpoints = link_build.limits(config.limits), link_build.setpoints(config.limits)
-    options = FlightOptions(
-        height=config.height,
-        climb_past=config.climb_past,
-        climb=config.climb,
-        hold=config.hold,
-        come_back=config.come_back,
-        takeover=config.takeover,
-        only_check=config.check,
-        safe_hold=config.safe_hold,
-    )
+    given = {f.name: config[f.name] for f in fields(FlightOptions) if f.name in config}
+    options = FlightOptions(**given, only_check=config.check)
     key = link_build.key(config.link)
     motors = fly_build.system_of(known).nu
     print(
@@ -154,7 +146,7 @@ def run(config: DictConfig, job: Job) -> float | None:
     digits = len(str(config.repeats - 1))
     reports: list[FlightReport] = []
     # the solver is compiled and warm before the vehicle is spoken to
-    controller = fly_build.runner(config, path, reference, _say)
+    controller = fly_build.runner(config, path, reference, link_build.say)
     try:
         controller.wait()
         for k in range(config.repeats):
@@ -172,7 +164,7 @@ def run(config: DictConfig, job: Job) -> float | None:
                     limits=limits,
                     setpoints=setpoints,
                     options=replace(options, takeover=options.takeover and k == 0),  # the first one lands
-                    say=_say,
+                    say=link_build.say,
                     rate=config.rate,
                 )
             if config.check:
@@ -187,10 +179,6 @@ def run(config: DictConfig, job: Job) -> float | None:
         controller.close()
     print(f"wrote {job.run_dir}: {RESULT}" + (f", {LOG}/" if any(r.log for r in reports) else ""))
     return _verdict(reports)
-
-
-def _say(line: str) -> None:
-    print(line, flush=True)
 
 
 def _line(report: FlightReport) -> str:

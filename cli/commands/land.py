@@ -50,10 +50,6 @@ def run(config: DictConfig, job: Job) -> None:
 
     key = link_build.key(config.link)
     with open_link(config.link.url, expose=config.link.expose, target=config.link.system, key=key) as link:
-        outcome = land(link, say=_say)
+        outcome = land(link, say=link_build.say)
     check_end(outcome)
-    _say("landed and disarmed")
-
-
-def _say(line: str) -> None:
-    print(line, flush=True)
+    link_build.say("landed and disarmed")

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.px4.simulator.clock import CLOCK
+from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 
 from ..hydra_command import HydraCommand
-from ..keys import group, key
+from ..keys import group, key, mirrors
 from ..schemas.control import FlownPlantConfig, LinkConfig
 
 if TYPE_CHECKING:
@@ -19,6 +20,11 @@ if TYPE_CHECKING:
     from nsde_torch.px4.simulator.body import Body
 
     from ..jobs import Job
+
+
+@mirrors(SensorErrors)
+class SensorsConfig:
+    """What the sensors of a simulated vehicle get wrong."""
 
 
 @dataclass
@@ -38,6 +44,9 @@ class VehicleConfig:
     threads: int = key(1, "CPU threads of torch", low=1)
     plant: FlownPlantConfig = group(FlownPlantConfig, "the machine that it flies")
     link: LinkConfig = group(LinkConfig, "how it is reached")
+    sensors: SensorsConfig = group(
+        SensorsConfig, "what its sensors get wrong; plant.sensor_noise is a factor"
+    )
 
 
 def _keys(arguments: Sequence[str]) -> list[str]:
@@ -56,7 +65,7 @@ COMMAND = HydraCommand(
     help="Be a simulated PX4 vehicle, for nsde fly and its tests",
     schema=VehicleConfig,
     module=__name__,
-    groups={"plant": "hexacopter", "link": "vehicle"},
+    groups={"plant": "hexacopter", "link": "vehicle", "sensors": "default"},
     words=_keys,
 )
 
@@ -87,6 +96,7 @@ def run(config: DictConfig, job: Job) -> None:
             "a vehicle is plant=hexacopter or plant=quadrotor, without plant.dt and plant.state_latency."
         )
     parameters = build.options(config)["parameters"]
+    errors = SensorErrors(**build.options(config)["sensors"])
     unknown = sorted(set(parameters) - set(PARAMETERS))
     if unknown:
         raise ConfigError(f"`parameters` names {unknown}; the vehicle has {', '.join(PARAMETERS)}.")
@@ -105,12 +115,12 @@ def run(config: DictConfig, job: Job) -> None:
         )
 
     if config.hil is not None:
-        _simulate(config, body)
+        _simulate(config, body, errors)
     else:
-        _fly(config, body(), parameters)
+        _fly(config, body(), parameters, errors)
 
 
-def _simulate(config: DictConfig, body: Callable[[], Body]) -> None:
+def _simulate(config: DictConfig, body: Callable[[], Body], errors: SensorErrors) -> None:
     """Be the simulator of a real PX4."""
     from nsde_torch.errors import ConfigError
     from nsde_torch.px4.link.transport import open_transport
@@ -121,7 +131,7 @@ def _simulate(config: DictConfig, body: Callable[[], Body]) -> None:
     seed, noise = config.seed, config.plant.sensor_noise
     first = body()
     transport = open_transport(config.hil, expose=config.link.expose, name="hil")
-    server = HilServer(lambda: HilPlant(body(), seed=seed, noise=noise), transport, say=_say)
+    server = HilServer(lambda: HilPlant(body(), seed=seed, noise=noise, errors=errors), transport, say=_say)
     _say(
         f"a {first.system.name} as PX4's simulator on {config.hil}; Ctrl-C ends it. PX4 must know the machine:"
     )
@@ -145,7 +155,7 @@ def _ends(duration: float | None) -> Callable[[], bool]:
     return lambda: end is not None and time.monotonic() >= end
 
 
-def _fly(config: DictConfig, body: Body, parameters: dict[str, float]) -> None:
+def _fly(config: DictConfig, body: Body, parameters: dict[str, float], errors: SensorErrors) -> None:
     """Be a vehicle with a PX4 in it."""
     from nsde_torch.px4.link.transport import open_transport
     from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
@@ -163,6 +173,7 @@ def _fly(config: DictConfig, body: Body, parameters: dict[str, float]) -> None:
         sensor_noise=plant.sensor_noise,
         stream=transport.stream,
         parameters=parameters,
+        errors=errors,
     )
     vehicle = Vehicle(autopilot, transport, speed=config.clock)
     print(f"a simulated {body.system.name} on {config.link.url}; Ctrl-C ends it", flush=True)

@@ -22,6 +22,8 @@ pytestmark = pytest.mark.usefixtures("elsewhere")
         (["plant.effects=[linear_drg]"], "linear_drag"),
         (["plant.latency=-1"], "`plant.latency` must be at least 0"),
         (["parameters.FOO=1"], "COM_OF_LOSS_T"),
+        (["sensors.gps=[1]"], "`sensors.gps` takes three numbers"),
+        (["sensors.gps_delay=2"], "`sensors.gps_delay` must be from 0 to 1"),
         (["parameters.COM_OF_LOSS_T=soon"], "takes a number"),
         (["link.url=udpin:127.0.0.1:x"], "expected udpin"),
         (["link.url=udpin:0.0.0.0:14999"], "link.expose=true"),
@@ -66,7 +68,12 @@ def test_it_says_what_it_is_and_its_frames_are_signed_and_of_its_system(
 
 
 @pytest.mark.parametrize(
-    "words", [["hil=tcpin:127.0.0.1:0"], ["--hil", "tcpin:127.0.0.1:0"], ["--hil=tcpin:127.0.0.1:0"]]
+    "words",
+    [
+        ["hil=tcpin:127.0.0.1:0"],
+        ["--hil", "tcpin:127.0.0.1:0"],
+        ["--hil=tcpin:127.0.0.1:0", "sensors=sih", "sensors.accelerometer_bias=[0.1,0,-0.1]"],
+    ],
 )
 def test_as_px4s_simulator_it_waits_and_says_what_px4_must_know(
     words: list[str], capsys: pytest.CaptureFixture[str]

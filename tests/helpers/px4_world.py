@@ -26,6 +26,7 @@ from nsde_torch.px4.link.vectors import Vec, distance
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.clock import CLOCK
+from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 
 START = 1000.0
 TICK = 0.01
@@ -64,6 +65,7 @@ class World:
     vehicle_key: bytes | None = None
     parameters: dict[str, float] = field(default_factory=dict)
     heading_error: float | None = None
+    errors: SensorErrors | None = None
     speed: float = CLOCK
     down: Line = straight
     up: Line = straight
@@ -77,6 +79,7 @@ class World:
             seed=self.seed,
             parameters=self.parameters,
             heading_error=self.heading_error,
+            errors=self.errors,
         )
         self.endpoint = Endpoint(self._up, key=self.key)
         self.says: list[str] = []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, radians, sin
+from math import atan2, cos, radians, sin, tan
 
 import pytest
 
@@ -35,6 +35,24 @@ def test_a_constant_push_is_learned_along_the_body_within_a_few_time_constants()
     estimate = PushEstimate(delay=0.08, drag=NO_DRAG, time=0.2, limit=4.0)
     _learned(estimate, (0.0, 0.8, -0.5), 1.0, yaw=radians(90.0))  # world's y is the body's x
     assert estimate.value == pytest.approx((0.8, 0.0, -0.5), abs=0.01)
+
+
+@pytest.mark.parametrize(("drag", "wind"), [(0.6, 0.0), (0.0, 0.8), (0.6, 0.8)])
+def test_braking_that_no_model_knows_is_told_from_a_steady_push(drag: float, wind: float) -> None:
+    """To and fro at up to 3 m/s for 15 s: braking changes with the speed, and is known before the speed changes."""
+    estimate = PushEstimate(delay=0.08, drag=NO_DRAG, time=0.2, limit=4.0)
+    x = v = 0.0
+    for k in range(round(15.0 / PERIOD)):
+        t = k * PERIOD
+        wanted = 3.0 * cos(1.5 * t)  # thrust leans as needed for that
+        lean = atan2(-4.5 * sin(1.5 * t) + 2.0 * (wanted - v), 9.81)
+        asked = ((t - 1.0, Demand((0.0, 0.0, 0.0), 9.81 / cos(lean))),)
+        row = (x, 0.0, 1.5, v, 0.0, 0.0, cos(0.5 * lean), 0.0, sin(0.5 * lean), 0.0, 0.0, 0.0, 0.0)
+        estimate.take(row, t, asked)
+        x, v = x + PERIOD * v, v + PERIOD * (9.81 * tan(lean) + wind - drag * v)
+    assert estimate.slopes[0] == pytest.approx(drag, abs=0.12)
+    fast = estimate.at(_row((3.0, 0.0, 0.0)))
+    assert fast[0] == pytest.approx(wind - 3.0 * drag, abs=0.35)
 
 
 def test_what_a_model_says_of_drag_is_no_push() -> None:

@@ -92,6 +92,12 @@ def test_no_failsafe_may_stop_the_motors_in_the_air(known: dict[str, float], sai
         ({"COM_RC_OVERRIDE": 1.0}, "`param set COM_RC_OVERRIDE 3`"),
         ({"COM_RC_OVERRIDE": 1.0, "COM_RC_IN_MODE": 4.0}, None),
         ({"COM_RC_OVERRIDE": 2.0}, None),
+        ({"GF_MAX_VER_DIST": 2.5}, "GF_MAX_VER_DIST is 2.5 m, and our fence reaches to 3 m"),
+        ({"GF_MAX_HOR_DIST": 6.0}, "`param set GF_MAX_HOR_DIST 9` lets ours act first"),
+        ({"GF_MAX_VER_DIST": 0.0, "GF_MAX_HOR_DIST": 20.0}, None),
+        ({"EKF2_GPS_DELAY": 0.0}, "`param set EKF2_GPS_DELAY 110` is PX4's default"),
+        ({"SENS_GPS0_DELAY": 0.0}, "SENS_GPS0_DELAY is 0 ms: no receiver is that fresh"),
+        ({"SENS_GPS0_DELAY": 10.0}, None),
         ({"SDLOG_PROFILE": 1.0}, "`param set SDLOG_PROFILE 147`"),
         ({"SDLOG_PROFILE": 17.0}, None),
     ],
@@ -99,7 +105,7 @@ def test_no_failsafe_may_stop_the_motors_in_the_air(known: dict[str, float], sai
 def test_what_px4_does_by_itself_is_told_where_it_may_end_badly(
     known: dict[str, float], said: str | None
 ) -> None:
-    found = failsafe.warnings(known, speed=1.0, top=3.0)
+    found = failsafe.warnings(known, speed=1.0, top=3.0, reach=8.5)
     assert len(found) == (said is not None)
     assert said is None or said in found[0]
 

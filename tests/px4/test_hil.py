@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from itertools import pairwise
 from math import atan2, degrees, radians, sqrt
+from statistics import mean, pstdev
 from typing import Any
 
 import pytest
@@ -27,6 +28,7 @@ from nsde_torch.px4.simulator.hil_sensors import (
     place,
     pressure,
 )
+from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 
 S = sqrt(0.5)
 REST: Vec = (0.0, 0.0, 0.0)
@@ -161,8 +163,9 @@ def test_position_and_velocity_go_north_and_east() -> None:
     assert gps.lon - lon == pytest.approx(30.0 * metre / 0.67688, abs=3)
 
 
-def test_a_gps_says_where_the_machine_was_as_long_ago_as_px4_takes_it_to() -> None:
-    sensors = HilSensors(seed=0, noise=0.0)
+@pytest.mark.parametrize("delay", [0.0, 0.01, 0.11])
+def test_a_gps_says_where_the_machine_was_a_delay_ago(delay: float) -> None:
+    sensors = HilSensors(seed=0, noise=0.0, errors=SensorErrors(gps_delay=delay))
     flown = [
         (0.004 * k, m)
         for k in range(200)
@@ -171,8 +174,31 @@ def test_a_gps_says_where_the_machine_was_as_long_ago_as_px4_takes_it_to() -> No
     ]
     north = place((0.0, 1.0, 0.0))[0] - place(REST)[0]
     late = [t - (m.lat - place(REST)[0]) / north / 4.0 for t, m in flown[2:]]
-    assert late == pytest.approx([0.01] * len(late), abs=0.001)
+    assert late == pytest.approx([delay] * len(late), abs=0.001)
     assert len(late) > 4
+
+
+def test_px4s_default_age_of_a_fix_is_the_default_delay() -> None:
+    assert SensorErrors().gps_delay == 0.01  # SENS_GPS0_DELAY, or EKF2_GPS_DELAY, in its simulation
+
+
+def test_sensors_have_the_noise_and_the_bias_that_they_are_given() -> None:
+    errors = SensorErrors(
+        accelerometer=(0.5, 1.7, 1.4),
+        accelerometer_bias=(0.3, 0.0, -0.2),
+        gyroscope=(0.14, 0.07, 0.03),
+        gps=(0.2, 0.2, 0.5),
+    )
+    sensors = HilSensors(seed=0, errors=errors)
+    found = [m for k in range(12_500) for m in sensors.messages(0.004 * k, REST, REST, NORTH, REST)]
+    imu = [m for m in found if m.get_type() == "HIL_SENSOR"]
+    for axis, (bias, std) in zip("xyz", ((0.3, 0.5), (0.0, 1.7), (-0.2 - 9.81, 1.4)), strict=True):
+        shown = [getattr(m, f"{axis}acc") for m in imu]
+        assert mean(shown) == pytest.approx(bias, abs=0.06)
+        assert pstdev(shown) == pytest.approx(std, rel=0.03)
+    assert pstdev(m.xgyro for m in imu) == pytest.approx(0.14, rel=0.03)
+    heights = [1e-3 * m.alt for m in found if m.get_type() == "HIL_GPS"]
+    assert pstdev(heights) == pytest.approx(0.5, rel=0.12)
 
 
 def test_rotors_of_the_quadrotor_are_where_px4_has_them() -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan, FlightController
 from nsde_torch.px4.flight.runner import Process
+from nsde_torch.px4.link.urgent import PLANS, STREAM, urgent
 
 ROW = (0.0,) * 6 + (1.0,) + (0.0,) * 6
 
@@ -69,6 +70,51 @@ def test_an_error_over_there_is_told_here_in_its_words() -> None:
         assert "no plan today" in str(runner.fault)
     finally:
         runner.close()
+
+
+def scheduled(say: Callable[[str], None]) -> FlightController:
+    """Makes one that says how its thread is scheduled, as its thrust."""
+
+    def plan(row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> DemandPlan:
+        return DemandPlan(time, 0.05, (Demand((0.0, 0.0, 0.0), float(os.sched_getscheduler(0))),))
+
+    return plan
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="Linux alone has these calls")
+def test_stream_and_plans_go_before_other_processes_where_the_system_allows_it() -> None:
+    before = os.sched_getscheduler(0)
+    with urgent(STREAM) as allowed:
+        assert os.sched_getscheduler(0) & 0xFF == (os.SCHED_RR if allowed else os.SCHED_OTHER)
+    assert os.sched_getscheduler(0) == before
+    runner = Process(scheduled)
+    try:
+        _wait(runner, lambda: runner.ready)
+        runner.offer(ROW, 5.0, 0.0)
+        _wait(runner, lambda: runner.plan is not None)
+        assert runner.plan is not None
+        alone = len(os.sched_getaffinity(0)) == 1
+        kind = os.SCHED_RR if allowed and not alone else os.SCHED_OTHER
+        assert int(runner.plan.demands[0].thrust) & 0xFF == kind
+    finally:
+        runner.close()
+
+
+@pytest.mark.parametrize("cores", [1, 2])
+def test_without_permission_or_on_one_core_plans_are_not_urgent(
+    cores: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def refuse(*given: object) -> None:
+        asked.append(given)
+        raise PermissionError
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse, raising=False)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(cores)), raising=False)
+    with urgent(PLANS) as allowed:
+        assert not allowed
+    assert len(asked) == cores - 1
 
 
 @pytest.mark.parametrize("t", [0.0, 0.025, 1.0])

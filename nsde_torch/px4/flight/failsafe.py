@@ -9,6 +9,8 @@
 | COM_RC_IN_MODE | whether there are sticks: 4 switches them off; refused where COM_OBL_RC_ACT hands over to them |
 | COM_RCL_EXCEPT, COM_DLL_EXCEPT | whether a lost transmitter or ground station matters in OFFBOARD |
 | COM_RC_OVERRIDE | noted where moving the sticks does not end OFFBOARD |
+| GF_MAX_HOR_DIST, GF_MAX_VER_DIST | noted where PX4's own fence is nearer than ours |
+| SENS_GPS0_DELAY, in older versions EKF2_GPS_DELAY | noted below 5 ms: no receiver is that fresh |
 | SDLOG_PROFILE | noted where PX4's own log has the motors at 10 Hz |
 
 (Values: PX4 parameter reference.) With COM_OBL_RC_ACT 0 and no sticks a real PX4 was seen to drift at 6.5 m/s into the
@@ -19,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import inf
+from math import ceil, inf
 
 OF_LOSS, ACTION, STICKS = "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_RC_IN_MODE"
 CLIMBS_TO, BATTERY, OVERRIDE, PROFILE = (
@@ -61,13 +63,17 @@ _FAILSAFES = (
     _Failsafe("GF_ACTION", "its own fence is left", 5, (3,), {4: _ENDS}),
     _Failsafe(BATTERY, "the battery is low", 2, (1, 3), {}),
 )
-OPTIONAL = ("COM_DLL_EXCEPT",)
+GPS_DELAYS, FRESHEST = ("SENS_GPS0_DELAY", "EKF2_GPS_DELAY"), 5.0
+"""Age that PX4 takes a position fix for, by its newer and older name, and the least that is believed [ms]."""
+OWN_FENCE = ("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST")
+OPTIONAL = ("COM_DLL_EXCEPT", *GPS_DELAYS)
 """Parameters that some versions of PX4 do not have."""
 PARAMETERS = (
     OF_LOSS,
     *(one.name for one in _FAILSAFES),
     "COM_RCL_EXCEPT",
     STICKS,
+    *OWN_FENCE,
     CLIMBS_TO,
     OVERRIDE,
     PROFILE,
@@ -106,7 +112,12 @@ def faults(known: Mapping[str, float]) -> list[str]:
 
 
 def warnings(
-    known: Mapping[str, float], speed: float, *, top: float = inf, receiver: bool | None = None
+    known: Mapping[str, float],
+    speed: float,
+    *,
+    top: float = inf,
+    reach: float = inf,
+    receiver: bool | None = None,
 ) -> list[str]:
     """What is not right and does not forbid to fly.
 
@@ -114,6 +125,7 @@ def warnings(
         known: Parameters of the autopilot, as far as they were answered.
         speed: Largest speed of the reference [m/s].
         top: Height of the fence's top above the place of take-off [m].
+        reach: Distance of the fence's farthest corner from there, horizontally [m].
         receiver: Whether a transmitter is heard; None: not known.
     """
     out = []
@@ -135,6 +147,18 @@ def warnings(
             out.append(
                 f"{one.name} is {value:g}: when {one.when} PX4 returns, and climbs to {to} first; the fence ends at "
                 f"{top:g} m. {line(one.name, one.lands)} makes it land"
+            )
+    for name, ours in zip(OWN_FENCE, (reach, top), strict=True):
+        if 0.0 < known.get(name, 0.0) < ours < inf:
+            out.append(
+                f"{name} is {known[name]:g} m, and our fence reaches to {ours:.3g} m: PX4 acts on its own fence first "
+                f"(GF_ACTION). {line(name, ceil(ours))} lets ours act first"
+            )
+    for name in GPS_DELAYS:
+        if known.get(name, inf) < FRESHEST:
+            out.append(
+                f"{name} is {known[name]:g} ms: no receiver is that fresh, and a wrong age sets the estimated position "
+                f"apart from the attitude. {line(name, 110)} is PX4's default"
             )
     if known.get(BATTERY) == 0:
         out.append(

@@ -11,7 +11,7 @@ from array import array
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from math import degrees
+from math import degrees, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from nsde_torch.px4.flight.setpoint import SetpointLimits
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.connection import Connection
 from nsde_torch.px4.link.telemetry import VehicleState
+from nsde_torch.px4.link.urgent import STREAM, urgent
 from nsde_torch.px4.link.vectors import Vec, distance
 
 RATE = 100.0
@@ -54,6 +55,7 @@ class FlightReport:
         link: What became of frames.
         texts: What the autopilot said.
         drift: Seconds that its clock gains in one of ours.
+        quality: The worst that the vehicle's estimator said of itself in flight, by the names of `EstimateQuality`.
     """
 
     outcome: FlightOutcome
@@ -69,6 +71,7 @@ class FlightReport:
     link: dict[str, int] = field(default_factory=dict)
     texts: list[str] = field(default_factory=list)
     drift: float = 0.0
+    quality: dict[str, float] = field(default_factory=dict)
 
     @property
     def rmse(self) -> float | None:
@@ -96,6 +99,7 @@ class FlightReport:
             "without_plans_s": o.without_plans,
             "rmse_m": self.rmse,
             "position_error_max_m": max(self.errors, default=None),
+            "estimator_worst": self.quality,
             "setpoint_gap_ms": _spread([1e3 * g for g in self.gaps]),
             "state_age_ms": _spread([1e3 * a for a in self.ages]),
             "clock_drift": self.drift,
@@ -147,6 +151,10 @@ class Recorder:
             return
         new = self._new_states()
         if f.phase in FLYING:
+            worst = self.report.quality
+            for name, value in vars(status.quality).items() if status.quality else ():
+                if name != "time" and isfinite(value):
+                    worst[name] = max(worst.get(name, value), value)
             tracked = f.phase is Phase.TRACK
             self._flown += [(FlownState(one, status.motors, status.voltage, f.sent), tracked) for one in new]
         while self._flown and self._flown[0][0].state.received <= f.ours_until:
@@ -251,6 +259,10 @@ def fly(
         stack.enter_context(_undisturbed())
         if link.live:
             stack.enter_context(_signals(flight.stop))
+            if not stack.enter_context(urgent(STREAM)):
+                say(
+                    "           note: no real-time priority: a busy computer delays setpoints. `ulimit -r 2` allows it"
+                )
         try:
             _loop(link, flight, recorder, 1.0 / rate, watch)
         except BaseException:

@@ -66,11 +66,8 @@ class Offboard(Supervised):
             Phase.LAND: self._land,
             Phase.DISARM: self._disarm,
             Phase.WATCH: self._watching,
-            Phase.DONE: self._nothing,
+            Phase.DONE: lambda state, status: None,
         }[self.phase](state, status)
-
-    def _nothing(self, state: VehicleState | None, status: Status) -> None:
-        return
 
     def _connect(self, state: VehicleState | None, status: Status) -> None:
         if state is not None and status.heartbeat > -inf:

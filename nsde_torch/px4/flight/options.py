@@ -91,6 +91,21 @@ class Limits:
     tipped_plans: int = key(
         3, "most plans within 5 s that tilt beyond limits.tilt, and are made anew instead of flown", low=0
     )
+    innovation: float = key(
+        1.0,
+        "largest innovation ratio of the vehicle's estimator (ESTIMATOR_STATUS: velocity, position, height) that may "
+        "last for innovation_time; above 1 it rejects what its sensors measure",
+        above=0,
+    )
+    innovation_time: float = key(
+        1.0, "how long a larger innovation ratio than innovation may last", unit="s", low=0
+    )
+    accuracy: float = key(
+        1.5,
+        "largest standard deviation of the estimated position, horizontal or vertical (ESTIMATOR_STATUS)",
+        unit="m",
+        above=0,
+    )
     jump: float = key(
         0.5, "largest step of the position that its velocity does not explain", unit="m", above=0
     )

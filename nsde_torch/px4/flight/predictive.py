@@ -6,8 +6,8 @@ over the delay by what was asked for meanwhile, and the plan starts there:
     rates(t) = omega(plan, t + delay + lead),      thrust(t) = thrust(plan, t + delay) / mass
 
 `lead` is the time in which a rate that is asked for is reached. What pushes the vehicle that the model does not know
-is learned from its velocities (`carried`) and planned with; what is off all the same moves the reference slowly,
-p_ref + trim with trim' = (p_ref - p) / T.
+is learned from its velocities (`carried`), apart from it how it brakes, and planned with; what is off all the same
+moves the reference slowly, p_ref + trim with trim' = (p_ref - p) / T.
 
 A solver that starts from a plan that came late may end in another valley of its cost, which leads over the top: a plan
 that tilts beyond what ends a flight is not flown. Another is made from hovering, or the one before goes on.
@@ -37,9 +37,10 @@ from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.export.exported import ExportedController
 from nsde_torch.models import Model
-from nsde_torch.px4.flight.carried import NO_DRAG, NO_PUSH, Drag, PushEstimate, carried
+from nsde_torch.px4.flight.carried import NO_DRAG, Drag, PushEstimate, carried
 from nsde_torch.px4.flight.controller import TIPPED, Asked, Demand, DemandPlan
 from nsde_torch.px4.flight.path import PAUSE
+from nsde_torch.px4.link.urgent import PLANS, urgent
 from nsde_torch.px4.link.vectors import Vec
 from nsde_torch.systems import Multirotor, System
 from nsde_torch.systems.machines import Effects, named_effects
@@ -157,8 +158,8 @@ class PredictiveController:
         self.controller, self.reference = controller, reference
         self._delay, self._lead, self._upright = delay, lead, cos(tilt)
         self._system, self._ports = system, controller.predictor.ports
-        self._drag = braking(controller) if isinstance(controller, Controller) else NO_DRAG
-        self._push = PushEstimate(delay=delay, drag=self._drag, time=push_time, limit=PUSH_LIMIT)
+        drag = braking(controller) if isinstance(controller, Controller) else NO_DRAG
+        self._push = PushEstimate(delay=delay, drag=drag, time=push_time, limit=PUSH_LIMIT)
         self._last: tuple[float, MotorPlan] | None = None
         self._trim = torch.zeros(3, dtype=torch.float64)
 
@@ -185,9 +186,10 @@ class PredictiveController:
             self._trim = self._trim.clamp(-TRIM_LIMIT, TRIM_LIMIT)
         window[:, :3] += self._trim
         before = None if self._last is None else self._last[1]
-        push = self._push.take(row, time, asked)
-        x = torch.tensor([self._ahead(row, time, asked, push)], dtype=torch.float64)
-        forces = self._forces(push)
+        self._push.take(row, time, asked)
+        ahead = self._ahead(row, time, asked)
+        x = torch.tensor([ahead], dtype=torch.float64)
+        forces = self._forces(self._push.at(ahead))
         plan = c.plan(x, window[None], before, elapsed=elapsed, push=forces)
         status = f"{plan.status[0]}: failed" if plan.status[0].endswith(HOVER) else plan.status[0]
         if self._tips(plan):
@@ -227,11 +229,10 @@ class PredictiveController:
         rates, thrust = (one[0].tolist() for one in setpoints(plan, self._system, ahead=self._lead))
         return tuple(Demand((w[0], w[1], w[2]), a) for w, a in zip(rates, thrust, strict=True))
 
-    def _ahead(
-        self, row: tuple[float, ...], time: float, asked: Asked, push: Vec = NO_PUSH
-    ) -> tuple[float, ...]:
+    def _ahead(self, row: tuple[float, ...], time: float, asked: Asked) -> tuple[float, ...]:
         """The state a delay later, by what was asked for a delay before."""
-        return carried(row, time, self._delay, asked, delay=self._delay, drag=self._drag, push=push)
+        known = self._push
+        return carried(row, time, self._delay, asked, delay=self._delay, drag=known.drag, push=known.rest)
 
 
 @dataclass(frozen=True)
@@ -286,7 +287,10 @@ class PredictiveMaker:
         reference = Reference(self.path)
         made = self._made(controller, reference)
         times = [self.path.duration * k / (COLD + WARM_UP) for k in range(COLD + WARM_UP)]
-        solves = [made(tuple(reference.at(torch.tensor(t)).tolist()), t, t).solve_ms for t in times][COLD:]
+        with urgent(PLANS):  # as they are in flight
+            solves = [made(tuple(reference.at(torch.tensor(t)).tolist()), t, t).solve_ms for t in times][
+                COLD:
+            ]
         median, took = (sorted(solves)[int(share * WARM_UP)] for share in (0.5, 1.0 - TAIL))
         how = "compiled" if controller.solver.compiled else "not compiled"
         if isinstance(controller, ExportedController):

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from math import acos, degrees, isfinite
+from math import acos, degrees, hypot, isfinite
 
 from nsde_torch.px4.flight import failsafe
 from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.path import PathPoints
-from nsde_torch.px4.flight.safety import MARGIN, Limits
+from nsde_torch.px4.flight.safety import MARGIN, Limits, contradicted
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.link.telemetry import Status, VehicleState
@@ -21,6 +21,8 @@ CLIMB_TIME = 0.55
 """How far a climb rises past its end, as a time at its speed [s]; simulated: 0.2 m at 0.8 m/s, 0.6 at 1.5, 1.5 at 3."""
 ROUNDED = 1e-3
 """What is said of heights is rounded to this, and what follows it is not refused [m]."""
+SETTLED = 0.5
+"""Share of `limits.innovation` above which a flight does not begin; PX4 arms up to ratios of 0.5 (COM_ARM_EKF_*)."""
 MOVES = 0.5
 """Speed from which on a vehicle does not stand [m/s]; an estimate that settles is slower."""
 _LANDED = {
@@ -59,6 +61,11 @@ def faults(
     age = now - state.time
     if age > limits.estimate:
         out.append(f"the newest state is {age:.2f} s old")
+    late = endpoint.telemetry.sync.late
+    if (
+        late is not None
+    ):  # the age of states is then a guess from below, and a late line looks like a quick one
+        out.append(f"TIMESYNC is answered after {late:.1f} s: a faster link is needed")
     if endpoint.telemetry.rate < FEWEST:
         out.append(
             f"states come at {endpoint.telemetry.rate:.0f} Hz, less than {FEWEST:.0f}: a faster link is needed"
@@ -73,6 +80,8 @@ def faults(
         out.append(f"battery at {100 * status.remaining:.0f} %: charge it")
     if limits.voltage > 0 and isfinite(status.voltage) and status.voltage < limits.voltage:
         out.append(f"battery at {status.voltage:.1f} V: charge it")
+    if against := contradicted(status.quality, limits, now, part=SETTLED):
+        out.append(f"{against}: wait until it has settled, with a clear view of the sky")
     out += failsafe.faults(status.parameters)
     out += _outside(path, limits, options)
     return out
@@ -150,11 +159,14 @@ def warnings(endpoint: Endpoint, status: Status, path: PathPoints, limits: Limit
     """What is not right and does not forbid to fly."""
     out = [f"{name} was not answered" for name in PARAMETERS if name not in status.parameters]
     top = limits.fence[2][1]
-    out += failsafe.warnings(status.parameters, path.speed, top=top, receiver=status.receiver)
+    reach = hypot(*(max(-low, high) for low, high in limits.fence[:2]))
+    out += failsafe.warnings(status.parameters, path.speed, top=top, reach=reach, receiver=status.receiver)
     if not isfinite(status.remaining):
         out.append("the battery's charge is unknown: nothing will end the flight when it is empty")
     if endpoint.telemetry.sync.round_trip is None:
         out.append("TIMESYNC is not answered: the age of states is a guess from below")
+    if status.quality is None:
+        out.append("ESTIMATOR_STATUS is not sent: an estimate that its sensors contradict goes unnoticed")
     if not status.motors:
         out.append("the motors' commands are not sent: the log has no inputs")
     return out

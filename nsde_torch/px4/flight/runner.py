@@ -22,6 +22,7 @@ from typing import final
 
 from nsde_torch.errors import NsdeError
 from nsde_torch.px4.flight.controller import Asked, DemandPlan, FlightController
+from nsde_torch.px4.link.urgent import PLANS, urgent
 from nsde_torch.px4.link.vectors import finite
 
 Say = Callable[[str], None]
@@ -187,12 +188,13 @@ def _work(maker: Maker, pipe: Connection) -> None:
     try:
         controller = maker(lambda line: pipe.send(_Line(line)))
         pipe.send(None)
-        while True:
-            row, stamp, t, asked = pipe.recv()
-            started = time.perf_counter()
-            plan = controller(row, stamp, t, asked)
-            took = 1e3 * (time.perf_counter() - started)
-            pipe.send(DemandPlan(plan.time, plan.dt, plan.demands, plan.status, plan.solve_ms or took))
+        with urgent(PLANS):  # now that it is compiled
+            while True:
+                row, stamp, t, asked = pipe.recv()
+                started = time.perf_counter()
+                plan = controller(row, stamp, t, asked)
+                took = 1e3 * (time.perf_counter() - started)
+                pipe.send(DemandPlan(plan.time, plan.dt, plan.demands, plan.status, plan.solve_ms or took))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return
     except NsdeError as error:  # of the user's doing: the message says all

@@ -10,6 +10,7 @@
 | reference not followed | the distance from it, while it is flown | hold, then LAND |
 | plans that tip, again and again | words of the plans | hold, then LAND |
 | estimate of position or velocity jumped | the state against its prediction | hold, then LAND |
+| estimate that its own sensors contradict | innovation ratios, accuracy (ESTIMATOR_STATUS) | LAND at once |
 | estimate of the heading jumped | the same | noted; a heading that is held moves with it |
 | battery low | SYS_STATUS | LAND at once |
 | setpoints of another client | ATTITUDE_TARGET, POSITION_TARGET_LOCAL_NED | LAND at once: that mode obeys no client |
@@ -33,7 +34,7 @@ from typing import final
 from nsde_torch.px4.flight.controller import TIPPED, DemandPlan
 from nsde_torch.px4.flight.options import Limits
 from nsde_torch.px4.flight.steps import UNANNOUNCED, EstimateStep, step_between
-from nsde_torch.px4.link.telemetry import Followed, Status, VehicleState
+from nsde_torch.px4.link.telemetry import EstimateQuality, Followed, Status, VehicleState
 from nsde_torch.px4.link.vectors import Vec, cos_tilt, distance, length
 
 MARGIN = 0.3
@@ -45,6 +46,8 @@ FOREIGN, FOREIGN_WINDOW = 3, 1.0
 
 A mode that has just ended leaves one or two.
 """
+QUALITY_AGE = 2.0
+"""Age from which on what an estimator said of itself is no longer judged [s]; it says so five times a second."""
 SAME_RATE = 1e-3
 """Difference up to which rates are the ones that were sent: they come back as floats of four bytes [rad/s]."""
 
@@ -67,6 +70,33 @@ class Trouble:
     action: Action
 
 
+def contradicted(quality: EstimateQuality | None, limits: Limits, now: float, *, part: float = 1.0) -> str:
+    """What an estimator says against its own estimate, in words; empty: nothing.
+
+    The heading is not in it: PX4's is wrong by design until it is reset in the climb. An error that the estimator does
+    not know of, as of a satellite receiver that is wrong by a metre, shows in none of these.
+
+    Args:
+        quality: The newest, None where it is not sent.
+        limits: See `Limits`.
+        now: [s]
+        part: Share of the largest innovation ratio that is allowed.
+    """
+    if quality is None or now - quality.time > QUALITY_AGE:
+        return ""
+    q, most = quality, part * limits.innovation
+    ratios = ((q.velocity_ratio, "velocity"), (q.position_ratio, "position"), (q.height_ratio, "height"))
+    ratio, worst = max((one for one in ratios if isfinite(one[0])), default=(0.0, ""))
+    if ratio > most:
+        return f"the estimator's {worst} innovation ratio is {ratio:.2f}, more than {most:g}"
+    deviation = max((s for s in (q.horizontal_m, q.vertical_m) if isfinite(s)), default=0.0)
+    if deviation > limits.accuracy:
+        return (
+            f"the estimator gives its position an error of {deviation:.1f} m, more than {limits.accuracy:g}"
+        )
+    return ""
+
+
 _UNSUITED = "the controller or its model does not suit the machine, or its plans come too late"
 
 
@@ -87,6 +117,7 @@ class Watch:
         self._since: dict[str, float] = {}
         self._last: VehicleState | None = None
         self._jumped: str | None = None
+        self._against = ""
         self._plan: DemandPlan | None = None
         self._tipped: deque[float] = deque()
         self._foreign: deque[Followed] = deque()
@@ -105,6 +136,9 @@ class Watch:
         battery = self._battery(status, now)
         if battery is not None:
             return battery
+        self._against = contradicted(status.quality, m, now)
+        if self._lasting("quality", bool(self._against), now, m.innovation_time):
+            return Trouble("quality", f"{self._against}: it may not be where it says", Action.LAND)
         return self._motion(state, status, now)
 
     def track(self, off: float, plan: DemandPlan, now: float) -> Trouble | None:
@@ -126,7 +160,7 @@ class Watch:
             return Trouble("tipped", f"{text}: {_UNSUITED}", Action.HOLD)
         if self._lasting("tracking", off > m.tracking_error, now, m.tracking_time):
             text = f"more than {m.tracking_error:g} m from the reference for {m.tracking_time:g} s, now {off:.2f} m"
-            return Trouble("tracking", f"{text}: {_UNSUITED}", Action.HOLD)
+            return Trouble("tracking", f"{text}: {self._against or _UNSUITED}", Action.HOLD)
         return None
 
     def check_setpoints(

@@ -15,6 +15,7 @@ from typing import final
 
 from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.link.transport import LinkError, Transport, open_transport
+from nsde_torch.px4.link.urgent import STREAM, urgent
 
 POLL = 0.05
 """Time between looks at what is due to be said [s]."""
@@ -98,6 +99,7 @@ class Link(Connection):
         """See `Connection.pause`."""
         time.sleep(seconds)
 
+    @urgent(STREAM)
     def _receive(self) -> None:
         polled = 0.0
         while not self._stop.is_set():

@@ -35,22 +35,22 @@ INTERVALS: dict[str, float] = {
     "SYS_STATUS": 2.0,
     "ATTITUDE_TARGET": 50.0,
     "POSITION_TARGET_LOCAL_NED": 10.0,
+    "ESTIMATOR_STATUS": 5.0,
 }
 """Messages that are asked for, with their rates [Hz].
 
 PX4's estimator runs at 125 Hz in simulation: 100 Hz would come as three states after 8 ms each and one after 16. The
-last two are the setpoints that it follows; it sends no position while it follows rates.
+two targets are the setpoints that it follows; it sends no position while it follows rates.
 """
 _OTHERS = (
     "HEARTBEAT",
     "STATUSTEXT",
-    "COMMAND_ACK",
     "PARAM_VALUE",
     "TIMESYNC",
     "ACTUATOR_OUTPUT_STATUS",
     "HOME_POSITION",
 )
-_IN_ORDER = frozenset(("HEARTBEAT", "STATUSTEXT", "COMMAND_ACK", "EXTENDED_SYS_STATE", "SYS_STATUS"))
+_IN_ORDER = frozenset(("HEARTBEAT", "STATUSTEXT", "EXTENDED_SYS_STATE", "SYS_STATUS"))
 NUMBERS: dict[str, int] = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
 WANTED = frozenset(NUMBERS[name] for name in (*INTERVALS, *_OTHERS))
 HEARTBEATS = 0.2

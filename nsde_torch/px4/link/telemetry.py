@@ -65,12 +65,26 @@ class Text:
 
 
 @dataclass(frozen=True)
-class Ack:
-    """An answer to a command."""
+class EstimateQuality:
+    """What the autopilot's estimator says of itself (ESTIMATOR_STATUS); `nan` where it does not say.
+
+    Args:
+        time: When it came, on our clock [s].
+        velocity_ratio: Innovation over the gate of its test, squared; above 1 the estimator rejects that sensor.
+        position_ratio: The same of the horizontal position.
+        height_ratio: The same of the height.
+        heading_ratio: The same of the heading, or of the magnetometer.
+        horizontal_m: Standard deviation of the horizontal position [m].
+        vertical_m: Standard deviation of the height [m].
+    """
 
     time: float
-    command: int
-    result: int
+    velocity_ratio: float
+    position_ratio: float
+    height_ratio: float
+    heading_ratio: float
+    horizontal_m: float
+    vertical_m: float
 
 
 Followed = tuple[float, Vec | None]
@@ -93,6 +107,7 @@ class Status:
         motors_stamp: Their time on the autopilot's clock [s].
         receiver: Whether it hears a transmitter; None where it does not say.
         home: Place of take-off, ENU [m], as far as the autopilot tells.
+        quality: What its estimator says of itself, as far as it is sent.
     """
 
     heard: float = -inf
@@ -106,8 +121,8 @@ class Status:
     motors_stamp: float = nan
     receiver: bool | None = None
     home: Vec | None = None
+    quality: EstimateQuality | None = None
     texts: deque[Text] = field(default_factory=lambda: deque(maxlen=_TEXTS))
-    acks: deque[Ack] = field(default_factory=lambda: deque(maxlen=_TEXTS))
     parameters: dict[str, float] = field(default_factory=dict)
 
 
@@ -131,7 +146,6 @@ class Telemetry:
         self.history: deque[VehicleState] = deque(maxlen=100)
         self.followed: deque[Followed] = deque(maxlen=50)
         self.rejected = 0
-        self.odometry_rate = 0.0
         self.rate = 0.0
         """States a second, smoothed over 20 of them."""
         self._position: tuple[float, Vec, Vec] | None = None
@@ -178,14 +192,15 @@ class Telemetry:
         at = frames.world((m.x, m.y, m.z))
         self.status.home = at if finite(*at) else None
 
+    def _estimator_status(self, m: Message, now: float) -> None:
+        ratios = (m.vel_ratio, m.pos_horiz_ratio, m.pos_vert_ratio, m.mag_ratio)
+        self.status.quality = EstimateQuality(now, *ratios, m.pos_horiz_accuracy, m.pos_vert_accuracy)
+
     def _attitude_target(self, m: Message, now: float) -> None:
         self.followed.append((now, frames.body((m.body_roll_rate, m.body_pitch_rate, m.body_yaw_rate))))
 
     def _position_target_local_ned(self, m: Message, now: float) -> None:
         self.followed.append((now, None))
-
-    def _command_ack(self, m: Message, now: float) -> None:
-        self.status.acks.append(Ack(now, m.command, m.result))
 
     def _param_value(self, m: Message, now: float) -> None:
         self.status.parameters[m.param_id.rstrip("\x00")] = parameter_value(m.param_value, m.param_type)
@@ -283,4 +298,4 @@ class Telemetry:
     def snapshot(self) -> Status:
         """A copy of the status that stays as it is."""
         s = self.status
-        return replace(s, texts=s.texts.copy(), acks=s.acks.copy(), parameters=dict(s.parameters))
+        return replace(s, texts=s.texts.copy(), parameters=dict(s.parameters))

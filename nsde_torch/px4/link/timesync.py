@@ -15,6 +15,8 @@ from __future__ import annotations
 from collections import deque
 from typing import final
 
+LONGEST = 1.0
+"""Round trip from which on an answer is not used [s]."""
 JUMP = 0.5
 """Disagreement with the messages' own stamps from which on the clock has jumped [s]."""
 PERIOD = 0.1
@@ -37,6 +39,7 @@ class TimeSync:
 
     Attributes:
         round_trip: Shortest of the answers that are used [s]; None without any.
+        late: Round trip of an answer that came too late to be used [s]; None where the newest did not.
         drift: Seconds that their clock gains in one of ours.
     """
 
@@ -45,6 +48,7 @@ class TimeSync:
         self._soonest: deque[float] = deque(maxlen=50)
         self._line, self._odd = (0.0, 0.0), 0
         self.round_trip: float | None = None
+        self.late: float | None = None
         self.drift = 0.0
 
     def reset(self) -> None:
@@ -56,7 +60,8 @@ class TimeSync:
     def answered(self, theirs: float, sent: float, received: float) -> None:
         """Take an answer to a TIMESYNC of ours; all times in s."""
         trip = received - sent
-        if not 0.0 <= trip < 1.0:
+        self.late = trip if trip >= LONGEST else None
+        if not 0.0 <= trip < LONGEST:
             return
         middle = 0.5 * (sent + received)
         strange = bool(self._answers) and abs(theirs - middle - self.offset(middle)) > 0.5 * trip + SLACK

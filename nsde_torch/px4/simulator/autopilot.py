@@ -27,6 +27,7 @@ from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.estimate import Estimate, SimulatedEstimator
 from nsde_torch.px4.simulator.messages import MESSAGES, due_next, is_due, texts
 from nsde_torch.px4.simulator.parameters import FAILSAFES, MOTORS_OFF, PARAMETERS, STICK_MODES
+from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 
 ABANDONED = 0.85
 """Share of its weight that it carries in a mode of sticks that nobody holds: it drifts on, into the ground."""
@@ -54,6 +55,7 @@ class SimulatedAutopilot:
         stream: Whether bytes come as a stream.
         parameters: Values of parameters other than `PARAMETERS`.
         heading_error: See `SimulatedEstimator`.
+        errors: Of the sensors.
 
     Attributes:
         mode: Flight mode in force; `intended` is what was asked for and comes back when a failsafe ends.
@@ -79,6 +81,7 @@ class SimulatedAutopilot:
         stream: bool = False,
         parameters: dict[str, float] | None = None,
         heading_error: float | None = None,
+        errors: SensorErrors | None = None,
     ) -> None:
         self.body = body
         self.codec = Codec(system, 1, key=key, stream=stream)
@@ -92,6 +95,7 @@ class SimulatedAutopilot:
             std=(std[0] * sensor_noise, std[3] * sensor_noise, std[6] * sensor_noise, std[9] * sensor_noise),
             seed=seed,
             heading=heading_error,
+            errors=errors,
         )
         self._out: deque[bytes] = deque()
         self._due: dict[str, tuple[float, float]] = {"HEARTBEAT": (0.0, 1.0), "SYS_STATUS": (0.0, 1.0)}

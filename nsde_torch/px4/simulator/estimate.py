@@ -4,7 +4,12 @@
 
     touch-down at v_z = -s:    v_z believed too low by d, p_z by h;    d' = -d / 1.5 s, d(0) = 0.8 s, h' = d - h / 3 s
 
-PX4 resets its heading there, once in each flight, and ODOMETRY's reset counter grows by one. What its accelerometer
+PX4 resets its heading there, once in each flight, and ODOMETRY's reset counter grows by one. While the heading is wrong
+accelerations are turned by it, and its velocity innovations show that (ESTIMATOR_STATUS):
+
+    ratio = |s|^2 / (5 * 0.3 m/s)^2,      s' = (R_z(e) - 1) v' - s / 0.5 s      (EKF2_GPS_V_GATE, EKF2_GPS_V_NOISE)
+
+What its accelerometer
 cannot show of a touch-down it does not know: one at 0.7 m/s takes it half a metre below the ground for seconds, and
 `landed` comes only when it no longer believes to sink.
 """
@@ -12,11 +17,13 @@ cannot show of a touch-down it does not know: one at 0.7 m/s takes it half a met
 from __future__ import annotations
 
 import random
+from cmath import rect
 from math import cos, radians, sin
 from typing import final
 
 from nsde_torch.px4.link.vectors import Quat, Vec, from_rotation_vector, multiply
 from nsde_torch.px4.simulator.body import Body
+from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 
 ALIGNED = 1.5
 """Height above ground at which the heading is reset [m]."""
@@ -24,6 +31,8 @@ HEADING = (radians(1.0), radians(9.0))
 """Smallest and largest error of the heading before that, as they were seen [rad]."""
 KEPT, SINKS, RISES = 0.8, 1.5, 3.0
 """Share of the speed of touch-down that is believed on, and times in which velocity [s] and height [s] come back."""
+GATE, CORRECTED = 5.0 * 0.3, 0.5
+"""Velocity that is rejected [m/s], and time in which measured velocities correct its own [s]."""
 STILL = 0.25
 """Vertical speed below which it believes to have landed [m/s]."""
 Estimate = tuple[Vec, Vec, Quat, Vec]
@@ -38,17 +47,32 @@ class SimulatedEstimator:
         std: Noise of position, velocity, attitude and rates.
         seed: Of the noise, and of the heading's errors.
         heading: Error of the heading until it is reset [rad]; None: another one in each flight.
+        errors: Of the sensors, of which the slow error of the position is this one's.
 
     Attributes:
+        aligns: Whether the heading is reset; versions of 2026 were not seen to.
+        offset: Error of the position that its sensors share, ENU [m].
+        contradicted: Innovation ratio of the position, as where its sensors do not share an error.
         resets: How often it was reset; ODOMETRY sends it, to 255.
         stepped: Heading that the last reset turned it by [rad].
     """
 
     def __init__(
-        self, *, std: tuple[float, float, float, float], seed: int, heading: float | None = None
+        self,
+        *,
+        std: tuple[float, float, float, float],
+        seed: int,
+        heading: float | None = None,
+        errors: SensorErrors | None = None,
     ) -> None:
-        self._std, self._given = std, heading
-        self._random, self._errors = random.Random(seed), random.Random(seed + 1)
+        self._std, self._given, self._errors = std, heading, errors or SensorErrors()
+        self.aligns, self.contradicted = True, 0.02
+        self.offset: Vec = (0.0, 0.0, 0.0)
+        self._slow_v: Vec = (0.0, 0.0, 0.0)
+        self._slow_p: Vec = (0.0, 0.0, 0.0)
+        self._before: Vec = (0.0, 0.0, 0.0)
+        self._astray = 0j  # velocity that accelerations along a wrong heading made, east and north
+        self._random, self._headings = random.Random(seed), random.Random(seed + 1)
         self.resets, self.stepped = 0, 0.0
         self._error = self._drawn()
         self._speed, self._in_air = 0.0, False
@@ -62,7 +86,7 @@ class SimulatedEstimator:
     def _drawn(self) -> float:
         if self._given is not None:
             return self._given
-        return self._errors.choice((-1.0, 1.0)) * self._errors.uniform(*HEADING)
+        return self._headings.choice((-1.0, 1.0)) * self._headings.uniform(*HEADING)
 
     def new_flight(self) -> None:
         """It was disarmed: the heading is no longer trusted."""
@@ -78,14 +102,43 @@ class SimulatedEstimator:
 
         turn = from_rotation_vector((gauss(0.0, sq), gauss(0.0, sq), gauss(0.0, sq)))
         self.stepped = 0.0
-        if self._error != 0.0 and body.p[2] > ALIGNED:
+        if self.aligns and self._error != 0.0 and body.p[2] > ALIGNED:
             self.resets, self.stepped, self._error = self.resets + 1, -self._error, 0.0
         q = multiply(body.q, turn)
         if self._error != 0.0:
             q = multiply((cos(0.5 * self._error), 0.0, 0.0, sin(0.5 * self._error)), q)
         self._touch_down(body)
+        self._go_astray(body)
+        self._drift(body.dt)
         (x, y, z), (vx, vy, vz) = noisy(body.p, sp), noisy(body.v, sv)
-        return (x, y, z - self._sunk), (vx, vy, vz - self._sinking), q, noisy(body.w, sw)
+        (px, py, pz), (ux, uy, uz), (ox, oy, oz) = self._slow_p, self._slow_v, self.offset
+        p: Vec = (x + px + ox, y + py + oy, z + pz + oz - self._sunk)
+        return p, (vx + ux, vy + uy, vz + uz - self._sinking), q, noisy(body.w, sw)
+
+    @property
+    def velocity_ratio(self) -> float:
+        """Innovation ratio of the velocity."""
+        return abs(self._astray / GATE) ** 2
+
+    def _go_astray(self, body: Body) -> None:
+        gained = complex(body.v[0] - self._before[0], body.v[1] - self._before[1])
+        self._before = body.v
+        self._astray += (rect(1.0, self._error) - 1.0) * gained - self._astray * body.dt / CORRECTED
+
+    def _drift(self, dt: float) -> None:
+        """The slow error of position and velocity a step later."""
+        north, east, down = self._errors.estimate
+        if not north + east + down:
+            return
+        time, gauss = self._errors.estimate_time, self._random.gauss
+        keep = dt / time
+        self._slow_p = tuple(  # type: ignore[assignment]
+            p + dt * v - keep * p for p, v in zip(self._slow_p, self._slow_v, strict=True)
+        )
+        self._slow_v = tuple(  # type: ignore[assignment]
+            v - keep * v + gauss(0.0, 2.0 * s / time * keep**0.5)
+            for v, s in zip(self._slow_v, (east, north, down), strict=True)
+        )
 
     def _touch_down(self, body: Body) -> None:
         if self._in_air and body.on_ground:

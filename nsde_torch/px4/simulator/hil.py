@@ -25,6 +25,7 @@ from nsde_torch.px4.link.endpoint import NUMBERS
 from nsde_torch.px4.link.transport import Transport
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.hil_sensors import RATE, HilSensors
+from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 from nsde_torch.systems import Multirotor
 
 PATIENCE = 0.1
@@ -44,6 +45,7 @@ class HilPlant:
         body: The machine; its step must be the IMU's.
         seed: Of the sensors' noise.
         noise: Factor on it.
+        errors: Of the sensors.
 
     Attributes:
         controls: Motor commands in force.
@@ -52,14 +54,16 @@ class HilPlant:
         armed: Whether PX4 says that it is armed.
     """
 
-    def __init__(self, body: Body, *, seed: int, noise: float = 1.0) -> None:
+    def __init__(
+        self, body: Body, *, seed: int, noise: float = 1.0, errors: SensorErrors | None = None
+    ) -> None:
         if abs(body.dt * RATE - 1.0) > 1e-9:
             raise ValueError(f"the machine's step must be {1.0 / RATE:g} s; got {body.dt:g} s")
         self.body = body
         self.codec = Codec(1, 200, wanted=frozenset((NUMBERS["HIL_ACTUATOR_CONTROLS"],)), stream=True)
         self.controls: tuple[float, ...] = (0.0,) * body.nu
         self.answers, self.lockstep, self.armed = 0, False, False
-        self._sensors = HilSensors(seed=seed, noise=noise)
+        self._sensors = HilSensors(seed=seed, noise=noise, errors=errors)
 
     @property
     def time(self) -> float:

@@ -30,6 +30,7 @@ from nsde_torch.px4.link.vectors import (
     rotation_vector,
     turned_by_rates,
 )
+from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 
 LATITUDE, LONGITUDE, ALTITUDE = 47.397742, 8.545594, 488.0
 """Of the place of take-off [deg, deg, m]."""
@@ -48,11 +49,6 @@ BAROMETER = 1 << 9 | 1 << 11 | 1 << 12
 _EVERY = {"mag": (4, 1), "baro": (5, 2), "gps": (25, 3), "truth": (5, 4)}
 """One in so many samples, and which of them, so that they do not all come at once."""
 _EARTH = 6_371_000.0
-GPS_DELAY = 0.01
-"""Age of what a GPS says [s]: what PX4 takes it for in simulation (`SENS_GPS0_DELAY`, before `EKF2_GPS_DELAY`, 10 ms).
-
-Fixes that are fresher or older pull its estimate off the path, so that position, velocity and attitude disagree.
-"""
 HARDEST = 4.0 * GRAVITY
 """Largest acceleration that is shown [m/s2]: a touch-down within one sample would show more than any sensor does.
 
@@ -66,7 +62,6 @@ gyroscope showed for a wrong attitude, and drift off by what it then sees of gra
 """
 _STEADY = 1.0
 """Rate that a turn within a sample may miss the machine's own by, which goes on within it [rad/s]."""
-_STD = {"acc": 0.03, "gyro": 0.003, "mag": 0.0015, "baro": 0.01, "p": 0.05, "h": 0.1, "v": 0.03}
 
 
 def pressure(height: float) -> float:
@@ -76,21 +71,23 @@ def pressure(height: float) -> float:
 
 @final
 class HilSensors:
-    """Sensors with noise.
+    """Sensors with errors.
 
     Args:
         seed: Of the noise.
         noise: Factor on it.
+        errors: Noise, biases and delay. A delay other than the one that PX4 expects sets its position and velocity
+            apart from its attitude.
     """
 
-    def __init__(self, *, seed: int, noise: float = 1.0) -> None:
-        self._random = random.Random(seed)
-        self._std = {k: v * noise for k, v in _STD.items()}
+    def __init__(self, *, seed: int, noise: float = 1.0, errors: SensorErrors | None = None) -> None:
+        self._random, self._noise = random.Random(seed), noise
+        self._errors = errors or SensorErrors()
         self._before: Vec = (0.0, 0.0, 0.0)
         self._rest: Vec = (0.0, 0.0, 0.0)
         self._shown: Quat | None = None
         self._count = 0
-        self._flown = deque[tuple[Vec, Vec]](maxlen=ceil(GPS_DELAY * RATE) + 1)
+        self._flown = deque[tuple[Vec, Vec]](maxlen=ceil(self._errors.gps_delay * RATE) + 1)
 
     def messages(self, time: float, p: Vec, v: Vec, q: Quat, w: Vec) -> list[Message]:
         """What is sent of one state; call it once for each sample.
@@ -116,12 +113,13 @@ class HilSensors:
         self._before = v
         rates = self._rates(q, w)
         force = rotate_back(self._shown or q, shown)
-        acc = self._noisy(frames.body(force), "acc")
-        gyro = self._noisy(frames.body(rates), "gyro")
+        e = self._errors
+        acc = self._noisy(frames.body(force), e.accelerometer, e.accelerometer_bias)
+        gyro = self._noisy(frames.body(rates), e.gyroscope, e.gyroscope_bias)
         # the field turned into the body: world to NED first, as the attitude is NED's here
-        mag = self._noisy(rotate_back(frames.attitude(q), FIELD_NED), "mag")
+        mag = self._noisy(rotate_back(frames.attitude(q), FIELD_NED), e.magnetometer)
         height = ALTITUDE + p[2]
-        air = pressure(height) + self._random.gauss(0.0, self._std["baro"])
+        air = pressure(height) + self._random.gauss(0.0, e.barometer * self._noise)
         fields = ACCELEROMETER | GYROSCOPE
         fields |= MAGNETOMETER if _due("mag", k) else 0
         fields |= BAROMETER if _due("baro", k) else 0
@@ -152,19 +150,15 @@ class HilSensors:
         return rates
 
     def _before_delay(self) -> tuple[Vec, Vec]:
-        """Position and velocity `GPS_DELAY` ago, between two samples; the first ones before there were any."""
+        """Position and velocity a GPS delay ago, between two samples; the first ones before there were any."""
         (p, v), (p1, v1) = self._flown[0], self._flown[min(1, len(self._flown) - 1)]
-        share = ceil(GPS_DELAY * RATE) - GPS_DELAY * RATE
+        samples = self._errors.gps_delay * RATE
+        share = ceil(samples) - samples
         return between(p, p1, share), between(v, v1, share)
 
     def _gps(self, stamp: int, p: Vec, v: Vec) -> Message:
-        gauss = self._random.gauss
-        at: Vec = (
-            p[0] + gauss(0.0, self._std["p"]),
-            p[1] + gauss(0.0, self._std["p"]),
-            p[2] + gauss(0.0, self._std["h"]),
-        )
-        n, e, d = frames.world(self._noisy(v, "v"))
+        at = frames.world(self._noisy(frames.world(p), self._errors.gps))
+        n, e, d = self._noisy(frames.world(v), self._errors.gps_velocity)
         lat, lon, alt = place(at)
         course = round(100.0 * degrees(atan2(e, n)) % 36000.0) % 36000
         ground = min(round(100.0 * (n * n + e * e) ** 0.5), 0xFFFF)
@@ -184,9 +178,10 @@ class HilSensors:
             12,
         )
 
-    def _noisy(self, v: Vec, kind: str) -> Vec:
-        s, gauss = self._std[kind], self._random.gauss
-        return (v[0] + gauss(0.0, s), v[1] + gauss(0.0, s), v[2] + gauss(0.0, s))
+    def _noisy(self, v: Vec, std: Vec, bias: Vec = (0.0, 0.0, 0.0)) -> Vec:
+        gauss, k = self._random.gauss, self._noise
+        x, y, z = (a + b + gauss(0.0, k * s) for a, b, s in zip(v, bias, std, strict=True))
+        return (x, y, z)
 
 
 def _int16(value: float) -> int:

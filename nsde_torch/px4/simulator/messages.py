@@ -75,6 +75,12 @@ def _position_target_local_ned(a: SimulatedAutopilot, now: float) -> Message | N
     )
 
 
+def _estimator_status(a: SimulatedAutopilot, now: float) -> Message:
+    e = a.estimator
+    ratios = (e.velocity_ratio, e.contradicted, e.contradicted, 0.02, nan, nan)
+    return mavlink.MAVLink_estimator_status_message(int(now * 1e6), 0x33F, *ratios, 0.2, 0.2)
+
+
 def _home_position(a: SimulatedAutopilot, now: float) -> Message | None:
     """Known from the first arming on."""
     if a.home is None:
@@ -99,6 +105,7 @@ MESSAGES: dict[str, Callable[[SimulatedAutopilot, float], Message | None]] = {
     "HEARTBEAT": _heartbeat,
     "HOME_POSITION": _home_position,
     "SYS_STATUS": _sys_status,
+    "ESTIMATOR_STATUS": _estimator_status,
     "EXTENDED_SYS_STATE": _extended_sys_state,
     "ODOMETRY": _odometry,
     "ATTITUDE_QUATERNION": _attitude_quaternion,

@@ -15,6 +15,9 @@ PARAMETERS: dict[str, tuple[float, int]] = {
     "NAV_RCL_ACT": (2, d.INT32),
     "NAV_DLL_ACT": (0, d.INT32),
     "GF_ACTION": (2, d.INT32),
+    "GF_MAX_HOR_DIST": (0.0, d.REAL32),  # 0: no fence
+    "GF_MAX_VER_DIST": (0.0, d.REAL32),
+    "SENS_GPS0_DELAY": (10.0, d.REAL32),
     "COM_LOW_BAT_ACT": (2, d.INT32),
     "RTL_RETURN_ALT": (30.0, d.REAL32),
     "SDLOG_PROFILE": (147, d.INT32),

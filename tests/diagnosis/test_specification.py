@@ -18,7 +18,7 @@ from nsde_torch.inference import LogLikelihood, Optimum, maximised
 from nsde_torch.inference.force_scores import force_scores
 from nsde_torch.inference.sensitivity import grams, inverted
 from nsde_torch.sysid.regression import Regression
-from tests.helpers.residuals import MadeResiduals, Push
+from tests.helpers.residuals import MadeResiduals, Push, with_own_pass
 from tests.inference.springs import rubbing, small_runs
 from tests.inference.springs import spring as declared
 
@@ -155,7 +155,7 @@ def test_scores_are_slopes_of_the_likelihood_of_the_machine() -> None:
     best, at = maximised(LogLikelihood(declared(), small_runs(rubbing(0.0), 2, 6.0, seed=1)), nuisances=False)
     damping = next(j for j, label in enumerate(best.vector.labels) if label.endswith("damping"))
     others = best.free[best.free != damping]
-    found = force_scores(Optimum(at.of, at.levels, at.about, at.at, others))
+    found = force_scores(Optimum(with_own_pass(at.of), at.levels, at.about, at.at, others))
     space, about = at.of.space, at.about
     middle = space.midway(about.x, about.after)
     speed = np.empty(len(space.steps))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -15,12 +16,22 @@ from nsde_torch.diagnosis.regressors import Measured, measured
 from nsde_torch.diagnosis.residual_tests import PhysicsResiduals
 from nsde_torch.diagnosis.search import Search, search_in
 from nsde_torch.inference import LogLikelihood, Optimum, nearly_maximised
+from nsde_torch.inference.estimate import Latest
 from nsde_torch.inference.filtering import Pass, forced, with_gains
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
 
 Array = NDArray[np.float64]
+
+
+def with_own_pass(of: LogLikelihood) -> LogLikelihood:
+    """The same likelihood, which keeps the pass of another optimum."""
+    other = copy.copy(of)
+    other.passes, other.scores = Latest(), Latest()
+    return other
+
+
 Push = Callable[[Array, Array, Array, Array], Array]
 """Of positions, speeds, times in the run and numbers of the run, each (N,) [m/s2]."""
 
@@ -61,9 +72,8 @@ class MadeResiduals:
         white[:, run == run.max()] *= loud
         if push is not None:
             white += self._moved(push, here, run)
-        drawn = Optimum(at.of, at.levels, about, replace(here, white=white), at.free)
+        drawn = Optimum(with_own_pass(at.of), at.levels, about, replace(here, white=white), at.free)
         left = PhysicsResiduals(self.search, replace(self.place, at=drawn), self._regression(push))
-        at.of.passes.keep(at, (about, here))
         return left
 
     def _moved(self, push: Push, here: Pass, run: NDArray[np.int64]) -> torch.Tensor:

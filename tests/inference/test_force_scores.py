@@ -14,6 +14,7 @@ from nsde_torch.inference.force_scores import ForceScores, directions, force_sco
 from nsde_torch.inference.sensitivity import grams
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
+from tests.helpers.residuals import with_own_pass
 
 
 @pytest.fixture(scope="module", params=["mass_spring_damper", "cartpole"])
@@ -25,7 +26,9 @@ def fitted(request: pytest.FixtureRequest) -> tuple[MaximumLikelihood, Optimum]:
 def _scores(fitted: tuple[MaximumLikelihood, Optimum]) -> ForceScores:
     """Scores with no parameters beside them."""
     _, at = fitted
-    return force_scores(Optimum(at.of, at.levels, at.about, at.at, np.zeros(0, dtype=np.int64)))
+    return force_scores(
+        Optimum(with_own_pass(at.of), at.levels, at.about, at.at, np.zeros(0, dtype=np.int64))
+    )
 
 
 def test_the_score_of_a_force_is_the_slope_of_the_log_likelihood(
@@ -96,7 +99,7 @@ def test_scores_are_of_the_chunks_whose_filter_has_not_diverged(
     _, at = fitted
     x = at.x.clone()
     x[:, 0] = torch.nan
-    lost = Optimum(at.of, at.levels, replace(at.about, x=x), at.at, at.free)
+    lost = Optimum(with_own_pass(at.of), at.levels, replace(at.about, x=x), at.at, at.free)
     found = force_scores(lost)
     assert np.isfinite(found.forces).all()
     assert np.isfinite(found.drawn).all()

@@ -429,7 +429,7 @@ def _selected(
     Of rows further apart, where only these are as predicted: what a differentiated encoder, a friction that gives way
     or a smoother does within a few rows is no noise of this model, and noise levels then learn the physics (of a Dahl
     friction of 0.3 m/s2 nothing was found, and 114 nats so; behind the smoother of NeuroBEM a drag of 0.54 1/s, and so
-    of 0.35). An effect that is missing stays seen in rows apart.
+    of 0.35). The declared physics decides: an effect that is missing stays seen in rows apart.
     """
     runs = moving(log.runs, log.slowest)[0] if log.slowest else log.runs
     declared = search.base(log.system)
@@ -447,26 +447,15 @@ def _selected(
         # a force of 12.5 Hz was named in rows of 20 Hz (drive 0 of bench_friction_drive.py)
         return JointSearch(search, problem, system, [f for f in frequencies if f * apart < HIGHEST])
 
-    def as_predicted(those: FittedPhysics, all_rows: FittedPhysics) -> bool:
+    made = of(0.0)
+    if search.steps.dt < 0.5 * apart and made.declared.best.misfit:
+        search.say(f"rows {apart:g} s apart", 0, 1)
+        other = of(apart)
         # half: drive 1 of bench_friction_drive.py, where the past predicts 8 % of the innovations apart, 92 % of all
-        driven = those.best.driven
-        return those.best.worst(driven) < max(1.0, share * all_rows.best.worst(driven))
-
-    made, coarser = of(0.0), search.steps.dt < 0.5 * apart
-    if coarser and made.declared.best.misfit:
-        search.say(f"rows {apart:g} s apart", 0, 1)
-        other = of(apart)
-        if as_predicted(other.declared, made.declared):
-            made, coarser = other, False
+        driven = other.declared.best.driven
+        if other.declared.best.worst(driven) < max(1.0, share * made.declared.best.worst(driven)):
+            made = other
     found = made.selected(physics, brought, partial(_so_far, search))
-    if coarser and found.final.best.misfit:
-        search.say(f"rows {apart:g} s apart", 0, 1)
-        other = of(apart)
-        # what all rows lack is lacking there too, and far less than what a smoother does within a few rows
-        if as_predicted(other.fitted(found.final.system, other.declared), found.final):
-            again = other.selected(physics, brought, partial(_so_far, search))
-            if as_predicted(again.final, found.final):
-                made, found = other, again
     return made, found if search is whole else with_suspects(found, whole, log.system)
 
 

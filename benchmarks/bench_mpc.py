@@ -19,18 +19,15 @@ import numpy as np
 import torch
 
 import nsde_torch
-from nsde_torch.control.autopilots import PredictivePilot
+from nsde_torch.control.autopilots import EstimatorOptions, PredictivePilot
 from nsde_torch.control.controller import Controller
-from nsde_torch.control.estimator import EstimatorOptions
-from nsde_torch.control.horizon import Horizon
-from nsde_torch.control.hovering import hover_input
-from nsde_torch.control.loop import fly
+from nsde_torch.control.feasible import hover_input
+from nsde_torch.control.loop import fly, summarise
 from nsde_torch.control.predictor import Predictor
-from nsde_torch.control.problem import ProblemOptions
+from nsde_torch.control.problem import Horizon, ProblemOptions
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.shapes import circle, lemniscate
 from nsde_torch.control.solve import Problem, Solver, SolverOptions
-from nsde_torch.control.summary import summarise
 from nsde_torch.rotation import turned
 from nsde_torch.simulation import make_plant
 

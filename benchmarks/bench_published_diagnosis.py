@@ -29,7 +29,7 @@ from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.search import fitted_system, search_in
 from nsde_torch.evaluation.metrics import start_grid, thinned
-from nsde_torch.evaluation.open_loop import rollout_squares
+from nsde_torch.evaluation.scores import rollout_squares
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording import read
 from nsde_torch.sysid.physics import Physics, bump, smooth_rate

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig
 
 from nsde_torch.control import feasible
-from nsde_torch.control.knowledge import DECLARED, knowledge, system_of
+from nsde_torch.control.loop import DECLARED, knowledge, system_of
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.reference import Reference
 from nsde_torch.effects import files

@@ -45,7 +45,8 @@ class HydraCommand:
         name: Name of the command.
         help: What it does, one line, the head of `nsde NAME --help`.
         schema: Dataclass of its keys (`nsde_torch.cli.keys`).
-        module: Module whose function `run(config, job)` does the work, imported when there is some.
+        module: Module whose function `run(config, job)` does the work, imported when there is some: `config` is the
+            composed and checked configuration, `job` (`cli/jobs.py`) says where to write.
         groups: Config groups with the choice that each has by default, in order; None for none.
         values: Values beside the defaults of the schema, as nested mappings.
         folder: Pattern of the folder of a run, for the key `run_dir` or `out_dir`; None for a command without one.

@@ -1,4 +1,4 @@
-"""From the groups `link` and `limits` to the objects of the library."""
+"""The link to a vehicle: its settings, and how a flight ended."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ from typing import Any
 from omegaconf import DictConfig
 
 from nsde_torch.errors import ConfigError
+from nsde_torch.px4.flight.phases import REFUSED, FlightOutcome
 from nsde_torch.px4.flight.safety import Limits
 from nsde_torch.px4.flight.setpoint import SetpointLimits
 from nsde_torch.px4.link.codec import signing_key
+from nsde_torch.px4.link.transport import LinkError
 
 from . import build
+from .exit_status import FLIGHT_ENDED, INTERRUPTED, NOT_LANDED, EndedError
 
 say = partial(print, flush=True)
 """Takes a line about each step."""
@@ -70,3 +73,30 @@ def _fence(rows: Any) -> Any:
             f"`limits.fence` takes [[x_low,x_high],[y_low,y_high],[z_low,z_high]]; got {rows!r}."
         )
     return tuple((float(a), float(b)) for a, b in rows)
+
+
+_STOPPED = ("stop", "stopped")
+_TAKEN = ("mode", "setpoints", "disarmed", "link", "late")
+"""Troubles after which the vehicle was the operator's or PX4's, and not ours."""
+
+
+def check_end(outcome: FlightOutcome) -> None:
+    """Pass a flight that was flown by us alone and is seen to stand, whatever limit it may have tripped.
+
+    Raises:
+        LinkError: it was refused before it began.
+        EndedError: it was not seen to land, was stopped, or the vehicle was taken from us.
+    """
+    trouble = outcome.trouble
+    if trouble is not None and trouble.kind == REFUSED:
+        raise LinkError(trouble.text)
+    why = "the reference was not flown to its end" if trouble is None else trouble.text
+    stopped = trouble is not None and trouble.kind in _STOPPED
+    if stopped and not outcome.begun:
+        raise EndedError(f"the flight was stopped before it began: {why}", INTERRUPTED)
+    if not outcome.landed:
+        raise EndedError(f"the vehicle was NOT seen to land: {why}", NOT_LANDED)
+    if stopped:
+        raise EndedError(f"the flight was stopped, and landed: {why}", INTERRUPTED)
+    if trouble is not None and trouble.kind in _TAKEN:
+        raise EndedError(f"the flight went wrong, and landed: {why}", FLIGHT_ENDED)

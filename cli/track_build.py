@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,15 +12,20 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from nsde_torch.control import shapes
-from nsde_torch.control.autopilots import Autopilot, CascadePilot, PredictivePilot
+from nsde_torch.control.autopilots import (
+    Autopilot,
+    CascadePilot,
+    EstimatorOptions,
+    Foresight,
+    PredictivePilot,
+)
 from nsde_torch.control.controller import Controller, Planner, SafetyOptions
-from nsde_torch.control.estimator import EstimatorOptions, Foresight
-from nsde_torch.control.knowledge import DECLARED, system_of
-from nsde_torch.control.knowledge import knowledge as knowledge_of
+from nsde_torch.control.loop import DECLARED, system_of
+from nsde_torch.control.loop import knowledge as knowledge_of
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import FlightPath, Reference
+from nsde_torch.control.shapes import from_csv, waypoints
 from nsde_torch.control.solve import SolverOptions
-from nsde_torch.control.waypoints import from_csv, waypoints
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import Model
 from nsde_torch.models.run_directory import load
@@ -128,23 +133,17 @@ def plant(config: DictConfig, known: Model | System, *, seed: int) -> SteppedMac
 
 def problem(config: DictConfig) -> ProblemOptions:
     """What a plan pays for."""
+    given = _of(ProblemOptions, config)
+    limits = {name: inf if given[name] is None else given[name] for name in ("speed_limit", "tilt_limit")}
     fence = None
     if config.fence is not None:
         fence = tuple((float(a), float(b)) for a, b in _pairs(build.options(config)["fence"]))
-    return ProblemOptions(
-        horizon=config.horizon,
-        steps=config.steps,
-        state_weights=tuple(config.state_weights),
-        input_weight=config.input_weight,
-        input_centre=config.input_centre,
-        rate_weight=config.rate_weight,
-        speed_limit=inf if config.speed_limit is None else config.speed_limit,
-        tilt_limit=inf if config.tilt_limit is None else config.tilt_limit,
-        fence=fence,
-        limit_weight=config.limit_weight,
-        uncertainty_weight=config.uncertainty_weight,
-        particles=config.particles,
-    )
+    return ProblemOptions(**{**given, **limits, "state_weights": tuple(config.state_weights), "fence": fence})
+
+
+def _of(options: type[Any], config: DictConfig) -> dict[str, Any]:
+    """The fields of a class of options that a group has too."""
+    return {f.name: config[f.name] for f in fields(options) if f.name in config}
 
 
 def _pairs(fence: Any) -> list[Any]:
@@ -159,14 +158,7 @@ def _pairs(fence: Any) -> list[Any]:
 
 def solver(config: DictConfig) -> SolverOptions:
     """How plans are looked for."""
-    return SolverOptions(
-        name=config.solver,
-        iterations=config.iterations,
-        tolerance=config.tolerance,
-        compile=config.compile,
-        deadline=config.deadline,
-        cache=config.cache,
-    )
+    return SolverOptions(**{**_of(SolverOptions, config), "name": config.solver})
 
 
 def safety(config: DictConfig) -> SafetyOptions:

@@ -45,19 +45,4 @@ __all__ = [
     "train",
 ]
 
-__getattr__ = resolver(
-    __name__,
-    {
-        "Effect": "effects.base",
-        "NeuralSDE": "models.neural_sde",
-        "System": "systems.base",
-        "diagnose": "api.diagnosing",
-        "evaluate": "api.evaluation",
-        "inspect": "api.inspecting",
-        "load": "models.run_directory",
-        "read": "api.reading",
-        "rehearse": "design.diagnosis_rehearsal",
-        "simulate": "simulation.generate",
-        "train": "api.training",
-    },
-)
+__getattr__ = resolver(__name__)

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.design import Experiment
+from nsde_torch.design.members import Drive, Rollouts
 from nsde_torch.design.proposals import Family, Judged, Separation, best_of_each, search
-from nsde_torch.design.rollout import Drive, Rollouts
 from nsde_torch.errors import ConfigError
 
 Array = NDArray[np.float64]

@@ -35,12 +35,12 @@ import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.design import DesignOptions, Experiment, Question, design
 from nsde_torch.design.designing import members_of
-from nsde_torch.design.files import write_plan
+from nsde_torch.design.experiment import write_plan
 from nsde_torch.design.limits import limits_of
+from nsde_torch.design.members import open_loop
+from nsde_torch.design.proposals import Signals
 from nsde_torch.design.questions import SURE
 from nsde_torch.design.rehearsal import against, fit_all
-from nsde_torch.design.rollout import open_loop
-from nsde_torch.design.signals import Signals
 from nsde_torch.systems import System
 from nsde_torch.systems.options import system_options
 

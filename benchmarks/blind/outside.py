@@ -20,7 +20,7 @@ from torch import Tensor
 from nsde_torch.columns import columns, stack_columns
 from nsde_torch.effects import Effect, Parameter, Port
 from nsde_torch.effects.base import elapsed
-from nsde_torch.effects.multirotor_drag import body_velocity
+from nsde_torch.effects.multirotor_forces import body_velocity
 
 _OWN = "made for this benchmark"
 

@@ -37,8 +37,7 @@ from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.search import fitted_system, search_in
 from nsde_torch.evaluation.metrics import horizons_of, start_grid, thinned
-from nsde_torch.evaluation.open_loop import rollout_squares
-from nsde_torch.evaluation.scores import group_squares
+from nsde_torch.evaluation.scores import group_squares, rollout_squares
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems import System, make_system
 

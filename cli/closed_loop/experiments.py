@@ -29,7 +29,7 @@ from nsde_torch.design import (
     open_questions,
     standing_of,
 )
-from nsde_torch.design.files import PLAN, RESULT, read_design
+from nsde_torch.design.experiment import PLAN, RESULT, read_design
 from nsde_torch.diagnosis.files import RESULT as DIAGNOSED
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.progress import Stages

@@ -12,7 +12,7 @@ from omegaconf import DictConfig
 from nsde_torch.control import feasible
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.reference import FlightPath, Reference
-from nsde_torch.control.waypoints import from_csv
+from nsde_torch.control.shapes import from_csv
 from nsde_torch.errors import DataError
 from nsde_torch.px4.link.transport import LinkError
 

@@ -14,10 +14,9 @@ from typing import Any, Protocol, final
 from omegaconf import DictConfig
 
 from nsde_torch.control.controller import Controller
-from nsde_torch.control.knowledge import DECLARED, knowledge
+from nsde_torch.control.loop import DECLARED, knowledge, write_log
 from nsde_torch.control.loop import fly as fly_plant
 from nsde_torch.control.reference import FlightPath, Reference
-from nsde_torch.control.summary import write_log
 from nsde_torch.errors import ConfigError
 from nsde_torch.px4.flight.controller import FlightController
 from nsde_torch.px4.flight.flying import fly as fly_vehicle
@@ -32,7 +31,7 @@ from nsde_torch.systems import Multirotor, System
 from nsde_torch.systems.machines import plant_effects
 
 from .. import build, link_build, track_build
-from ..flight_end import check_end
+from ..link_build import check_end
 from .limits import check_inside, check_path
 
 VEHICLE, PLANT, LINK, HAND = "vehicle", "plant", "link", "hand"

@@ -10,7 +10,7 @@ from typing import Any
 from omegaconf import DictConfig
 
 from nsde_torch.design import Standing
-from nsde_torch.design.files import PLAN
+from nsde_torch.design.experiment import PLAN
 
 from .limits import limit_key
 

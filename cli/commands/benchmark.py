@@ -40,7 +40,6 @@ class BenchmarkCommand(HydraCommand):
     """Takes the set as its first word too, and lists the sets where nothing is typed."""
 
     def main(self, arguments: Sequence[str]) -> int:
-        """See `HydraCommand.main`."""
         if not arguments:
             from nsde_torch.public_benchmarks.running import listing
 
@@ -73,12 +72,7 @@ COMMAND = BenchmarkCommand(
 
 
 def run(config: DictConfig, job: Job) -> None:
-    """Run one set.
-
-    Args:
-        config: The composed and checked configuration.
-        job: Where to write.
-    """
+    """Run one set."""
     # torch is imported here, not above: help and completion do without it.
     import torch
 

@@ -18,9 +18,8 @@ from nsde_torch.diagnosis.decisions import Options
 
 from ..hydra_command import HydraCommand
 from ..keys import group, key, of
-from ..schemas.control import FlownPlantConfig, LinkConfig, MpcConfig
+from ..schemas.control import FlownPlantConfig, LimitsConfig, LinkConfig, MpcConfig
 from ..schemas.experiment import ExperimentConfig
-from ..schemas.limits import LimitsConfig
 from ..schemas.reference import ReferenceConfig
 
 if TYPE_CHECKING:
@@ -85,10 +84,6 @@ COMMAND = HydraCommand(
 
 def run(config: DictConfig, job: Job) -> float | None:
     """Fly, diagnose, experiment, fly again.
-
-    Args:
-        config: The composed and checked configuration.
-        job: Where to write.
 
     Returns:
         RMSE of the position after over before; None where a flight was not flown to its end, or a person is to fly.

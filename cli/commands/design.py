@@ -72,12 +72,7 @@ COMMAND = HydraCommand(
 
 
 def run(config: DictConfig, job: Job) -> None:
-    """Plan an experiment, or read one.
-
-    Args:
-        config: The composed and checked configuration.
-        job: Where to write.
-    """
+    """Plan an experiment, or read one."""
     # torch is imported here, not above: help and completion do without it.
     import torch
 
@@ -139,7 +134,7 @@ def _read(config: DictConfig, job: Job, known: Any, options: DesignOptions) -> N
     from dataclasses import replace
 
     from nsde_torch.design import obtained, question_of
-    from nsde_torch.design.files import read_design
+    from nsde_torch.design.experiment import read_design
 
     from ..design_data import flown_runs
 

@@ -94,12 +94,7 @@ COMMAND = HydraCommand(
 
 
 def run(config: DictConfig, job: Job) -> None:
-    """Diagnose a declared model.
-
-    Args:
-        config: The composed and checked configuration.
-        job: Where to write.
-    """
+    """Diagnose a declared model."""
     # torch is imported here, not above: help and completion do without it.
     import nsde_torch
     from nsde_torch.diagnosis.candidates import check_candidates

@@ -61,12 +61,7 @@ COMMAND = HydraCommand(
 
 
 def run(config: DictConfig, job: Job) -> None:
-    """Evaluate one or several models.
-
-    Args:
-        config: The composed and checked configuration.
-        job: Where to write.
-    """
+    """Evaluate one or several models."""
     # torch is imported here, not above: help and completion do without it.
     import torch
     from omegaconf import OmegaConf

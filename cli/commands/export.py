@@ -56,17 +56,13 @@ COMMAND = HydraCommand(
 def run(config: DictConfig, job: Job) -> None:
     """Write one controller.
 
-    Args:
-        config: The composed and checked configuration.
-        job: The job.
-
     Raises:
         ConfigError: the file is there already, or a setting that a file cannot hold.
     """
     # torch is imported here, not above: help and completion do without it.
     import torch
 
-    from nsde_torch.control.knowledge import DECLARED, system_of
+    from nsde_torch.control.loop import DECLARED, system_of
     from nsde_torch.errors import ConfigError
     from nsde_torch.export.write import export
     from nsde_torch.systems.machines import machine

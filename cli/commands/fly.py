@@ -14,8 +14,7 @@ from ..exit_status import FLIGHT_ENDED, EndedError
 from ..hydra_command import HydraCommand
 from ..keys import group, key, of
 from ..quoted import from_file
-from ..schemas.control import LinkConfig, MpcConfig
-from ..schemas.limits import LimitsConfig
+from ..schemas.control import LimitsConfig, LinkConfig, MpcConfig
 from ..schemas.reference import ReferenceConfig
 
 if TYPE_CHECKING:
@@ -100,10 +99,6 @@ COMMAND = HydraCommand(
 
 def run(config: DictConfig, job: Job) -> float | None:
     """Fly a reference once or several times.
-
-    Args:
-        config: The composed and checked configuration.
-        job: Where to write.
 
     Returns:
         RMSE of the position over all flights [m]; None if the reference was not flown.
@@ -220,7 +215,7 @@ def _verdict(reports: list[FlightReport]) -> float | None:
         LinkError: the flight was refused before it began.
         EndedError: it began and went wrong, or was not seen to land.
     """
-    from ..flight_end import check_end
+    from ..link_build import check_end
 
     last = reports[-1].outcome
     if last.trouble is None and not last.begun:

@@ -34,19 +34,15 @@ COMMAND = HydraCommand(
 def run(config: DictConfig, job: Job) -> None:
     """Land it.
 
-    Args:
-        config: The composed and checked configuration.
-        job: The job.
-
     Raises:
         LinkError: no vehicle is heard, or none that is armed.
         EndedError: it was not seen to land.
     """
-    from nsde_torch.px4.flight.landing import land
+    from nsde_torch.px4.flight.flying import land
     from nsde_torch.px4.link.connection import open_link
 
     from .. import link_build
-    from ..flight_end import check_end
+    from ..link_build import check_end
 
     key = link_build.key(config.link)
     with open_link(config.link.url, expose=config.link.expose, target=config.link.system, key=key) as link:

@@ -90,10 +90,6 @@ COMMAND = HydraCommand(
 def run(config: DictConfig, job: Job) -> float:
     """Learn one policy.
 
-    Args:
-        config: The composed and checked configuration.
-        job: Where this job writes.
-
     Returns:
         Minus the mean reward per episode where it learned.
 

@@ -61,10 +61,6 @@ COMMAND = HydraCommand(
 def run(config: DictConfig, job: Job) -> None:
     """Serve until Ctrl-C.
 
-    Args:
-        config: The composed and checked configuration.
-        job: The job.
-
     Raises:
         ConfigError: a package, the port or the machine is not there.
     """
@@ -82,10 +78,9 @@ def run(config: DictConfig, job: Job) -> None:
         raise ConfigError(
             f"`nsde serve` needs the package {package!r}, which is not installed: pip install 'nsde_torch[serve]'."
         ) from error
-    from ..serving.limits import ServeLimits
+    from ..serving.job import ServeLimits, machines
     from ..serving.runner import JobRunner
     from ..serving.shelf import Shelf
-    from ..serving.words import machines
 
     typed = HydraConfig.get()
     own = config_folders(typed.runtime.config_sources)

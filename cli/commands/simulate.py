@@ -98,11 +98,7 @@ COMMAND = HydraCommand(
 
 
 def run(config: DictConfig, job: Job) -> None:
-    """Make and write one data set.
-
-    Args:
-        config: The composed and checked configuration.
-    """
+    """Make and write one data set."""
     # torch is imported here, not above: help and completion do without it.
     import torch
 

@@ -69,10 +69,6 @@ COMMAND = HydraCommand(
 def run(config: DictConfig, job: Job) -> float | None:
     """Fly one reference with one or several controllers.
 
-    Args:
-        config: The composed and checked configuration.
-        job: Where to write.
-
     Returns:
         RMSE of the position [m]; None if all machines were lost.
     """
@@ -80,8 +76,8 @@ def run(config: DictConfig, job: Job) -> float | None:
     import torch
 
     from nsde_torch.control import feasible
+    from nsde_torch.control.loop import summarise, write_log
     from nsde_torch.control.predictor import Predictor
-    from nsde_torch.control.summary import summarise, write_log
     from nsde_torch.errors import ConfigError
 
     from .. import build, track_build

@@ -70,10 +70,6 @@ COMMAND = HydraCommand(
 def run(config: DictConfig, job: Job) -> float:
     """Train one model.
 
-    Args:
-        config: The composed and checked configuration.
-        job: Where this job writes.
-
     Returns:
         The validation score of the kept model.
     """

@@ -73,10 +73,6 @@ COMMAND = HydraCommand(
 def run(config: DictConfig, job: Job) -> None:
     """Be a vehicle.
 
-    Args:
-        config: The composed and checked configuration.
-        job: The job.
-
     Raises:
         ConfigError: no multirotor, or options that it does not have.
     """
@@ -84,8 +80,8 @@ def run(config: DictConfig, job: Job) -> None:
     import torch
 
     from nsde_torch.errors import ConfigError
+    from nsde_torch.px4.simulator.autopilot import PARAMETERS
     from nsde_torch.px4.simulator.body import Body
-    from nsde_torch.px4.simulator.parameters import PARAMETERS
 
     from .. import build
 

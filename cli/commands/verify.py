@@ -62,17 +62,13 @@ COMMAND = HydraCommand(
 def run(config: DictConfig, job: Job) -> None:
     """Verify one file.
 
-    Args:
-        config: The composed and checked configuration.
-        job: The job.
-
     Raises:
         ExportError: the file is damaged, of another model, or does not do what its model does.
     """
     # torch is imported here, not above: help and completion do without it.
     import torch
 
-    from nsde_torch.control.knowledge import DECLARED, knowledge
+    from nsde_torch.control.loop import DECLARED, knowledge
     from nsde_torch.errors import ExportError
     from nsde_torch.export import verify
     from nsde_torch.export.exported import ExportedController

@@ -6,8 +6,19 @@ from dataclasses import dataclass
 from typing import Any
 
 from nsde_torch.control.options import EstimatorOptions, ProblemOptions, SafetyOptions, SolverOptions
+from nsde_torch.px4.flight.options import Limits, SetpointLimits
 
-from ..keys import key, of
+from ..keys import key, mirrors, of
+
+
+@mirrors(Limits, without=("heartbeat", "patience"))
+class LimitsConfig:
+    """When something is wrong in flight; what is done about it is in the documentation of nsde fly."""
+
+    fence: Any = of(Limits, "fence")
+    rate: float = of(SetpointLimits, "rate")
+    yaw_rate: float = of(SetpointLimits, "yaw_rate")
+    throttle: list[float] = of(SetpointLimits, "throttle")
 
 
 @dataclass

@@ -26,12 +26,10 @@ from werkzeug.exceptions import HTTPException
 from werkzeug.routing import Map, Rule
 from werkzeug.wrappers import Request, Response
 
-from .answers import TYPES, answer_file, answer_json, shut_in
-from .checks import check_place, check_token
-from .job import STATES, ServedJob
-from .refused import RefusedError
+from .answers import TYPES, answer_file, answer_json, check_place, check_token, shut_in
+from .job import STATES, RefusedError, ServedJob
 from .runner import INSPECTION, LOG, MAPPING, RESULT, SUMMARY, JobRunner
-from .uploads import FORMATS, receive
+from .shelf import FORMATS, receive
 
 _STATIC = ("index.html", "page.js", "views.js", "page.css", "icon.svg")
 _LARGEST = 1 << 18  # bytes of a request that is no log

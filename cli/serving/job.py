@@ -1,13 +1,54 @@
-"""One job of the page: logs, what is in them, their diagnosis; a folder with `job.json`."""
+"""A job of the page: limits, files, state, and the commands behind it."""
 
 from __future__ import annotations
 
 import json
+import shlex
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
+from nsde_torch.errors import NsdeError
 from nsde_torch.whole_files import write_whole
+
+
+@final
+class RefusedError(NsdeError):
+    """A request that is refused.
+
+    Args:
+        message: One sentence with the remedy.
+        status: Status of HTTP.
+    """
+
+    def __init__(self, message: str, status: int = 400) -> None:
+        super().__init__(message)
+        self.status = status
+
+
+@dataclass(frozen=True)
+class ServeLimits:
+    """Limits of what is served.
+
+    Args:
+        upload: Largest upload of one job, all its logs together [bytes].
+        max_minutes: Time after which a diagnosis ends with what is known [min].
+        seconds: Time after which a command is killed [s].
+        memory: Largest memory of one job [bytes].
+        jobs: Diagnoses at a time; further ones wait.
+        keep: Most jobs that are kept.
+        files: Most logs of one job.
+    """
+
+    upload: int = 512 << 20
+    max_minutes: float = 10.0
+    seconds: float = 3600.0
+    memory: int = 8 << 30
+    jobs: int = 1
+    keep: int = 50
+    files: int = 200
+
 
 RECORD = "job.json"
 STATES = {
@@ -99,3 +140,86 @@ def load(folder: Path) -> ServedJob | None:
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None
     return job if job.id == folder.name and job.state in STATES else None
+
+
+@dataclass(frozen=True)
+class Machines:
+    """The machines that the page offers.
+
+    Args:
+        names: Choice of the group `system` -> name of the system, of the package or `module:Class`.
+        folder: Folder of the user's own choices (`--config-dir`), or None.
+        first: The one that is chosen at first; None: told by what is logged.
+        typed: What was typed of it, `system.effects=[linear_drag]`.
+    """
+
+    names: Mapping[str, str]
+    folder: Path | None = None
+    first: str | None = None
+    typed: Sequence[str] = ()
+
+    @property
+    def options(self) -> list[str]:
+        """Words that make a command know them."""
+        return [] if self.folder is None else ["--config-dir", str(self.folder)]
+
+
+def machines(folder: Path | None, *, first: str | None = None, typed: Sequence[str] = ()) -> Machines:
+    """Those of the package and of a folder of the user's own.
+
+    Args:
+        folder: What `--config-dir` names.
+        first: The one that is chosen at first.
+        typed: What was typed of it.
+    """
+    from .. import groups
+
+    values = {
+        choice: groups.choice_values("system", choice, folder) for choice in groups.choices("system", folder)
+    }
+    named = {choice: str(v["name"]) for choice, v in values.items() if "name" in v}
+    return Machines(named, None if folder is None else folder.resolve(), first, typed)
+
+
+def inspect_words(
+    logs: Path, *, known: Machines, system: str | None, mapping: Path | None, out: Path
+) -> list[str]:
+    """The words that look into logs.
+
+    Args:
+        logs: Folder of the logs.
+        known: Machines that the page offers.
+        system: One of them; None: guessed.
+        mapping: A mapping to check in place of a proposal.
+        out: JSON file of what is found.
+    """
+    words = ["inspect", str(logs), "out=none", f"json={out}"]
+    words += [f"system={known.names[system]}"] if system else []
+    return [*words, f"mapping={mapping}"] if mapping else words
+
+
+def diagnose_words(
+    logs: Path, *, known: Machines, system: str, mapping: Path | None, max_minutes: float
+) -> list[str]:
+    """The words that diagnose logs, wherever they are typed.
+
+    Args:
+        logs: Folder of the logs.
+        known: Machines that the page offers.
+        system: One of them.
+        mapping: What columns mean; None: the reader needs none.
+        max_minutes: Time after which it ends with what is known [min].
+    """
+    own = known.typed if system == known.first else ()
+    words = ["diagnose", *known.options, f"system={system}", *own, "data=log", f"data.path={logs}"]
+    words += [f"data.mapping={mapping}"] if mapping else []
+    return [*words, "retrain=false", f"max_minutes={max_minutes:g}"]
+
+
+def shell(words: Sequence[str]) -> str:
+    """Words as one line for a shell.
+
+    Args:
+        words: A command, without `nsde`.
+    """
+    return f"nsde {shlex.join(words)}"

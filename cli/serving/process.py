@@ -18,7 +18,7 @@ from pathlib import Path
 from nsde_torch.progress import PROGRESS
 
 from ..exit_status import FAILED_JOBS, USER_ERROR
-from .limits import ServeLimits
+from .job import ServeLimits
 
 Say = Callable[..., None]
 """Takes stage, number done, number in all, and what was found so far, in a few words."""

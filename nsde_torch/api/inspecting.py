@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from nsde_torch.api.physics_check import REFUSED, check_physics
+from nsde_torch.api.reading import REFUSED, check_physics
 from nsde_torch.data.any_log import format_of
-from nsde_torch.data.formats.clock import ClockOf
-from nsde_torch.data.formats.log import StreamLog
+from nsde_torch.data.formats.log import ClockOf, StreamLog
 from nsde_torch.data.formats.ulog_topics import open_ulog
 from nsde_torch.data.mapping.apply import apply
 from nsde_torch.data.mapping.checks import LogCheck, checks

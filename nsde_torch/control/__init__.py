@@ -40,30 +40,4 @@ __all__ = [
     "lemniscate",
 ]
 
-__getattr__ = resolver(
-    __name__,
-    {
-        "Autopilot": "autopilots",
-        "Cascade": "cascade",
-        "CascadePilot": "autopilots",
-        "Controller": "controller",
-        "EstimatorOptions": "options",
-        "Flight": "loop",
-        "FlightPath": "reference",
-        "Gains": "cascade",
-        "SteppedMachine": "loop",
-        "Plan": "controller",
-        "Planner": "controller",
-        "PredictivePilot": "autopilots",
-        "Predictor": "predictor",
-        "ProblemOptions": "options",
-        "Reference": "reference",
-        "SafetyOptions": "options",
-        "Solution": "solve",
-        "Solver": "solve",
-        "SolverOptions": "options",
-        "circle": "shapes",
-        "fly": "loop",
-        "lemniscate": "shapes",
-    },
-)
+__getattr__ = resolver(__name__)

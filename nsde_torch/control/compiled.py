@@ -33,8 +33,8 @@ from nsde_torch.cache import cache_folder
 
 Function = Callable[[Sequence[Tensor]], list[Tensor]]
 _SOURCES = (
-    *("control/compiled.py", "control/gauss_newton.py", "control/gradient.py", "control/horizon.py"),
-    *("control/problem.py", "control/turning.py", "rotation.py", "columns.py", "sde/deterministic.py"),
+    *("control/compiled.py", "control/gauss_newton.py"),
+    *("control/problem.py", "control/predictor.py", "rotation.py", "columns.py", "sde/deterministic.py"),
 )
 _NAMES = "constants"
 

@@ -10,21 +10,20 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol, final
+from typing import NamedTuple, Protocol, final
 
 import torch
 from torch import Tensor
 
-from nsde_torch.control.horizon import Horizon
-from nsde_torch.control.hovering import hover_input
+from nsde_torch.control.feasible import hover_input
 from nsde_torch.control.options import SafetyOptions
 from nsde_torch.control.predictor import Predictor
-from nsde_torch.control.problem import ProblemOptions
+from nsde_torch.control.problem import Horizon, ProblemOptions
 from nsde_torch.control.solve import Clock, Problem, Solution, Solver, SolverOptions
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.models import Model
-from nsde_torch.systems import System
+from nsde_torch.systems import Multirotor, System
 
 CONVERGED, IMPROVED, LATE = "converged", "improved", "late"
 BAD_STATE, JUMP, DIVERGED, BAD_REFERENCE = "bad_state", "state_jump", "diverged", "bad_reference"
@@ -348,3 +347,35 @@ def _shift(table: Tensor, steps: float | Tensor, *, axis: int = 1) -> Tensor:
     share = (at - low).to(table).view(shape)
     high = (low + 1).clamp_max(n - 1)
     return (1.0 - share) * table.index_select(axis, low) + share * table.index_select(axis, high)
+
+
+# What a low-level controller of body rates is told, from a plan: desired rates and collective thrust.
+#
+# The supplement's flights send rates and not motor commands, because of latency: the rates that the plan
+# expects a little ahead are wanted now, and its inputs give the thrust.
+
+
+class Setpoints(NamedTuple):
+    """Wanted by a plan at the beginning of each of its steps.
+
+    Args:
+        rates: Body rates, FLU (N, K, 3) [rad/s].
+        thrust: Collective thrust over mass (N, K) [m/s2].
+    """
+
+    rates: Tensor
+    thrust: Tensor
+
+
+def setpoints(plan: Plan, system: Multirotor, *, ahead: float) -> Setpoints:
+    """Rates and thrust along a plan.
+
+    Args:
+        plan: The plan.
+        system: Its machine.
+        ahead: How far ahead the rates are taken from [s], because they are reached late.
+    """
+    later = plan.shifted(max(ahead, 0.0))
+    n, steps, _ = plan.u.shape
+    thrust = system.quantity("thrust", plan.x[:, :-1].flatten(0, 1), plan.u.flatten(0, 1))
+    return Setpoints(rates=later.z[:, 0, :-1, 10:13], thrust=thrust[:, 0].view(n, steps))

@@ -12,10 +12,9 @@ import torch
 from torch import Tensor, nn
 
 from nsde_torch.control.compiled import Function, NoCompiler, Stage, compile_ahead
-from nsde_torch.control.gauss_newton import GaussNewton
-from nsde_torch.control.gradient import AcceleratedGradient
-from nsde_torch.control.horizon import Horizon
+from nsde_torch.control.gauss_newton import AcceleratedGradient, GaussNewton
 from nsde_torch.control.options import SolverOptions
+from nsde_torch.control.problem import Horizon
 from nsde_torch.errors import ConfigError
 from nsde_torch.sde import CompilationWarning
 

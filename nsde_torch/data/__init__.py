@@ -9,11 +9,9 @@ from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
     from nsde_torch.data.csv_folder import write_csv
-    from nsde_torch.data.findings import Finding
-    from nsde_torch.data.raw import RawRun
+    from nsde_torch.data.raw import Finding, RawRun
     from nsde_torch.data.readers import READERS, Reader
-    from nsde_torch.data.run import DataSet, Run
-    from nsde_torch.data.splits import Split, split
+    from nsde_torch.data.run import DataSet, Run, Split, split
     from nsde_torch.data.summary import DataSummary
     from nsde_torch.data.system_info import SystemInfo
     from nsde_torch.data.unpickler import read_pickle
@@ -35,21 +33,4 @@ __all__ = [
     "write_csv",
 ]
 
-__getattr__ = resolver(
-    __name__,
-    {
-        "READERS": "readers",
-        "DataSet": "run",
-        "DataSummary": "summary",
-        "Finding": "findings",
-        "RawRun": "raw",
-        "Reader": "readers",
-        "Run": "run",
-        "Split": "splits",
-        "SystemInfo": "system_info",
-        "Windows": "windows",
-        "read_pickle": "unpickler",
-        "split": "splits",
-        "write_csv": "csv_folder",
-    },
-)
+__getattr__ = resolver(__name__)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.findings import Finding, Report
+from nsde_torch.data.raw import Finding, Report
 from nsde_torch.errors import DataError
 
 RELATIVE_RANK = 1e-5

@@ -18,8 +18,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nsde_torch.data.findings import Finding, Report
-from nsde_torch.data.raw import RawRun, holes
+from nsde_torch.data.raw import Finding, RawRun, Report, holes
 from nsde_torch.data.run import Run
 from nsde_torch.errors import DataError
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.findings import Finding
 from nsde_torch.data.inputs import InputRank
 from nsde_torch.data.kinematics import Slope, pool
 from nsde_torch.data.quaternion import euler_zyx
+from nsde_torch.data.raw import Finding
 from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import SystemInfo, rate_columns
 

@@ -2,9 +2,9 @@
 
 State from `vehicle_odometry`, or from `vehicle_attitude` + `vehicle_local_position` +
 `vehicle_angular_velocity`; inputs from `actuator_motors`, else `actuator_outputs`; `battery_status` becomes
-the channel `battery_voltage`; sticks and setpoints become further columns (`ulog_setpoints`). The rows are
+the channel `battery_voltage`; sticks and setpoints become further columns. The rows are
 those of the attitude; slower topics are interpolated (motor commands held). Where a topic pauses, is not
-finite, the vehicle is on the ground or its estimate was just reset (`ulog_flight`), the row counts as missing and the
+finite, the vehicle is on the ground or its estimate was just reset, the row counts as missing and the
 checks cut the run there.
 
 Field meanings: PX4 message definitions (`msg/VehicleOdometry.msg` and so on, PX4 1.13 to 1.16). The velocity
@@ -13,21 +13,187 @@ frame of `vehicle_odometry` is read from its own field, never assumed.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nsde_torch.arrays import Array
-from nsde_torch.data import ulog_flight, ulog_setpoints
-from nsde_torch.data.findings import Finding
-from nsde_torch.data.frames import attitude_to_enu, swap_body, swap_world
 from nsde_torch.data.places import files_of, log_place
-from nsde_torch.data.quaternion import rotate
-from nsde_torch.data.raw import RawRun
+from nsde_torch.data.quaternion import attitude_to_enu, rotate, swap_body, swap_world
+from nsde_torch.data.raw import Finding, RawRun, holes
 from nsde_torch.data.streams import Stream, attitudes, held, linear
 from nsde_torch.data.system_info import SystemInfo, rate_columns
 from nsde_torch.errors import ConfigError, DataError
+
+# Which rows of a PX4 log are flight, and which steps of its estimate are no motion.
+#
+# On the ground: `landed`, `ground_contact` or `maybe_landed` of `vehicle_land_detected`, and the rows next to
+# them that are less than 10 cm above where it stood then: PX4 says `landed` seconds after it stands, and no
+# longer as soon as it is told to climb. With such rows in it a log says that thrust lifts nothing.
+#
+# Resets: where a counter of the estimate grew (`reset_counter` of `vehicle_odometry`, `quat_reset_counter`,
+# ...) heading, position or velocity made a step. Field meanings: PX4 message definitions, 1.13 to 1.16.
+
+Mask = NDArray[np.bool_]
+Fields = Mapping[str, Array]
+
+FLAGS = ("landed", "maybe_landed", "ground_contact")
+CLEAR = 0.1
+"""Height above where it stood, up to which a row next to time on the ground is on the ground [m]."""
+NEXT_TO = 4.0
+"""How long before and after time on the ground such rows are looked for [s]."""
+SAME_PLACE = 1.0
+"""Difference of height up to which it landed where it took off, so that an estimate that sinks is seen [m]."""
+_EDGE = 0.3
+"""Time at the edge of time on the ground over which the height is taken [s]."""
+CUT = 0.05
+"""Time after a reset that is left out, so that the run is cut there [s]."""
+COUNTERS = (
+    "reset_counter",
+    "quat_reset_counter",
+    "xy_reset_counter",
+    "z_reset_counter",
+    "vxy_reset_counter",
+    "vz_reset_counter",
+    "heading_reset_counter",
+)
+
+
+def on_ground(times: Array, fields: Fields, t: Array, height: Array) -> Mask:
+    """Rows in which it stands on the ground.
+
+    Args:
+        times: Times of `vehicle_land_detected` [s].
+        fields: Its fields.
+        t: Times of the rows [s].
+        height: Of the rows, upwards [m].
+    """
+    left = np.clip(np.searchsorted(times, t, side="right") - 1, 0, None)
+    flags = np.zeros(len(t), dtype=bool)
+    for name in FLAGS:
+        if name in fields:
+            flags |= fields[name][left] > 0.5
+    out = flags.copy()
+    first: float | None = None
+    for a, b in holes(flags):
+        near_a, near_b = t < t[a] + _EDGE, t >= t[b - 1] - _EDGE
+        inside = np.zeros(len(t), dtype=bool)
+        inside[a:b] = True
+        came, went = _level(height[inside & near_a]), _level(height[inside & near_b])
+        first = went if first is None else first
+        if abs(came - first) < SAME_PLACE:
+            came = max(came, first)
+        above = np.flatnonzero(~((t >= t[a] - NEXT_TO) & (height < came + CLEAR)))
+        out[above[above < a].max(initial=-1) + 1 : a] = True
+        above = np.flatnonzero(~((t <= t[b - 1] + NEXT_TO) & (height < went + CLEAR)))
+        out[b : above[above >= b].min(initial=len(t))] = True
+    return out
+
+
+def _level(height: Array) -> float:
+    known = height[np.isfinite(height)]
+    return float(np.median(known)) if len(known) else float("-inf")
+
+
+def after_resets(sources: Sequence[tuple[Array, Fields]], t: Array) -> tuple[Mask, int]:
+    """Rows right after a reset of the estimate, and how many resets there were.
+
+    Args:
+        sources: Times and fields of the topics that the state comes from.
+        t: Times of the rows [s].
+    """
+    out, stamps = np.zeros(len(t), dtype=bool), set[float]()
+    for times, fields in sources:
+        for name in COUNTERS:
+            if name in fields:
+                stamps |= set(times[1:][np.diff(fields[name]) != 0].tolist())
+    for stamp in stamps:
+        # a slower topic tells it late: what lies between its two messages is either before or after
+        out |= (t > stamp - 1e-9) & (t < stamp + CUT)
+    return out, len(stamps)
+
+
+# Sticks and setpoints of PX4 logs as further columns: signals that a loop may be moved by from outside.
+#
+# | columns | topic | |---|---| | `stick_roll`, `stick_pitch`, `stick_yaw`, `stick_throttle` |
+# `manual_control_setpoint`, as logged | | `setpoint_roll`, `setpoint_pitch`, `setpoint_yaw` [rad],
+# `setpoint_thrust` | `vehicle_attitude_setpoint`, FLU in ENU | | `setpoint_rate_x`, `setpoint_rate_y`,
+# `setpoint_rate_z` [rad/s] | `vehicle_rates_setpoint`, FLU |
+#
+# Sticks are outside the loop while a pilot flies by them; setpoints are in the modes in which no outer loop
+# makes them (`nsde train` tests it). Values are held from message to message. Fields: PX4 message
+# definitions, 1.13 to 1.16.
+
+SETPOINT_TOPICS = ("manual_control_setpoint", "vehicle_attitude_setpoint", "vehicle_rates_setpoint")
+_STICKS = {  # column -> field of PX4 1.14 and later, field before
+    "stick_roll": ("roll", "y"),
+    "stick_pitch": ("pitch", "x"),
+    "stick_yaw": ("yaw", "r"),
+    "stick_throttle": ("throttle", "z"),
+}
+_KNOWN = 0.5  # share of the rows that must have a value
+
+
+def setpoint_columns(topics: Mapping[str, tuple[Array, Mapping[str, Array]]], t: Array) -> dict[str, Array]:
+    """Columns at the times `t` (n,), of the topics that a log has.
+
+    Args:
+        topics: Times and fields of each topic.
+        t: Times of the rows [s].
+    """
+    makers: dict[str, Callable[[Mapping[str, Array]], dict[str, Array]]] = {
+        "manual_control_setpoint": _sticks,
+        "vehicle_attitude_setpoint": _attitude,
+        "vehicle_rates_setpoint": _rates,
+    }
+    out: dict[str, Array] = {}
+    for topic, make in makers.items():
+        if topic not in topics:
+            continue
+        times, fields = topics[topic]
+        left = np.searchsorted(times, t, side="right") - 1
+        for name, values in make(fields).items():
+            held = np.where(left >= 0, values[np.clip(left, 0, None)], np.nan)
+            if np.isfinite(held).mean() >= _KNOWN:
+                out[name] = held
+    return out
+
+
+def _sticks(fields: Mapping[str, Array]) -> dict[str, Array]:
+    out = {}
+    for name, choices in _STICKS.items():
+        there = [field for field in choices if field in fields]
+        if there:
+            out[name] = fields[there[0]]
+    return out
+
+
+def _attitude(fields: Mapping[str, Array]) -> dict[str, Array]:
+    out = {}
+    if all(f"q_d[{k}]" in fields for k in range(4)):
+        w, x, y, z = attitude_to_enu(np.stack([fields[f"q_d[{k}]"] for k in range(4)], 1)).T
+        yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        out["setpoint_roll"] = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+        out["setpoint_pitch"] = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+        good = np.isfinite(yaw)
+        yaw[good] = np.unwrap(yaw[good])
+        out["setpoint_yaw"] = yaw
+    if "thrust_body[2]" in fields:
+        out["setpoint_thrust"] = -fields["thrust_body[2]"]
+    return out
+
+
+def _rates(fields: Mapping[str, Array]) -> dict[str, Array]:
+    signs = {
+        "setpoint_rate_x": ("roll", 1.0),
+        "setpoint_rate_y": ("pitch", -1.0),
+        "setpoint_rate_z": ("yaw", -1.0),
+    }
+    return {name: sign * fields[field] for name, (field, sign) in signs.items() if field in fields}
+
 
 STATE_NAMES = ("p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z")
 SOURCES = ("auto", "odometry", "attitude")
@@ -40,7 +206,7 @@ TOPICS = (
     "actuator_outputs",
     "battery_status",
     "vehicle_land_detected",
-    *ulog_setpoints.TOPICS,
+    *SETPOINT_TOPICS,
 )
 MIN_RATE = 4.0
 """Slowest rate of a state or motor topic that is interpolated [Hz]."""
@@ -269,10 +435,10 @@ def read_ulog_file(
     if battery is not None:
         run.extra = {"battery_voltage": np.interp(t, battery.t, battery.fields["voltage_v"])}
     wanted = {name: (found[0].t, found[0].fields) for name, found in topics.items()}
-    run.extra = {**run.extra, **ulog_setpoints.setpoint_columns(wanted, t)}
+    run.extra = {**run.extra, **setpoint_columns(wanted, t)}
     landed = _first(topics, "vehicle_land_detected")
     if in_air and landed is not None:
-        ground = ulog_flight.on_ground(landed.t, landed.fields, t, x[:, 2])
+        ground = on_ground(landed.t, landed.fields, t, x[:, 2])
         if ground.all():
             raise DataError(
                 f"{path}: the vehicle is landed throughout. Set `in_air` to false to keep such data."
@@ -283,7 +449,7 @@ def read_ulog_file(
             notes(
                 Finding("on_ground", run.name, int(ground.sum()), f"{seconds:.3g} s on the ground", "dropped")
             )
-    stepped, count = ulog_flight.after_resets([(topic.t, topic.fields) for topic in sources], t)
+    stepped, count = after_resets([(topic.t, topic.fields) for topic in sources], t)
     stepped &= np.isfinite(x).all(axis=1)
     if stepped.any():
         x[stepped] = np.nan

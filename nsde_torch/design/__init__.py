@@ -32,18 +32,4 @@ __all__ = [
     "standing_of",
 ]
 
-__getattr__ = resolver(
-    __name__,
-    {
-        "DesignOptions": "options",
-        "Experiment": "experiment",
-        "Obtained": "flown",
-        "Question": "questions",
-        "Standing": "questions",
-        "design": "designing",
-        "obtained": "flown",
-        "open_questions": "questions",
-        "question_of": "questions",
-        "standing_of": "questions",
-    },
-)
+__getattr__ = resolver(__name__)

@@ -19,14 +19,12 @@ from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.design.experiment import Experiment, PlannedRun
 from nsde_torch.design.limits import limits_of
-from nsde_torch.design.members import Member, fitted_members, physics_with
+from nsde_torch.design.members import Drive, Member, ModelNoise, fitted_members, open_loop, physics_with
 from nsde_torch.design.options import DesignOptions
 from nsde_torch.design.paths import Draw, FlownPaths, Flyable, Paths
-from nsde_torch.design.proposals import Family, Judge, Precision, best_of_each, search, worth_of
+from nsde_torch.design.proposals import Family, Judge, Precision, Signals, best_of_each, search, worth_of
 from nsde_torch.design.questions import SURE, Question
 from nsde_torch.design.rehearsal import Rehearsed, rehearse
-from nsde_torch.design.rollout import Drive, ModelNoise, open_loop
-from nsde_torch.design.signals import Signals
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.systems import Multirotor, System
 from nsde_torch.threads import one_thread

@@ -25,7 +25,7 @@ from torch import Tensor
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.data.raw import RawRun
-from nsde_torch.design.rollout import Drive, ModelNoise, Rollouts, open_loop
+from nsde_torch.design.members import Drive, ModelNoise, Rollouts, open_loop
 from nsde_torch.diagnosis.candidates import effect_of, values_of
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.result import Content, Diagnosis

@@ -22,8 +22,7 @@ from torch import Tensor
 from nsde_torch.arrays import Array
 from nsde_torch.control.cascade import Cascade
 from nsde_torch.design.limits import ExperimentLimits
-from nsde_torch.design.members import Member
-from nsde_torch.design.rollout import Drive, Rollouts
+from nsde_torch.design.members import Drive, Member, Rollouts
 from nsde_torch.systems import Multirotor
 
 GAP = 1.0

@@ -19,9 +19,8 @@ import numpy as np
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.design.limits import ExperimentLimits
-from nsde_torch.design.members import Member
+from nsde_torch.design.members import Drive, Member, Rollouts, as_run
 from nsde_torch.design.paths import Draw
-from nsde_torch.design.rollout import Drive, Rollouts, as_run
 from nsde_torch.inference.posterior import LogWithPrior, Posterior
 from nsde_torch.threads import one_thread
 

@@ -42,7 +42,7 @@ from nsde_torch.effects import Effect, key_of
 from nsde_torch.errors import DataError
 from nsde_torch.evaluation.bootstrap import Blocks, Difference, make_blocks, mean_bootstrap, paired_bootstrap
 from nsde_torch.evaluation.metrics import horizons_of, start_grid, thinned
-from nsde_torch.evaluation.open_loop import squares_by_fold
+from nsde_torch.evaluation.scores import squares_by_fold
 from nsde_torch.inference.left_out import Folds, LeftOut, left_out
 from nsde_torch.inference.steps import Steps
 from nsde_torch.models.identified import IdentifiedModel, SysidSpec

@@ -56,12 +56,13 @@ from nsde_torch.plots.diagnosis import (
     Cloud,
     Panel,
     ResidualSpectrum,
+    Surface,
     before_after,
     errors_before_after,
+    flexible_surface,
     residual_spectra,
     residual_views,
 )
-from nsde_torch.plots.flexible import Surface, flexible_surface
 from nsde_torch.sysid.physics import per_second
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems.parameters import own_name

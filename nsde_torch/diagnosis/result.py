@@ -32,8 +32,18 @@ from nsde_torch.diagnosis.stages import NotDone, SoFar, StoppedError, declared_m
 from nsde_torch.diagnosis.text import lines, rendered, short_lines, small, with_space
 from nsde_torch.effects import effect_class, key_of
 from nsde_torch.effects.expression import Expression
-from nsde_torch.effects.expression_forms import latex, sympy_text, valued
-from nsde_torch.effects.expression_grammar import Call, Node, Power, Variable, Written, is_law, nodes
+from nsde_torch.effects.expression_grammar import (
+    Call,
+    Node,
+    Power,
+    Variable,
+    Written,
+    is_law,
+    latex,
+    nodes,
+    sympy_text,
+    valued,
+)
 from nsde_torch.effects.law import joined_name, split_name
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording.chain import Recorded

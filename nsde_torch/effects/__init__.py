@@ -57,21 +57,4 @@ __all__ = [
     "register",
 ]
 
-__getattr__ = resolver(
-    __name__,
-    {
-        "EFFECTS": "registry",
-        "Coordinate": "coordinates",
-        "Effect": "base",
-        "Law": "law",
-        "Parameter": "base",
-        "Parametrised": "base",
-        "Port": "base",
-        "canonical_name": "registry",
-        "effect_class": "registry",
-        "effects_of": "registry",
-        "key_of": "registry",
-        "make_effect": "registry",
-        "register": "registry",
-    },
-)
+__getattr__ = resolver(__name__)

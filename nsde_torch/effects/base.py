@@ -8,6 +8,9 @@ Effects on the input act one after another, in the order of their `stage`: delay
 lag, then what changes the strength. Effects on the other ports see the input that comes out of it.
 """
 
+from __future__ import annotations
+
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,8 +22,42 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor, nn
 
-from nsde_torch.effects.copying import copied
 from nsde_torch.errors import ConfigError
+
+# Copies of modules, without the dozen empty tables of hooks that `copy.deepcopy` takes apart in every one.
+#
+# A diagnosis copies systems by the thousand.
+
+
+def copied(module: nn.Module, memo: dict[int, Any]) -> Any:
+    """A deep copy of a module, for its `__deepcopy__`.
+
+    Args:
+        module: What is copied.
+        memo: That of `copy.deepcopy`.
+    """
+    out = memo[id(module)] = type(module).__new__(type(module))
+    for name, value in vars(module).items():
+        vars(out)[name] = _copied(value, memo)
+    return out
+
+
+def _copied(value: Any, memo: dict[int, Any]) -> Any:
+    if value is None or type(value) in (bool, int, float, str):
+        return value
+    known = memo.get(id(value))
+    if known is not None:
+        return known
+    if isinstance(value, (nn.ModuleList, nn.ParameterDict)):
+        return copied(value, memo)
+    if type(value) is dict:
+        table = memo[id(value)] = {}
+        table.update((key, _copied(one, memo)) for key, one in value.items())
+        return table
+    if isinstance(value, dict) and not value:
+        memo[id(value)] = copy.copy(value)
+        return memo[id(value)]
+    return copy.deepcopy(value, memo)
 
 
 class Port(str, Enum):
@@ -43,7 +80,7 @@ class Port(str, Enum):
     RATE = "rate"
 
     @classmethod
-    def _missing_(cls, value: object) -> "Port | None":
+    def _missing_(cls, value: object) -> Port | None:
         if not (isinstance(value, str) and value.isidentifier()):
             return None
         made = str.__new__(cls, value)
@@ -73,7 +110,7 @@ class Parameter:
     help: str = ""
     per_input: bool = False
 
-    def __deepcopy__(self, memo: dict[int, object]) -> "Parameter":
+    def __deepcopy__(self, memo: dict[int, object]) -> Parameter:
         """Itself: nothing of it can change, and systems are copied by the hundred."""
         return self
 
@@ -275,7 +312,7 @@ class Effect(Parametrised, ABC):
         return cls.amplitudes or tuple(cls.null)
 
     @classmethod
-    def shared(cls, simpler: "type[Effect]") -> dict[str, str]:
+    def shared(cls, simpler: type[Effect]) -> dict[str, str]:
         """Its parameters that are one of an effect that it contains, own name -> name there (see `same`)."""
         names = {name: cls.same.get(name, name) for name in cls.PARAMETERS}
         return {own: theirs for own, theirs in names.items() if theirs in simpler.PARAMETERS}

@@ -32,7 +32,6 @@ class TrackTilt(Effect):
     separate = "leave it alone, at rest: a tilt moves cart and pole alike, a force on the cart tilts the pole"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         return (-GRAVITY * self.value("slope")).expand(x.shape[0], 1)
 
 
@@ -53,5 +52,4 @@ class AngleBias(Effect):
     separate = "let the pole hang at rest, the cart free: its angle is then half a turn and the bias"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         return (-self.value("bias")).expand(x.shape[0], 1)

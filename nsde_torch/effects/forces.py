@@ -1,4 +1,4 @@
-"""Forces on one coordinate that do not depend on the state."""
+"""Forces of one coordinate: constant, periodic, elastic."""
 
 from math import pi
 from typing import final
@@ -26,7 +26,6 @@ class ConstantForce(Law):
     separate = "leave it alone, at rest, in several places"
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Law.term`."""
         return self.value("acceleration").expand(x.shape[0], 1)
 
 
@@ -50,8 +49,87 @@ class PeriodicForce(Law):
     separate = "record without input: what swings on with the clock is not the machine"
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Law.term`."""
         # turns in the precision of the clock: a log may start at 1e9 s
         angle = (2.0 * pi * torch.remainder(self.value("frequency") * elapsed(t, x), 1.0)).to(x.dtype)
         term = self.value("sine") * torch.sin(angle) + self.value("cosine") * torch.cos(angle)
         return term.reshape(-1, 1).expand(x.shape[0], 1)
+
+
+# Forces that repeat with the position of one coordinate: the teeth of a motor, an axis out of balance.
+#
+# (Proca, Keyhani, El-Antably, Lu, Dai, "Analytical model for permanent magnet motors with surface mounted
+# magnets", IEEE Transactions on Energy Conversion 18, 2003, for the cogging torque as a series in the angle
+# of the rotor.)
+
+
+@final
+class Ripple(Law):
+    """A force that repeats a number of times a turn."""
+
+    name = "ripple"
+    kinds = ("joint", "axis")
+    reads_position = True
+    formula = "a sin(n q) + b cos(n q)"
+    source = "cogging torque, Proca et al., IEEE Transactions on Energy Conversion 18 (2003)"
+    PARAMETERS = {
+        "sine": Parameter(0.0, "force", scale=0.1, help="part that is nothing at the origin"),
+        "cosine": Parameter(0.0, "force", scale=0.1, help="part that is largest at the origin"),
+        "order": Parameter(6.0, "1", low=0.5, scale=1.0, help="repeats in a turn"),
+    }
+    along = "position"
+    null = {"sine": 0.0, "cosine": 0.0}
+    amplitudes = ("sine", "cosine")
+    shapes = {"order": (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 24.0)}
+    sentence = "A force on {it} repeats {order} times a turn (sine {sine}, cosine {cosine})."
+    separate = "turn slowly through the whole range, to and fro"
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        angle = self.value("order") * self.q(x)
+        return self.value("sine") * torch.sin(angle) + self.value("cosine") * torch.cos(angle)
+
+
+# Springs on one coordinate; q is its position.
+#
+# A spring that hardens or softens adds a cube (Duffing, Erzwungene Schwingungen bei veraenderlicher
+# Eigenfrequenz, 1918).
+
+
+@final
+class LinearSpring(Law):
+    """A spring to the origin."""
+
+    name = "linear_spring"
+    reads_position = True
+    kinds = ("rail", "joint")
+    formula = "-k q"
+    source = "supplement B: m q'' = -b q' - k q"
+    PARAMETERS = {"stiffness": Parameter(1.0, "force/position", low=0.0, help="spring constant")}
+    along = "position"
+    null = {"stiffness": 0.0}
+    amplitudes = ("stiffness",)
+    sentence = "A spring pulls {it} to the origin with {stiffness}."
+    separate = "push at several amplitudes"
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return -self.value("stiffness") * self.q(x)
+
+
+@final
+class CubicStiffness(Law):
+    """A spring that hardens (or softens) with its extension."""
+
+    name = "cubic_stiffness"
+    reads_position = True
+    kinds = ("rail", "joint")
+    formula = "-k q^3"
+    source = "Duffing (1918)"
+    PARAMETERS = {"stiffness": Parameter(0.0, "force/position3", scale=1.0, help="cubic constant")}
+    along = "position"
+    null = {"stiffness": 0.0}
+    amplitudes = ("stiffness",)
+    sentence = "A spring against {it} changes with extension: a force of {stiffness} times the cube of it."
+    separate = "push at several amplitudes, far beyond the usual ones"
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        q = self.q(x)
+        return -self.value("stiffness") * q * q * q

@@ -1,11 +1,86 @@
-"""Forces on multirotors beside drag, over mass [m/s2]; T is the thrust over mass that the declared physics gives."""
+"""Forces and moments on a multirotor: drag, thrust, frame, motors."""
 
 from typing import final
 
 import torch
 from torch import Tensor
 
-from nsde_torch.effects.base import Effect, Parameter, Port
+from nsde_torch.columns import columns, split_columns, stack_columns
+from nsde_torch.effects.base import Effect, Parameter, Port, elapsed
+from nsde_torch.rotation import euler_coupling, matrix, rate_products, rotate_back, turned
+
+TWO_SPEEDS = "fly at two more speeds, in several directions"
+
+
+def body_velocity(x: Tensor) -> Tensor:
+    """Velocity in the body frame (N, 3) [m/s] of multirotor states (N, 13)."""
+    _, v, q, _ = split_columns(x, 3, 3, 4, 3)
+    return rotate_back(q, v)
+
+
+@final
+class LinearDrag(Effect):
+    """Rotor drag: in proportion to body velocity, one coefficient per axis."""
+
+    name = "linear_drag"
+    port = Port.BODY_FORCE
+    formula = "-d * v_body"
+    source = "Faessler, Franchi, Scaramuzza, IEEE RA-L 3 (2018)"
+    PARAMETERS = {"drag": Parameter((0.1, 0.1, 0.1), "1/s", low=0.0, help="drag over mass, body x y z")}
+    along = "speed"
+    null = {"drag": 0.0}
+    amplitudes = ("drag",)
+    sentence = "The air brakes in proportion to the speed: rotor drag of {drag} along forward, left and up."
+    separate = TWO_SPEEDS
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return -self.value("drag") * body_velocity(x)
+
+
+@final
+class QuadraticDrag(Effect):
+    """Body drag: in proportion to speed times body velocity."""
+
+    name = "quadratic_drag"
+    port = Port.BODY_FORCE
+    formula = "-d * |v| v_body"
+    source = "aerodynamic drag of a bluff body"
+    PARAMETERS = {"drag": Parameter((0.02, 0.02, 0.02), "1/m", low=0.0, help="drag over mass, body x y z")}
+    along = "speed"
+    null = {"drag": 0.0}
+    amplitudes = ("drag",)
+    sentence = "The air brakes with the square of the speed: {drag} along forward, left and up."
+    separate = TWO_SPEEDS
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        v = body_velocity(x)
+        return -self.value("drag") * v * torch.sqrt((v * v).sum(1, keepdim=True) + 1e-12)
+
+
+@final
+class ConstantWind(Effect):
+    """Rotor drag in air that moves: in proportion to the velocity relative to the air."""
+
+    name = "constant_wind"
+    port = Port.BODY_FORCE
+    formula = "-d * R^T (v - w)"
+    source = "Tomic, Schmid, Lutz, Mathers, Haddadin, IROS (2016): drag on the velocity relative to the air"
+    PARAMETERS = {
+        "drag": Parameter((0.1, 0.1, 0.1), "1/s", low=0.0, help="drag over mass, body x y z"),
+        "wind": Parameter((0.0, 0.0), "m/s", scale=1.0, help="velocity of the air, east and north"),
+    }
+    null = {"drag": 0.0}
+    amplitudes = ("drag",)
+    shapes = {"wind": ((2.0, 0.0), (-2.0, 0.0), (0.0, 2.0), (0.0, -2.0))}
+    smooth = ("wind",)
+    includes = ("linear_drag",)
+    sentence = "The air moves with {wind} to east and north and drags with {drag} along forward, left and up."
+    separate = "fly the same path twice, the second time turned by a quarter"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        wind = self.value("wind")
+        air = torch.cat((wind, torch.zeros_like(wind[:1])))
+        return -self.value("drag") * rotate_back(x[:, 6:10], x[:, 3:6] - air)
 
 
 @final
@@ -28,7 +103,6 @@ class ConstantWorldForce(Effect):
     )
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         return self.value("acceleration").expand(x.shape[0], 3)
 
 
@@ -56,7 +130,6 @@ class GroundEffect(Effect):
     separate = "hover at several heights, from a quarter of a metre to two"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         z, h = x[:, 2:3], self.value("height")
         lift = self.channel("thrust", u) * self.value("area") / (z * z + h * h)
         return torch.cat((torch.zeros_like(lift), torch.zeros_like(lift), lift), 1)
@@ -80,6 +153,286 @@ class ThrustMisalignment(Effect):
     separate = "hover with the nose in several directions: a tilted thrust turns with the body, a wind stays"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         sideways = self.value("tilt") * self.channel("thrust", u)
         return torch.cat((sideways, torch.zeros_like(sideways[:, :1])), 1)
+
+
+# The body axes of the log are not those of the machine: a flight controller that is mounted askew.
+#
+# With R the turn from the machine's axes to the log's, the log has omega = R^T omega_m, and the attitude of
+# its own axes. Velocity and position are the world's. What the machine does, seen in the axes of the log:
+#
+#     force_log = R^T T e_z          angular_log = R^T a_m,      a_m = gains * moments + c * (w_y w_z, w_z w_x, w_x w_y)
+#
+# with the products of omega_m = R omega_log and c of the inertia (`systems.multirotor`).
+
+
+@final
+class FrameMisalignment(Effect):
+    """The axes of the log are turned against those of the machine."""
+
+    name = "frame_misalignment"
+    port = Port.BODY_WRENCH
+    quantities = {"thrust": 1, "angular_acceleration": 3, "inertia": 2}
+    formula = "R^T (T e_z, a) - (T e_z, a), R = exp(turn)"
+    source = "change of axes in Newton's and Euler's equations; mounting of the flight controller"
+    PARAMETERS = {
+        "turn": Parameter(
+            (0.0, 0.0, 0.0), "rad", scale=0.02, help="rotation vector from the machine's axes to the log's"
+        )
+    }
+    null = {"turn": 0.0}
+    sentence = "The axes of the log are turned against those of the machine, by {turn} about x, y and z."
+    separate = (
+        "roll, pitch and yaw sharply, one axis at a time: turned axes show in the moments as in the thrust"
+    )
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        thrust, omega = self.channel("thrust", u), x[:, 10:13]
+        turn = self.value("turn").to(x)[None]
+        level = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).to(x)
+        r = matrix(turned(level, turn))[0]  # a row times r is turned back
+        coupling = stack_columns(euler_coupling(*columns(self.channel("inertia", u))))
+        seen = self.channel("angular_acceleration", u)
+        own = seen + coupling * (rate_products(omega @ r.T) - rate_products(omega))
+        up = torch.tensor([[0.0, 0.0, 1.0]]).to(x)
+        return torch.cat((thrust * (up @ r - up), own @ r - seen), 1)
+
+
+# Moments on multirotors over inertia [rad/s2], body axes; T is the thrust over mass of the declared physics.
+#
+# Blade flapping and rotor gyroscopics: Mahony, Kumar, Corke, "Multirotor aerial vehicles", IEEE Robotics and
+# Automation Magazine 19 (2012).
+
+TUTORIAL = "Mahony, Kumar, Corke, IEEE Robotics and Automation Magazine 19 (2012)"
+
+
+@final
+class AngularDamping(Effect):
+    """A moment against the body rates."""
+
+    name = "angular_damping"
+    port = Port.BODY_MOMENT
+    formula = "-d * omega"
+    source = "blade flapping and inflow, first order in the rates"
+    PARAMETERS = {"damping": Parameter((0.1, 0.1, 0.1), "1/s", low=0.0, help="damping over inertia, x y z")}
+    null = {"damping": 0.0}
+    amplitudes = ("damping",)
+    sentence = "Turning is braked in proportion to its rate: {damping} in roll, pitch and yaw."
+    separate = "turn at several rates about each axis"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return -self.value("damping") * x[:, 10:13]
+
+
+@final
+class ComOffset(Effect):
+    """The centre of mass lies off the axis of the thrust, which then turns the machine."""
+
+    name = "com_offset"
+    port = Port.BODY_MOMENT
+    quantities = {"thrust": 1}
+    formula = "T (-o_y, o_x, 0), o = c m / J"
+    source = "moment -c x F of the thrust about a centre of mass at c"
+    PARAMETERS = {
+        "offset": Parameter(
+            (0.0, 0.0), "1/m", scale=0.1, help="offset forward and left, times mass over inertia"
+        )
+    }
+    null = {"offset": 0.0}
+    amplitudes = ("offset",)
+    sentence = "The centre of mass is off the middle of the rotors: {offset} forward and left, times mass over inertia."
+    separate = "climb and sink: the moment of an offset follows the thrust, that of a weak motor its command"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        o_x, o_y = self.value("offset").unbind(0)
+        thrust = self.channel("thrust", u)[:, 0]
+        return stack_columns((-o_y * thrust, o_x * thrust, torch.zeros_like(thrust)))
+
+
+@final
+class GyroscopicMoment(Effect):
+    """Spinning rotors resist a change of their axis; what they carry together is what the yaw commands leave over."""
+
+    name = "gyroscopic_moment"
+    port = Port.BODY_MOMENT
+    quantities = {"spin": 1}
+    formula = "h S (omega_y, -omega_x, 0), S = sum of signed u_i"
+    source = TUTORIAL + "; rotor speed in proportion to its command"
+    PARAMETERS = {
+        "momentum": Parameter(
+            1.0, "1/s", low=0.0, help="angular momentum of a rotor at full command over the machine's inertia"
+        )
+    }
+    null = {"momentum": 0.0}
+    amplitudes = ("momentum",)
+    sentence = "The spinning rotors act as a gyroscope of {momentum}."
+    separate = "roll and pitch fast while turning in yaw both ways"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        wx, wy, _ = columns(x[:, 10:13])
+        size = self.value("momentum") * self.channel("spin", u)[:, 0]
+        return stack_columns((size * wy, -size * wx, torch.zeros_like(wx)))
+
+
+@final
+class FlappingMoment(Effect):
+    """Blades that flap in the wind of flight tilt the machine away from where it goes."""
+
+    name = "flapping_moment"
+    port = Port.BODY_MOMENT
+    formula = "(f_x v_y, -f_y v_x, 0)"
+    source = TUTORIAL
+    PARAMETERS = {
+        "gain": Parameter(
+            (0.0, 0.0), "rad/(m s)", scale=0.1, help="moment over inertia per body velocity, roll and pitch"
+        )
+    }
+    null = {"gain": 0.0}
+    amplitudes = ("gain",)
+    sentence = "Flight through the air turns the machine against its motion: {gain} in roll and pitch."
+    separate = "fly at two more speeds with the same attitude, forwards and sideways"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        v_x, v_y, _ = columns(body_velocity(x))
+        f_x, f_y = self.value("gain").unbind(0)
+        return stack_columns((f_x * v_y, -f_y * v_x, torch.zeros_like(v_x)))
+
+
+@final
+class InertiaCoupling(Effect):
+    """Products of inertia: the principal axes are not the body axes of the log.
+
+    With J = D + P, D the diagonal, P symmetric with zeros on it, to first order in P:
+
+        J^-1 (M - omega x J omega) = a - D^-1 (P a + omega x P omega),     a = D^-1 (M - omega x D omega)
+    """
+
+    name = "inertia_coupling"
+    port = Port.BODY_MOMENT
+    quantities = {"angular_acceleration": 3, "inertia": 2}
+    formula = "-D^-1 (P a + omega x P omega), P off the diagonal of J / Jz"
+    source = "Euler's equation of a rigid body with products of inertia, to first order in them"
+    PARAMETERS = {
+        "product": Parameter(
+            (0.0, 0.0, 0.0), "1", scale=0.05, help="J_xy, J_xz, J_yz over J_zz (elements of J)"
+        )
+    }
+    null = {"product": 0.0}
+    amplitudes = ("product",)
+    sentence = "The masses lie askew to the axes of the log: J_xy, J_xz, J_yz are {product} of J_zz."
+    separate = "roll, pitch and yaw sharply, one axis at a time"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        xy, xz, yz = self.value("product").unbind(0)
+        ax, ay, az = columns(self.channel("angular_acceleration", u))
+        jx, jy = columns(self.channel("inertia", u))
+        wx, wy, wz = columns(x[:, 10:13])
+        px, py, pz = xy * wy + xz * wz, xy * wx + yz * wz, xz * wx + yz * wy  # P omega
+        return stack_columns(
+            (
+                -(xy * ay + xz * az + wy * pz - wz * py) / jx,
+                -(xy * ax + yz * az + wz * px - wx * pz) / jy,
+                -(xz * ax + yz * ay + wx * py - wy * px),
+            )
+        )
+
+
+# What becomes of a motor's command before it is thrust: terms on the port `input`, after the lag.
+#
+# A command u_i in [0, 1] is a share of thrust here, so that thrust and moments of the motor change together.
+
+_MULTIROTOR = (Port.BODY_MOMENT,)
+
+
+@final
+class MotorEfficiencyLoss(Effect):
+    """Single motors give less than the others: a chipped propeller, a worn bearing."""
+
+    name = "motor_efficiency_loss"
+    port = Port.INPUT
+    needs = _MULTIROTOR
+    formula = "u_eff,i = u_i (1 - l_i)"
+    source = "actuator effectiveness factor; Zhang, Jiang, Annual Reviews in Control 32 (2008)"
+    PARAMETERS = {
+        "loss": Parameter(
+            0.01, "1", low=0.0, high=1.0, scale=0.1, help="share lost, one per motor", per_input=True
+        )
+    }
+    null = {"loss": 0.0}
+    amplitudes = ("loss",)
+    sentence = "Motors have lost {loss} of their strength (one number per motor, in their order)."
+    separate = "climb, sink and yaw: a weak motor shows in the moments about all axes at once"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return -self.value("loss") * u
+
+
+@final
+class ThrustSag(Effect):
+    """Thrust per command falls with time, as a battery empties."""
+
+    name = "thrust_sag"
+    port = Port.INPUT
+    needs = _MULTIROTOR
+    formula = "u_eff = u (1 - r t)"
+    source = "falling battery voltage, first order in time"
+    PARAMETERS = {"rate": Parameter(0.0005, "1/s", low=0.0, scale=0.001, help="share lost per second")}
+    null = {"rate": 0.0}
+    amplitudes = ("rate",)
+    sentence = "Thrust per command falls by {rate}, counted from the start of the clock."
+    separate = "log the battery's voltage, and fly one battery longer"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return -(self.value("rate") * elapsed(t, x)).to(u.dtype) * u
+
+
+REFERENCES = ((5.5, 4.0), (8.9, 8.0))
+"""Voltages up to which a pack has one cell, and two, and at which thrust per command is then what the gains say [V]."""
+REFERENCE = 16.0
+"""Voltage at which thrust per command is what the declared gains say, of larger packs [V] (four cells)."""
+
+
+@final
+class BatteryVoltage(Effect):
+    """Thrust per command follows the logged voltage of the battery."""
+
+    name = "battery_voltage"
+    port = Port.INPUT
+    needs = _MULTIROTOR
+    exogenous = ("battery_voltage",)
+    formula = "u_eff = u (1 + s (V - V_0))"
+    source = "motor speed follows the voltage at a given duty; first order around 4 V (one cell), 8 V (two) or 16 V"
+    PARAMETERS = {
+        "sensitivity": Parameter(0.05, "1/V", low=0.0, scale=0.05, help="relative change of thrust per volt")
+    }
+    null = {"sensitivity": 0.0}
+    amplitudes = ("sensitivity",)
+    sentence = "Thrust per command follows the battery's voltage, by {sensitivity}."
+    separate = "fly the same path on a full and on an empty battery"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        voltage = self.channel("battery_voltage", u)
+        reference = torch.full_like(voltage, REFERENCE)
+        for most, own in reversed(REFERENCES):
+            reference = torch.where(voltage < most, own, reference)
+        return self.value("sensitivity") * (voltage - reference) * u[:, : u.shape[1] - 1]
+
+
+@final
+class ThrustCurve(Effect):
+    """Thrust is not proportional to the command: a second degree of the thrust map."""
+
+    name = "thrust_curve"
+    port = Port.INPUT
+    needs = _MULTIROTOR
+    formula = "u_eff = u + c u^2"
+    source = "supplement eq. 4: thrust map as a polynomial of the command"
+    PARAMETERS = {"curvature": Parameter(0.0, "1", scale=0.1, help="second coefficient over the first")}
+    null = {"curvature": 0.0}
+    amplitudes = ("curvature",)
+    sentence = "Thrust grows with {curvature} times the square of the command beside the command itself."
+    separate = "climb and sink hard, for commands far from hover"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return self.value("curvature") * u * u

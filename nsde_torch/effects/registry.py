@@ -5,39 +5,50 @@ A law of one coordinate is named with it, `coulomb_friction[q2]`, on a machine t
 
 from collections.abc import Collection, Mapping, Sequence
 
-from nsde_torch.effects.actuators import ActuatorDeadband, ActuatorGainDrift, ActuatorSaturation
+from nsde_torch.effects.actuators import (
+    ActuatorDeadband,
+    ActuatorGainDrift,
+    ActuatorLag,
+    ActuatorSaturation,
+    InputDelay,
+    MotorLag,
+)
 from nsde_torch.effects.base import Effect, Port
 from nsde_torch.effects.cartpole import AngleBias, TrackTilt
 from nsde_torch.effects.coordinates import Bound
-from nsde_torch.effects.delay import InputDelay
 from nsde_torch.effects.expression import Expression, unplaced_expression
 from nsde_torch.effects.expression_grammar import is_law
-from nsde_torch.effects.forces import ConstantForce, PeriodicForce
+from nsde_torch.effects.forces import ConstantForce, CubicStiffness, LinearSpring, PeriodicForce, Ripple
 from nsde_torch.effects.friction import (
     AsymmetricFriction,
     CoulombFriction,
+    Hysteresis,
+    InputPlay,
     LoadFriction,
     PositionDependentFriction,
     QuadraticDamping,
     StribeckFriction,
     ViscousFriction,
 )
-from nsde_torch.effects.hysteresis import Hysteresis, InputPlay
-from nsde_torch.effects.lag import ActuatorLag, MotorLag
 from nsde_torch.effects.law import Law, joined_name, law_at, split_name, unplaced
-from nsde_torch.effects.multirotor_drag import ConstantWind, LinearDrag, QuadraticDrag
-from nsde_torch.effects.multirotor_forces import ConstantWorldForce, GroundEffect, ThrustMisalignment
-from nsde_torch.effects.multirotor_frame import FrameMisalignment
-from nsde_torch.effects.multirotor_moments import (
+from nsde_torch.effects.multirotor_forces import (
     AngularDamping,
+    BatteryVoltage,
     ComOffset,
+    ConstantWind,
+    ConstantWorldForce,
     FlappingMoment,
+    FrameMisalignment,
+    GroundEffect,
     GyroscopicMoment,
     InertiaCoupling,
+    LinearDrag,
+    MotorEfficiencyLoss,
+    QuadraticDrag,
+    ThrustCurve,
+    ThrustMisalignment,
+    ThrustSag,
 )
-from nsde_torch.effects.multirotor_thrust import BatteryVoltage, MotorEfficiencyLoss, ThrustCurve, ThrustSag
-from nsde_torch.effects.ripple import Ripple
-from nsde_torch.effects.stiffness import CubicStiffness, LinearSpring
 from nsde_torch.errors import ConfigError
 from nsde_torch.lookup import class_by_name, did_you_mean
 

@@ -10,4 +10,4 @@ if TYPE_CHECKING:
 
 __all__ = ["Comparison", "compare", "evaluate"]
 
-__getattr__ = resolver(__name__, {"Comparison": "comparison", "compare": "comparison", "evaluate": "metrics"})
+__getattr__ = resolver(__name__)

@@ -141,31 +141,13 @@ def paired_bootstrap(
 
 
 def mean_bootstrap(
-    values: Tensor,
-    blocks: Blocks,
-    *,
-    generator: torch.Generator,
-    replicates: int = REPLICATES,
-    level: float = 0.95,
+    values: Tensor, blocks: Blocks, *, generator: torch.Generator, level: float = 0.95
 ) -> Difference:
     """Interval of the mean of what two models differ by at each row, such as their log densities.
 
-    Args:
-        values: Other minus first (S, K).
-        blocks: What to resample.
-        generator: Source of the resamples.
-        replicates: Number of resamples.
-        level: Nominal coverage of the interval.
-
-    Returns:
-        Means and intervals; below five blocks the ends are NaN.
-
-    Raises:
-        ShapeError: the rows do not agree.
+    `values` are other minus first (S, K); the other arguments, result and errors are those of `function_bootstrap`.
     """
-    return function_bootstrap(
-        values, lambda means: means, blocks, generator=generator, replicates=replicates, level=level
-    )
+    return function_bootstrap(values, lambda means: means, blocks, generator=generator, level=level)
 
 
 def function_bootstrap(

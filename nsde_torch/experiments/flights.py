@@ -8,12 +8,11 @@ import torch
 from nsde_torch import plots
 from nsde_torch.data import DataSet, Run, Windows
 from nsde_torch.evaluation.metrics import evaluate
-from nsde_torch.experiments.outcome import Check, ExperimentOutcome
-from nsde_torch.experiments.sampled import prediction, rollout
+from nsde_torch.experiments.outcome import Check, ExperimentOutcome, prediction, rollout
 from nsde_torch.models.before import inputs_before
 from nsde_torch.models.model import Model
 from nsde_torch.plots import PredictionBand
-from nsde_torch.plots.euler import roll_pitch_yaw
+from nsde_torch.plots.data_figure import roll_pitch_yaw
 from nsde_torch.systems import System
 
 # Supplement D: 95 % of the magnitudes lie below the first, the largest is the second.

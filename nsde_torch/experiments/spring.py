@@ -11,8 +11,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from nsde_torch.experiments.outcome import Check, ExperimentOutcome
-from nsde_torch.experiments.sampled import prediction, rollout
+from nsde_torch.experiments.outcome import Check, ExperimentOutcome, prediction, rollout
 from nsde_torch.models.model import Model
 from nsde_torch.plots import evolution
 

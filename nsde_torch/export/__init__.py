@@ -13,10 +13,4 @@ __all__ = [
     "export",
 ]
 
-__getattr__ = resolver(
-    __name__,
-    {
-        "ExportedController": "exported",
-        "export": "write",
-    },
-)
+__getattr__ = resolver(__name__)

@@ -28,8 +28,7 @@ from nsde_torch.export.layout import (
 )
 from nsde_torch.export.step import ExportedStep
 from nsde_torch.models import Model
-from nsde_torch.models.registry import make_spec
-from nsde_torch.models.run_directory import CONFIG, WEIGHTS
+from nsde_torch.models.run_directory import CONFIG, WEIGHTS, make_spec
 from nsde_torch.systems import System, make_plant_system
 
 FRAMES = "world ENU, body FLU, quaternion w x y z from body to world, SI units, radians"

@@ -20,21 +20,11 @@ from torch import Tensor, nn
 
 from nsde_torch.control.controller import Controller, Plan, _shift
 from nsde_torch.control.gauss_newton import GaussNewton
-from nsde_torch.control.horizon import _repeat
 from nsde_torch.control.predictor import Predictor
+from nsde_torch.control.problem import _repeat
 from nsde_torch.control.solve import _LEFT
 from nsde_torch.errors import ConfigError
-from nsde_torch.export.layout import (
-    AGE,
-    COST,
-    GAP,
-    JUMPED,
-    KNOWN,
-    N_HEAD,
-    TROUBLES,
-    Sizes,
-    step_inputs,
-)
+from nsde_torch.export.layout import AGE, COST, GAP, JUMPED, KNOWN, N_HEAD, TROUBLES, Sizes, step_inputs
 from nsde_torch.systems import Multirotor
 
 Stage = Callable[..., Sequence[Tensor]]

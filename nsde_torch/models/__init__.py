@@ -19,8 +19,7 @@ if TYPE_CHECKING:
         NsdeOptions,
         SysidOptions,
     )
-    from nsde_torch.models.registry import make_model, make_spec
-    from nsde_torch.models.run_directory import load, save
+    from nsde_torch.models.run_directory import load, make_model, make_spec, save
 
 __all__ = [
     "MODELS",
@@ -49,32 +48,4 @@ __all__ = [
     "save",
 ]
 
-__getattr__ = resolver(
-    __name__,
-    {
-        "MODELS": "options",
-        "BlackboxOptions": "options",
-        "Capabilities": "model",
-        "Choice": "kind",
-        "EnsembleOptions": "options",
-        "EnsembleSpec": "ensemble",
-        "GaussianEnsemble": "ensemble",
-        "IdentifiedModel": "identified",
-        "Model": "model",
-        "ModelKind": "kind",
-        "ModelOptions": "options",
-        "ModelSpec": "model",
-        "NeuralSDE": "neural_sde",
-        "NodeOptions": "options",
-        "NsdeOptions": "options",
-        "SDESpec": "neural_sde",
-        "SysidOptions": "options",
-        "SysidSpec": "identified",
-        "load": "run_directory",
-        "make_model": "registry",
-        "make_spec": "registry",
-        "model_kind": "kind",
-        "model_options": "kind",
-        "save": "run_directory",
-    },
-)
+__getattr__ = resolver(__name__)

@@ -44,7 +44,6 @@ class SysidSpec(ModelSpec):
 
     @property
     def input_filter_reach(self) -> int:
-        """See `ModelSpec.input_filter_reach`."""
         return self.filter_reach
 
     def __post_init__(self) -> None:
@@ -92,7 +91,6 @@ class IdentifiedModel(Model):
 
     @property
     def capabilities(self) -> Capabilities:
-        """See `Model.capabilities`."""
         return Capabilities(has_physics=True)
 
     @property
@@ -121,7 +119,6 @@ class IdentifiedModel(Model):
         self.system.set_step(dt * float(self.clock_scale))
 
     def inner(self, z: Tensor, y: Tensor) -> Tensor:
-        """See `System.inner`."""
         return self.system.inner(z, y)
 
     def drift(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:

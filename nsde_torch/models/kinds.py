@@ -36,7 +36,6 @@ class _Equation(ModelKind):
 
     @classmethod
     def make_spec(cls, choice: Choice) -> SDESpec:
-        """See `ModelKind.make_spec`."""
         solver = cls.step(choice)
         paper = choice.loss == "paper"
         innovations = cls.physics and choice.loss == "innovations"
@@ -71,7 +70,6 @@ class _Equation(ModelKind):
 
     @classmethod
     def fit(cls, task: Any) -> Any:
-        """See `ModelKind.fit`."""
         return function_by_name("nsde_torch.training.fit_sde:fit_sde")(task)
 
 
@@ -119,7 +117,6 @@ class EnsembleKind(ModelKind):
 
     @classmethod
     def make_spec(cls, choice: Choice) -> EnsembleSpec:
-        """See `ModelKind.make_spec`."""
         chosen = choice.options
         assert isinstance(chosen, EnsembleOptions)
         return EnsembleSpec(
@@ -133,7 +130,6 @@ class EnsembleKind(ModelKind):
 
     @classmethod
     def fit(cls, task: Any) -> Any:
-        """See `ModelKind.fit`."""
         return function_by_name("nsde_torch.training.fit_ensemble:fit_ensemble")(task)
 
 
@@ -149,7 +145,6 @@ class SysidKind(ModelKind):
 
     @classmethod
     def make_spec(cls, choice: Choice) -> SysidSpec:
-        """See `ModelKind.make_spec`."""
         chosen = choice.options
         assert isinstance(chosen, SysidOptions)
         cls.step(choice)  # refuses one that does not fit
@@ -167,5 +162,4 @@ class SysidKind(ModelKind):
 
     @classmethod
     def fit(cls, task: Any) -> Any:
-        """See `ModelKind.fit`."""
         return function_by_name("nsde_torch.training.fit_sysid:fit_sysid")(task)

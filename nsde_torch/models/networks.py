@@ -1,10 +1,13 @@
-"""Small fully connected networks on rows (N, n_in)."""
+"""Networks of the models: layers, drift, diffusion, and the distance from the data."""
 
+import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
+
+from nsde_torch.systems import System
 
 _WIDE = 32
 _BLIND = 1e30  # a scale beyond which a column says nothing
@@ -96,3 +99,188 @@ class Standardise(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Standardised rows."""
         return ((x.T - self.mean[:, None]) / self.scale[:, None]).T
+
+
+# A drift without physics: a network of state, features and input gives the rate of every state.
+#
+#     dx/dt = scale * MLP(standardised (x, features(x), u))
+#
+# It is what a neural SDE is without prior knowledge: not even that a position is the integral of a velocity.
+
+
+class BlackBoxDrift(nn.Module):
+    """Rate of the state from a network.
+
+    Args:
+        system: The machine; its features are further inputs.
+        hidden: Widths of the network (tanh).
+        generator: Source of the initial weights.
+    """
+
+    def __init__(self, system: System, hidden: Sequence[int], *, generator: torch.Generator) -> None:
+        super().__init__()
+        probe = torch.zeros(1, system.nx)
+        if system.quaternion is not None:
+            probe[:, system.quaternion.start] = 1.0
+        width = system.nx + system.residual_features(probe).shape[1] + system.nu
+        self._system = (system,)  # in a tuple, so that its parameters are not this module's
+        self.standardise = Standardise(width)
+        self.network = MLP(width, hidden, system.nx, activation=tanh, generator=generator, last_gain=0.1)
+        self.scale: Tensor
+        self.register_buffer("scale", torch.ones(system.nx))
+
+    def inputs(self, x: Tensor, u: Tensor) -> Tensor:
+        """What the network sees (N, width), of state (N, nx) and input (N, nu)."""
+        (system,) = self._system
+        return torch.cat((x, system.residual_features(x), u[:, : system.nu]), 1)
+
+    @torch.no_grad()
+    def fit(self, x: Tensor, u: Tensor, dt: float) -> None:
+        """Set standardisation and output scale from windows of states (B, T + 1, nx) and inputs (B, T, nu)."""
+        self.standardise.fit(self.inputs(x[:, :-1].flatten(0, 1), u.flatten(0, 1)))
+        rate = (torch.diff(x, dim=1) / dt).flatten(0, 1).std(0)
+        self.scale.copy_(torch.where(rate > 1e-9, rate, torch.ones_like(rate)))
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Rate of the state (N, nx)."""
+        return self.scale * self.network(self.standardise(self.inputs(x, u)))
+
+
+# Distance-aware diffusion: sigma_i = sigma_max_i h_i(eta), h_i monotone in eta, channel by channel.
+#
+#     h_i(eta) = sigmoid(softplus(w_i) eta + b_i)
+#
+# sigma is a density per root second: a step of dt adds a standard deviation of sigma sqrt(dt).
+# `sigma_max` is fixed where the user or the supplement states it, and learned otherwise; `h` starts at a
+# quarter on the data and 0.95 far away, so that the spread grows about fourfold where the model is ignorant.
+
+START_SHARE, FAR_SHARE = 0.25, 0.95
+_HALVINGS = 60
+
+
+class Diffusion(nn.Module):
+    """h_phi and sigma_max.
+
+    Args:
+        sigma_max: Largest diffusion (nx,) [state unit per root second], > 0.
+        learned: Whether sigma_max is optimised with the rest.
+        tied: Channels of a quaternion, which share one sigma: equal noise on all four, projected to the sphere,
+            is the same rotation noise at every attitude, and noise along the quaternion alone cannot be seen.
+    """
+
+    def __init__(self, sigma_max: Tensor, *, learned: bool, tied: slice | None = None) -> None:
+        super().__init__()
+        n = len(sigma_max)
+        channel = torch.arange(n)
+        if tied is not None:
+            channel[tied] = tied.start + 1
+        self.channel: Tensor
+        self.register_buffer("channel", channel, persistent=False)
+        offset = math.log(START_SHARE / (1 - START_SHARE))
+        slope = math.log(FAR_SHARE / (1 - FAR_SHARE)) - offset
+        self.log_sigma_max = nn.Parameter(sigma_max.clamp_min(1e-12).log(), requires_grad=learned)
+        self.slope = nn.Parameter(torch.full((n,), slope + math.log(-math.expm1(-slope))))
+        self.offset = nn.Parameter(torch.full((n,), offset))
+
+    def share(self, eta: Tensor) -> Tensor:
+        """h (N, nx) of eta (N,)."""
+        gain = nn.functional.softplus(self.slope)[self.channel]
+        return torch.sigmoid(gain[:, None] * eta + self.offset[self.channel, None]).T
+
+    @torch.no_grad()
+    def through(self, eta: Tensor, sigma: Tensor, far: Tensor) -> None:
+        """Set sigma_max and h so that sigma has a given size on the data and grows away from them.
+
+        Args:
+            eta: Distance of the data (N,).
+            sigma: Root mean square of sigma over them (nx,), > 0; where that is less than `START_SHARE` of `far`, it is
+                taken to be as much.
+            far: Least sigma where eta is 1 (nx,); it is at least `FAR_SHARE` / `START_SHARE` times `sigma`.
+        """
+        sigma = torch.maximum(sigma, START_SHARE * far)
+        largest = torch.maximum(sigma / START_SHARE, far / FAR_SHARE).double()
+        wanted, eta = (sigma / largest).double(), eta.double()
+        top = math.log(FAR_SHARE / (1 - FAR_SHARE))
+        low, high = torch.full_like(wanted, -40.0), torch.full_like(wanted, top - 1e-3)
+        for _ in range(_HALVINGS):  # the share grows with the offset, as h(1) stays
+            offset = 0.5 * (low + high)
+            share = torch.sigmoid((top - offset)[:, None] * eta + offset[:, None]).square().mean(1).sqrt()
+            low, high = torch.where(share < wanted, offset, low), torch.where(share < wanted, high, offset)
+        slope = top - offset
+        self.log_sigma_max.copy_(largest.log())
+        self.offset.copy_(offset)
+        self.slope.copy_(slope + torch.log(-torch.expm1(-slope)))
+
+    def forward(self, eta: Tensor) -> Tensor:
+        """sigma (N, nx) of eta (N,)."""
+        return self.log_sigma_max.exp()[self.channel] * self.share(eta)
+
+
+# The distance eta in [0, 1] of a feature vector from the training data (supplement A).
+#
+#     eta(y) = sigmoid(asinh(E(y))),   E = swish network 32-32 of standardised features
+#
+# The supplement asks for a range of [0, 1] and leaves the last layer open. A sigmoid alone saturates in
+# float32 a few standard deviations out; asinh grows like a logarithm, keeps the order and keeps the logit of
+# eta finite, so that "further away" can still be told far from the data. The gradient of E is written out:
+# the losses need it at every step, and a second backward pass would cost more.
+
+
+class Distance(nn.Module):
+    """Network eta and network mu, which bounds its convexity.
+
+    Args:
+        n_features: Width of the features.
+        hidden: Widths of eta's two hidden layers (swish).
+        mu_hidden: Widths of mu's hidden layers (tanh).
+        generator: Source of the initial weights.
+    """
+
+    def __init__(
+        self, n_features: int, hidden: Sequence[int], mu_hidden: Sequence[int], *, generator: torch.Generator
+    ) -> None:
+        super().__init__()
+        self.standardise = Standardise(n_features)
+        self.energy_network = MLP(n_features, hidden, 1, activation=nn.functional.silu, generator=generator)
+        with torch.no_grad():
+            self.energy_network.layers[-1].bias.fill_(-3.0)  # type: ignore[operator]
+        self.mu_network = MLP(n_features, mu_hidden, 1, activation=torch.tanh, generator=generator)
+
+    def energy(self, standardised: Tensor, *, frozen: bool = False) -> Tensor:
+        """E of standardised features (N, nf) -> (N,); `frozen` keeps gradients from the weights."""
+        return self.energy_network(standardised, frozen=frozen)[:, 0]
+
+    def energy_and_gradient(self, standardised: Tensor) -> tuple[Tensor, Tensor]:
+        """E (N,) and its gradient in the standardised features (N, nf), by the chain rule layer by layer."""
+        h = standardised
+        slopes = []
+        *hidden, last = self.energy_network.layers
+        for layer in hidden:
+            a = layer(h)
+            s = torch.sigmoid(a)
+            h = a * s
+            slopes.append(s * (1.0 + a * (1.0 - s)))
+        value = last(h)[:, 0]
+        gradient = last.weight.expand(len(h), -1)  # type: ignore[operator]
+        for layer, slope in zip(reversed(hidden), reversed(slopes), strict=True):
+            gradient = (gradient * slope) @ layer.weight
+        return value, gradient
+
+    @staticmethod
+    def link(energy: Tensor) -> Tensor:
+        """eta from E."""
+        return torch.sigmoid(torch.asinh(energy))
+
+    @staticmethod
+    def link_slope(energy: Tensor) -> Tensor:
+        """d eta / d E."""
+        eta = Distance.link(energy)
+        return eta * (1.0 - eta) * torch.rsqrt(1.0 + energy * energy)
+
+    def mu(self, standardised: Tensor) -> Tensor:
+        """Local convexity (N,), positive."""
+        return torch.exp(self.mu_network(standardised)[:, 0].clamp(-10.0, 10.0))
+
+    def forward(self, features: Tensor, *, frozen: bool = False) -> Tensor:
+        """eta (N,) of raw features (N, nf); `frozen` keeps gradients from the weights, not from the features."""
+        return self.link(self.energy(self.standardise(features), frozen=frozen))

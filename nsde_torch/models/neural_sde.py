@@ -23,12 +23,9 @@ from torch import Tensor, nn
 from nsde_torch.columns import join_columns, split_columns
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError, ShapeError
-from nsde_torch.models.black_box import BlackBoxDrift
-from nsde_torch.models.diffusion import Diffusion
-from nsde_torch.models.distance import Distance
 from nsde_torch.models.input_filter import InputFilter
 from nsde_torch.models.model import Capabilities, Model, ModelSpec, normal
-from nsde_torch.models.networks import MLP, Standardise, tanh
+from nsde_torch.models.networks import MLP, BlackBoxDrift, Diffusion, Distance, Standardise, tanh
 from nsde_torch.sde import Calculus, brownian, make_step, rollout
 
 
@@ -69,7 +66,6 @@ class SDESpec(ModelSpec):
 
     @property
     def input_filter_reach(self) -> int:
-        """See `ModelSpec.input_filter_reach`."""
         return self.filter_reach
 
 
@@ -150,7 +146,6 @@ class NeuralSDE(Model):
 
     @property
     def capabilities(self) -> Capabilities:
-        """See `Model.capabilities`."""
         return Capabilities(
             has_physics=self.spec.physics,
             is_equation=True,
@@ -364,7 +359,6 @@ class NeuralSDE(Model):
         t0: float | Tensor = 0.0,
         u_before: Tensor | None = None,
     ) -> Tensor:
-        """See `Model.sample`."""
         x0, u = self.checked(x0, u, particles, generator)
         u_before = self.checked_before(u_before, x0)
         if measurement_std is not None and (

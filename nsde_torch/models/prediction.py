@@ -12,8 +12,8 @@ from nsde_torch.arrays import Array
 from nsde_torch.data import Run, Windows
 from nsde_torch.errors import ConfigError, DataError, ShapeError
 from nsde_torch.models.before import sampled
-from nsde_torch.plots.euler import with_angles
-from nsde_torch.plots.evolution import PredictionBand, evolution
+from nsde_torch.plots.data_figure import with_angles
+from nsde_torch.plots.evaluation import PredictionBand, evolution
 from nsde_torch.shown import data_frame, preformatted
 
 if TYPE_CHECKING:

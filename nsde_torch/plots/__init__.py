@@ -3,14 +3,20 @@
 Nothing here touches pyplot or a screen, and matplotlib is imported by the first figure, not by this package.
 """
 
-from nsde_torch.plots.calibration import calibration_curve
-from nsde_torch.plots.comparison import calibration_of_models, rollouts_of_models
 from nsde_torch.plots.data_figure import data_summary
-from nsde_torch.plots.distance import DistanceSlice, distance_map, slice_grid
-from nsde_torch.plots.evolution import PredictionBand, evolution
-from nsde_torch.plots.horizon import horizon_errors
-from nsde_torch.plots.learning_figure import learning_curves
-from nsde_torch.plots.rollouts import rollout_bands
+from nsde_torch.plots.evaluation import (
+    DistanceSlice,
+    PredictionBand,
+    calibration_curve,
+    calibration_of_models,
+    distance_map,
+    evolution,
+    horizon_errors,
+    learning_curves,
+    rollout_bands,
+    rollouts_of_models,
+    slice_grid,
+)
 from nsde_torch.plots.style import save, warn
 
 __all__ = [

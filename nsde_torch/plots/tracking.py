@@ -10,7 +10,7 @@ import numpy as np
 
 from nsde_torch.arrays import Array
 from nsde_torch.errors import ShapeError
-from nsde_torch.plots.euler import roll_pitch_yaw, turns_nearest
+from nsde_torch.plots.data_figure import roll_pitch_yaw, turns_nearest
 from nsde_torch.plots.style import BLACK, BLUE, GREY, VERMILLION, key, model_look, panels, styled
 
 if TYPE_CHECKING:

@@ -29,15 +29,4 @@ __all__ = [
 ]
 
 # the command line reads the names of the sets, and is to load nothing heavy for it
-__getattr__ = resolver(
-    __name__,
-    {
-        "BENCHMARKS": "registry",
-        "BenchmarkMetric": "benchmark",
-        "BenchmarkOutcome": "benchmark",
-        "PublicBenchmark": "benchmark",
-        "PublishedRow": "benchmark",
-        "Trace": "benchmark",
-        "run_benchmark": "running",
-    },
-)
+__getattr__ = resolver(__name__)

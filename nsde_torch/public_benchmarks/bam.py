@@ -26,13 +26,10 @@ from nsde_torch.public_benchmarks.benchmark import (
     PublishedRow,
     Trace,
 )
-from nsde_torch.public_benchmarks.files import found, long_enough
-from nsde_torch.public_benchmarks.ladder import ladder
-from nsde_torch.public_benchmarks.named import diagnosed, words_of
+from nsde_torch.public_benchmarks.files import Work, found, long_enough
+from nsde_torch.public_benchmarks.named import diagnosed, ladder, words_of
 from nsde_torch.public_benchmarks.output_error import Stretches, output_error, simulated, times
-from nsde_torch.public_benchmarks.servo import STEP, ServoPendulum
-from nsde_torch.public_benchmarks.servo_friction import swing
-from nsde_torch.public_benchmarks.work import Work
+from nsde_torch.public_benchmarks.servo import STEP, ServoPendulum, swing
 from nsde_torch.systems.options import system_options
 
 HOME = "data/feetech/STS_3250"
@@ -95,7 +92,6 @@ class Bam(PublicBenchmark):
     minutes = 7
 
     def paths(self, folder: Path) -> list[Path]:
-        """See `PublicBenchmark.paths`."""
         home = folder / HOME if (folder / HOME).is_dir() else folder
         if folder.is_dir() and not (home / "processed").is_dir():
             raise DataError(
@@ -116,7 +112,6 @@ class Bam(PublicBenchmark):
         return [*out, *found(home, models, repository=self.repository)]
 
     def run(self, paths: Sequence[Path], work: Work) -> BenchmarkOutcome:
-        """See `PublicBenchmark.run`."""
         logs = []
         for k, path in enumerate(paths[: -len(MODELS)]):
             work.say("reading", k, len(paths))

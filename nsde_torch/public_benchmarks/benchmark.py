@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from nsde_torch.arrays import Array
-from nsde_torch.public_benchmarks.work import Work
+from nsde_torch.public_benchmarks.files import Work
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,8 @@ from nsde_torch.public_benchmarks.benchmark import (
     PublishedRow,
     Trace,
 )
-from nsde_torch.public_benchmarks.files import found, long_enough, matrices
+from nsde_torch.public_benchmarks.files import Work, found, long_enough, matrices
 from nsde_torch.public_benchmarks.output_error import output_error, simulated, times, windows
-from nsde_torch.public_benchmarks.work import Work
 from nsde_torch.systems import Defaults, ErrorGroup, OneDegreeOfFreedom, ResidualPort
 from nsde_torch.systems.options import system_options
 
@@ -82,11 +81,9 @@ class FreeHysteresis(Law):
         return 1
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Law.term`."""
         return -memory
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.memory_rate`."""
         v = self.v(x)
         bends = self.value("towards") * v.abs() * memory + self.value("away") * v * memory.abs()
         return self.value("stiffness") * v - bends
@@ -168,11 +165,9 @@ class BoucWen(PublicBenchmark):
     minutes = 5
 
     def paths(self, folder: Path) -> list[Path]:
-        """See `PublicBenchmark.paths`."""
         return found(folder, self.files, repository=self.repository)
 
     def run(self, paths: Sequence[Path], work: Work) -> BenchmarkOutcome:
-        """See `PublicBenchmark.run`."""
         names = ("u", "y", "uval_multisine", "yval_multisine", "uval_sinesweep", "yval_sinesweep")
         signals = []
         for path, name, least in zip(

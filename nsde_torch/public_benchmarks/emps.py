@@ -27,10 +27,9 @@ from nsde_torch.public_benchmarks.benchmark import (
     PublishedRow,
     Trace,
 )
-from nsde_torch.public_benchmarks.files import found, long_enough, matrices
+from nsde_torch.public_benchmarks.files import Work, found, long_enough, matrices
 from nsde_torch.public_benchmarks.named import diagnosed, words_of
 from nsde_torch.public_benchmarks.output_error import output_error, simulated, windows
-from nsde_torch.public_benchmarks.work import Work
 from nsde_torch.systems import Defaults, ErrorGroup, OneDegreeOfFreedom, ResidualPort
 from nsde_torch.systems.options import system_options
 
@@ -103,11 +102,9 @@ class Emps(PublicBenchmark):
     minutes = 6
 
     def paths(self, folder: Path) -> list[Path]:
-        """See `PublicBenchmark.paths`."""
         return found(folder, self.files, repository=self.repository)
 
     def run(self, paths: Sequence[Path], work: Work) -> BenchmarkOutcome:
-        """See `PublicBenchmark.run`."""
         (t, q, force), (t_test, q_test, force_test) = (_read(path) for path in paths)
 
         log = filtered_log(t, q, force, step=ROWS / RATE_HZ)

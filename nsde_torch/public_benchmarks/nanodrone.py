@@ -26,10 +26,9 @@ from nsde_torch.public_benchmarks.benchmark import (
     PublishedRow,
     Trace,
 )
-from nsde_torch.public_benchmarks.files import found, long_enough, table
+from nsde_torch.public_benchmarks.files import Work, found, long_enough, table
 from nsde_torch.public_benchmarks.named import diagnosed, words_of
 from nsde_torch.public_benchmarks.output_error import output_error, simulated, times, windows
-from nsde_torch.public_benchmarks.work import Work
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import system_options
 
@@ -126,11 +125,9 @@ class Nanodrone(PublicBenchmark):
     minutes = 5
 
     def paths(self, folder: Path) -> list[Path]:
-        """See `PublicBenchmark.paths`."""
         return found(folder, self.files, repository=self.repository)
 
     def run(self, paths: Sequence[Path], work: Work) -> BenchmarkOutcome:
-        """See `PublicBenchmark.run`."""
         runs = [_read(path) for path in paths]
         train, test = runs[: len(TRAIN) * len(RUNS)], runs[len(TRAIN) * len(RUNS) :]
 

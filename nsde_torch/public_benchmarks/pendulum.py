@@ -27,10 +27,9 @@ from nsde_torch.public_benchmarks.benchmark import (
     PublicBenchmark,
     Trace,
 )
-from nsde_torch.public_benchmarks.files import found, long_enough, table
+from nsde_torch.public_benchmarks.files import Work, found, long_enough, table
 from nsde_torch.public_benchmarks.named import diagnosed, words_of
 from nsde_torch.public_benchmarks.output_error import Stretches, output_error, simulated, times, windows
-from nsde_torch.public_benchmarks.work import Work
 from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
 from nsde_torch.systems.options import system_options
 
@@ -69,7 +68,6 @@ class MotorPendulum(System):
     feature_units = ("1", "1", "rad/s")
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
-        """See `System.dynamics`."""
         acceleration = self.value("torque_gain") * u - self.value("weight") * torch.sin(x[:, :1])
         if Port.TORQUE in forces:
             acceleration = acceleration + forces[Port.TORQUE]
@@ -101,11 +99,9 @@ class TorqueLimitedPendulum(PublicBenchmark):
     minutes = 1
 
     def paths(self, folder: Path) -> list[Path]:
-        """See `PublicBenchmark.paths`."""
         return found(folder, self.files, repository=self.repository)
 
     def run(self, paths: Sequence[Path], work: Work) -> BenchmarkOutcome:
-        """See `PublicBenchmark.run`."""
         (x, u), (x_test, u_test) = (_read(path) for path in paths)
 
         log = RawRun("ddp", times(len(x), STEP), x, u)

@@ -25,11 +25,9 @@ from nsde_torch.public_benchmarks.benchmark import (
     PublishedRow,
     Trace,
 )
-from nsde_torch.public_benchmarks.files import found, long_enough, matrices
-from nsde_torch.public_benchmarks.ladder import ladder
-from nsde_torch.public_benchmarks.named import words_of
+from nsde_torch.public_benchmarks.files import Work, found, long_enough, matrices
+from nsde_torch.public_benchmarks.named import ladder, words_of
 from nsde_torch.public_benchmarks.output_error import output_error, simulated, times, windows
-from nsde_torch.public_benchmarks.work import Work
 from nsde_torch.systems import Defaults, ErrorGroup, OneDegreeOfFreedom, ResidualPort
 from nsde_torch.systems.options import system_options
 
@@ -103,11 +101,9 @@ class Silverbox(PublicBenchmark):
     minutes = 5
 
     def paths(self, folder: Path) -> list[Path]:
-        """See `PublicBenchmark.paths`."""
         return found(folder, self.files, repository=self.repository)
 
     def run(self, paths: Sequence[Path], work: Work) -> BenchmarkOutcome:
-        """See `PublicBenchmark.run`."""
         held = matrices(paths[0], ("V1", "V2"), what="Silverbox")
         u, y = held["V1"], held["V2"]
         long_enough(min(len(u), len(y)), MULTISINE.stop, paths[0])

@@ -33,21 +33,4 @@ __all__ = [
     "open_link",
 ]
 
-__getattr__ = resolver(
-    __name__,
-    {
-        "CascadeController": "flight.path",
-        "FlightOptions": "flight.options",
-        "FlightReport": "flight.flying",
-        "Limits": "flight.options",
-        "Link": "link.connection",
-        "FlightOutcome": "flight.phases",
-        "PathPoints": "flight.path",
-        "PredictiveController": "flight.predictive",
-        "SetpointLimits": "flight.options",
-        "Vehicle": "simulator.vehicle",
-        "fly": "flight.flying",
-        "fly_simulated": "simulator.simulated",
-        "open_link": "link.connection",
-    },
-)
+__getattr__ = resolver(__name__)

@@ -26,18 +26,4 @@ __all__ = [
     "read",
 ]
 
-__getattr__ = resolver(
-    __name__,
-    {
-        "FAULTS": "faults",
-        "Detected": "fault",
-        "Fault": "fault",
-        "LoggedRuns": "fault",
-        "Recorded": "chain",
-        "Recording": "chain",
-        "RecordingOptions": "faults",
-        "RemedyOptions": "faults",
-        "assemble": "reading",
-        "read": "reading",
-    },
-)
+__getattr__ = resolver(__name__)

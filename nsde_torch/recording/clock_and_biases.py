@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.kinematics import (
     ATTITUDE,
     FOLDS,
@@ -26,7 +25,7 @@ from nsde_torch.data.kinematics import (
     pool,
     rates_of,
 )
-from nsde_torch.data.raw import RawRun
+from nsde_torch.data.raw import Finding, RawRun, Report
 from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError, DataError

@@ -16,11 +16,9 @@ from itertools import permutations
 import numpy as np
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.findings import Finding, Report
-from nsde_torch.data.mapping.checks import LEAN, SUSPECT, VECTORS, checks
-from nsde_torch.data.mapping.misread import percent
+from nsde_torch.data.mapping.checks import LEAN, SUSPECT, VECTORS, checks, percent
 from nsde_torch.data.quaternion import conjugate, continuous_signs, increments, rotate
-from nsde_torch.data.raw import RawRun
+from nsde_torch.data.raw import Finding, RawRun, Report
 from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_columns
 from nsde_torch.errors import DataError, ShapeError

@@ -361,7 +361,7 @@ class RotorSpeed(Fault):
 
     def undo_raw(self, run: RawRun, system: SystemInfo, values: Mapping[str, float]) -> None:
         """Values by name of an input, or by the common name of several."""
-        from nsde_torch.data.findings import Finding
+        from nsde_torch.data.raw import Finding
 
         names = list(system.input_names)
         u = run.u.copy()

@@ -33,8 +33,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import percentile_filter
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.findings import Finding, Report
-from nsde_torch.data.raw import RawRun
+from nsde_torch.data.raw import Finding, RawRun, Report
 from nsde_torch.data.system_info import SystemInfo, rate_pairs
 from nsde_torch.errors import DataError
 

@@ -19,8 +19,7 @@ import numpy as np
 
 from nsde_torch.arrays import Array
 from nsde_torch.data import inputs, interventions, kinematics
-from nsde_torch.data.findings import Finding, Report
-from nsde_torch.data.raw import RawRun
+from nsde_torch.data.raw import Finding, RawRun, Report
 from nsde_torch.data.readers import READERS, Kind, name_of, reader
 from nsde_torch.data.run import DataSet, Run, fingerprint
 from nsde_torch.data.summary import summarise

@@ -32,9 +32,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.quaternion import increments
-from nsde_torch.data.raw import RawRun, holes
+from nsde_torch.data.raw import Finding, RawRun, Report, holes
 from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import SystemInfo, rate_columns, rate_pairs
 from nsde_torch.errors import DataError

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.findings import Finding, Report
 from nsde_torch.data.quaternion import slerp
-from nsde_torch.data.raw import RawRun, holes
+from nsde_torch.data.raw import Finding, RawRun, Report, holes
 from nsde_torch.data.run import DataSet, Run, fingerprint
 from nsde_torch.data.streams import disorder
 from nsde_torch.data.summary import summarise

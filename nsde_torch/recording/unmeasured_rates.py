@@ -1,6 +1,6 @@
 """Rates that no sensor measured: their columns are missing, or somebody differentiated the position column.
 
-Rates are inferred from the positions (`nsde_torch.data.tracking`), and marked (`Run.inferred`): identification and
+Rates are inferred from the positions (`nsde_torch.data.kinematics`), and marked (`Run.inferred`): identification and
 diagnosis infer them again, with the physics (`nsde_torch.sysid.identify`), and take equations of the positions.
 
 A rate v that was made of the position q by a linear filter, v = W q, holds the noise of q as W lets it through. The
@@ -22,11 +22,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.findings import Finding, Report
-from nsde_torch.data.raw import RawRun
+from nsde_torch.data.kinematics import rates
+from nsde_torch.data.raw import Finding, RawRun, Report
 from nsde_torch.data.run import Run
 from nsde_torch.data.system_info import SystemInfo, changed, rate_pairs
-from nsde_torch.data.tracking import rates
 from nsde_torch.errors import ConfigError, DataError
 
 POLICIES = ("infer", "keep")

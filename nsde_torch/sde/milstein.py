@@ -44,7 +44,6 @@ class MilsteinItoFree(Step):
     summary = "Ito, derivative-free, strong order 1 on uncoupled noise, one drift and two diffusions"
 
     def advance(self, sde: SDE, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
-        """See `Step.advance`."""
         assert dw is not None
         root = dt**0.5
         g = sde.diffusion(t, z, u)
@@ -68,7 +67,6 @@ class MilsteinStratonovichFree(Step):
     summary = "Stratonovich, derivative-free, strong order 1 on uncoupled noise, one drift and two diffusions"
 
     def advance(self, sde: SDE, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
-        """See `Step.advance`."""
         assert dw is not None
         g = sde.diffusion(t, z, u)
         predicted = z + sde.drift(t, z, u) * dt
@@ -89,7 +87,6 @@ class MilsteinIto(Step):
     summary = "Ito, exact slopes of g, strong order 1 on uncoupled noise"
 
     def advance(self, sde: SDE, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
-        """See `Step.advance`."""
         assert dw is not None
         g, slope = diffusion_and_slope(sde, t, z, u)
         return z + sde.drift(t, z, u) * dt + g * (dw + 0.5 * slope * (dw * dw - dt))
@@ -109,7 +106,6 @@ class MilsteinStratonovich(Step):
     summary = "Stratonovich, exact slopes of g, strong order 1 on uncoupled noise"
 
     def advance(self, sde: SDE, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
-        """See `Step.advance`."""
         assert dw is not None
         g, slope = diffusion_and_slope(sde, t, z, u)
         return z + sde.drift(t, z, u) * dt + g * (dw + 0.5 * slope * (dw * dw))

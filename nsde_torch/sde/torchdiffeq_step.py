@@ -52,7 +52,6 @@ class TorchDiffEq(Step):
         self.method, self.rtol, self.atol, self.adjoint = method, rtol, atol, adjoint
 
     def advance(self, sde: SDE, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
-        """See `Step.advance`."""
         ends = torch.stack((torch.zeros_like(z[0, 0]), torch.ones_like(z[0, 0]) * dt)).detach()
         options: dict[str, Any] = {"method": self.method, "rtol": self.rtol, "atol": self.atol}
         if not self.adjoint:

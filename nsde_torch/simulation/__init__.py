@@ -11,11 +11,10 @@ if TYPE_CHECKING:
     from nsde_torch.simulation.flights import manual_flights
     from nsde_torch.simulation.generate import Simulation, simulate
     from nsde_torch.simulation.learned_plant import LearnedPlant
-    from nsde_torch.simulation.make import Making, make_plant
+    from nsde_torch.simulation.make import Making, make_plant, record
     from nsde_torch.simulation.mass_spring_damper import spring_runs
     from nsde_torch.simulation.options import ReplayOptions
     from nsde_torch.simulation.plant import Plant
-    from nsde_torch.simulation.recorder import record
     from nsde_torch.simulation.registry import simulated
     from nsde_torch.simulation.replay import Replay
 
@@ -38,24 +37,4 @@ __all__ = [
     "write",
 ]
 
-__getattr__ = resolver(
-    __name__,
-    {
-        "LearnedPlant": "learned_plant",
-        "Making": "make",
-        "Plant": "plant",
-        "Replay": "replay",
-        "ReplayOptions": "options",
-        "Simulation": "generate",
-        "SwingUp": "cartpole",
-        "cartpole_episodes": "cartpole",
-        "excited_runs": "excitation",
-        "make_plant": "make",
-        "manual_flights": "flights",
-        "record": "recorder",
-        "simulate": "generate",
-        "simulated": "registry",
-        "spring_runs": "mass_spring_damper",
-        "write": "files",
-    },
-)
+__getattr__ = resolver(__name__)

@@ -22,11 +22,10 @@ from torch import Tensor
 
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
-from nsde_torch.simulation.make import Making, make_plant, plant_options
-from nsde_torch.simulation.recorder import record
+from nsde_torch.simulation.make import Making, make_plant, plant_options, record
 from nsde_torch.systems import Cartpole
-from nsde_torch.systems.cartpole import GRAVITY
 from nsde_torch.systems.machines import Effects, make_plant_system
+from nsde_torch.systems.one_dof import GRAVITY
 
 DURATIONS = (4.0,) * 20
 POLICIES = ("mixed", "random", "on_policy")

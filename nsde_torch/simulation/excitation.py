@@ -14,8 +14,7 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
 from nsde_torch.lookup import function_by_name
 from nsde_torch.simulation import Making, make_plant
-from nsde_torch.simulation.make import plant_options
-from nsde_torch.simulation.recorder import record
+from nsde_torch.simulation.make import plant_options, record
 from nsde_torch.systems import system_class
 from nsde_torch.systems.machine import Excitation, Machine
 from nsde_torch.systems.machines import Effects, machine

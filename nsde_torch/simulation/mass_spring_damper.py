@@ -18,8 +18,7 @@ import torch
 
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
-from nsde_torch.simulation.make import Making, make_plant, plant_options
-from nsde_torch.simulation.recorder import record
+from nsde_torch.simulation.make import Making, make_plant, plant_options, record
 from nsde_torch.systems.machines import Effects
 
 DURATIONS = (5.0,) * 5

@@ -11,15 +11,14 @@ import numpy as np
 import torch
 
 from nsde_torch.arrays import Array
-from nsde_torch.control.waypoints import from_csv
-from nsde_torch.data.csv_rows import csv_rows
+from nsde_torch.control.shapes import from_csv
+from nsde_torch.data.csv_folder import csv_rows
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.simulation.battery import battery_column
 from nsde_torch.simulation.flights import fly_logged
-from nsde_torch.simulation.make import Making, make_plant, noise_generator, plant_options
+from nsde_torch.simulation.make import Making, make_plant, noise_generator, plant_options, record
 from nsde_torch.simulation.pilot import Path as Wanted
-from nsde_torch.simulation.recorder import record
 from nsde_torch.systems.machines import Effects, machine
 
 PLAN, DESIGN = "plan.csv", "design.json"
@@ -85,7 +84,7 @@ def planned_flights(
     making: Making | None = None,
     plan: str,
 ) -> list[RawRun]:
-    """One flight of a plan for each duration, along a path through points (`nsde_torch.control.waypoints.from_csv`).
+    """One flight of a plan for each duration, along a path through points (`nsde_torch.control.shapes.from_csv`).
 
     Arguments and errors are those of `planned_runs`; there is no start, because a flight begins at its first point.
     """

@@ -20,7 +20,7 @@ from nsde_torch.sde import Calculus, Time, make_step
 from nsde_torch.simulation.noise import Gusts, Sensor
 from nsde_torch.systems import System
 from nsde_torch.systems.frozen import frozen
-from nsde_torch.systems.machines import Gust
+from nsde_torch.systems.machine import Gust
 
 
 @final

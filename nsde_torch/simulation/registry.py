@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from nsde_torch.control.waypoints import from_csv
+from nsde_torch.control.shapes import from_csv
 from nsde_torch.data import DataSet, RawRun, SystemInfo
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import assemble

@@ -305,7 +305,7 @@ def _frames(system: System, q: slice) -> Iterator[Reading]:
         yield Reading(
             f"{names} in {unit}", f"multiply {names} by {size:g}: metres, SI", world(size * np.eye(3))
         )
-    remedy = "write ENU and FLU (`nsde_torch.data.frames`)"
+    remedy = "write ENU and FLU (`nsde_torch.data.quaternion`)"
     yield Reading("all states in NED and FRD", remedy, _states(whole))
     remedy = "write the attitude and the rates of FLU axes"
     yield Reading("the attitude and the rates of a body in FRD", remedy, _states(of_body))

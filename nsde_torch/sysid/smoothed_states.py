@@ -56,10 +56,9 @@ from nsde_torch.data.quaternion import conjugate, multiply, rotation_vector
 from nsde_torch.data.system_info import channel_columns, derivative_columns, rate_columns
 from nsde_torch.recording import smoothers
 from nsde_torch.recording.faults import remedies
-from nsde_torch.recording.latency import Latency, late_channels, latencies, surely_late
+from nsde_torch.recording.latency import Latency, late_channels, latencies, on_one_clock, surely_late
 from nsde_torch.recording.noise import grains
 from nsde_torch.recording.smoothers import Likely, Smoother, Spectra, SpectrumFit
-from nsde_torch.recording.stream_offsets import on_one_clock
 from nsde_torch.recording.times import is_longer, on_longer_step
 from nsde_torch.recording.unmeasured_rates import measured_part
 from nsde_torch.rotation import turned

@@ -6,14 +6,13 @@ from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
     from nsde_torch.systems.base import System
-    from nsde_torch.systems.cartpole import Cartpole
-    from nsde_torch.systems.constants import Defaults, ErrorGroup, ResidualPort
     from nsde_torch.systems.machine import Excitation, Gust, Machine
     from nsde_torch.systems.machines import MACHINES, make_plant_system
     from nsde_torch.systems.multirotor import Hexacopter, Multirotor, Quadrotor
-    from nsde_torch.systems.one_dof import MassSpringDamper, OneDegreeOfFreedom
+    from nsde_torch.systems.one_dof import Cartpole, MassSpringDamper, OneDegreeOfFreedom
     from nsde_torch.systems.options import SystemOptions
     from nsde_torch.systems.registry import SYSTEMS, make_system, system_class
+    from nsde_torch.systems.values import Defaults, ErrorGroup, ResidualPort
 
 __all__ = [
     "MACHINES",
@@ -37,27 +36,4 @@ __all__ = [
     "system_class",
 ]
 
-__getattr__ = resolver(
-    __name__,
-    {
-        "MACHINES": "machines",
-        "SYSTEMS": "registry",
-        "Cartpole": "cartpole",
-        "Defaults": "constants",
-        "ErrorGroup": "constants",
-        "Excitation": "machine",
-        "Gust": "machine",
-        "Hexacopter": "multirotor",
-        "Machine": "machine",
-        "MassSpringDamper": "one_dof",
-        "Multirotor": "multirotor",
-        "OneDegreeOfFreedom": "one_dof",
-        "Quadrotor": "multirotor",
-        "ResidualPort": "constants",
-        "System": "base",
-        "SystemOptions": "options",
-        "make_plant_system": "machines",
-        "make_system": "registry",
-        "system_class": "registry",
-    },
-)
+__getattr__ = resolver(__name__)

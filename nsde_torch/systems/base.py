@@ -20,9 +20,8 @@ from nsde_torch.effects.coordinates import Bound
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.systems import coordinates as coordinates_of
 from nsde_torch.systems import memory as memory_of
-from nsde_torch.systems.constants import Defaults, ErrorGroup, ResidualPort
 from nsde_torch.systems.machine import Machine
-from nsde_torch.systems.values import split_values
+from nsde_torch.systems.values import Defaults, ErrorGroup, ResidualPort, split_values
 from nsde_torch.systems.vocabulary import given
 
 

@@ -16,8 +16,7 @@ from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import Law
 from nsde_torch.effects.registry import effect_class, make_effect
 from nsde_torch.errors import ConfigError
-from nsde_torch.systems.constants import ErrorGroup
-from nsde_torch.systems.values import Numbers
+from nsde_torch.systems.values import ErrorGroup, Numbers
 from nsde_torch.systems.vocabulary import offered, vocabulary
 
 if TYPE_CHECKING:

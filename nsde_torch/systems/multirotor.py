@@ -36,7 +36,7 @@ from nsde_torch.rotation import (
     rotation_between,
 )
 from nsde_torch.systems.base import System
-from nsde_torch.systems.constants import Defaults, ErrorGroup, ResidualPort
+from nsde_torch.systems.values import Defaults, ErrorGroup, ResidualPort
 
 GRAVITY = 9.81
 _DEGREES = 180.0 / pi
@@ -131,7 +131,6 @@ class Multirotor(System):
         self.register_buffer("gravity", torch.tensor([0.0, 0.0, -GRAVITY]), persistent=False)
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
-        """See `System.dynamics`."""
         _, v, q, omega = split_columns(x, *_PARTS)
         thrust, moments = self._thrust_and_moments(u)
         angular = self._angular(omega, moments)
@@ -148,7 +147,6 @@ class Multirotor(System):
         return join_columns((v, acceleration, quaternion_rate(q, omega), angular))
 
     def quantity(self, name: str, x: Tensor, u: Tensor) -> Tensor:
-        """See `System.quantity`."""
         if name == "spin":
             return (u * self.mix[:, 3]).sum(1, keepdim=True)
         if name == "inertia":

@@ -2,7 +2,7 @@
 
 SYSTEM_HOMES: dict[str, str] = {
     "mass_spring_damper": "nsde_torch.systems.one_dof:MassSpringDamper",
-    "cartpole": "nsde_torch.systems.cartpole:Cartpole",
+    "cartpole": "nsde_torch.systems.one_dof:Cartpole",
     "hexacopter": "nsde_torch.systems.multirotor:Hexacopter",
     "quadrotor": "nsde_torch.systems.multirotor:Quadrotor",
 }

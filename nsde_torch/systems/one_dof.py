@@ -5,14 +5,15 @@ the parameters are k/m, b/m and 1/m.
 """
 
 from collections.abc import Mapping
+from math import pi
 from typing import ClassVar, final
 
 import torch
 from torch import Tensor
 
-from nsde_torch.effects import Parameter, Port
+from nsde_torch.effects import Coordinate, Parameter, Port
 from nsde_torch.systems.base import System
-from nsde_torch.systems.constants import Defaults, ErrorGroup, ResidualPort
+from nsde_torch.systems.values import Defaults, ErrorGroup, ResidualPort
 
 
 class OneDegreeOfFreedom(System):
@@ -28,7 +29,6 @@ class OneDegreeOfFreedom(System):
     sensor_noise = True
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
-        """See `System.dynamics`."""
         acceleration = self.value(self.gain) * u
         if Port.FORCE in forces:
             acceleration = acceleration + forces[Port.FORCE]
@@ -63,3 +63,98 @@ class MassSpringDamper(OneDegreeOfFreedom):
     def physics_ports(self) -> set[Port]:
         """The force, unless spring and damper were taken out (`declared=[]`)."""
         return {effect.port for effect in self.effects}  # type: ignore[misc]
+
+
+# Cart and pole, theta = 0 upright, a uniform pole of half-length l on a cart.
+#
+# With M the total and m the pole's mass (Barto, Sutton, Anderson 1983, as in the gym cartpole):
+#
+#     a      = (F + m l theta'^2 sin theta) / M
+#     theta'' = (g sin theta - a cos theta) / (l (4/3 - m cos^2 theta / M))
+#     x''     = a - m l theta'' cos theta / M
+#
+# Only 1/M, m/M and l can be told from motion; these are the parameters. Forces on the port `force` add to a
+# [m/s2]; on `torque`, a torque about the pivot over the pole's inertia about it, 4/3 m l^2, to g sin theta /
+# (4/3 l) [rad/s2], so that a cart that is free to move gives way to it; on `world_force` (what pulls cart and
+# pole alike, so that the pole does not turn) to x'' [m/s2]; what adds to `angle` is the angle at which all
+# this is meant [rad].
+
+GRAVITY = 9.8
+_FRICTION = ("coulomb_friction", "viscous_friction")
+_OF_THE_CART = (
+    *_FRICTION,
+    "asymmetric_friction",
+    "stribeck_friction",
+    "quadratic_damping",
+    "linear_spring",
+    "cubic_stiffness",
+    "constant_force",
+    "periodic_force",
+)
+
+
+@final
+class Cartpole(System):
+    """A pole on a cart that a force pushes."""
+
+    name = "cartpole"
+    state_names = ("x", "x_dot", "theta", "theta_dot")
+    state_units = ("m", "m/s", "rad", "rad/s")
+    input_names = ("force",)
+    input_units = ("N",)
+    ports = {Port.FORCE: 1, Port.TORQUE: 1, Port.WORLD_FORCE: 1, Port.ANGLE: 1}
+    residual_ports = {Port.FORCE: ResidualPort(1, 0.5, "m/s2"), Port.TORQUE: ResidualPort(1, 1.0, "rad/s2")}
+    defaults = Defaults(0.02, 30, (0.001, 0.01, 0.005, 0.01), 0.05, 1.0, "euler_maruyama")
+    error_names = state_names
+    error_groups = (
+        ErrorGroup("position", (0,), "m"),
+        ErrorGroup("velocity", (1,), "m/s"),
+        ErrorGroup("attitude", (2,), "deg", 180.0 / pi),
+        ErrorGroup("rate", (3,), "rad/s"),
+    )
+    feature_names = ("x_dot", "sin_theta", "cos_theta", "theta_dot")
+    feature_units = ("m/s", "1", "1", "rad/s")
+    places = (0,)
+    sensor_noise = True
+    position_derivatives = (("x", "x_dot", "world"), ("theta", "theta_dot", "world"))
+    coordinates = (
+        Coordinate("cart", "x_dot", Port.FORCE, position="x", kind="rail", words="the cart"),
+        Coordinate("pole", "theta_dot", Port.TORQUE, position="theta", kind="axis", words="the pole"),
+    )
+    older_names = {
+        **{f"{body}_{law}": f"{law}[{body}]" for body in ("cart", "pole") for law in _FRICTION},
+        **{law: f"{law}[cart]" for law in _OF_THE_CART},
+    }
+    PARAMETERS = {
+        "force_gain": Parameter(0.9, "1/kg", low=0.0, help="1 / total mass"),
+        "pole_share": Parameter(0.1, "1", low=0.0, high=0.95, help="pole mass over total mass"),
+        "half_length": Parameter(0.5, "m", low=0.02, help="half the length of the pole"),
+    }
+
+    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
+        x_dot, theta, theta_dot = x[:, 1:2], x[:, 2:3], x[:, 3:4]
+        if Port.ANGLE in forces:
+            theta = theta + forces[Port.ANGLE]
+        share, length = self.value("pole_share"), self.value("half_length")
+        sin, cos = torch.sin(theta), torch.cos(theta)
+        a = self.value("force_gain") * u + share * length * theta_dot * theta_dot * sin
+        if Port.FORCE in forces:
+            a = a + forces[Port.FORCE]
+        turning = (GRAVITY * sin - cos * a) / length
+        if Port.TORQUE in forces:
+            turning = turning + 4.0 / 3.0 * forces[Port.TORQUE]
+        theta_acc = turning / (4.0 / 3.0 - share * cos * cos)
+        x_acc = a - share * length * theta_acc * cos
+        if Port.WORLD_FORCE in forces:
+            x_acc = x_acc + forces[Port.WORLD_FORCE]
+        return torch.cat((x_dot, x_acc, theta_dot, theta_acc), 1)
+
+    def features(self, x: Tensor) -> Tensor:
+        """Speeds and the direction of the pole: the physics does not change along the track."""
+        return torch.cat((x[:, 1:2], torch.sin(x[:, 2:3]), torch.cos(x[:, 2:3]), x[:, 3:4]), 1)
+
+    def error(self, predicted: Tensor, measured: Tensor) -> Tensor:
+        """Differences, that of the angle the short way round."""
+        d = predicted - measured
+        angle = torch.remainder(d[..., 2:3] + pi, 2 * pi) - pi
+        return torch.cat((d[..., :2], angle, d[..., 3:]), -1)

@@ -11,14 +11,4 @@ if TYPE_CHECKING:
 
 __all__ = ["LossOptions", "TrainerOptions", "Training", "filter_reach", "model_spec", "train"]
 
-__getattr__ = resolver(
-    __name__,
-    {
-        "LossOptions": "options",
-        "TrainerOptions": "options",
-        "Training": "session",
-        "filter_reach": "structure",
-        "model_spec": "structure",
-        "train": "session",
-    },
-)
+__getattr__ = resolver(__name__)

@@ -50,7 +50,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.evaluation.scores import crps
-from nsde_torch.models.distance import Distance
+from nsde_torch.models.networks import Distance
 from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.training.options import LossOptions
 

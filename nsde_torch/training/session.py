@@ -16,7 +16,7 @@ from tqdm.auto import tqdm
 from nsde_torch.data import DataSet, Run, Split
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.evaluation import seen
-from nsde_torch.evaluation.calibration import Coverage, extrapolate, widen
+from nsde_torch.evaluation.figures import Coverage, extrapolate, widen
 from nsde_torch.evaluation.metrics import evaluate, horizons_of
 from nsde_torch.evaluation.one_step import one_step_table
 from nsde_torch.evaluation.report import (

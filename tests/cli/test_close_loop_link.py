@@ -12,8 +12,8 @@ import torch
 
 from nsde_torch.cli.closed_loop import experiments, loop, machines
 from nsde_torch.cli.main import main
-from nsde_torch.control.waypoints import waypoints
-from nsde_torch.design.files import write_plan
+from nsde_torch.control.shapes import waypoints
+from nsde_torch.design.experiment import write_plan
 from nsde_torch.effects import files
 from nsde_torch.px4.flight.path import CascadeController, PathPoints
 from nsde_torch.px4.flight.phases import Phase
@@ -21,7 +21,7 @@ from nsde_torch.px4.flight.runner import Inline
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
-from nsde_torch.px4.simulator.virtual import VirtualLink
+from nsde_torch.px4.simulator.simulated import VirtualLink
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from nsde_torch.cli.exit_status import FLIGHT_ENDED, INTERRUPTED, NOT_LANDED, EndedError
-from nsde_torch.cli.flight_end import check_end
+from nsde_torch.cli.link_build import check_end
 from nsde_torch.px4.flight.phases import FlightOutcome, Phase
 from nsde_torch.px4.flight.safety import Action, Trouble
 from nsde_torch.px4.link.transport import LinkError

@@ -19,7 +19,7 @@ from nsde_torch.px4.link import connection as links
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
-from nsde_torch.px4.simulator.virtual import VirtualLink
+from nsde_torch.px4.simulator.simulated import VirtualLink
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 

@@ -13,7 +13,7 @@ import yaml
 import nsde_torch
 from nsde_torch.cli.commands import inspect as command
 from nsde_torch.cli.main import main
-from nsde_torch.data.frames import attitude_to_enu, swap_body, swap_world
+from nsde_torch.data.quaternion import attitude_to_enu, swap_body, swap_world
 from nsde_torch.systems import make_system
 from tests.helpers import log_writers
 from tests.helpers.leaning import leaning_flight

@@ -9,8 +9,8 @@ import sympy
 import torch
 
 from nsde_torch.control import compiled
+from nsde_torch.control.autopilots import Estimator, EstimatorOptions
 from nsde_torch.control.compiled import NoCompiler, Stage, compile_ahead, quick_indices
-from nsde_torch.control.estimator import Estimator, EstimatorOptions
 from nsde_torch.control.gauss_newton import GaussNewton
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.reference import Reference

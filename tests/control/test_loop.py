@@ -7,12 +7,10 @@ import math
 import pytest
 import torch
 
-from nsde_torch.control.autopilots import CascadePilot, PredictivePilot
-from nsde_torch.control.estimator import EstimatorOptions
-from nsde_torch.control.loop import Flight, fly
+from nsde_torch.control.autopilots import CascadePilot, EstimatorOptions, PredictivePilot
+from nsde_torch.control.loop import Flight, fly, summarise
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.shapes import hover, lemniscate
-from nsde_torch.control.summary import summarise
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import NeuralSDE
 from nsde_torch.simulation import make_plant

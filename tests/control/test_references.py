@@ -12,10 +12,9 @@ from scipy.interpolate import BSpline, make_interp_spline
 from nsde_torch.control import feasible
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.reference import FlightPath, Reference
-from nsde_torch.control.shapes import circle, hover, lemniscate
-from nsde_torch.control.waypoints import from_csv, waypoints
+from nsde_torch.control.shapes import circle, from_csv, hover, lemniscate, waypoints
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.plots.euler import roll_pitch_yaw
+from nsde_torch.plots.data_figure import roll_pitch_yaw
 from nsde_torch.rotation import gravity_direction, rotate_back
 from nsde_torch.systems import System
 

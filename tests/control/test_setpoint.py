@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import torch
 
+from nsde_torch.control.controller import setpoints
 from nsde_torch.control.reference import Reference
-from nsde_torch.control.setpoint import setpoints
 from nsde_torch.systems import Multirotor, System
 from tests.helpers.control_problems import controller_of
 

@@ -7,9 +7,8 @@ import pytest
 import torch
 from scipy.optimize import minimize
 
-from nsde_torch.control.gauss_newton import GaussNewton
-from nsde_torch.control.gradient import AcceleratedGradient
-from nsde_torch.control.horizon import Horizon
+from nsde_torch.control.gauss_newton import AcceleratedGradient, GaussNewton
+from nsde_torch.control.problem import Horizon
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.solve import Problem, Solution, Solver, SolverOptions
 from nsde_torch.errors import ConfigError

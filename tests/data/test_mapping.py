@@ -9,12 +9,11 @@ import pytest
 import yaml
 
 from nsde_torch.data.formats.log import StreamLog
-from nsde_torch.data.mapping.apply import apply
+from nsde_torch.data.mapping.apply import apply, order
 from nsde_torch.data.mapping.checks import checks
 from nsde_torch.data.mapping.kinematic import lean
 from nsde_torch.data.mapping.mapping import LogMapping, mapping_of, read_mapping, text
-from nsde_torch.data.mapping.numbering import order
-from nsde_torch.data.mapping.units import factor
+from nsde_torch.data.mapping.names import factor
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.streams import Stream, commands
 from nsde_torch.errors import ConfigError, DataError

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nsde_torch.data.frames import attitude_to_enu, swap_body, swap_world
-from nsde_torch.data.quaternion import rotate
+from nsde_torch.data.quaternion import attitude_to_enu, rotate, swap_body, swap_world
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import read
 from tests.helpers.data_systems import CARTPOLE, QUADROTOR, multirotor

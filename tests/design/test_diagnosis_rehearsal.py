@@ -11,7 +11,7 @@ import pytest
 from nsde_torch.data import Run
 from nsde_torch.design import diagnosis_rehearsal
 from nsde_torch.design.diagnosis_rehearsal import Rehearsal, _raw, following, rehearse, replayed
-from nsde_torch.design.rollout import Rollouts
+from nsde_torch.design.members import Rollouts
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.report import page

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from nsde_torch.design.members import Rollouts
 from nsde_torch.design.proposals import Precision, Separation
-from nsde_torch.design.rollout import Rollouts
 from tests.helpers.ties import DT, Tie
 
 HOLD = np.repeat([[0.1], [-0.1], [0.0]], 25, 0)  # stands still: the steady push is felt, or is not there

@@ -11,7 +11,7 @@ import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.design import Question
 from nsde_torch.design.designing import members_of
-from nsde_torch.design.files import write_plan
+from nsde_torch.design.experiment import write_plan
 from nsde_torch.design.flown import evidence
 from nsde_torch.design.members import Member
 from nsde_torch.design.rehearsal import against, fit_all

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from nsde_torch.control.waypoints import from_csv
-from nsde_torch.design.files import write_plan
+from nsde_torch.control.shapes import from_csv
+from nsde_torch.design.experiment import write_plan
 from nsde_torch.design.limits import ExperimentLimits
+from nsde_torch.design.members import Rollouts
 from nsde_torch.design.paths import SIDE, UP, FlownPaths, Paths, point_times
-from nsde_torch.design.rollout import Rollouts
 from nsde_torch.systems import Multirotor, make_system
 
 DT = 0.02

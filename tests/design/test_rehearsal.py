@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from nsde_torch.data import Run
-from nsde_torch.design.members import Branch
+from nsde_torch.design.members import Branch, Rollouts, as_run, open_loop
 from nsde_torch.design.rehearsal import against, fit_all
-from nsde_torch.design.rollout import Rollouts, as_run, open_loop
 from nsde_torch.inference.posterior import LogWithPrior
 from tests.helpers.ties import DT, Tie
 

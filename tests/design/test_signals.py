@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nsde_torch.design.limits import ExperimentLimits
-from nsde_torch.design.signals import Signals
+from nsde_torch.design.proposals import Signals
 
 
 @pytest.fixture

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nsde_torch.effects.expression_forms import latex, sympy_text, valued
-from nsde_torch.effects.expression_grammar import in_text, is_law, parse
+from nsde_torch.effects.expression_grammar import in_text, is_law, latex, parse, sympy_text, valued
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import System, make_system
 

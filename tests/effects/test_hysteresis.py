@@ -8,7 +8,7 @@ import torch
 from scipy.integrate import solve_ivp
 
 from nsde_torch.effects import make_effect
-from nsde_torch.effects.hysteresis import Hysteresis, InputPlay
+from nsde_torch.effects.friction import Hysteresis, InputPlay
 from tests.helpers.effect_contract import EffectContract
 
 DT = 0.01

@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from nsde_torch.data import Run, Windows
-from nsde_torch.evaluation.open_loop import rollout_squares
-from nsde_torch.evaluation.scores import score
+from nsde_torch.evaluation.scores import rollout_squares, score
 from nsde_torch.models import IdentifiedModel, NeuralSDE, SDESpec, SysidSpec
 from nsde_torch.models.before import inputs_before
 from nsde_torch.systems import make_system

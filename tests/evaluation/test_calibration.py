@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from nsde_torch.data import Run
-from nsde_torch.evaluation.calibration import Coverage, extrapolate, widen
+from nsde_torch.evaluation.figures import Coverage, extrapolate, widen
 from tests.helpers.toy_systems import Decay, decay_runs, fix_sigma, make_model
 
 SIGMA = 0.5

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from nsde_torch.data import Run, Windows
-from nsde_torch.evaluation.open_loop import rollout_squares, squares_by_fold
+from nsde_torch.evaluation.scores import rollout_squares, squares_by_fold
 from nsde_torch.models import IdentifiedModel, SysidSpec
 from nsde_torch.systems.parameters import ParameterVector
 from tests.models.test_inputs_before import DT, VALUES, flight

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from nsde_torch.evaluation.spectra import Disturbance, fit, spectrum
+from nsde_torch.evaluation.one_step import Disturbance, fit, spectrum
 from nsde_torch.sysid.noise import Series
 
 H, N = 0.01, 6000

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.errors import NonFiniteError
-from nsde_torch.experiments.sampled import PARTICLES, rollout
+from nsde_torch.experiments.outcome import PARTICLES, rollout
 from nsde_torch.experiments.spring import SECONDS, state_evolution, together
 from nsde_torch.models import Model, NeuralSDE, SDESpec
 

@@ -6,9 +6,8 @@ import torch
 from torch import Tensor
 
 from nsde_torch.control.controller import Controller, SafetyOptions
-from nsde_torch.control.horizon import Horizon
 from nsde_torch.control.predictor import Predictor
-from nsde_torch.control.problem import ProblemOptions
+from nsde_torch.control.problem import Horizon, ProblemOptions
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.solve import Problem, SolverOptions
 from nsde_torch.models import NeuralSDE

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data.frames import attitude_to_enu, swap_body, swap_world
-from nsde_torch.data.quaternion import conjugate, euler_zyx, rotate
+from nsde_torch.data.quaternion import attitude_to_enu, conjugate, euler_zyx, rotate, swap_body, swap_world
 from nsde_torch.data.raw import RawRun
 
 Array = NDArray[np.float64]

@@ -9,9 +9,8 @@ import numpy as np
 from nsde_torch.data import Run
 from nsde_torch.design import Question
 from nsde_torch.design.limits import limits_of
-from nsde_torch.design.members import Member
+from nsde_torch.design.members import Member, open_loop
 from nsde_torch.design.rehearsal import Rehearsed, rehearse
-from nsde_torch.design.rollout import open_loop
 from nsde_torch.systems import System
 
 BIASED, SIDED = ("coulomb_friction", "constant_force"), ("asymmetric_friction",)

@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from nsde_torch.models.chart import Chart
+from nsde_torch.models.ensemble import Chart
 from nsde_torch.systems import make_system
 
 SYSTEMS = ("mass_spring_damper", "cartpole", "hexacopter", "quadrotor")

@@ -6,9 +6,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from nsde_torch.models.diffusion import FAR_SHARE, START_SHARE, Diffusion
-from nsde_torch.models.distance import Distance
-from nsde_torch.models.networks import MLP, Standardise
+from nsde_torch.models.networks import FAR_SHARE, MLP, START_SHARE, Diffusion, Distance, Standardise
 from nsde_torch.training.losses import distance_losses, draw_ball
 
 

@@ -14,8 +14,8 @@ from torch.distributions import Categorical, Independent, MixtureSameFamily, Nor
 import nsde_torch
 from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
 from nsde_torch.models import EnsembleSpec, GaussianEnsemble, make_spec
+from nsde_torch.models.ensemble import StackedMLP
 from nsde_torch.models.run_directory import save
-from nsde_torch.models.stacked import StackedMLP
 from tests.helpers.toy_systems import DT
 
 DECAY = "tests.helpers.toy_systems:Decay"

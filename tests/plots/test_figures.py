@@ -26,7 +26,7 @@ from nsde_torch.plots import (
     save,
     slice_grid,
 )
-from nsde_torch.plots.euler import roll_pitch_yaw, turns_nearest
+from nsde_torch.plots.data_figure import roll_pitch_yaw, turns_nearest
 from nsde_torch.plots.style import thin
 from nsde_torch.systems import SYSTEMS
 from tests.helpers.flights import flight

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.policy import BatchEnvironment, Dynamics, make_task, make_truth
-from nsde_torch.policy.truth import PUBLISHED_VARIANCES, PlantDynamics
+from nsde_torch.policy.learned import PUBLISHED_VARIANCES, PlantDynamics
 from nsde_torch.recording import read
 from nsde_torch.simulation import make_plant
 from nsde_torch.systems import make_system

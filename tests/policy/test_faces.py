@@ -16,8 +16,7 @@ pytest.importorskip("stable_baselines3", reason="needs the extra nsde_torch[poli
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common import env_checker as sb3_checker
 
-from nsde_torch.policy.single_env import PolicyEnv
-from nsde_torch.policy.vec_env import PolicyVecEnv
+from nsde_torch.policy.vec_env import PolicyEnv, PolicyVecEnv
 
 TASK = make_task("cartpole")
 

@@ -15,7 +15,7 @@ import torch
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import DataError
 from nsde_torch.public_benchmarks import bam, named, run_benchmark
-from nsde_torch.public_benchmarks.servo_friction import budget, swing
+from nsde_torch.public_benchmarks.servo import budget, swing
 
 FRICTION = {"friction_base": 0.1, "friction_viscous": 0.05}
 

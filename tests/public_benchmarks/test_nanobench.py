@@ -11,8 +11,14 @@ import torch
 
 from nsde_torch.errors import DataError
 from nsde_torch.public_benchmarks import named, nanobench, run_benchmark
-from nsde_torch.public_benchmarks.nanobench import FLIGHTS, NanoBench, read_flight
-from nsde_torch.public_benchmarks.thrust_models import GRAVITY, THRUST_MODELS, VerticalRecord
+from nsde_torch.public_benchmarks.nanobench import (
+    FLIGHTS,
+    GRAVITY,
+    THRUST_MODELS,
+    NanoBench,
+    VerticalRecord,
+    read_flight,
+)
 from nsde_torch.systems.options import system_options
 
 

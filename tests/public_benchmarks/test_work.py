@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from nsde_torch.errors import CheckpointError
+from nsde_torch.public_benchmarks.files import Work, key_of
 from nsde_torch.public_benchmarks.output_error import silent
-from nsde_torch.public_benchmarks.work import Work, key_of
 
 
 def test_a_finished_stage_is_not_run_again(tmp_path: Path) -> None:

@@ -11,9 +11,8 @@ from nsde_torch.control.controller import Controller
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.solve import SolverOptions
-from nsde_torch.px4.flight.carried import NO_DRAG, PushEstimate, carried
 from nsde_torch.px4.flight.controller import Demand
-from nsde_torch.px4.flight.predictive import PredictiveController
+from nsde_torch.px4.flight.predictive import NO_DRAG, PredictiveController, PushEstimate, carried
 from nsde_torch.systems import make_plant_system
 
 HOVERING = ((-1.0, Demand((0.0, 0.0, 0.0), 9.81)),)

@@ -7,7 +7,7 @@ from math import cos, pi, sin, sqrt
 import numpy as np
 import pytest
 
-from nsde_torch.data.frames import attitude_to_enu, swap_body, swap_world
+from nsde_torch.data.quaternion import attitude_to_enu, swap_body, swap_world
 from nsde_torch.px4.link import frames
 from nsde_torch.px4.link.vectors import Quat, Vec, normalised, rotate, rotate_back, yaw_of
 

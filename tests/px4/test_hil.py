@@ -19,12 +19,14 @@ from nsde_torch.px4.link.dialect import mavlink
 from nsde_torch.px4.link.transport import TcpIn
 from nsde_torch.px4.link.vectors import Quat, Vec, from_rotation_vector, rotate, turned_by_rates
 from nsde_torch.px4.simulator.body import Body
-from nsde_torch.px4.simulator.hil import HilPlant, HilServer, airframe
-from nsde_torch.px4.simulator.hil_sensors import (
+from nsde_torch.px4.simulator.hil import (
     BAROMETER,
     FIELD_NED,
     MAGNETOMETER,
+    HilPlant,
     HilSensors,
+    HilServer,
+    airframe,
     place,
     pressure,
 )

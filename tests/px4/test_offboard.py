@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from nsde_torch.control import shapes
-from nsde_torch.control.waypoints import waypoints
+from nsde_torch.control.shapes import waypoints
 from nsde_torch.px4.flight import preflight
-from nsde_torch.px4.flight.landing import land
+from nsde_torch.px4.flight.flying import land
 from nsde_torch.px4.flight.offboard import Offboard
 from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.path import CascadeController, PathPoints
@@ -19,7 +19,7 @@ from nsde_torch.px4.flight.safety import Limits
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
-from nsde_torch.px4.simulator.virtual import VirtualLink
+from nsde_torch.px4.simulator.simulated import VirtualLink
 from tests.helpers.px4_world import World, delayed, lossy
 
 ORDER = ["preflight", "stream", "offboard", "arm", "take off", "hold", "track", "return", "land"]

@@ -12,7 +12,7 @@ import torch
 
 from nsde_torch.control import shapes
 from nsde_torch.control.controller import Controller, Plan, Planner, SafetyOptions
-from nsde_torch.control.knowledge import system_of
+from nsde_torch.control.loop import system_of
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import FlightPath, Reference
@@ -20,7 +20,7 @@ from nsde_torch.control.solve import SolverOptions
 from nsde_torch.errors import ConfigError
 from nsde_torch.export.exported import ExportedController
 from nsde_torch.export.write import export
-from nsde_torch.models.registry import make_model, make_spec
+from nsde_torch.models.run_directory import make_model, make_spec
 from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan
 from nsde_torch.px4.flight.flying import FlightReport
 from nsde_torch.px4.flight.options import FlightOptions

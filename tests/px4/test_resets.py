@@ -16,7 +16,7 @@ from nsde_torch.px4.flight.flying import Recorder
 from nsde_torch.px4.flight.options import FlightOptions, Limits
 from nsde_torch.px4.flight.path import PathPoints
 from nsde_torch.px4.flight.phases import Phase
-from nsde_torch.px4.flight.steps import step_between
+from nsde_torch.px4.flight.safety import step_between
 from nsde_torch.px4.link.telemetry import VehicleState
 from nsde_torch.px4.link.vectors import from_rotation_vector, yaw_of
 from nsde_torch.px4.simulator.body import Body

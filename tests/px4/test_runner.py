@@ -11,7 +11,7 @@ import pytest
 
 from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan, FlightController
 from nsde_torch.px4.flight.runner import Process
-from nsde_torch.px4.link.urgent import PLANS, STREAM, urgent
+from nsde_torch.px4.link.connection import PLANS, STREAM, urgent
 
 ROW = (0.0,) * 6 + (1.0,) + (0.0,) * 6
 

@@ -7,7 +7,7 @@ import pytest
 
 import nsde_torch
 from nsde_torch.data import RawRun
-from nsde_torch.data.findings import Finding
+from nsde_torch.data.raw import Finding
 from nsde_torch.recording.noise import check_interpolated
 from nsde_torch.systems import make_system
 

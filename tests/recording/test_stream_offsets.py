@@ -13,8 +13,7 @@ from nsde_torch.data import DataSet, RawRun
 from nsde_torch.data.kinematics import Uncertain
 from nsde_torch.errors import ConfigError
 from nsde_torch.recording import assemble
-from nsde_torch.recording.latency import filtered, latencies
-from nsde_torch.recording.stream_offsets import differing, on_one_clock
+from nsde_torch.recording.latency import differing, filtered, latencies, on_one_clock
 from tests.helpers.data_systems import HEXACOPTER
 from tests.helpers.flights import flight
 

@@ -20,11 +20,10 @@ from werkzeug.test import Client
 
 from nsde_torch.cli.main import main
 from nsde_torch.cli.serving.app import ServedPage
-from nsde_torch.cli.serving.limits import ServeLimits
+from nsde_torch.cli.serving.job import ServeLimits, machines
 from nsde_torch.cli.serving.process import EndOfProcess, why_ended
 from nsde_torch.cli.serving.runner import JobRunner
 from nsde_torch.cli.serving.shelf import Shelf
-from nsde_torch.cli.serving.words import machines
 
 HOST = "127.0.0.1:8765"
 TOKEN = "a-token"

@@ -91,11 +91,10 @@ def screen(driver: Any, tmp_path: Path, played: Played) -> Iterator[Screen]:
     from waitress.server import create_server
 
     from nsde_torch.cli.serving.app import ServedPage
-    from nsde_torch.cli.serving.limits import ServeLimits
+    from nsde_torch.cli.serving.job import ServeLimits, machines
     from nsde_torch.cli.serving.runner import JobRunner
     from nsde_torch.cli.serving.server import listen
     from nsde_torch.cli.serving.shelf import Shelf
-    from nsde_torch.cli.serving.words import machines
 
     bounds = ServeLimits(upload=1 << 16, keep=4)
     server = listen("127.0.0.1", 0, largest=1 << 20, threads=4)

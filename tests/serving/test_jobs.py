@@ -8,7 +8,7 @@ from pathlib import Path
 
 from nsde_torch.cli import groups
 from nsde_torch.cli.quoted import path_word
-from nsde_torch.cli.serving.words import diagnose_words, inspect_words, machines
+from nsde_torch.cli.serving.job import diagnose_words, inspect_words, machines
 from tests.serving.conftest import INSPECTION, Page, Played, make_page
 
 CSV = {"run.csv": b"t,q\n0,1\n"}

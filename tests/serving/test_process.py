@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from nsde_torch.cli.serving.limits import ServeLimits
+from nsde_torch.cli.serving.job import ServeLimits
 from nsde_torch.cli.serving.process import CommandProcess, why_ended
 from nsde_torch.progress import PROGRESS, Stages
 
@@ -99,7 +99,7 @@ def test_a_command_has_no_more_memory_than_it_may(tmp_path: Path) -> None:
 def test_a_command_ends_with_the_page_however_that_ends(tmp_path: Path) -> None:
     code = (
         "import sys\nfrom pathlib import Path\n"
-        "from nsde_torch.cli.serving.limits import ServeLimits\n"
+        "from nsde_torch.cli.serving.job import ServeLimits\n"
         "from nsde_torch.cli.serving.process import CommandProcess\n"
         f"folder = Path({str(tmp_path)!r})\n"
         f"CommandProcess({ENDLESS!r}, folder=folder, log=folder / 'log.txt', limits=ServeLimits(), say=print).run()\n"

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from nsde_torch.cli.serving.refused import RefusedError
-from nsde_torch.cli.serving.uploads import FORMATS, file_names
+from nsde_torch.cli.serving.job import RefusedError
+from nsde_torch.cli.serving.shelf import FORMATS, file_names
 from nsde_torch.data.readers import READERS
 from tests.serving.conftest import Page, Played
 

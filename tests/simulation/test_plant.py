@@ -14,7 +14,7 @@ from nsde_torch.rotation import rotation_between
 from nsde_torch.simulation import Plant, make_plant
 from nsde_torch.simulation.noise import Gusts, turned
 from nsde_torch.systems import make_plant_system, make_system
-from nsde_torch.systems.machines import Gust
+from nsde_torch.systems.machine import Gust
 
 
 def generator(seed: int = 0) -> torch.Generator:

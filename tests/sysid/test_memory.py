@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from nsde_torch.data import Run
-from nsde_torch.effects.lag import ActuatorLag
+from nsde_torch.effects.actuators import ActuatorLag
 from nsde_torch.inference.memory import memory_along
 from nsde_torch.inference.steps import steps_of
 from nsde_torch.sysid.physics import Physics

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from nsde_torch.effects import Port
-from nsde_torch.effects.multirotor_drag import LinearDrag
+from nsde_torch.effects.multirotor_forces import LinearDrag
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.systems import SYSTEMS, make_system, system_class
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.models import NeuralSDE, SDESpec
-from nsde_torch.training.confidence import _quantile, declared_confidence
+from nsde_torch.training.fit_sde import _quantile, declared_confidence
 
 DT, STIFFNESS, DAMPING = 0.05, 4.0, 0.5
 NAMES = ("linear_spring.stiffness", "viscous_friction.damping")

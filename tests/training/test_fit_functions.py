@@ -15,7 +15,7 @@ import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.effects import Port
 from nsde_torch.models.neural_sde import NeuralSDE
-from nsde_torch.training.fit_functions import _signals, _slopes
+from nsde_torch.training.fit_innovations import _signals, _slopes
 from tests.inference.springs import TRUTH, B, rubbing, small_runs
 
 

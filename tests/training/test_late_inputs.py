@@ -7,7 +7,7 @@ import numpy as np
 from nsde_torch.models.neural_sde import SDESpec
 from nsde_torch.recording import assemble
 from nsde_torch.systems import make_system
-from nsde_torch.training.late_inputs import identified
+from nsde_torch.training.fit_innovations import identified
 from tests.helpers.encoders import encoder_runs
 
 

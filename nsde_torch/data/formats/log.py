@@ -3,13 +3,122 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from nsde_torch.data.formats.clock import ClockOf
-from nsde_torch.data.streams import Stream
+import numpy as np
+
+from nsde_torch.arrays import Array
+from nsde_torch.data.streams import Stream, disorder, ordered
 from nsde_torch.errors import ConfigError, DataError
+
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
+UNNAMED = "column_"
+"""What the name of a column begins with that has its number alone, from 1."""
+_NAMES = re.compile(r"(t|tout|time|times|timestamp|stamp|time_?stamp|secs?|seconds|elapsed|clock|tick)")
+_UNIT = re.compile(r"[\[\(_ ]\s*(s|sec|seconds|ms|msec|us|usec|µs|ns|nsec)\s*[\]\)]?$")
+_SAME = {"sec": "s", "seconds": "s", "msec": "ms", "usec": "us", "µs": "us", "nsec": "ns"}
+
+
+@dataclass(frozen=True)
+class ClockOf:
+    """How a table tells the time.
+
+    Args:
+        source: Column; None: the one whose name says so.
+        unit: Of the column, a key of `SECONDS`; None: by the size of its steps.
+        rate: Rows a second, of a table without a clock [Hz].
+    """
+
+    source: str | None = None
+    unit: str | None = None
+    rate: float | None = None
+
+
+def time_column(names: Mapping[str, object] | list[str]) -> str | None:
+    """The column whose name says that it is the time; None where none does."""
+    for name in names:
+        bare = _UNIT.sub("", name.strip().lower().replace("#", "").strip()).strip()
+        if _NAMES.fullmatch(re.split(r"[./]", bare)[-1]):
+            return name
+    return None
+
+
+def unit_of(name: str, values: Array) -> str:
+    """Unit of a time column: as its name says, else the one in which its steps are 10 us to 1 s."""
+    said = _UNIT.search(name.strip().lower())
+    if said:
+        return _SAME.get(said[1], said[1])
+    steps = np.diff(np.sort(values[np.isfinite(values)]))
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+    if step < 1.0:
+        return "s"
+    return "ms" if step < 1e3 else "us" if step < 1e6 else "ns"
+
+
+def found(fields: Mapping[str, Array], clock: ClockOf) -> ClockOf | None:
+    """The clock of a table with what was left open filled in; None where there is none.
+
+    Args:
+        fields: Columns.
+        clock: How it tells the time.
+    """
+    if clock.rate is not None:
+        return clock
+    given = clock.source.split("/")[-1] if clock.source else None
+    column = (
+        given if given in fields else clock.source if clock.source in fields else time_column(list(fields))
+    )
+    if column is None:  # of a table without names, times are what is usually in front and increases
+        first = [name for name in fields if name == f"{UNNAMED}1" or name.endswith("[0]")]
+        column = next((name for name in first if _ticks(name, fields[name])), None)
+    return None if column is None else ClockOf(column, clock.unit or unit_of(column, fields[column]))
+
+
+def _ticks(name: str, values: Array) -> bool:
+    """Whether a column without a name is a clock: it increases, and in even steps where it is one of an array."""
+    steps = np.diff(values)
+    even = name.startswith(UNNAMED) or bool(np.ptp(steps) < 0.1 * np.median(steps))
+    return bool((steps > 0).all()) and even
+
+
+def timed(name: str, fields: dict[str, Array], clock: ClockOf, *, source: str) -> Stream:
+    """A table with its clock taken out of its columns.
+
+    Args:
+        name: Of the stream.
+        fields: Columns, all of one length.
+        clock: How it tells the time.
+        source: File, for messages.
+
+    Raises:
+        ConfigError: no such column, or an unknown unit.
+        DataError: the column is no clock.
+    """
+    rows = len(next(iter(fields.values())))
+    if clock.rate is not None:
+        return Stream(name, np.arange(rows) / clock.rate, fields)
+    own = found(fields, clock)
+    if own is None or own.source is None:
+        return Stream(name, np.full(rows, np.nan), fields)
+    column, unit = own.source, own.unit
+    values = fields[column]
+    if unit not in SECONDS:
+        raise ConfigError(f"`unit` of the time must be one of {', '.join(SECONDS)}; got {unit!r}.")
+    good = np.isfinite(values)
+    if good.sum() < 2 or not np.diff(values[good]).any():
+        raise DataError(
+            f"{source}: the column {column!r} is taken for the time and does not increase; a run needs two rows. "
+            "Record longer, or say in a mapping which column it is, `time: {from: NAME, unit: s}`."
+        )
+    times = values[good] * SECONDS[unit]
+    _, shuffled = disorder(times, column)
+    if shuffled:
+        raise DataError(f"{source}: {shuffled}")
+    kept = {key: v[good] for key, v in fields.items() if key != column}
+    return ordered(Stream(name, times, kept))
 
 
 @dataclass

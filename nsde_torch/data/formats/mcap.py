@@ -12,8 +12,7 @@ import numpy as np
 
 from nsde_torch.arrays import Array
 from nsde_torch.data.formats.log import StreamLog, lacking, unreadable
-from nsde_torch.data.formats.ros import log_of, seconds_since, stream_of
-from nsde_torch.data.formats.ros_layout import Fields, UnsupportedMessageError
+from nsde_torch.data.formats.ros import Fields, UnsupportedMessageError, log_of, seconds_since, stream_of
 from nsde_torch.data.streams import Stream, ordered
 
 _LARGEST = 1 << 20  # bytes of a message

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from nsde_torch.data.formats.log import StreamLog, lacking, unreadable
-from nsde_torch.data.formats.ros import log_of, stream_of
-from nsde_torch.data.formats.ros_layout import UnsupportedMessageError
+from nsde_torch.data.formats.ros import UnsupportedMessageError, log_of, stream_of
 from nsde_torch.data.streams import Stream
 
 _LARGEST = 1 << 20  # bytes of a message

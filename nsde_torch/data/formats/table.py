@@ -7,7 +7,13 @@ groups). An array (n, k) has the columns `name[0]` to `name[k-1]`; one alone in 
 
 from __future__ import annotations
 
+import csv
 import re
+import zipfile
+from array import array
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +21,460 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.formats.arrays import Arrays, read_hdf5, read_mat, read_npz, read_parquet
-from nsde_torch.data.formats.clock import UNNAMED, ClockOf, found, time_column, timed
-from nsde_torch.data.formats.log import StreamLog
-from nsde_torch.data.formats.text import header, read_text
-from nsde_torch.data.places import files_of
+from nsde_torch.data.formats.log import (
+    UNNAMED,
+    ClockOf,
+    StreamLog,
+    found,
+    lacking,
+    time_column,
+    timed,
+    unreadable,
+)
+from nsde_torch.data.places import LONGEST, NOTHING, check_names, count_rows, files_of, refuse_larger
 from nsde_torch.errors import DataError
+
+_DEPTH = 8  # of groups and structures
+_MOST = 20_000  # arrays in a file
+_ELEMENTS = 256  # of a cell or an array of structures
+Arrays = dict[str, NDArray[Any]]
+
+
+def read_npz(path: Path) -> Arrays:
+    """Arrays of an .npz file; one of objects is left out, as nothing is unpickled.
+
+    Raises:
+        DataError: not such a file, or too large.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            size = sum(item.file_size for item in archive.infolist())
+        refuse_larger(path, size)
+        out: Arrays = {}
+        with np.load(path, allow_pickle=False) as file:
+            for name in file.files[:_MOST]:
+                try:
+                    out[name] = file[name]
+                except ValueError as error:
+                    if "pickle" not in str(error):
+                        raise
+    except DataError:
+        raise
+    except Exception as error:  # a damaged archive makes the parser raise nearly anything
+        raise unreadable(path, ".npz file", error) from error
+    return out
+
+
+def read_mat(path: Path) -> Arrays:
+    """Arrays of a .mat file, structures and cells flattened with dots; Simulink's signals by their labels.
+
+    Raises:
+        DataError: not such a file, too large, or of objects alone.
+    """
+    from scipy.io import loadmat, whosmat
+
+    with path.open("rb") as file:
+        head = file.read(128)
+    if b"MATLAB 7.3" in head or head.startswith(b"\x89HDF"):
+        return {name: value.T for name, value in read_hdf5(path).items() if not name.startswith("#")}
+    try:
+        known = whosmat(str(path))
+        wanted = [n for n, _, kind in known if kind not in ("object", "opaque", "function", "char")]
+        refuse_larger(path, 8 * sum(int(np.prod(shape)) for n, shape, _ in known if n in wanted))
+        raw = loadmat(str(path), variable_names=wanted) if wanted else {}
+    except DataError:
+        raise
+    except Exception as error:  # as above
+        raise unreadable(path, ".mat file", error) from error
+    objects = [n for n, _, kind in known if kind in ("object", "opaque")]
+    if objects and not wanted:
+        raise DataError(
+            f"{path} holds objects alone ({', '.join(objects)}: timeseries or Datasets, say), which only MATLAB "
+            "reads: log as `Structure With Time`, or save `struct('time', x.Time, 'q', x.Data)`."
+        )
+    return {
+        name: a for key, value in raw.items() if key[:2] != "__" for name, a in _flat(key, np.asarray(value))
+    }
+
+
+def _flat(name: str, value: NDArray[Any], depth: int = 0) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Arrays in a variable; an element of several has its number in its name."""
+    if value.dtype.kind in "fiub":
+        yield name, value
+    elif (value.dtype.names or value.dtype.kind == "O") and depth < _DEPTH and value.size <= _ELEMENTS:
+        for k, part in enumerate(value.reshape(-1)):
+            own = f"{name}_{k + 1}" if value.size > 1 else name
+            if not value.dtype.names:  # a cell
+                yield from _flat(own, np.asarray(part), depth + 1)
+                continue
+            fields = {key: np.asarray(part[key]) for key in value.dtype.names}
+            signals = _simulink(own, fields)
+            if signals:
+                yield from signals
+                continue
+            label = _label(fields)
+            for key, inside in fields.items():  # an element of a Dataset is called by its name
+                called = label if label and key.lower() == "values" else key
+                yield from _flat(f"{own}.{called}", inside, depth + 1)
+
+
+def _simulink(name: str, fields: Mapping[str, NDArray[Any]]) -> list[tuple[str, NDArray[Any]]]:
+    """Signals with their clock: of a structure with time, or of a timeseries as a structure; of anything else none."""
+    own = {key.lower(): value for key, value in fields.items()}
+    times = own.get("time", np.zeros(0))
+    signals = own.get("signals", np.zeros(0)).reshape(-1)
+    keys = signals.dtype.names or ()
+    if "values" in keys:
+        found = [({key: np.asarray(one[key]) for key in keys}, one["values"]) for one in signals]
+    elif "data" in own and times.size > 1:
+        found = [(dict(fields), own["data"])]
+    else:
+        return []
+    out = [(f"{name}.time", times)] if times.size > 1 else []
+    for k, (said, values) in enumerate(found):
+        values = np.asarray(values)
+        if values.ndim == 3:  # (k, 1, n): one sample after another
+            values = values.reshape(-1, values.shape[2]).T
+        label = _label(said) or name.rpartition(".")[2] + (f"_{k + 1}" if len(found) > 1 else "")
+        if values.dtype.kind in "fiub":
+            out.append((f"{name}.{label}", values))
+    return out
+
+
+def _label(fields: Mapping[str, NDArray[Any]]) -> str:
+    """What Simulink calls a signal; empty where it has no name."""
+    for key in ("label", "Name", "name"):
+        if key in fields and fields[key].dtype.kind == "U" and fields[key].size:
+            return str(fields[key].reshape(-1)[0]).strip("<> ").replace(".", "_")
+    return ""
+
+
+def read_hdf5(path: Path) -> Arrays:
+    """Data sets of an HDF5 file by their paths with dots; what lies in other files is not followed.
+
+    Raises:
+        DataError: not such a file, too large, or it asks for other files.
+        ConfigError: the package is not installed.
+    """
+    try:
+        import h5py
+    except ImportError as error:
+        raise lacking("h5py", "tables", path) from error
+    out: Arrays = {}
+    size = 0
+
+    def visit(group: Any, before: str, depth: int) -> None:
+        nonlocal size
+        for key in group:
+            link = group.get(key, getlink=True)
+            if not isinstance(
+                link, h5py.HardLink
+            ):  # soft links may lead in circles, external ones to other files
+                continue
+            item = group[key]
+            if isinstance(item, h5py.Group):
+                if depth < _DEPTH:
+                    visit(item, f"{before}{key}.", depth + 1)
+                continue
+            if item.dtype.kind not in "fiubV" or len(out) >= _MOST:
+                continue
+            if item.external or item.is_virtual:
+                raise DataError(
+                    f"{path}: the data of {before}{key} lie in another file, which is not opened."
+                )
+            size += item.size * max(item.dtype.itemsize, 8)
+            refuse_larger(path, size)
+            value = item[()]
+            if value.dtype.names:  # a table of records: a column each
+                for field in value.dtype.names:
+                    if value.dtype[field].kind in "fiub":
+                        out[f"{before}{key}.{field}"] = value[field]
+            else:
+                out[before + key] = np.asarray(value)
+
+    try:
+        with h5py.File(path, "r") as file:
+            visit(file, "", 0)
+    except DataError:
+        raise
+    except Exception as error:  # as above
+        raise unreadable(path, "HDF5 file", error) from error
+    return out
+
+
+def read_parquet(path: Path) -> Arrays:
+    """Columns of numbers and of times of a Parquet file.
+
+    Raises:
+        DataError: not such a file, or too large.
+        ConfigError: the package is not installed.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet as parquet
+    except ImportError as error:
+        raise lacking("pyarrow", "tables", path) from error
+    out: Arrays = {}
+    try:
+        with parquet.ParquetFile(path, memory_map=True) as file:
+            rows, schema = file.metadata.num_rows, file.schema_arrow
+            kinds = pyarrow.types
+            wanted = [
+                f.name
+                for f in schema
+                if kinds.is_floating(f.type)
+                or kinds.is_integer(f.type)
+                or kinds.is_boolean(f.type)
+                or kinds.is_timestamp(f.type)
+            ]
+            refuse_larger(path, 8 * rows * len(wanted))
+            for name in wanted:  # one at a time: a table and its copy would be twice the memory
+                column = file.read(columns=[name]).column(0)
+                if kinds.is_timestamp(schema.field(name).type):
+                    nanoseconds = column.cast(pyarrow.timestamp("ns")).to_numpy().astype(np.int64)
+                    out[name] = nanoseconds.astype(np.float64) * 1e-9
+                else:
+                    out[name] = column.to_numpy().astype(np.float64)
+    except DataError:
+        raise
+    except Exception as error:  # as above
+        raise unreadable(path, "Parquet file", error) from error
+    return out
+
+
+# Tables as text: comma, semicolon, tab or spaces between columns, comments, a header row or numbers of
+# columns.
+#
+# What is no number in a column of numbers is missing; a column of words is left out; one of lists is a column
+# for each place in them.
+
+_MARKS = (",", ";", "\t")
+_COMMENT = ("#", "%")
+_PROBED = 200  # rows that tell which columns hold numbers
+_BRACKETS = re.compile(r"[\[(][^\[\]()]*[\])]")
+_BARE_LIST = {mark: re.compile(rf"(?:^|(?<={mark}))\s*{_BRACKETS.pattern}") for mark in (*_MARKS, " ")}
+_ARRAY = re.compile(r"^(?:np\.|numpy\.)?array\(|,?\s*dtype=[\w.]+")
+_DECIMAL = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """What stands where: the names, the mark between cells, and how many lines precede the rows."""
+
+    names: list[str]
+    mark: str
+    before: int
+    unnamed: bool
+
+
+def header(path: Path) -> list[str]:
+    """Names of the columns; of a table without a header their numbers.
+
+    Raises:
+        DataError: no text, or nothing in it.
+    """
+    return _layout(path).names
+
+
+def read_text(path: Path, notes: list[str] | None = None) -> dict[str, Array]:
+    """Columns of numbers by name; an empty cell is nan, a column of words is left out.
+
+    Args:
+        path: The file.
+        notes: Takes what was assumed, and what is missing because it is no number.
+
+    Raises:
+        DataError: no text, no numbers, or rows of another width (with the line).
+    """
+    notes = [] if notes is None else notes
+    layout = _layout(path)
+    names, mark = layout.names, layout.mark
+    check_names(names, f"{path}:{layout.before}")
+    lines = count_rows(path)  # before any of them is read: none is too long to be one
+    rows = [_cells(line, mark) for _, line in islice(_rows(path, layout.before), _PROBED)]
+    if not rows:
+        raise DataError(f"{path} has a header and no rows.")
+    widths = {k: _width([r[k] for r in rows if k < len(r)], mark) for k, name in enumerate(names) if name}
+    use = {k: width for k, width in widths.items() if width >= 0}
+    if not any(
+        _number(r[k], mark) is not None or width for r in rows for k, width in use.items() if k < len(r)
+    ):
+        raise DataError(f"{path}: no column holds numbers.")
+    refuse_larger(path, 8.0 * lines * sum(max(width, 1) for width in use.values()))
+    if layout.unnamed:
+        notes.append(f"no header: columns are called by their numbers, {names[0]} to {names[-1]}")
+    columns = None if any(use.values()) else _at_once(path, layout, list(use))
+    if columns is None:
+        columns = _cell_by_cell(path, layout, use, notes)
+    return columns
+
+
+def _layout(path: Path) -> _Layout:
+    """The header: the first row, a comment of as many cells before rows of numbers, or none."""
+    comments: list[tuple[int, str]] = []
+    rows: list[tuple[int, str]] = []
+    try:
+        with path.open(encoding="utf-8-sig", errors="strict", newline="") as file:
+            for number in range(1, 1 << 20):
+                line = file.readline(LONGEST)
+                if "\x00" in line or len(line) >= LONGEST:
+                    raise unreadable(path, "table of text", "a line is no text")
+                if not line or len(rows) == 2:
+                    break
+                if line.lstrip().startswith(_COMMENT):
+                    if not rows:
+                        comments.append((number, line))
+                elif line.strip():
+                    rows.append((number, line))
+    except UnicodeDecodeError as error:
+        raise unreadable(path, "table of text", "it is not UTF-8 text") from error
+    if not rows:
+        if not comments:
+            raise unreadable(path, "table of text", "no header row")
+        raise DataError(f"{path} has a header and no rows.")
+    number, first = rows[0]
+    mark = _mark(first)
+    cells = _cells(first, mark)
+    below = _cells(rows[1][1], mark) if len(rows) == 2 else cells
+    pairs = list(zip(cells, below, strict=False))
+    counted = [_is_numeric(a, mark) or a in NOTHING for a, b in pairs if _is_numeric(b, mark)]
+    if not (all(counted) and any(_is_numeric(cell, mark) for cell in cells)):
+        return _Layout(cells, mark, number, False)
+    for _, line in reversed(comments):  # the one nearest to the rows that has a name for each column
+        text = line.strip().lstrip("#% ")
+        names = _cells(text, _mark(text))
+        if len(names) == len(cells) and not any(_number(name, mark) is not None for name in names):
+            return _Layout(names, mark, number - 1, False)
+    return _Layout([f"{UNNAMED}{k + 1}" for k in range(len(cells))], mark, number - 1, True)
+
+
+def _mark(line: str) -> str:
+    plain = _BRACKETS.sub("", re.sub(r'"[^"]*"', "", line))
+    mark = max(_MARKS, key=plain.count)
+    return mark if mark in plain else " "
+
+
+def _rows(path: Path, before: int) -> Iterator[tuple[int, str]]:
+    """The lines of the table with their numbers: without what is empty or a comment."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            for number, line in enumerate(file, start=1):
+                if number > before and line.strip() and not line.lstrip().startswith(_COMMENT):
+                    yield number, line.rstrip("\r\n")
+    except UnicodeDecodeError as error:
+        raise unreadable(path, "table of text", "it is not UTF-8 text") from error
+
+
+def _at_once(path: Path, layout: _Layout, use: list[int]) -> dict[str, Array] | None:
+    """All columns by NumPy, in a tenth of the time; None where a cell is neither a number nor empty."""
+    mark = layout.mark
+    try:
+        table = np.loadtxt(
+            _filled(path, layout),
+            delimiter=None if mark == " " else mark,
+            usecols=use,
+            ndmin=2,
+            comments=None,
+            quotechar='"',
+        )
+    except ValueError:
+        return None
+    return {layout.names[k]: np.ascontiguousarray(table[:, j]) for j, k in enumerate(use)}
+
+
+def _filled(path: Path, layout: _Layout) -> Iterator[str]:
+    """Rows of numbers, empty cells as nan."""
+    mark = layout.mark
+    hole, filled = mark + mark, f"{mark}nan{mark}"
+    for number, row in _rows(path, layout.before):
+        if mark != " ":
+            if '"' not in row:
+                _same_width(path, number, row.count(mark) + 1, layout)
+            while hole in row:
+                row = row.replace(hole, filled)
+            if row.startswith(mark):
+                row = "nan" + row
+            if row.endswith(mark):
+                row += "nan"
+        yield row
+
+
+def _same_width(path: Path, number: int, cells: int, layout: _Layout) -> None:
+    if cells != len(layout.names):
+        reason = f"line {number} has {cells} cells, the header {len(layout.names)}: it may be cut short"
+        raise unreadable(path, "table of numbers", reason)
+
+
+def _cell_by_cell(path: Path, layout: _Layout, use: dict[int, int], notes: list[str]) -> dict[str, Array]:
+    """Columns of numbers among which there are words, and of lists."""
+    read = {k: array("d") for k in use}  # a list of floats would take four times the memory
+    words: dict[int, list[str]] = {k: [] for k in use}
+    for number, row in _rows(path, layout.before):
+        cells = _cells(row, layout.mark)
+        _same_width(path, number, len(cells), layout)
+        for k, width in use.items():
+            one = _number(cells[k], layout.mark)
+            values = (_list(cells[k]) or []) if width else [] if one is None else [one]
+            if len(values) != max(width, 1):
+                if cells[k] not in NOTHING:
+                    words[k].append(f"{cells[k][:40]!r} in line {number}")
+                values = [float("nan")] * max(width, 1)
+            read[k].extend(values)
+    out: dict[str, Array] = {}
+    for k, width in use.items():
+        name, table = layout.names[k], np.array(read[k]).reshape(-1, max(width, 1)).T
+        if words[k]:
+            what = f"no list of {width} numbers" if width else "no number"
+            count, first = len(words[k]), words[k][0]
+            notes.append(f"cells of {name!r} that are {what} are missing: {count}, the first {first}")
+        out.update({f"{name}[{j}]": table[j] for j in range(width)} if width else {name: table[0]})
+    return out
+
+
+def _cells(line: str, mark: str) -> list[str]:
+    line = line.strip() if mark == " " else line.rstrip("\r\n")
+    if '"' not in line and ("[" in line or "(" in line):
+        line = _BARE_LIST[mark].sub(r'"\g<0>"', line)
+    if '"' in line:
+        parts = next(csv.reader([line], delimiter=mark, skipinitialspace=True))
+    else:
+        parts = line.split() if mark == " " else line.split(mark)
+    return [part.strip().strip('"').strip() for part in parts]
+
+
+def _width(cells: list[str], mark: str) -> int:
+    """What most cells of a column hold: 0 of numbers, the length of lists, -1 of words."""
+    lists = [len(one) for cell in cells if _number(cell, mark) is None and (one := _list(cell)) is not None]
+    numbers = sum(_number(cell, mark) is not None for cell in cells)
+    words = sum(cell not in NOTHING for cell in cells) - numbers - len(lists)
+    if lists and len(lists) > max(words, numbers):
+        return max(set(lists), key=lists.count)
+    return 0 if numbers > words + len(lists) or not words + len(lists) else -1
+
+
+def _number(cell: str, mark: str) -> float | None:
+    """The number in a cell, with a decimal comma where no comma separates columns."""
+    try:
+        return float(cell.replace(",", ".") if mark != "," and _DECIMAL.fullmatch(cell) else cell)
+    except ValueError:
+        return None
+
+
+def _list(cell: str) -> list[float] | None:
+    """The numbers of a list in a cell; three or more need no brackets."""
+    text = _ARRAY.sub(" ", cell).strip()
+    parts = re.split(r"[,;\s]+", re.sub(r"[\[\](){}]", " ", text).strip())
+    if text[:1] not in ("[", "(", "{") and len(parts) < 3:
+        return None
+    try:
+        return [float(part) for part in parts]
+    except ValueError:
+        return None
+
+
+def _is_numeric(cell: str, mark: str) -> bool:
+    return _number(cell, mark) is not None or _list(cell) is not None
+
 
 TEXT = (".csv", ".tsv", ".txt")
 _READ = {
@@ -91,11 +545,11 @@ def _tables(arrays: Arrays) -> dict[tuple[str, int], dict[str, Array]]:
     lengths = [
         length
         for name, value in arrays.items()
-        if (length := _rows(value)) > 1 and time_column([_last(name)])
+        if (length := _length(value)) > 1 and time_column([_last(name)])
     ]
     out: dict[tuple[str, int], dict[str, Array]] = {}
     groups = {name: name.rpartition(".")[0] for name in arrays}
-    clocks = {(groups[n], _rows(v)) for n, v in arrays.items() if time_column([_last(n)])}
+    clocks = {(groups[n], _length(v)) for n, v in arrays.items() if time_column([_last(n)])}
     for name, value in arrays.items():
         table = _upright(value, lengths)
         if table is None:
@@ -116,7 +570,7 @@ def _last(name: str) -> str:
     return name.rpartition(".")[2]
 
 
-def _rows(value: NDArray[Any]) -> int:
+def _length(value: NDArray[Any]) -> int:
     return max(value.shape, default=0) if value.ndim <= 2 and value.size == max(value.shape, default=0) else 0
 
 

@@ -11,13 +11,4 @@ if TYPE_CHECKING:
 
 __all__ = ["ColumnEntry", "LogCheck", "LogMapping", "Proposal", "read_mapping"]
 
-__getattr__ = resolver(
-    __name__,
-    {
-        "ColumnEntry": "mapping",
-        "LogCheck": "checks",
-        "LogMapping": "mapping",
-        "Proposal": "proposal",
-        "read_mapping": "mapping",
-    },
-)
+__getattr__ = resolver(__name__)

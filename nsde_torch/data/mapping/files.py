@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from nsde_torch.data.formats.betaflight import logs_of
-from nsde_torch.data.formats.clock import ClockOf
-from nsde_torch.data.formats.log import StreamLog
+from nsde_torch.data.formats.log import ClockOf, StreamLog
 from nsde_torch.data.formats.table import TEXT, are_runs
 from nsde_torch.data.places import entries, files_of, log_place
 from nsde_torch.data.readers import READERS

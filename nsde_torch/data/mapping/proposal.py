@@ -7,19 +7,22 @@ make a proposal ambiguous: it is shown, and not used unseen.
 
 from __future__ import annotations
 
+import difflib
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.formats.clock import ClockOf
-from nsde_torch.data.formats.log import StreamLog
-from nsde_torch.data.mapping import nameless
+from nsde_torch.data.formats.log import UNNAMED, ClockOf, StreamLog, full
 from nsde_torch.data.mapping import names as kinds
 from nsde_torch.data.mapping.inputs import propose_inputs
 from nsde_torch.data.mapping.kinematic import (
+    INTERVAL_S,
     NOISY_VELOCITY,
     SOUND_ATTITUDE,
+    SOUND_VELOCITY,
     attitude_left,
     attitude_ways,
     best,
@@ -28,12 +31,281 @@ from nsde_torch.data.mapping.kinematic import (
     velocity_left,
     velocity_ways,
 )
-from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping, mapping_of
-from nsde_torch.data.mapping.names import Named
-from nsde_torch.data.mapping.single import propose_single
-from nsde_torch.data.quaternion import from_euler_zyx
+from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping, mapping_of, targets
+from nsde_torch.data.mapping.names import Named, bare, is_measured
+from nsde_torch.data.quaternion import from_euler_zyx, rotate
 from nsde_torch.data.streams import Stream, attitudes, linear, moving
 from nsde_torch.data.system_info import SystemInfo
+
+# What the columns of a table without names are: by what must hold between them, else by their order.
+#
+# Four neighbours of unit length are a quaternion, the three that turn it its rates, and of positions and
+# velocities the pair whose movement agrees; as many neighbours as there are motors, never negative and of one
+# size, are the motors.
+
+_ROWS = 6000  # that are looked at
+_UNIT = 0.01  # by which a quaternion's length is off
+_ALIKE = 1.5  # times that the usual commands of motors differ
+
+
+def names_by_content(log: StreamLog, system: SystemInfo) -> dict[str, str] | None:
+    """Names of the system for the columns of a table without names; None of any other log.
+
+    Args:
+        log: The streams.
+        system: The machine.
+    """
+    columns = [column for stream in log.streams for column in stream.fields]
+    names = (*system.state_names, *system.input_names)
+    if len(log.streams) != 1 or len(columns) < len(names) or not columns[0].startswith(UNNAMED):
+        return None
+    if system.quaternion is None:
+        return dict(zip(columns, names, strict=False))
+    found = _by_what_holds(log.streams[0], len(system.input_names))
+    return found or dict(zip(columns, names, strict=False))
+
+
+def _by_what_holds(stream: Stream, motors: int) -> dict[str, str]:
+    names = list(stream.fields)
+    table = stream.columns(*names)[:_ROWS]
+    t, moves = stream.t[:_ROWS], moving(table)
+    out: dict[str, str] = {}
+
+    def free(size: int) -> Iterator[list[int]]:
+        for k in range(len(names) - size + 1):
+            places = list(range(k, k + size))
+            if moves[places].all() and not out.keys() & {names[p] for p in places}:
+                yield places
+
+    def take(places: Iterable[int], *of: str) -> None:
+        out.update(zip([names[p] for p in places], of, strict=True))
+
+    length = [(float(np.abs(np.linalg.norm(table[:, p], axis=1) - 1.0).max()), p) for p in free(4)]
+    unit, places = min(length, default=(1.0, []))
+    if unit > _UNIT or not stream.timed:
+        return {}
+    q = table[:, places]
+    take(places, "q_0", "q_1", "q_2", "q_3")
+    ways = list(attitude_ways(None, None))
+    turning = [
+        (left[k], p, ways[k])
+        for p in free(3)
+        for left in [[attitude_left(t, q, table[:, p], way) for way in ways]]
+        for k in [best(left)]
+        if k is not None
+    ]
+    left, places, way = min(turning, default=(1.0, [], ways[0]), key=lambda row: row[0])
+    if left > SOUND_ATTITUDE:
+        return {}
+    take(places, "w_x", "w_y", "w_z")
+    q = read_attitude(q, way)
+    every = max(1, round(INTERVAL_S * stream.rate))
+    step = np.diff(t, append=t[-1])[:, None]
+    moved = {tuple(p): np.diff(table[::every, p], axis=0) for p in free(3)}
+    told = [(p, axes) for p in moved for axes in (table[:, p], rotate(q, table[:, p]))]
+    rate = [(v, np.diff(np.cumsum(axes * step, axis=0)[::every], axis=0)) for v, axes in told]
+    pairs = [
+        (left, p, v)
+        for p, change in moved.items()
+        for v, movement in rate
+        if not set(p) & set(v)
+        for left in [np.square(change - movement).sum() / np.square(change - change.mean(axis=0)).sum()]
+        if left < SOUND_VELOCITY
+    ]
+    rates = [v for _, _, v in pairs]
+    pairs = [row for row in pairs if row[1] not in rates] or pairs  # what has a rate and is none itself
+    if not pairs:
+        return {}
+    _, position, speeds = min(pairs)
+    take(position, "p_x", "p_y", "p_z")
+    take(speeds, "v_x", "v_y", "v_z")
+    usual = np.median(table, axis=0)
+    sizes = [(float(usual[p].max() / usual[p].min()), p) for p in free(motors) if (table[:, p] >= 0.0).all()]
+    alike, places = min(sizes, default=(np.inf, []))
+    if alike < _ALIKE:
+        take(places, *(f"u_{k + 1}" for k in range(motors)))
+    return out
+
+
+_POSITIONS = {
+    "q",
+    "x",
+    "y",
+    "pos",
+    "position",
+    "angle",
+    "theta",
+    "phi",
+    "qm",
+    "displacement",
+    "deflection",
+    "output",
+}
+_RATES = {
+    "v",
+    "vel",
+    "velocity",
+    "speed",
+    "dq",
+    "qd",
+    "qdot",
+    "dx",
+    "xd",
+    "xdot",
+    "omega",
+    "dtheta",
+    "thetadot",
+    "angvel",
+}
+_INPUTS = {
+    "u",
+    "f",
+    "force",
+    "input",
+    "tau",
+    "torque",
+    "voltage",
+    "current",
+    "command",
+    "cmd",
+    "control",
+    "vir",
+    "motor",
+}
+_FEWEST = 10  # movements that tell a rate
+_MEASURED = re.compile(r"_(meas|measured|act|actual|filt|filtered|enc|encoder)(?=\d*$)")
+_COMMANDED = re.compile(r"_(cmd|command|commanded)(?=\d*$)")
+
+
+@dataclass
+class ColumnsFound:
+    """Entries, and what is missing or open."""
+
+    columns: dict[str, ColumnEntry] = field(default_factory=dict)
+    missing: list[str] = field(default_factory=list)
+    open: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def propose_single(
+    log: StreamLog, system: SystemInfo, said: Mapping[str, ColumnEntry] | None = None
+) -> ColumnsFound:
+    """Entries for the states and inputs of a machine without an attitude.
+
+    Args:
+        log: The streams.
+        system: The machine.
+        said: Entries that the format gives; those that are of the system are taken.
+    """
+    out = ColumnsFound()
+    names = {*system.state_names, *system.input_names, *system.exogenous}
+    given: set[str] = set()
+    for name, entry in (said or {}).items():
+        own = targets(system, name)
+        if set(own) <= names and len(own) == len(entry.source):
+            out.columns[name] = entry
+            given |= set(own)
+    free: dict[str, tuple[str, str | None]] = {}
+    still: set[str] = set()
+    for stream in log.streams:
+        for column, values in stream.fields.items():
+            name, unit = bare(column)
+            free[full(stream, column)] = (name, stream.units.get(column) or unit)
+            if not moving(values[:, None])[0]:
+                still.add(full(stream, column))
+    names_of = list(free)
+    rates = {rate: position for position, rate, _ in system.position_derivatives}
+    for wanted in (*system.state_names, *system.input_names, *system.exogenous):
+        if wanted in given:
+            continue
+        found = _named(wanted, free, still, system, rates)
+        if wanted in rates:  # `v` may be a voltage: a rate of another name is one by its position
+            place = out.columns.get(rates[wanted])
+            same = [key for key in found if _squeezed(free[key][0]) == _squeezed(wanted)]
+            found = same or [
+                key for key in found if place is not None and _follows(log, place.source[0], key)
+            ]
+        if len(found) == 1:
+            name = found[0]
+            unit = free.pop(name)[1]
+            out.columns[wanted] = ColumnEntry((name,), unit=unit)
+        elif found:
+            out.open.append(f"{wanted} may be {' or '.join(found)}")
+            out.columns[wanted] = ColumnEntry((found[0],), unit=free.pop(found[0])[1])
+        elif wanted not in rates and wanted not in system.optional_inputs:
+            asked = [key for key, (name, _) in free.items() if not is_measured(name)]
+            more = ""
+            if asked and wanted in system.state_names:
+                more = f" (taken for setpoints: {', '.join(asked)})"
+            elif wanted in system.input_names and names_of:
+                more = f" (where nothing drove it, any column times 0: `{wanted}: {{from: {names_of[0]}, scale: 0}}`)"
+            out.missing.append(f"a column for {wanted}{more}")
+        elif wanted in system.optional_inputs and (left := [key for key in free if key not in still]):
+            out.notes.append(
+                f"{wanted} is taken to be 0 throughout: none of {', '.join(left)} has such a name"
+            )
+    return out
+
+
+def _named(
+    wanted: str,
+    free: dict[str, tuple[str, str | None]],
+    still: set[str],
+    system: SystemInfo,
+    rates: dict[str, str],
+) -> list[str]:
+    """Columns of a name that means `wanted`: the same, else a synonym where the system has one such, else alike."""
+    plain = {key: _squeezed(name) for key, (name, _) in free.items()}
+    same = [key for key, name in plain.items() if name == _squeezed(wanted)]
+    if same:
+        return same
+    plain = {key: _MEASURED.sub("", name.lower()) for key, (name, _) in free.items()}
+    if wanted in system.input_names:
+        plain = {key: _COMMANDED.sub("", name) for key, name in plain.items()}
+    plain = {key: _squeezed(name) for key, name in plain.items()}
+    plain = {key: name for key, name in plain.items() if key not in still}
+    if wanted in system.state_names:  # a setpoint is no state, however much it is called like one
+        plain = {key: name for key, name in plain.items() if is_measured(free[key][0])}
+    positions = [n for n in system.state_names if n not in rates]
+    words = _RATES if wanted in rates else _POSITIONS if wanted in positions else _INPUTS
+    several = len(system.input_names if words is _INPUTS else positions) > 1
+    number = re.sub(r"\D", "", wanted)
+    if several and not number:  # of joints without numbers nothing says which is which
+        words = set()
+    alike = [key for key, name in plain.items() if name in words and not several]
+    alike = alike or [
+        key for key, name in plain.items() if _of_joint(name, words, number if several else None)
+    ]
+    if alike:
+        return alike
+    near = difflib.get_close_matches(_squeezed(wanted), list(plain.values()), n=1, cutoff=0.8)
+    return [key for key, name in plain.items() if near and name == near[0]]
+
+
+def _of_joint(name: str, words: set[str], number: str | None) -> bool:
+    """Whether a name is one of some words and a number; None: any number."""
+    stem = name.rstrip("0123456789")
+    return stem in words and (number is None or name[len(stem) :] == number)
+
+
+def _follows(log: StreamLog, position: str, rate: str) -> bool:
+    """Whether a column is the rate of another, in whatever units, by the movement over 0.25 s; True where none says."""
+    (one, p), (other, v) = log.find(position), log.find(rate)
+    if one is not other or not one.timed:
+        return True
+    every = max(1, round(INTERVAL_S * one.rate))
+    good = np.isfinite(one.fields[p] + one.fields[v])
+    place, speed = one.fields[p][good], one.fields[v][good]
+    moved = np.diff(place[::every])
+    told = np.diff(np.cumsum(speed)[::every])
+    if len(moved) < _FEWEST or not np.ptp(moved) or not np.ptp(told):
+        return True
+    return bool(np.corrcoef(moved, told)[0, 1] ** 2 > 0.9)
+
+
+def _squeezed(name: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", re.split(r"[./]", name.lower())[-1])
+
 
 _SENSOR = ("gyro", "imu", "gyr")
 _MOST = 6  # sources of one quantity that are compared
@@ -81,7 +353,7 @@ def propose(log: StreamLog, system: SystemInfo, *, kind: str = "") -> Proposal:
 
 def _nameless(log: StreamLog, system: SystemInfo, kind: str) -> Proposal | None:
     """A table without names as if its columns had those of the system, for checks to judge."""
-    called = nameless.called(log, system)
+    called = names_by_content(log, system)
     if called is None:
         return None
     stream = log.streams[0]

@@ -9,7 +9,6 @@ from __future__ import annotations
 import shlex
 from pathlib import Path
 
-from nsde_torch.data.findings import Finding
 from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.mapping.apply import apply
 from nsde_torch.data.mapping.checks import checks
@@ -17,7 +16,7 @@ from nsde_torch.data.mapping.files import log_files, mapping_beside
 from nsde_torch.data.mapping.inputs import full_of_all
 from nsde_torch.data.mapping.mapping import LogMapping, read_mapping
 from nsde_torch.data.mapping.proposal import propose
-from nsde_torch.data.raw import RawRun
+from nsde_torch.data.raw import Finding, RawRun
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import DataError
 

@@ -34,7 +34,6 @@ class Offboard(Supervised):
     """One flight; see `Supervised` for what it takes and shows."""
 
     def tick(self, now: float) -> None:
-        """See `Supervised.tick`."""
         if self._begun is None:
             self._begun = self._since = self._last = now
         self._now = now

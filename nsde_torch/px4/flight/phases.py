@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import Enum
 
-from nsde_torch.px4.flight.safety import Trouble
-from nsde_torch.px4.flight.steps import EstimateStep
+from nsde_torch.px4.flight.safety import EstimateStep, Trouble
 
 
 class Phase(Enum):

@@ -22,7 +22,7 @@ from typing import final
 
 from nsde_torch.errors import NsdeError
 from nsde_torch.px4.flight.controller import Asked, DemandPlan, FlightController
-from nsde_torch.px4.link.urgent import PLANS, urgent
+from nsde_torch.px4.link.connection import PLANS, urgent
 from nsde_torch.px4.link.vectors import finite
 
 Say = Callable[[str], None]
@@ -91,7 +91,6 @@ class Inline(Runner):
         self._delay, self._made = delay, deque[tuple[float, DemandPlan]]()
 
     def offer(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> None:
-        """See `Runner.offer`."""
         if self.fault is not None:
             return
         while self._made and time - self._made[0][0] >= self._delay - 1e-3:
@@ -134,7 +133,6 @@ class Process(Runner):
         return self._process.pid
 
     def offer(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> None:
-        """See `Runner.offer`."""
         # a state that is a fraction of a millisecond early is not left for the next tick
         if self._busy or self.fault is not None or 0.0 <= time - self._offered < self._period - 1e-3:
             return
@@ -145,7 +143,6 @@ class Process(Runner):
             self.fault = self.fault or "the controller's process is gone"
 
     def collect(self) -> None:
-        """See `Runner.collect`."""
         try:
             while self.fault is None and self._pipe.poll():
                 answer = self._pipe.recv()
@@ -162,7 +159,6 @@ class Process(Runner):
             self.fault = "the controller's process is gone"
 
     def close(self) -> None:
-        """See `Runner.close`."""
         with contextlib.suppress(OSError):
             self._pipe.close()
         self._process.join(0.5)

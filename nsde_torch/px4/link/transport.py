@@ -135,7 +135,6 @@ class UdpIn(Transport):
         self.foreign = 0
 
     def receive(self, timeout: float) -> bytes:
-        """See `Transport.receive`."""
         if not _readable(self._socket, timeout):
             return b""
         try:
@@ -154,12 +153,10 @@ class UdpIn(Transport):
         return data
 
     def trust(self) -> None:
-        """See `Transport.trust`."""
         if self._last is not None and self._last != self._peer:
             self._peer, self._heard = self._last, time.monotonic()
 
     def send(self, data: bytes) -> None:
-        """See `Transport.send`."""
         if self._peer is not None:
             try:
                 self._socket.sendto(data, self._peer)
@@ -167,7 +164,6 @@ class UdpIn(Transport):
                 return
 
     def close(self) -> None:
-        """See `Transport.close`."""
         self._socket.close()
 
 
@@ -184,7 +180,6 @@ class UdpOut(Transport):
             raise
 
     def receive(self, timeout: float) -> bytes:
-        """See `Transport.receive`."""
         if not _readable(self._socket, timeout):
             return b""
         try:
@@ -194,14 +189,12 @@ class UdpOut(Transport):
             return b""
 
     def send(self, data: bytes) -> None:
-        """See `Transport.send`."""
         try:
             self._socket.send(data)
         except OSError:
             return
 
     def close(self) -> None:
-        """See `Transport.close`."""
         self._socket.close()
 
 
@@ -215,7 +208,6 @@ class _Connected(Transport):
 
     @property
     def connected(self) -> bool:
-        """See `Transport.connected`."""
         return self._connection is not None
 
     def _use(self, connection: socket.socket) -> None:
@@ -224,7 +216,6 @@ class _Connected(Transport):
         self._connection = connection
 
     def receive(self, timeout: float) -> bytes:
-        """See `Transport.receive`."""
         if self._connection is None:
             time.sleep(min(timeout, 0.01))
             return b""
@@ -241,7 +232,6 @@ class _Connected(Transport):
         return data
 
     def send(self, data: bytes) -> None:
-        """See `Transport.send`."""
         if self._connection is None:
             return
         try:
@@ -258,7 +248,6 @@ class _Connected(Transport):
             self._connection = None
 
     def close(self) -> None:
-        """See `Transport.close`."""
         self._drop()
 
 
@@ -282,7 +271,6 @@ class TcpIn(_Connected):
         self.address: tuple[str, int] = self._server.getsockname()
 
     def receive(self, timeout: float) -> bytes:
-        """See `Transport.receive`."""
         if self._connection is None:
             if not _readable(self._server, timeout):
                 return b""
@@ -293,7 +281,6 @@ class TcpIn(_Connected):
         return super().receive(timeout)
 
     def close(self) -> None:
-        """See `Transport.close`."""
         super().close()
         self._server.close()
 
@@ -310,7 +297,6 @@ class Serial(Transport):
         self._port: Any = serial.Serial(device, baud, timeout=0.0, write_timeout=0.0)
 
     def receive(self, timeout: float) -> bytes:
-        """See `Transport.receive`."""
         try:
             if not select.select([self._port.fileno()], [], [], timeout)[0]:
                 return b""
@@ -321,12 +307,10 @@ class Serial(Transport):
         return data
 
     def send(self, data: bytes) -> None:
-        """See `Transport.send`."""
         try:
             self._port.write(data)
         except (OSError, ValueError):
             return
 
     def close(self) -> None:
-        """See `Transport.close`."""
         self._port.close()

@@ -12,8 +12,9 @@ to OFFBOARD by itself; ODOMETRY's velocity is in the local frame. What its estim
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
-from math import hypot, inf, isfinite
+from math import hypot, inf, isfinite, nan
 from typing import final
 
 from nsde_torch.px4.flight.cascade import GRAVITY, Point, SetpointCascade, levelling
@@ -25,9 +26,42 @@ from nsde_torch.px4.link.endpoint import NUMBERS
 from nsde_torch.px4.link.vectors import Quat, Vec, conjugate, multiply, rotation_vector, yaw_of
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.estimate import Estimate, SimulatedEstimator
-from nsde_torch.px4.simulator.messages import MESSAGES, due_next, is_due, texts
-from nsde_torch.px4.simulator.parameters import FAILSAFES, MOTORS_OFF, PARAMETERS, STICK_MODES
 from nsde_torch.px4.simulator.sensor_errors import SensorErrors
+
+PARAMETERS: dict[str, tuple[float, int]] = {
+    "SYS_AUTOSTART": (6001, d.INT32),
+    "COM_OF_LOSS_T": (1.0, d.REAL32),
+    "COM_OBL_RC_ACT": (4, d.INT32),  # 4: land
+    "COM_RC_IN_MODE": (4, d.INT32),  # no sticks
+    "COM_RC_OVERRIDE": (1, d.INT32),
+    "COM_RCL_EXCEPT": (0, d.INT32),
+    "COM_DLL_EXCEPT": (0, d.INT32),
+    "NAV_RCL_ACT": (2, d.INT32),
+    "NAV_DLL_ACT": (0, d.INT32),
+    "GF_ACTION": (2, d.INT32),
+    "GF_MAX_HOR_DIST": (0.0, d.REAL32),  # 0: no fence
+    "GF_MAX_VER_DIST": (0.0, d.REAL32),
+    "SENS_GPS0_DELAY": (10.0, d.REAL32),
+    "COM_LOW_BAT_ACT": (2, d.INT32),
+    "RTL_RETURN_ALT": (30.0, d.REAL32),
+    "SDLOG_PROFILE": (147, d.INT32),
+    "COM_DISARM_LAND": (2.0, d.REAL32),
+    "COM_DISARM_PRFLT": (10.0, d.REAL32),
+    "MPC_THR_HOVER": (0.5, d.REAL32),
+    "MPC_LAND_SPEED": (0.7, d.REAL32),
+    "MC_ROLLRATE_MAX": (220.0, d.REAL32),
+    "MC_PITCHRATE_MAX": (220.0, d.REAL32),
+    "MC_YAWRATE_MAX": (200.0, d.REAL32),
+    "BAT1_N_CELLS": (4, d.INT32),
+    "MAV_SYS_ID": (1, d.INT32),
+}
+"""The parameters that are answered for."""
+FAILSAFES = {0: d.POSITION, 1: d.ALTITUDE, 2: d.MANUAL, 4: d.LAND}
+"""Modes of COM_OBL_RC_ACT in which it ends without a stream; HOLD in all others."""
+MOTORS_OFF = (6, 7)
+"""Values of COM_OBL_RC_ACT that stop the motors wherever it is: flight termination, and disarming."""
+STICK_MODES = (d.POSITION, d.ALTITUDE, d.MANUAL)
+
 
 ABANDONED = 0.85
 """Share of its weight that it carries in a mode of sticks that nobody holds: it drifts on, into the ground."""
@@ -410,3 +444,139 @@ class SimulatedAutopilot:
         if self.blind and name in ("ODOMETRY", "LOCAL_POSITION_NED"):
             return None
         return MESSAGES[name](self, now + self.clock_error)
+
+
+def _heartbeat(a: SimulatedAutopilot, now: float) -> Message:
+    flags = 1 | (d.ARMED_FLAG if a.armed else 0)
+    state = 4 if a.armed else 3
+    return mavlink.MAVLink_heartbeat_message(13, d.AUTOPILOT_PX4, flags, a.mode.custom, state, 3)
+
+
+def _sys_status(a: SimulatedAutopilot, now: float) -> Message:
+    left = round(100 * (1.0 - a.body.used))
+    return mavlink.MAVLink_sys_status_message(
+        0, 0, 0, 0, round(1000 * a.body.voltage), -1, left, 0, 0, 0, 0, 0, 0
+    )
+
+
+def _extended_sys_state(a: SimulatedAutopilot, now: float) -> Message:
+    return mavlink.MAVLink_extended_sys_state_message(0, d.ON_GROUND if a.landed else d.IN_AIR)
+
+
+def _odometry(a: SimulatedAutopilot, now: float) -> Message:
+    p, v, q, w = a.estimate
+    unknown = [nan] * 21
+    return mavlink.MAVLink_odometry_message(
+        int(now * 1e6),
+        1,
+        1,
+        *frames.world(p),
+        frames.attitude(q),
+        *frames.world(v),
+        *frames.body(w),
+        unknown,
+        unknown,
+        reset_counter=a.estimator.resets % 256,
+    )
+
+
+def _attitude_quaternion(a: SimulatedAutopilot, now: float) -> Message:
+    _, _, q, w = a.estimate
+    return mavlink.MAVLink_attitude_quaternion_message(int(now * 1e3), *frames.attitude(q), *frames.body(w))
+
+
+def _local_position_ned(a: SimulatedAutopilot, now: float) -> Message:
+    p, v, _, _ = a.estimate
+    return mavlink.MAVLink_local_position_ned_message(int(now * 1e3), *frames.world(p), *frames.world(v))
+
+
+def _attitude_target(a: SimulatedAutopilot, now: float) -> Message:
+    unturned = (1.0, 0.0, 0.0, 0.0)
+    return mavlink.MAVLink_attitude_target_message(int(now * 1e3), 0, unturned, *frames.body(a.rates), 0.0)
+
+
+def _position_target_local_ned(a: SimulatedAutopilot, now: float) -> Message | None:
+    """Only where a position was followed since it was told last."""
+    to, a.position = a.position, None
+    if to is None:
+        return None
+    still = [0.0] * 6
+    return mavlink.MAVLink_position_target_local_ned_message(
+        int(now * 1e3), 1, 0, *frames.world(to), *still, 0.0, 0.0
+    )
+
+
+def _estimator_status(a: SimulatedAutopilot, now: float) -> Message:
+    e = a.estimator
+    ratios = (e.velocity_ratio, e.contradicted, e.contradicted, 0.02, nan, nan)
+    return mavlink.MAVLink_estimator_status_message(int(now * 1e6), 0x33F, *ratios, 0.2, 0.2)
+
+
+def _home_position(a: SimulatedAutopilot, now: float) -> Message | None:
+    """Known from the first arming on."""
+    if a.home is None:
+        return None
+    return mavlink.MAVLink_home_position_message(
+        0, 0, 0, *frames.world(a.home), [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0
+    )
+
+
+def _servo_output_raw(a: SimulatedAutopilot, now: float) -> Message:
+    pulses = [round(1000 + 1000 * u) for u in a.commands]
+    pulses += [0] * (8 - len(pulses))
+    return mavlink.MAVLink_servo_output_raw_message(int(now * 1e6) & 0xFFFFFFFF, 0, *pulses)
+
+
+def _actuator_output_status(a: SimulatedAutopilot, now: float) -> Message:
+    row = [*a.commands, *([0.0] * (32 - len(a.commands)))]
+    return mavlink.MAVLink_actuator_output_status_message(int(now * 1e6), a.body.nu, row)
+
+
+MESSAGES: dict[str, Callable[[SimulatedAutopilot, float], Message | None]] = {
+    "HEARTBEAT": _heartbeat,
+    "HOME_POSITION": _home_position,
+    "SYS_STATUS": _sys_status,
+    "ESTIMATOR_STATUS": _estimator_status,
+    "EXTENDED_SYS_STATE": _extended_sys_state,
+    "ODOMETRY": _odometry,
+    "ATTITUDE_QUATERNION": _attitude_quaternion,
+    "ATTITUDE_TARGET": _attitude_target,
+    "LOCAL_POSITION_NED": _local_position_ned,
+    "POSITION_TARGET_LOCAL_NED": _position_target_local_ned,
+    "SERVO_OUTPUT_RAW": _servo_output_raw,
+    "ACTUATOR_OUTPUT_STATUS": _actuator_output_status,
+}
+"""Name -> function of the autopilot and the time that it stamps [s]."""
+
+
+ESTIMATOR = 0.008
+"""Step at which the estimator publishes [s]."""
+_ESTIMATED = frozenset(("ODOMETRY", "LOCAL_POSITION_NED"))
+
+
+def is_due(name: str, due: float, now: float) -> bool:
+    """Whether a message goes out now; one of the estimate waits for a new one."""
+    late = now % ESTIMATOR
+    new = name not in _ESTIMATED or min(late, ESTIMATOR - late) < 1e-6
+    return new and now >= due - 1e-6
+
+
+def due_next(name: str, due: float, interval: float, now: float) -> float:
+    """When a message that goes out now is due again [s].
+
+    An estimate is sent as often as it was asked for, at 100 Hz three after 8 ms each and one after 16. Of the others
+    100 Hz come as 99.
+    """
+    if name in _ESTIMATED:
+        return max(due + interval, now - interval)
+    return max(due + interval * 100.0 / 99.0, now)
+
+
+def texts(severity: int, text: str, number: int) -> list[Message]:
+    """A text in pieces of fifty characters; one that has several bears its number."""
+    data = text.encode()
+    pieces = [data[k : k + 50] for k in range(0, len(data), 50)]
+    return [
+        mavlink.MAVLink_statustext_message(severity, piece, id=number if len(pieces) > 1 else 0, chunk_seq=k)
+        for k, piece in enumerate(pieces)
+    ]

@@ -1,0 +1,689 @@
+"""Figures of trained models against their data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import ceil
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from nsde_torch.arrays import Array
+from nsde_torch.errors import ShapeError
+from nsde_torch.plots.data_figure import with_angles
+from nsde_torch.plots.style import (
+    BLACK,
+    BLUE,
+    COLOURS,
+    DASHES,
+    GREY,
+    MARKS,
+    ORANGE,
+    VERMILLION,
+    few_ticks,
+    key,
+    label,
+    model_look,
+    panels,
+    plain_logarithm,
+    pretty,
+    seconds_axis,
+    styled,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+TARGET = (0.90, 0.85, 0.95)
+"""Nominal level and the range in which its empirical share should lie."""
+
+
+@styled
+def calibration_curve(
+    nominal: ArrayLike,
+    empirical: Mapping[str, ArrayLike],
+    *,
+    horizons: Sequence[float] | None = None,
+    per_horizon: Mapping[str, ArrayLike] | None = None,
+    title: str = "Share of held-out measurements inside predicted intervals",
+) -> Figure:
+    """Empirical against nominal coverage, and where given the coverage of 90 % intervals at each horizon.
+
+    Args:
+        nominal: Probabilities of the central intervals (k,), in (0, 1).
+        empirical: Share of the measurements inside them (k,), by group.
+        horizons: Horizons (h,) [s].
+        per_horizon: Coverage of the 90 % interval at each horizon (h,), by group.
+        title: Title.
+
+    Returns:
+        A figure with one panel, or two with horizons. The shaded range is 85 to 95 % at 90 %.
+
+    Raises:
+        ShapeError: a curve does not have one value for each level or horizon.
+    """
+    levels = np.asarray(nominal, dtype=float)
+    two = horizons is not None and per_horizon is not None
+    curves = {g: np.asarray(v, dtype=float) for g, v in empirical.items()}
+    later = {g: np.asarray(v, dtype=float) for g, v in (per_horizon or {}).items()} if two else {}
+    for name, many, n in (
+        ("empirical", curves, len(levels)),
+        ("per_horizon", later, len(horizons or ())),
+    ):
+        for group, curve in many.items():
+            if curve.shape != (n,):
+                raise ShapeError(f"`{name}[{group!r}]` must be ({n},); got {curve.shape}.")
+    figure, axes = panels(1, 2 if two else 1, height=4.6, title=title)
+    groups = list(dict.fromkeys([*curves, *later]))
+    looks = {
+        g: {"color": COLOURS[k % 6], "linestyle": DASHES[k % 6], "marker": MARKS[k % 6], "markersize": 4.5}
+        for k, g in enumerate(groups)
+    }
+    level, low, high = TARGET
+    ax = axes[0, 0]
+    ax.plot([0, 1], [0, 1], color=GREY, linewidth=1.0, label="ideal")
+    ax.fill_between(
+        [level - 0.02, level + 0.02], low, high, color=BLACK, alpha=0.15, linewidth=0, label="85–95 % at 90 %"
+    )
+    for group, curve in curves.items():
+        order = np.argsort(levels)
+        ax.plot(levels[order], curve[order], label=group, **looks[group])
+    ax.set(xlim=(0, 1), ylim=(0, 1), xlabel="nominal probability [–]", ylabel="empirical share [–]")
+    ax.set_aspect("equal")
+    key(figure, ax, columns=6)
+    if two:
+        ax = axes[0, 1]
+        ax.axhspan(low, high, color=BLACK, alpha=0.12, linewidth=0)
+        ax.axhline(level, color=GREY, linewidth=1.0)
+        for group, curve in later.items():
+            ax.plot(np.asarray(horizons, dtype=float), curve, **looks[group])
+        seconds_axis(ax, horizons or ())
+        ax.set(ylim=(0, 1.02), ylabel="share inside 90 % intervals [–]")
+    return figure
+
+
+BANDS = ((0.95, "#d6e6f2"), (0.90, "#a9cde6"), (0.50, "#66a9d4"))
+"""Central intervals and their colours, widest first."""
+
+
+@styled
+def rollout_bands(
+    t: ArrayLike,
+    measured: ArrayLike,
+    samples: ArrayLike,
+    *,
+    names: Sequence[str],
+    units: Sequence[str],
+    title: str,
+    quaternion: slice | None = None,
+    starts: Sequence[str] | None = None,
+) -> Figure:
+    """Bands of sampled rollouts and the measured states: one row per channel, one column per start.
+
+    Args:
+        t: Time from the start [s], (T + 1,).
+        measured: Measured states (T + 1, nx), or (E, T + 1, nx) for E starts.
+        samples: Sampled states (P, T + 1, nx), or (E, P, T + 1, nx).
+        names: Names of the states.
+        units: Units of the states.
+        title: What is shown; say here what the inputs see of the future, if anything.
+        quaternion: Columns of a quaternion, drawn as roll, pitch and yaw in degrees.
+        starts: A heading for each start, for example the run and time.
+
+    Returns:
+        A figure of (channels, starts) panels.
+
+    Raises:
+        ShapeError: the arrays do not fit together.
+    """
+    t = np.asarray(t, dtype=float)
+    true, drawn = np.asarray(measured, dtype=float), np.asarray(samples, dtype=float)
+    if true.ndim == 2 and drawn.ndim == 3:
+        true, drawn = true[None], drawn[None]
+    fits = true.ndim == 3 and drawn.ndim == 4 and true.shape == (drawn.shape[0], *drawn.shape[2:])
+    if not fits or t.shape != true.shape[1:2] or len(names) != true.shape[2] or len(units) != len(names):
+        raise ShapeError(
+            "`measured` must be (E, T+1, nx), `samples` (E, P, T+1, nx), `t` (T+1,), `names` and `units` nx; "
+            f"got {true.shape}, {drawn.shape}, {t.shape}, {len(names)} and {len(units)}."
+        )
+    headings = list(starts) if starts is not None else [f"start {k + 1}" for k in range(len(true))]
+    if len(headings) != len(true):
+        raise ShapeError(f"`starts` must hold {len(true)} headings; got {len(headings)}.")
+    columns = [(heading, t, m, s) for heading, m, s in zip(headings, true, drawn, strict=True)]
+    return grid_of_bands(
+        columns, names, units, quaternion, title=title, named=len(columns) > 1 or starts is not None
+    )
+
+
+def grid_of_bands(
+    columns: Sequence[tuple[str, Array, Array, Array]],
+    names: Sequence[str],
+    units: Sequence[str],
+    quaternion: slice | None,
+    *,
+    title: str,
+    named: bool = True,
+    limits: Callable[[Sequence[tuple[Array, Array]]], tuple[float, float]] | None = None,
+) -> Figure:
+    """One row of panels per channel, one column per heading, times, measured states and samples.
+
+    `limits` makes the axis that the panels of a row share, from what is measured and sampled in each.
+    """
+    parts = []
+    for heading, t, m, s in columns:
+        shown = (m, s, list(names), list(units))
+        parts.append((heading, t, *(shown if quaternion is None else with_angles(*shown, quaternion))))
+    rows = parts[0][2].shape[1]
+    height = 1.0 + rows * (2.0 if rows <= 2 else 1.45 if rows <= 6 else 1.05)
+    shared: bool | str = False if limits is None else "row"
+    figure, axes = panels(rows, len(parts), height=height, title=title, sharex=True, sharey=shared)
+    for column, (heading, t, m, s, channels, channel_units) in enumerate(parts):
+        for k in range(rows):
+            ax = axes[k, column]
+            for level, colour in BANDS:
+                low, high = np.quantile(s[..., k], [(1 - level) / 2, (1 + level) / 2], axis=0)
+                ax.fill_between(t, low, high, color=colour, linewidth=0, label=f"{100 * level:.0f} %")
+            ax.plot(t, np.median(s[..., k], axis=0), color=BLUE, label="median")
+            ax.plot(t, m[:, k], color=BLACK, linewidth=1.2, linestyle=(0, (4, 1.5)), label="measured")
+            if column == 0 or limits is None:
+                ax.set_xlim(t[0], t[-1])
+                few_ticks(ax, y=4)
+            if column == 0:
+                ax.set_ylabel(label(channels[k], channel_units[k]))
+                if limits is not None:
+                    ax.set_ylim(*limits([(part[2][:, k], part[3][..., k]) for part in parts]))
+        if named:
+            axes[0, column].set_title(heading)
+        axes[-1, column].set_xlabel("time from the start [s]")
+    figure.align_ylabels(list(axes[:, 0]))
+    key(figure, axes[0, 0])
+    return figure
+
+
+_ROOM = 4.0  # how far a band may go beyond the range of what was measured, in such ranges
+
+
+@styled
+def calibration_of_models(
+    nominal: ArrayLike,
+    empirical: Mapping[str, Mapping[str, ArrayLike]],
+    *,
+    horizons: Sequence[float],
+    per_horizon: Mapping[str, Mapping[str, ArrayLike]],
+    order: Sequence[str] | None = None,
+    title: str = "Share of measurements inside predicted intervals",
+) -> Figure:
+    """Empirical against nominal coverage (above) and coverage of 90 % intervals at each horizon (below).
+
+    Args:
+        nominal: Probabilities of the central intervals (k,), in (0, 1).
+        empirical: Model -> group -> share of the measurements inside them (k,).
+        horizons: Horizons (h,) [s].
+        per_horizon: Model -> group -> coverage of the 90 % interval at each horizon (h,).
+        order: Names in the order of other figures, these among them, so that a model has one colour in all.
+        title: Title.
+
+    Returns:
+        A figure with two panels for each group and one curve for each model. Shaded is 85 to 95 % at 90 %.
+
+    Raises:
+        ShapeError: a curve does not have one value for each level or horizon.
+    """
+    levels = np.asarray(nominal, dtype=float)
+    groups = list(dict.fromkeys(g for curves in empirical.values() for g in curves))
+    figure, axes = panels(2, len(groups), height=5.6, title=title, sharey="row")
+    level, low, high = TARGET
+    rising = np.argsort(levels)
+    for column, group in enumerate(groups):
+        top, bottom = axes[0, column], axes[1, column]
+        top.plot([0, 1], [0, 1], color=GREY, linewidth=1.0, label="ideal")
+        top.fill_between([level - 0.02, level + 0.02], low, high, color=BLACK, alpha=0.15, linewidth=0)
+        bottom.axhspan(low, high, color=BLACK, alpha=0.12, linewidth=0, label="85–95 %")
+        bottom.axhline(level, color=GREY, linewidth=1.0)
+        for name in empirical:
+            k = (order or list(empirical)).index(name)
+            share = _curve(f"empirical[{name!r}][{group!r}]", empirical[name][group], len(levels))
+            later = _curve(f"per_horizon[{name!r}][{group!r}]", per_horizon[name][group], len(horizons))
+            top.plot(levels[rising], share[rising], markersize=4, label=name, **model_look(k))
+            bottom.plot(np.asarray(horizons, dtype=float), later, markersize=4, **model_look(k))
+        top.set(xlim=(0, 1), ylim=(0, 1), title=group, xlabel="nominal probability [–]")
+        top.set_aspect("equal")
+        seconds_axis(bottom, horizons)
+        bottom.set_ylim(0, 1.02)
+        if len(groups) > 2:
+            bottom.tick_params(axis="x", labelsize=7)
+    axes[0, 0].set_ylabel("empirical share [–]")
+    axes[1, 0].set_ylabel("inside 90 % intervals [–]")
+    key(figure, axes[0, 0])
+    return figure
+
+
+def _curve(name: str, values: ArrayLike, n: int) -> Array:
+    curve = np.asarray(values, dtype=float)
+    if curve.shape != (n,):
+        raise ShapeError(f"`{name}` must be ({n},); got {curve.shape}.")
+    return curve
+
+
+@styled
+def rollouts_of_models(
+    t: Mapping[str, ArrayLike],
+    measured: Mapping[str, ArrayLike],
+    samples: Mapping[str, ArrayLike],
+    *,
+    names: Sequence[str],
+    units: Sequence[str],
+    title: str,
+    quaternion: slice | None = None,
+) -> Figure:
+    """Bands of several models from one start, and what was measured: one row per channel, one column per model.
+
+    Args:
+        t: Model -> time from the start [s], (T + 1,).
+        measured: Model -> measured states at these times (T + 1, nx).
+        samples: Model -> sampled states (P, T + 1, nx).
+        names: Names of the states.
+        units: Units of the states.
+        title: What is shown.
+        quaternion: Columns of a quaternion, drawn as roll, pitch and yaw in degrees.
+
+    Returns:
+        A figure of (channels, models) panels; the panels of a row share their axis, which a path that runs far away
+        from what was measured leaves.
+
+    Raises:
+        ShapeError: the arrays do not fit together.
+    """
+    columns = []
+    for model in t:
+        times, m, s = (np.asarray(v[model], dtype=float) for v in (t, measured, samples))
+        if s.ndim != 3 or m.shape != s.shape[1:] or times.shape != m.shape[:1] or len(names) != m.shape[1]:
+            raise ShapeError(
+                f"`measured[{model!r}]` must be (T+1, nx={len(names)}), `samples` (P, T+1, nx) and `t` (T+1,); got "
+                f"{m.shape}, {s.shape} and {times.shape}."
+            )
+        columns.append((model, times, m, s))
+    return grid_of_bands(columns, names, units, quaternion, title=title, limits=_limits)
+
+
+def _limits(pairs: Sequence[tuple[Array, Array]]) -> tuple[float, float]:
+    """Range of what was measured and of the widest bands, cut off where they go far beyond."""
+    low, high = min(float(m.min()) for m, _ in pairs), max(float(m.max()) for m, _ in pairs)
+    share = BANDS[0][0]
+    ends = [np.quantile(s, [(1 - share) / 2, (1 + share) / 2], axis=0) for _, s in pairs]
+    room = _ROOM * max(high - low, 1e-9)
+    bottom = max(min(float(e[0].min()) for e in ends), low - room)
+    top = min(max(float(e[1].max()) for e in ends), high + room)
+    bottom, top = min(bottom, low), max(top, high)
+    margin = 0.06 * max(top - bottom, 1e-9)
+    return bottom - margin, top + margin
+
+
+TRAIN_SHOWN, HELD_OUT_SHOWN = 400, 150
+"""Data points drawn; more hide the map and each other."""
+
+
+@dataclass(frozen=True)
+class DistanceSlice:
+    """eta on a grid over two features.
+
+    Args:
+        x: First feature on the grid (n,).
+        y: Second feature on the grid (m,).
+        eta: Distance (m, n), rows along y.
+        x_label: Name and unit of the first feature.
+        y_label: Name and unit of the second feature.
+        train: Training data in the two features (N, 2).
+        held_out: Held-out data in the two features (M, 2).
+    """
+
+    x: ArrayLike
+    y: ArrayLike
+    eta: ArrayLike
+    x_label: str
+    y_label: str
+    train: ArrayLike
+    held_out: ArrayLike = field(default_factory=lambda: np.zeros((0, 2)))
+
+
+def slice_grid(
+    features: ArrayLike, pair: tuple[int, int], *, size: int = 80, margin: float = 1.0
+) -> tuple[Array, Array, Array]:
+    """Points at which eta is to be evaluated: a grid over two features, the others at their median.
+
+    Args:
+        features: Training features (N, nf).
+        pair: Columns of the two features.
+        size: Points along each axis.
+        margin: Room on each side of the data, in widths of the data.
+
+    Returns:
+        Points (size * size, nf), x (size,), y (size,); `eta.reshape(size, size)` fits `DistanceSlice`.
+
+    Raises:
+        ShapeError: `features` has another number of axes, or `pair` is outside of it.
+    """
+    rows = np.asarray(features, dtype=float)
+    if rows.ndim != 2 or not all(0 <= k < rows.shape[1] for k in pair):
+        raise ShapeError(f"`features` must be (N, nf) with the columns {pair}; got {rows.shape}.")
+    axes = []
+    for k in pair:
+        low, high = float(rows[:, k].min()), float(rows[:, k].max())
+        room = margin * max(high - low, 1e-6)
+        axes.append(np.linspace(low - room, high + room, size))
+    points = np.tile(np.median(rows, axis=0), (size * size, 1))
+    grid_x, grid_y = np.meshgrid(axes[0], axes[1])
+    points[:, pair[0]], points[:, pair[1]] = grid_x.ravel(), grid_y.ravel()
+    return points, axes[0], axes[1]
+
+
+def _some(points: ArrayLike, limit: int) -> Array:
+    """At most so many rows, evenly spread over the order of recording."""
+    rows = np.asarray(points, dtype=float).reshape(-1, 2)
+    if len(rows) <= limit:
+        return rows
+    return rows[np.linspace(0, len(rows) - 1, limit).round().astype(int)]
+
+
+@styled
+def distance_map(
+    slices: Sequence[DistanceSlice],
+    *,
+    title: str = "Distance η from the training data (other features at their median)",
+) -> Figure:
+    """Maps of eta, with contours at 0.1, 0.5 and 0.9 and a part of the data on them.
+
+    Args:
+        slices: One map per panel.
+        title: Title.
+
+    Returns:
+        A figure with one panel per slice and one colour bar.
+
+    Raises:
+        ShapeError: there is no slice, or eta does not fit its axes.
+    """
+    if not slices:
+        raise ShapeError("`slices` must hold at least one slice.")
+    columns = min(len(slices), 3)
+    rows = ceil(len(slices) / columns)
+    figure, axes = panels(rows, columns, height=0.9 + rows * (4.6 if columns == 1 else 3.2), title=title)
+    image = None
+    for ax, part in zip(axes.flat, slices, strict=False):
+        x, y, eta = (np.asarray(v, dtype=float) for v in (part.x, part.y, part.eta))
+        if eta.shape != (len(y), len(x)):
+            raise ShapeError(f"`eta` must be (len(y), len(x)) = {(len(y), len(x))}; got {eta.shape}.")
+        image = ax.pcolormesh(x, y, eta, cmap="cividis", vmin=0, vmax=1, shading="gouraud", rasterized=True)
+        crossed = [v for v in (0.1, 0.5, 0.9) if eta.min() < v < eta.max()]
+        if crossed:
+            lines = ax.contour(x, y, eta, levels=crossed, colors="white", linewidths=0.9)
+            ax.clabel(lines, fmt="%g", fontsize=8)
+        train, held = _some(part.train, TRAIN_SHOWN), _some(part.held_out, HELD_OUT_SHOWN)
+        ax.scatter(*train.T, s=5, color="white", edgecolors=BLACK, linewidths=0.3, label="training")
+        if len(held):
+            ax.scatter(*held.T, s=14, marker="x", color=VERMILLION, linewidths=0.8, label="held out")
+        ax.set(xlabel=part.x_label, ylabel=part.y_label, xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
+        ax.grid(visible=False)
+    for ax in axes.flat[len(slices) :]:
+        ax.set_axis_off()
+    assert image is not None
+    figure.colorbar(image, ax=list(axes.flat), label="η [–]: 0 on the data, 1 far away", pad=0.02)
+    key(figure, axes.flat[0])
+    return figure
+
+
+@dataclass(frozen=True)
+class PredictionBand:
+    """What a model predicts; not-a-number where it has diverged.
+
+    Args:
+        name: Name of the model.
+        mean: Mean (T + 1, n).
+        low, high: Ends of its interval (T + 1, n); None for a model without intervals.
+    """
+
+    name: str
+    mean: Array
+    low: Array | None = None
+    high: Array | None = None
+
+
+@styled
+def evolution(
+    t: Array,
+    truth: Array,
+    predictions: Sequence[PredictionBand],
+    *,
+    names: Sequence[str],
+    units: Sequence[str],
+    title: str,
+    truth_name: str = "truth",
+    interval: str = "95 %",
+    columns: int = 1,
+) -> Figure:
+    """One panel per channel: the truth, and mean and interval of every model; one scale for channels of one unit.
+
+    Args:
+        t: Time [s] (T + 1,).
+        truth: True or measured states (T + 1, n).
+        predictions: What the models predict; the first lies on top.
+        names: Names of the channels.
+        units: Units of the channels.
+        title: What is shown.
+        truth_name: Name of the truth in the legend.
+        interval: Level of the intervals, for the legend.
+        columns: Columns of panels.
+
+    Raises:
+        ShapeError: the arrays do not fit together.
+    """
+    for p in predictions:
+        if p.mean.shape != truth.shape:
+            raise ShapeError(f"{p.name}: `mean` must be {truth.shape} as the truth; got {p.mean.shape}.")
+    n = truth.shape[1]
+    rows = -(-n // columns)
+    figure, axes = panels(
+        rows, columns, height=1.0 + rows * (2.2 if columns == 1 else 1.7), title=title, sharex=True
+    )
+    order = list(enumerate(predictions))[::-1]
+    ranges = truth.max(0) - truth.min(0)
+    # channels of one unit share their span: one that hardly moves is shown to hardly move
+    spans = [max(r for r, other in zip(ranges, units, strict=True) if other == unit) for unit in units]
+    for k, ax in enumerate(axes.T.flat):
+        if k >= n:
+            ax.set_axis_off()
+            continue
+        for i, p in order:
+            colour = COLOURS[i % len(COLOURS)]
+            if p.low is not None and p.high is not None:
+                ax.fill_between(
+                    t,
+                    p.low[:, k],
+                    p.high[:, k],
+                    color=colour,
+                    alpha=0.22,
+                    linewidth=0,
+                    label=f"{interval} {p.name}",
+                )
+            ax.plot(t, p.mean[:, k], color=colour, linestyle=DASHES[i % len(DASHES)], label=p.name)
+        ax.plot(t, truth[:, k], color=BLACK, linewidth=1.2, linestyle=(0, (4, 1.5)), label=truth_name)
+        centre = 0.5 * float(truth[:, k].min() + truth[:, k].max())
+        room = 0.95 * max(float(spans[k]), 1e-9)
+        ax.set_ylim(centre - room, centre + room)  # a model that diverges leaves the panel
+        ax.set_xlim(t[0], t[-1])
+        ax.set_ylabel(label(names[k], units[k]))
+        few_ticks(ax, y=5)
+    for ax in axes[-1]:
+        ax.set_xlabel("time [s]")
+    key(figure, axes[0, 0], columns=4)
+    return figure
+
+
+_BASELINES: dict[str, dict[str, Any]] = {
+    "hold": {"color": GREY, "linestyle": "--", "marker": "x", "label": "hold the last state"},
+    "constant_velocity": {
+        "color": ORANGE,
+        "linestyle": "-.",
+        "marker": "^",
+        "label": "constant velocity",
+    },
+}
+
+
+@styled
+def horizon_errors(
+    horizons: Sequence[float],
+    errors: Mapping[str, Mapping[str, ArrayLike]],
+    units: Mapping[str, str],
+    *,
+    title: str = "Error on held-out runs (RMSE)",
+) -> Figure:
+    """Error at each horizon: one panel per group, one curve per model.
+
+    Args:
+        horizons: Horizons (h,) [s].
+        errors: Model -> group -> error (h,); the names `hold` and `constant_velocity` are drawn as baselines.
+        units: Unit of each group.
+        title: Title.
+
+    Returns:
+        A figure with one panel per group.
+
+    Raises:
+        ShapeError: a curve does not have one value per horizon.
+    """
+    groups = list(dict.fromkeys(g for curves in errors.values() for g in curves))
+    columns = min(len(groups), 2)
+    rows = ceil(len(groups) / columns)
+    figure, axes = panels(rows, columns, height=0.9 + 2.5 * rows, title=title, sharex=False)
+    models = [m for m in errors if m not in _BASELINES]
+    looks: dict[str, dict[str, Any]] = dict(_BASELINES)
+    for k, name in enumerate(models):
+        looks[name] = {**model_look(k), "label": name}
+    for ax, group in zip(axes.flat, groups, strict=False):
+        drawn = []
+        for name in [*models, *(m for m in errors if m in _BASELINES)]:
+            if group not in errors[name]:
+                continue
+            curve = np.asarray(errors[name][group], dtype=float)
+            if curve.shape != (len(horizons),):
+                raise ShapeError(
+                    f"`errors[{name!r}][{group!r}]` must be ({len(horizons)},); got {curve.shape}."
+                )
+            ax.plot(horizons, curve, markersize=4.5, **looks[name])
+            drawn.append(curve)
+        both = np.concatenate(drawn)
+        both = both[np.isfinite(both)]
+        if len(both) and both.min() > 0:
+            plain_logarithm(ax)
+        seconds_axis(ax, horizons)
+        ax.set_ylabel(f"{group} error [{pretty(units[group])}]")
+    for ax in axes.flat[len(groups) :]:
+        ax.set_axis_off()
+    key(figure, axes.flat[0])
+    return figure
+
+
+_NOT_TERMS = ("step", "loss", "validation", "lr", "seconds", "grad_norm")
+
+
+def _column(history: Sequence[Mapping[str, float | None]], name: str) -> tuple[Array, Array]:
+    rows = [(r["step"], r[name]) for r in history if r.get(name) is not None]
+    table = np.array(rows, dtype=float).reshape(-1, 2)
+    table = table[np.isfinite(table[:, 1])]
+    return table[:, 0], table[:, 1]
+
+
+def _scale(axes: Axes, values: Sequence[Array]) -> None:
+    """Logarithmic if all values are positive and span more than a factor of five; linear otherwise."""
+    both = np.concatenate(list(values)) if values else np.zeros(0)
+    if len(both) and both.min() > 0 and both.max() > 5 * both.min():
+        plain_logarithm(axes)
+
+
+def _smooth(y: Array) -> Array:
+    """Running median over about a fiftieth of the curve: single batches jump."""
+    width = max(len(y) // 50, 1) | 1
+    if width < 3:
+        return y
+    padded = np.pad(y, width // 2, mode="edge")
+    median: Array = np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1)
+    return median
+
+
+@styled
+def learning_curves(
+    history: Sequence[Mapping[str, float | None]],
+    *,
+    kept: int | None = None,
+    terms: Sequence[str] | None = None,
+    title: str = "Loss on training batches and held-out windows",
+) -> Figure:
+    """Loss and validation score on the left, the terms of the loss on the right.
+
+    Args:
+        history: One row per step with `step` and any of `loss`, `validation` and the terms; a missing or
+            None entry is a step at which that was not computed.
+        kept: Step of the model that was kept; default: that of the smallest validation score.
+        terms: Names of the terms; default: every key but the known ones, in the order of appearance.
+        title: Title.
+
+    Returns:
+        A figure with two panels, or one where there are no terms.
+
+    Raises:
+        ShapeError: the history is empty, or a row has no `step`.
+
+    Example:
+        >>> figure = learning_curves([{"step": 0, "loss": 2.0}, {"step": 1, "loss": 1.0}])
+    """
+    if not history or any("step" not in row for row in history):
+        raise ShapeError("`history` must hold at least one row, each with the key `step`.")
+    if terms is None:
+        terms = [k for k in dict.fromkeys(k for row in history for k in row) if k not in _NOT_TERMS]
+    drawn = [name for name in terms if len(_column(history, name)[0])]
+    figure, axes = panels(1, 2 if drawn else 1, height=3.6, title=title)
+    left: Axes = axes[0, 0]
+    shown = []
+    step, loss = _column(history, "loss")
+    if len(step):
+        if len(step) >= 150:
+            left.plot(step, loss, color=BLUE, alpha=0.25, linewidth=0.7)
+        left.plot(step, _smooth(loss), color=BLUE, label="training batch")
+        shown.append(loss)
+    step, score = _column(history, "validation")
+    if len(step):
+        left.plot(step, score, color=VERMILLION, marker="o", markersize=3.5, label="held-out windows")
+        shown.append(score)
+        if kept is None:
+            kept = int(step[score.argmin()])
+    _scale(left, shown)
+    left.set_ylabel("loss [–]")
+    sizes = []
+    for k, name in enumerate(drawn):
+        step, value = _column(history, name)
+        negative = bool((value <= 0).all() and (value < 0).any())  # a reward: drawn by its size
+        value = -value if negative else value
+        axes[0, 1].plot(
+            step,
+            _smooth(value),
+            color=COLOURS[k % 6],
+            linestyle=DASHES[k % 6],
+            label=f"−{name}" if negative else name,
+        )
+        sizes.append(value[value != 0])
+    if drawn:
+        _scale(axes[0, 1], sizes)
+        axes[0, 1].set_ylabel("term of the loss [–]")
+    for ax in axes.flat:
+        if kept is not None:
+            ax.axvline(kept, color=BLACK, linestyle=":", linewidth=1.2, label=f"kept: step {kept}")
+        ax.set_xlabel("gradient step")
+        ax.set_xlim(min(float(r["step"] or 0) for r in history), None)
+        ax.legend(labelcolor=BLACK, loc="best")
+        ax.tick_params(color=GREY)
+    return figure

@@ -14,7 +14,7 @@ from nsde_torch.effects.actuators import (
     MotorLag,
 )
 from nsde_torch.effects.base import Effect, Port
-from nsde_torch.effects.cartpole import AngleBias, TrackTilt
+from nsde_torch.effects.cartpole import AngleBias, PoleGravity, TrackTilt
 from nsde_torch.effects.coordinates import Bound
 from nsde_torch.effects.expression import Expression, unplaced_expression
 from nsde_torch.effects.expression_grammar import is_law
@@ -79,6 +79,7 @@ EFFECTS: dict[str, type[Effect]] = {
         # cart and pole
         TrackTilt,
         AngleBias,
+        PoleGravity,
         # multirotors
         LinearDrag,
         QuadraticDrag,

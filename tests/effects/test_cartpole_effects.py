@@ -74,3 +74,17 @@ class TestAngleBias(EffectContract):
         sound = make_system("cartpole").drift(0.0, true, u)
         biased = make_system("cartpole", effects=["angle_bias"], values={"angle_bias.bias": 0.05})
         torch.testing.assert_close(biased.drift(0.0, read, u).detach(), sound.detach())
+
+
+class TestPoleGravity(EffectContract):
+    name, system = "gravity", "cartpole"
+
+    def test_it_is_what_another_gravity_does_to_the_pole(self) -> None:
+        x, u = torch.tensor([[0.1, 0.3, 0.7, 0.5]]), torch.full((1, 1), 3.0)
+        heavier = self.machine(values={"half_length": 0.25, "gravity.excess": 3.0 * 0.01 / (4.0 * 0.25)})
+        sound = make_system("cartpole", values={"half_length": 0.25})
+        # of gravity, force and squared speeds scaled alike, all accelerations are
+        share = 9.81 / 9.8
+        slower = x * torch.tensor([[1.0, 1.0, 1.0, share**-0.5]])
+        expected = share * sound.drift(0.0, slower, u / share)[:, [1, 3]]
+        torch.testing.assert_close(heavier.drift(0.0, x, u)[:, [1, 3]].detach(), expected.detach())

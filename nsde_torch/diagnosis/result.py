@@ -369,7 +369,7 @@ def _warnings(found: Diagnosis) -> list[dict[str, Any]]:
 def outlier_warnings(found: Diagnosis) -> list[dict[str, str]]:
     """Measurements that the likelihood left out."""
     joint = found.outcome.joint
-    times = {} if joint is None else joint.final.at.of.outlier_times
+    times = {} if joint is None else joint.final.at.outlier_times
     if not times:
         return []
     listed = "; ".join(

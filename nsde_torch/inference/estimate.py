@@ -333,15 +333,6 @@ class LogLikelihood:
         lost = torch.zeros_like(logged) if now is None else logged & ~now
         return lost & self.space.chunks.counted[..., None]
 
-    @property
-    def outlier_times(self) -> dict[int, list[float]]:
-        """Logged times of rows with outliers, in order, by number of the run [s]."""
-        chunks, runs = self.space.chunks, self.space.steps.runs
-        out: dict[int, list[float]] = {}
-        for k, c in self.outliers.any(-1).nonzero().tolist():
-            out.setdefault(runs[int(chunks.stretch[c])], []).append(float(chunks.t[k, c]))
-        return {run: sorted(times) for run, times in sorted(out.items())}
-
     def without_outliers(self, levels: Levels, about: Linearisation) -> Linearisation | None:
         """The linearisation without measurements far beyond their noise; None where there are none, or too many.
 
@@ -434,6 +425,24 @@ class Optimum:
     def at(self) -> Pass:
         """The last pass."""
         return self._pass()[1]
+
+    @property
+    def outlier_times(self) -> dict[int, list[float]]:
+        """Logged times of rows with outliers, in order, by number of the run [s].
+
+        Rows that an effect explains are none any more: those in which an input was cut to its limit are rare, and were
+        left out while nobody knew of the limit.
+        """
+        of, chunks, runs = self.of, self.of.space.chunks, self.of.space.steps.runs
+        lost = of.outliers
+        if bool(lost.any()):
+            about, _ = self._pass()
+            logged = replace(about, measured=of.space.logged)
+            lost = lost & ~within_gate(of.space, self.levels, logged, of.start, _GATE)
+        out: dict[int, list[float]] = {}
+        for k, c in lost.any(-1).nonzero().tolist():
+            out.setdefault(runs[int(chunks.stretch[c])], []).append(float(chunks.t[k, c]))
+        return {run: sorted(times) for run, times in sorted(out.items())}
 
     def some(self, which: Tensor) -> "Optimum":
         """The same in some of the chunks, by number."""

@@ -9,8 +9,7 @@ from nsde_torch.diagnosis.result import outlier_warnings
 
 
 def found(times: dict[int, list[float]]) -> Any:
-    of = SimpleNamespace(outlier_times=times)
-    joint = SimpleNamespace(final=SimpleNamespace(at=SimpleNamespace(of=of)))
+    joint = SimpleNamespace(final=SimpleNamespace(at=SimpleNamespace(outlier_times=times)))
     return SimpleNamespace(outcome=SimpleNamespace(joint=joint), runs=("first", "second"))
 
 

@@ -47,10 +47,10 @@ STUDIES = {
 
 
 RECORDED: Mapping[str, tuple[str, tuple[str, ...]]] = {
-    "published flights": ("system=hexacopter data=published", ("motor_lag", "linear_drag")),
+    "published flights": ("system=hexacopter data=published", ("motor_lag", "thrust_sag", "flapping_moment")),
     "strong wind": (  # aerorobotics/neural-fly, data/experiment, the table in a folder of its own
         "system=quadrotor system.options.yaw_direction=-1",
-        ("wind",),
+        ("constant_wind",),
     ),
     "nanobench": ("system=quadrotor data.dt=0.01", ("battery",)),  # syediu/nanobench-iros2026, with a mapping
 }
@@ -77,7 +77,7 @@ def of_logs(logs: Mapping[str, Path], folder: Path, log: Path) -> tuple[float, f
         words, expected = RECORDED[name]
         where = folder.parent / name.replace(" ", "_")
         given = [*words.split(), f"data.path={path}", "retrain=false", f"out_dir={where}"]
-        costs.append(ran(["-m", "cli", "diagnose", *given], log))
+        costs.append(ran(["-m", "nsde_torch.cli", "diagnose", *given], log))
         found = json.loads((where / "diagnosis.json").read_text(encoding="utf-8"))
         found |= {"truth": list(expected), "right": set(expected) <= set(found["added"])}
         (folder / f"{where.name}.json").write_text(json.dumps(found), encoding="utf-8")

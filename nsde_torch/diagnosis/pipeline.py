@@ -170,7 +170,8 @@ class DiagnosisCourse:
         """Tell that `done` of `total` pieces of a stage are done."""
         if self._done == _ORDER.index(OTHER_ROWS):
             stage = f"second search, {stage}"
-        give_back()
+        if stage != self._during:
+            give_back()
         self._during = stage
         check_time()
         self._tell(stage, done, total)

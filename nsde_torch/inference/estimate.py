@@ -11,6 +11,7 @@ the estimate (`MaximumLikelihood.objections`).
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import inf
 from typing import Any, Generic, TypeVar, final
 
@@ -426,7 +427,7 @@ class Optimum:
         """The last pass."""
         return self._pass()[1]
 
-    @property
+    @cached_property
     def outlier_times(self) -> dict[int, list[float]]:
         """Logged times of rows with outliers, in order, by number of the run [s].
 

@@ -26,6 +26,7 @@ ALONE: list[tuple[str, str, dict[str, Any]]] = [
     ("cartpole", "viscous_friction[pole]", {"damping": 0.3}),
     ("cartpole", "coulomb_friction[pole]", {"size": 0.5}),
     ("cartpole", "track_tilt", {"slope": 0.03}),
+    ("cartpole", "gravity", {"excess": 0.5}),
 ]
 
 

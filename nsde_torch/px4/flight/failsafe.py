@@ -64,7 +64,7 @@ _FAILSAFES = (
     _Failsafe(BATTERY, "the battery is low", 2, (1, 3), {}),
 )
 GPS_DELAYS, FRESHEST = ("SENS_GPS0_DELAY", "EKF2_GPS_DELAY"), 5.0
-"""Age that PX4 takes a position fix for, by its newer and older name, and the least that is believed [ms]."""
+"""Age that PX4 takes a position fix for, by its newer and older name, and the shortest that is accepted [ms]."""
 OWN_FENCE = ("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST")
 OPTIONAL = ("COM_DLL_EXCEPT", *GPS_DELAYS)
 """Parameters that some versions of PX4 do not have."""

@@ -50,6 +50,39 @@ class ActuatorDeadband(Effect):
 
 
 @final
+class AsymmetricDeadband(Effect):
+    """Commands near zero do nothing, over another width on each side of zero."""
+
+    name = "asymmetric_deadband"
+    port = Port.INPUT
+    stage = 1
+    excludes = (Port.BODY_MOMENT,)  # motors in flight are far above it
+    formula = "u_eff = u - clip(u, -w-, w+)"
+    source = BOOK
+    PARAMETERS = {
+        "width_forward": Parameter(
+            0.1, "input", low=0.0, scale=0.1, help="smallest positive command that does something"
+        ),
+        "width_backward": Parameter(
+            0.1, "input", low=0.0, scale=0.1, help="smallest negative command that does something, positive"
+        ),
+    }
+    null = {"width_forward": 0.0, "width_backward": 0.0}
+    shapes = {"width_forward": (0.05, 0.2), "width_backward": (0.05, 0.2)}
+    relative = {"width_forward": "input", "width_backward": "input"}
+    includes = ("actuator_deadband",)
+    same = {"width_forward": "width", "width_backward": "width"}
+    sentence = (
+        "Commands between -{width_backward} and {width_forward} do nothing, and larger ones lose as much."
+    )
+    separate = "give slow small inputs through zero, and large ones of both signs"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        forward, backward = self.value("width_forward"), self.value("width_backward")
+        return -torch.minimum(torch.maximum(u, -backward), forward)
+
+
+@final
 class ActuatorSaturation(Effect):
     """Commands beyond a level are cut."""
 
@@ -70,6 +103,61 @@ class ActuatorSaturation(Effect):
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         level = self.value("level")
         return torch.minimum(torch.maximum(u, -level), level) - u
+
+
+@final
+class AsymmetricSaturation(Effect):
+    """Commands beyond a level are cut, at another level for each sign."""
+
+    name = "asymmetric_saturation"
+    port = Port.INPUT
+    stage = 1
+    excludes = (Port.BODY_MOMENT,)  # commands of motors have one sign
+    formula = "u_eff = clip(u, -level-, level+)"
+    source = BOOK
+    PARAMETERS = {
+        "level_forward": Parameter(
+            0.5, "input", low=0.0, scale=0.5, help="largest positive command that acts in full"
+        ),
+        "level_backward": Parameter(
+            0.5, "input", low=0.0, scale=0.5, help="largest negative command that acts in full, positive"
+        ),
+    }
+    null = {"level_forward": NONE, "level_backward": NONE}
+    shapes = {"level_forward": (0.5, 0.9), "level_backward": (0.5, 0.9)}
+    relative = {"level_forward": "input", "level_backward": "input"}
+    includes = ("actuator_saturation",)
+    same = {"level_forward": "level", "level_backward": "level"}
+    sentence = "Commands above {level_forward} or below -{level_backward} are cut."
+    separate = "give inputs of several amplitudes and both signs, the largest far beyond the usual ones"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        forward, backward = self.value("level_forward"), self.value("level_backward")
+        return torch.minimum(torch.maximum(u, -backward), forward) - u
+
+
+@final
+class AsymmetricGain(Effect):
+    """An input that acts more strongly in one direction than in the other."""
+
+    name = "asymmetric_gain"
+    port = Port.INPUT
+    stage = 1
+    excludes = (Port.BODY_MOMENT,)  # commands of motors have one sign
+    formula = "u_eff = u + a |u|"
+    source = "the even part of a gain that depends on the sign of its input"
+    PARAMETERS = {
+        "asymmetry": Parameter(
+            0.0, "1", low=-0.9, high=0.9, scale=0.1, help="half the difference of the gains of both signs"
+        )
+    }
+    null = {"asymmetry": 0.0}
+    amplitudes = ("asymmetry",)
+    sentence = "Positive commands act 1 + {asymmetry} times, negative ones 1 - {asymmetry} times."
+    separate = "give inputs of both signs and of several sizes, at rest in between"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return self.value("asymmetry") * u.abs()
 
 
 @final

@@ -10,6 +10,9 @@ from nsde_torch.effects.actuators import (
     ActuatorGainDrift,
     ActuatorLag,
     ActuatorSaturation,
+    AsymmetricDeadband,
+    AsymmetricGain,
+    AsymmetricSaturation,
     InputDelay,
     MotorLag,
 )
@@ -73,7 +76,10 @@ EFFECTS: dict[str, type[Effect]] = {
         InputDelay,
         ActuatorLag,
         ActuatorDeadband,
+        AsymmetricDeadband,
+        AsymmetricGain,
         ActuatorSaturation,
+        AsymmetricSaturation,
         InputPlay,
         ActuatorGainDrift,
         # cart and pole

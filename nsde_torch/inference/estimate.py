@@ -77,6 +77,7 @@ _LAGS = 10  # of the autocorrelation of innovations
 _WHITE = 0.02  # largest share of their variance that the past of whitened innovations may predict
 _LARGE = 0.25  # by how much their mean square may differ from 1
 _AT_BOUND = 1e-5  # of a parameter's scale
+_SINGULAR = 1e-10  # of the largest eigenvalue of scaled information: below that a direction is not shown
 T = TypeVar("T")
 
 
@@ -582,7 +583,7 @@ def maximised(
         )
         beside = level_columns(space, levels, about, start)
     final = grams(space, levels, about, at, columns, beside)
-    free = _free(vector, theta, final)
+    free = np.setdiff1d(_free(vector, theta, final), _references(vector, theta, final))
     square, predictable = _whiteness(at.white, space)
     best = MaximumLikelihood(
         vector,
@@ -660,6 +661,17 @@ def _free(vector: ParameterVector, theta: Array, held: Grams) -> Labels:
     margin = _AT_BOUND * vector.scale
     pressed = ((theta <= vector.low + margin) & (pull < 0)) | ((theta >= vector.high - margin) & (pull > 0))
     return np.flatnonzero(shown & ~pressed)
+
+
+def _references(vector: ParameterVector, theta: Array, held: Grams) -> list[int]:
+    """Columns that are held by convention (`ParameterVector.references`)."""
+    if not vector.per_input:
+        return []
+    gram = held.total[1 : 1 + held.parameters, 1 : 1 + held.parameters]
+    size = 1.0 / np.sqrt(np.diag(gram).clip(1e-300))
+    values, directions = np.linalg.eigh(gram * size * size[:, None])
+    lost = values < _SINGULAR * values[-1]
+    return vector.references(theta, np.square(directions[:, lost]).sum(1) < 1e-6)
 
 
 def _driven(at: Pass, levels: Levels, space: StateSpace) -> Array:

@@ -324,7 +324,8 @@ def identification(regression: Regression, method: str, *, standstill: float = 0
     weak = method == "weak"
     vector, physics, steps = regression.vector, regression.physics, regression.physics.steps
     sure, blocks = regression.spread(), regression.blocks
-    basis, window = regression.shown.basis, bump(steps.dt)
+    known = regression.estimable
+    basis, window = known.basis, bump(steps.dt)
     left = physics.residual(regression.theta)[:, regression.rows]
     alone = explained(physics, left + regression.shift(sure.parts @ basis.T, blocks), regression.rows, window)
     channels = explained(physics, left, regression.rows, window)
@@ -334,7 +335,7 @@ def identification(regression: Regression, method: str, *, standstill: float = 0
         values=regression.theta,
         covariance=basis @ sure.covariance @ basis.T,
         degrees=sure.degrees(basis),
-        shown=regression.shown,
+        shown=known,
         channels=tuple(
             replace(c, noise=n if weak else None) for c, n in zip(channels, regression.noises, strict=True)
         ),

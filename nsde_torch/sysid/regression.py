@@ -191,6 +191,9 @@ class Regression:
         white, slopes: Whitened residuals (channels, N) and slopes (channels, N, k) at theta.
         memory: Rows after which noise forgets.
         held: Whether each parameter stays where it started (k,).
+        shown: What the data show of theta.
+        estimable: The same with sizes per input counted from the smallest (`ParameterVector.references`): values,
+            covariances and intervals are along its directions.
     """
 
     def __init__(
@@ -327,7 +330,12 @@ class Regression:
                 "than a sensor and the physics allow. Let smoothed states be restored (data.state_smoothing=restore), "
                 "or resample to a longer step (data.dt)."
             )
-        self.shown: Shown = shown(self.slopes.reshape(-1, len(self.vector)), self.vector.scale)
+        slopes = self.slopes.reshape(-1, len(self.vector))
+        self.shown = self.estimable = shown(slopes, self.vector.scale)
+        if references := self.vector.references(self.theta, self.shown.known):
+            slopes = slopes.copy()
+            slopes[:, references] = 0.0
+            self.estimable = shown(slopes, self.vector.scale)
 
     def _step(self) -> float:
         """One step of theta; returns its length in standard errors."""
@@ -400,7 +408,7 @@ class Regression:
 
     def spread(self) -> Spread:
         """Covariance in the directions that are shown."""
-        purged, used = self._beside_laws(self.shown.basis)
+        purged, used = self._beside_laws(self.estimable.basis)
         return spread(purged, self.white, self.whitened_rows(self.blocks), used)
 
     def _beside_laws(self, basis: Array) -> tuple[Array, int]:
@@ -429,7 +437,7 @@ class Regression:
     def fitted_columns(self, row: int) -> Array:
         """Columns that the whitened residual of channel `row` of `rows` was fitted with: theta, its law, its past."""
         own = self.noises[row].own_slopes(self.residual[:, self.rows[row]], self.series)
-        parts = [self.slopes[row] @ self.shown.basis, self._purged(own)]
+        parts = [self.slopes[row] @ self.estimable.basis, self._purged(own)]
         return np.concatenate([*parts, self._past] if self._past.size else parts, 1)
 
     def own_noises(self, orders: int | None = None) -> list[Noise]:

@@ -12,6 +12,7 @@ from typing import final
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.arrays import Array
@@ -69,6 +70,7 @@ class ParameterVector:
         moves_memory: Whether the parameter is one of an effect that carries memory, or of one whose output such an
             effect follows: a dead band before a lag (k,).
         raised: Whether `limit` raised the lower bound of a shape that is measured by a size of the data (k,).
+        per_input: Columns of sizes of which an effect has one per input, each 0 at least (losses of motors).
 
     Raises:
         ConfigError: the system declares no parameter.
@@ -81,6 +83,7 @@ class ParameterVector:
         self.places: list[Place] = []
         self.labels: list[str] = []
         self.units: list[str] = []
+        self.per_input: list[slice] = []
         rows: list[tuple[float, float, float, float, bool]] = []
         effects = [(f"{e.name}.", e) for e in self.system.effects if isinstance(e, Effect)]
         last = max((e.stage for _, e in effects if e.port is Port.INPUT and e.n_memory), default=0)
@@ -93,6 +96,8 @@ class ParameterVector:
                 k, spec = value.numel(), module.parameter(name)
                 own[name] = slice(len(rows), len(rows) + k)
                 self.places.append(Place(prefix + name, unit, own[name]))
+                if isinstance(module, Effect) and spec.per_input and spec.low == module.null.get(name) == 0.0:
+                    self.per_input.append(own[name])
                 self.labels += [prefix + name] if k == 1 else [f"{prefix}{name}[{i}]" for i in range(k)]
                 self.units += [unit] * k
                 low = -np.inf if spec.low is None else spec.low
@@ -122,6 +127,14 @@ class ParameterVector:
         """Numbers of those parameters of an effect that say how strong it is (`Effect.size_names`)."""
         own = effect_class(effect).size_names()
         return [j for j in self.of(effect) if own_name(self.labels[j]) in own]
+
+    def references(self, theta: Array, known: NDArray[np.bool_]) -> list[int]:
+        """Columns that are held by convention: the smallest size per input, where the data show none of them.
+
+        A loss of all motors is one of all gains: only differences of losses can be shown.
+        """
+        unknown = [s for s in self.per_input if not known[s].any()]
+        return [s.start + int(np.argmin(theta[s])) for s in unknown]
 
     def use(self, theta: Tensor) -> None:
         """Take these values for every following drift of the copy.

@@ -19,6 +19,8 @@ ALONE: list[tuple[str, str, dict[str, Any]]] = [
     ("mass_spring_damper", "input_delay", {"delay": 0.05}),
     ("mass_spring_damper", "actuator_lag", {"time_constant": 0.08}),
     ("mass_spring_damper", "actuator_deadband", {"width": 0.3}),
+    ("mass_spring_damper", "asymmetric_deadband", {"width_forward": 0.5, "width_backward": 0.2}),
+    ("mass_spring_damper", "asymmetric_gain", {"asymmetry": 0.1}),
     ("mass_spring_damper", "actuator_saturation", {"level": 0.6}),
     ("mass_spring_damper", "actuator_gain_drift", {"rate": 0.05}),
     ("cartpole", "coulomb_friction[cart]", {"size": 0.4}),

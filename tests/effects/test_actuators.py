@@ -33,6 +33,38 @@ class TestActuatorSaturation(EffectContract):
         torch.testing.assert_close(z[:, 4:], torch.tensor([[0.5]]))
 
 
+class BothSigns(EffectContract):
+    """The contract, with inputs of both signs."""
+
+    def rows(self, n: int, *, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        x, u, memory = super().rows(n, seed=seed)
+        return x, 2.0 * u - 1.0, memory
+
+
+class TestAsymmetricDeadband(BothSigns):
+    name, system = "asymmetric_deadband", "cartpole"
+
+    def test_each_sign_has_a_width_of_its_own(self) -> None:
+        effect = self.make({"width_forward": 0.2, "width_backward": 0.5})
+        torch.testing.assert_close(U + term(effect, X, U), torch.tensor([[0.0], [0.0], [1.8], [-1.5]]))
+
+
+class TestAsymmetricGain(EffectContract):
+    name, system = "asymmetric_gain", "cartpole"
+
+    def test_positive_commands_act_more_strongly(self) -> None:
+        effect = self.make({"asymmetry": 0.1})
+        torch.testing.assert_close(U + term(effect, X, U), torch.where(U > 0, 1.1, 0.9) * U)
+
+
+class TestAsymmetricSaturation(BothSigns):
+    name, system = "asymmetric_saturation", "cartpole"
+
+    def test_each_sign_has_a_level_of_its_own(self) -> None:
+        effect = self.make({"level_forward": 1.5, "level_backward": 0.2})
+        torch.testing.assert_close(U + term(effect, X, U), torch.tensor([[0.05], [-0.2], [1.5], [-0.2]]))
+
+
 class TestActuatorGainDrift(EffectContract):
     name, system = "actuator_gain_drift", "mass_spring_damper"
 

@@ -18,7 +18,7 @@ import torch
 import nsde_torch
 from nsde_torch.cli import groups
 from nsde_torch.cli.main import main
-from nsde_torch.cli.registry import COMMANDS, hydra_commands
+from nsde_torch.cli.registry import all_commands, hydra_commands
 from nsde_torch.diagnosis.result import Content
 from nsde_torch.effects import Effect
 from nsde_torch.recording import FAULTS
@@ -97,7 +97,7 @@ def test_commands_of_the_pages_exist_and_take_what_is_typed() -> None:
         command, *rest = words
         if command.startswith("-") or command == "COMMAND":
             continue
-        assert command in COMMANDS, where
+        assert command in all_commands(), where
         for word in rest if command in known else ():
             key, equals, value = word.partition("=")
             if not equals or key in ALIASES or key.startswith(("-", *FREE)):

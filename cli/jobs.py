@@ -60,7 +60,7 @@ LAST = JobOutcome()
 
 @dataclass(frozen=True)
 class Job:
-    """What a command's function is told beside its configuration.
+    """What a command's function is given beside its configuration.
 
     Attributes:
         run_dir: Folder of this job, made by Hydra.

@@ -139,7 +139,7 @@ def unknown_key(path: str, command: str, words: Sequence[str]) -> str:
 
 
 def nearest(name: str, known: Sequence[str]) -> str | None:
-    """The known name that a mistyped one most likely stands for."""
+    """The known name that a mistyped one most likely means."""
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     if close:
         return close[0]

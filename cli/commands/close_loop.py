@@ -1,7 +1,7 @@
 """`nsde close-loop`: log, diagnosis, experiments, before, after; each stage is kept when it is finished.
 
 The controller knows the declared physics with the values of the plant; after the diagnosis it also knows the effects
-that were found, with the values that were found, but for lags and delays, which `delay` stands for. With
+that were found, with the values that were found, but for lags and delays, which `delay` covers. With
 `experiments=N` what the diagnosis leaves open is closed by designed flights. Flights before and after meet the same
 gusts, which are others than those of the flights that were diagnosed.
 """

@@ -1,4 +1,4 @@
-"""`nsde design`: plan the experiment that tells most, or read one that was flown."""
+"""`nsde design`: plan the most informative experiment, or evaluate one that was flown."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def _options(config: DictConfig) -> dict[str, Any]:
 
 
 def _read(config: DictConfig, job: Job, known: Any, options: DesignOptions) -> None:
-    """Say what a flown experiment told."""
+    """Report the evidence of a flown experiment."""
     from dataclasses import replace
 
     from nsde_torch.design import obtained, question_of

@@ -1,4 +1,4 @@
-"""Settings of model predictive control: what a plan pays for, how it is found, and what is believed."""
+"""Settings of model predictive control: what a plan pays for, how it is found, and which states are accepted."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ class CircleOptions:
 @documented
 @dataclass(frozen=True)
 class LemniscateOptions:
-    """A figure of eight (Gerono's lemniscate), while the heading swings."""
+    """A figure of eight (Gerono's lemniscate), while the heading oscillates."""
 
     speed: float = key(3.4, "largest speed, where the branches cross", unit="m/s", above=0)
     duration: float = key(40.0, "length from rest to rest", unit="s", above=0)

@@ -52,7 +52,7 @@ class Wording:
 @documented
 @dataclass(frozen=True)
 class Decisions:
-    """What counts as found, as alike, as left over, as provisional."""
+    """What counts as found, as alike, as unexplained, as provisional."""
 
     # ---- error rates ------------------------------------------------------------------------------------
     alpha: float = key(

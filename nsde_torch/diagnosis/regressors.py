@@ -47,7 +47,7 @@ RUN = "run"
 
 
 SMOOTH = 5
-"""How many of `functions_of`, ahead of the others, one run alone is asked for: blocks of time tell no more apart."""
+"""How many of `functions_of`, ahead of the others, one run alone is asked for: blocks of time distinguish no more."""
 
 
 @dataclass(frozen=True)

@@ -209,7 +209,7 @@ def dependences(left: PhysicsResiduals) -> list[Dependence]:
         for name in _places(left):
             out.append(_repeated(left, port, name))
         out.append(largest_moment(left, port))
-    # inputs that were restored swing at the nulls of the average
+    # inputs that were restored oscillate at the nulls of the average
     found = lines(left.regression, fewest=WHOLE, decisions=left.decisions, budgets=left.budgets)
     out += [_sinusoid(left, line) for line in found[:1] if left.inputs]
     return sorted(own_of_runs([d for d in out if d is not None]), key=lambda d: d.p)

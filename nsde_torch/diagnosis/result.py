@@ -158,7 +158,7 @@ class Diagnosis:
 
     @property
     def width(self) -> float:
-        """Length of the means over which residuals are told [s]."""
+        """Length of the means over which residuals are reported [s]."""
         return rates_width(self.outcome.final.regression)
 
     @property
@@ -206,7 +206,7 @@ class Diagnosis:
 _DEPENDENCES = 12  # tests of structure that are listed
 _SHORT = "shorter than a step of the log: taken into account, and not named"
 TWINS = {"constant_force": ("sensor_bias",)}
-"""Faults of the recording chain that no data of the log can tell from an effect."""
+"""Faults of the recording chain that no data of the log distinguish from an effect."""
 JsonObject = dict[str, Any]
 
 

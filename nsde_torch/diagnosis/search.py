@@ -78,7 +78,7 @@ def at_bounds(regression: Regression) -> NDArray[np.bool_]:
 
 
 def bent_shape(regression: Regression, name: str) -> str:
-    """Label of a shape of an effect that stands at the end of what the data tell from another law; empty if none.
+    """Label of a shape of an effect that is at the end of what the data distinguish from another law; empty if none.
 
     A friction that is developed only beyond the speeds of the data is no dry one, whatever explains the data; and a
     force that repeats less than once in a turn does not repeat.

@@ -31,7 +31,7 @@ class ConstantForce(Law):
 
 @final
 class PeriodicForce(Law):
-    """A force that swings with the clock of the log, as an unbalanced rotor's."""
+    """A force that oscillates with the clock of the log, as an unbalanced rotor's."""
 
     name = "periodic_force"
     formula = "a sin(2 pi f t) + b cos(2 pi f t)"

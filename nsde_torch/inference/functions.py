@@ -51,9 +51,7 @@ _CHANCE = 3.0  # nats beyond the logarithm of the number of groups
 MOST_GROUPS = 4
 """Groups of one row of a port."""
 _ROUNDS = 2  # choices, the second under noise levels found beside the first
-_VARIANCES = np.geomspace(
-    1.0, 1e4, 13
-)  # tau, in units of what moves the rows by one standard deviation in all
+_VARIANCES = np.geomspace(1.0, 1e4, 13)  # tau, in units that move the rows by one standard deviation in all
 _ROUNDING = 1e-10
 # without it parameters that one fold alone shows (a ground effect) go anywhere in the other ones, and what keeps them
 # passes for thousands of nats (blind hexacopter case_000, seed 8124)
@@ -574,7 +572,7 @@ class _Choice:
         )
 
     def _sizes(self, levels: Levels) -> Array:
-        """Log determinants of what whitens the innovations of each block (B,)."""
+        """Log determinants of the whitening matrices of the innovations of each block (B,)."""
         space, at = self._all.space, self._all.at(levels)
         live = space.chunks.counted[..., None]
         rows = at.rows + 0.5 * torch.where(live, at.white, 0.0).square().sum(-1)

@@ -122,5 +122,5 @@ def _of_pass(
 
 
 def _in_time_constant(levels: Levels, h: float) -> Tensor:
-    """Slope of what is left of a disturbance after a step in the logarithm of its time constant (d,)."""
+    """Slope of the decay of a disturbance over a step in the logarithm of its time constant (d,)."""
     return levels.keep(h) * h / torch.exp(levels.lasts)

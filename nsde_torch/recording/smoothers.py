@@ -52,7 +52,7 @@ _ROUGH, _FINE, _LAST = 40, 100, 400
 """Steps of a fit in the search, near its best, and of the one that is judged."""
 _ZOOMS = (1.1, 1.04, 1.012, 1.004, 1.0015)
 _NEAR, _NEAR_SHARE = 0.1, 0.5
-"""Deviance by which another smoother may be worse and still be likely: at least, and of what the best lacks."""
+"""Deviance by which another smoother may be worse and still be likely: at least, and as a share of the best's."""
 _TYPICAL = 0.3  # deviance where the form is right
 _AGREE = 0.1  # of the gain
 _SLOW = 1e-3  # of the rate of the log, at which a delay is read off the phase

@@ -34,7 +34,7 @@ class Battery:
     """Batteries of a batch of machines.
 
     Args:
-        used: Share of the charge that is gone at the start (B,).
+        used: Share of the charge that is spent at the start (B,).
         dt: Sample [s].
         logged: Whether the voltage is logged.
     """
@@ -83,7 +83,7 @@ def battery_of(plant: Plant, making: Making | None, durations: Sequence[float], 
 
 
 def used_of(voltage: Array, u: Array) -> Array:
-    """Share of the charge that is gone (B,), from the voltage (B, 1) that was logged under commands (B, nu)."""
+    """Share of the charge that is spent (B,), from the voltage (B, 1) that was logged under commands (B, nu)."""
     return np.asarray((FULL - LOAD * u.mean(1) - voltage[:, 0]) / SWING)
 
 

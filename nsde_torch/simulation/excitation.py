@@ -49,7 +49,7 @@ def excited_runs(
         process_noise: Factor on the gusts.
         sensor_noise: Factor on the sensor noise.
         making: How the plant is made.
-        size: Factor on the swing of the inputs.
+        size: Factor on the amplitude of the inputs.
         inputs: Standard deviation of each input [its unit].
         noise: Standard deviation of the sensor noise of each error channel [its unit].
         hertz: Lowest and highest frequency [Hz].

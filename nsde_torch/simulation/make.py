@@ -41,7 +41,7 @@ class Making:
 
 
 def plant_options(making: Making | None) -> dict[str, Any]:
-    """Arguments of `make_plant` that a `Making` stands for."""
+    """Arguments of `make_plant` that a `Making` holds."""
     made = making or Making()
     return {
         "declared_only": made.declared_only,

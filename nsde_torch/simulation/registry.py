@@ -105,7 +105,7 @@ def simulated(
         system: The system, or its name.
         durations: Length of each run [s]; default: the system's own set.
         seed: Seed of everything random.
-        effects: Effects that the plant has and the model need not be told of: `name`, or
+        effects: Effects that the plant has and the model need not declare: `name`, or
             `{name: {parameter: value}}`; parameters of an effect that the plant has anyway are replaced.
         process_noise: Factor on the machine's gusts.
         sensor_noise: Factor on the machine's sensor noise.

@@ -5,7 +5,7 @@
     gusts        drawn anew from their stationary law at s = 0
 
 States and commands are those of the flights, one by one, and independent of each other and of the gusts, so that an
-error of a prediction tells what an input does, and not how a pilot answers (see `data.interventions`).
+error of a prediction shows what an input does, and not how a pilot answers (see `data.interventions`).
 
 Each intervention is logged from `before` seconds before its start on, as the flight was: measured states and commands,
 then `intervention` turns from 0 to 1. `t` is the clock of the flight. Those of one flight that do not overlap share a

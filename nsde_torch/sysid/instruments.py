@@ -8,7 +8,7 @@ moves (a pilot's stick, a setpoint) moves the inputs all the same, and what of t
 
 (two-stage least squares: Soderstrom and Stoica, Instrumental Variable Methods for System Identification, 1983). The
 first stage is fitted on other blocks than it predicts, which takes out the bias of many instruments (Angrist, Imbens
-and Krueger, Journal of Applied Econometrics 14 (1999)). Three things are tested and told:
+and Krueger, Journal of Applied Econometrics 14 (1999)). Three things are tested and reported:
 
 - exogeneity: instruments that answer innovations (new in z on e before it) are left out.
 - strength: F of the slope of each parameter on its own part of H, from blocks of time. Below `_WEAK` (Staiger and

@@ -67,7 +67,7 @@ SLOWEST = 4.0
 MOTOR_RATE = 50.0
 """Slowest rate of motors [Hz], which answer within 50 ms."""
 _FASTEST = 2e4  # rate of a log [Hz]
-_FAR = 0.8  # share of the rows' rate below which a stream is told to be slow
+_FAR = 0.8  # share of the rows' rate below which a stream is reported as slow
 
 
 def apply(log: StreamLog, mapping: LogMapping, system: SystemInfo) -> RawRun:

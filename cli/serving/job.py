@@ -29,7 +29,7 @@ class RefusedError(NsdeError):
 
 @dataclass(frozen=True)
 class ServeLimits:
-    """Limits of what is served.
+    """Limits of the service.
 
     Args:
         upload: Largest upload of one job, all its logs together [bytes].

@@ -225,7 +225,7 @@ def check_physics(
     fixed: bool = False,
     fits: bool = True,
 ) -> PhysicsFound:
-    """Read runs with all checks, fit the declared physics to means over 0.15 s, and look for better readings.
+    """Read runs with all checks, fit the declared physics to means over 0.15 s, and look for better interpretations.
 
     Args:
         machine: The machine.

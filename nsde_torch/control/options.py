@@ -83,7 +83,7 @@ class SolverOptions:
 @documented
 @dataclass(frozen=True)
 class SafetyOptions:
-    """When a controller does not believe what it is given, and for how long it flies on."""
+    """When a controller rejects a state or a plan, and for how long it flies on."""
 
     jump: float = key(0.75, "step of the measured position that is not believed at once", unit="m", above=0)
     jump_attitude: float = key(0.8, "the same for the attitude", unit="rad", above=0)

@@ -183,7 +183,7 @@ def first_state(system: System, runs: Sequence[Run], given: Mapping[str, float])
         ConfigError: a name that is no state.
     """
     names = list(system.state_names)
-    if system.quaternion is not None:  # hovering, in the middle of what was flown
+    if system.quaternion is not None:  # hovering, in the middle of the flown range
         out = np.zeros(len(names))
         out[:3] = np.median(np.concatenate([run.x[:, :3] for run in runs]), axis=0)
         out[system.quaternion.start] = 1.0

@@ -2,7 +2,7 @@
 
     tied         two laws explain the runs as well, and an input may distinguish them
     leads        what was found only provisionally
-    wide         parameters of what was found whose 90 % interval is wider than the parameter is large
+    wide         parameters of found effects whose 90 % interval is wider than the parameter is large
     confounded   the same where feedback or smoothing widens the interval, which no further run of the kind changes
     suspected    effects that the runs favour, by 3 nats or more, and could not show at their usual size
     beyond       ties that no input breaks: an effect and a fault of the recording chain

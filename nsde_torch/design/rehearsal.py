@@ -7,8 +7,8 @@ what the runs there are leave open of the parameters theta_0 with information K,
     ln p(run) = max_theta [ln p(run | theta) - d' K d / 2] + ln |K| / 2 - ln |K + J'J| / 2,      d = theta - theta_0
 
 (MacKay, Bayesian interpolation, Neural Computation 4 (1992)), noise models of one kind for all members. What it brings
-beyond another member's is its evidence. A member that could have said anything is told by the determinants what it
-is worth that it can say this; of the density of what is simulated no other is expected to be larger.
+beyond another member's is its evidence. The determinants lower the density of a member that fits
+any run; on average over its own simulations no other member has a larger one.
 """
 
 from collections.abc import Callable, Sequence

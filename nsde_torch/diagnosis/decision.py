@@ -200,7 +200,7 @@ def provisional_reason(
 
 
 def judged_by_the_ceiling(outcome: Outcome, found: Ceiling) -> Outcome:
-    """The outcome, in the light of what functions explain beside the effects: structure, as tests find it.
+    """The outcome, given what functions explain beside the effects: structure, as tests find it.
 
     Where nothing was named, something is missing. Effects that act where functions explain as much as makes one
     provisional are leads, as a law that was not written down may be behind both. Where functions explain more than all

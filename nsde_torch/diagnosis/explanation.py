@@ -397,7 +397,7 @@ def explained(
 
 
 def odd_run(left: Sequence[Dependence], shapes: Sequence[Shape]) -> int | None:
-    """Number of the run that what explains most of what is left is confined to, beside single moments."""
+    """Number of the run that the largest remaining structure is confined to, beside single moments."""
     pairs = zip(left, shapes, strict=False)
     return next((s.only_run for d, s in pairs if d.moment is None), None)
 

@@ -1,4 +1,4 @@
-"""What a diagnosis concluded: effects with their estimates, tests of what is left, the verdict."""
+"""What a diagnosis concluded: effects with their estimates, tests of the residuals, the verdict."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -402,7 +402,7 @@ def _diagnosed(
 def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome:
     """Fit the declared physics, select effects, test what is left, and decide.
 
-    It begins with the effects of what was concluded from other rows of the log (`before`), else with none.
+    It begins with the effects that were concluded from other rows of the log (`before`), else with none.
     """
     search.say("fitting the declared physics", 0, 1)
     joint = None if before is None else before.joint

@@ -222,7 +222,7 @@ def with_a_late_sensor(read: Log, outcome: Outcome) -> Log | None:
 
 
 def explains_more(moved: Outcome, outcome: Outcome) -> bool:
-    """Whether a late sensor leaves little structure, and no parameter at a bound, of what the log as it is leaves.
+    """Whether a late sensor explains most of the structure that the log as it is leaves, no parameter at a bound.
 
     Else something else looks like it: an input of the other sign, say.
     """
@@ -294,7 +294,7 @@ def without_standstill(
 
     It is taken where friction is found there too: what else was found with these rows may be how friction holds. And
     friction may hold the machine so long that it is not found with them, or looks like a deadband: where a coordinate
-    stands for much of the time, or nothing explains the structure that is left, whatever may have friction is looked at
+    rests for much of the time, or nothing explains the structure that is left, whatever may have friction is looked at
     where it moves.
     """
     speeds = _dry(outcome, log)

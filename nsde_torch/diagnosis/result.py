@@ -64,7 +64,7 @@ class Diagnosis:
     data: DataSet  # the data set
     runs: tuple[str, ...]  # names of its runs that were looked at
     recorded: Recorded  # recording chain, undone
-    outcome: Outcome  # effects that were found, and the tests of what is left
+    outcome: Outcome  # effects that were found, and the tests of the residuals
     errors: HeldOut  # errors on runs left out
     explanation: Explanation  # what is left, and what may explain it
     options: Options  # settings
@@ -178,7 +178,7 @@ class Diagnosis:
         return preformatted(str(self))
 
     def to_frame(self) -> Any:
-        """A `pandas.DataFrame` of what was found: `name`, `value`, `low`, `high` (None: no interval) and `unit`."""
+        """A `pandas.DataFrame` of the findings: `name`, `value`, `low`, `high` (None: no interval) and `unit`."""
         rows = [
             (name, p["value"], *(p["interval_90"] or (None, None)), p["unit"])
             for name, p in self.parameters.items()
@@ -356,7 +356,7 @@ def summary(
 
 
 def named(first: Sequence[str], shown: ShownEffects) -> str:
-    """Names of what was found, small effects by their number."""
+    """Names of the findings, small effects by their number."""
     return ", ".join(first) + (f" and {small(len(shown.rest))}" if shown.rest else "")
 
 

@@ -190,7 +190,7 @@ class Search:
         """Physics at the values of largest likelihood: of its regression, the noise models alone are fitted.
 
         Values of its own would be others where a noise model learns the physics: of racing flights whose states were
-        smoothed (NeuroBEM), the thrust was a tenth of what the likelihood has.
+        smoothed (NeuroBEM), the thrust was a tenth of the likelihood's.
         """
         vector = ParameterVector(system)
         physics = Physics(vector, self.steps)

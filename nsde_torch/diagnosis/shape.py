@@ -233,7 +233,7 @@ def spectrum(regression: Regression, channel: int) -> tuple[Array, Array]:
 
 
 def white_parts(regression: Regression, channel: int) -> tuple[float, float]:
-    """Variances per step of what pushes and of the sensor, from the upper half of the band."""
+    """Variances per step of the disturbance and of the sensor, from the upper half of the band."""
     frequency, power = spectrum(regression, channel)
     high = frequency >= _FROM * frequency[-1]
     curve = 4.0 * np.sin(np.pi * frequency * regression.physics.steps.dt) ** 2
@@ -486,6 +486,6 @@ def _weights(scores: FunctionScores) -> Array:
 
 
 def _holds(weights: Array, rest: FunctionScores, wording: Wording) -> bool:
-    """Whether the rest may have a good part of what functions of these sizes predict, as far as its data can show."""
+    """Whether the rest may have a good part of the prediction of functions of these sizes, as far as its data show."""
     size = max(float(weights @ rest.information @ weights), 1e-300)
     return float(weights @ rest.total) / size + wording.holds_errors * size**-0.5 >= wording.holds_share

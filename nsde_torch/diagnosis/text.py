@@ -162,7 +162,7 @@ def unfinished(content: Content, go_on: str = "resume=DIR") -> list[str]:
 
 
 def notices(content: Content) -> list[tuple[str, str]]:
-    """Title and text of what is to be read before the findings: warnings, and stages without a result."""
+    """Title and text that precede the findings: warnings, and stages without a result."""
     odd = [("Warning", f"{w['sentence']}. {sentence_case(w['remedy'])}.") for w in content["warnings"]]
     failed = [n for n in content.get("not_done", ()) if n["why"] not in _UNFINISHED]
     return [*odd, *(("Not done", f"{n['stage']}: {n['why']}.") for n in failed)]

@@ -247,7 +247,7 @@ class Effect(Parametrised, ABC):
             `spectrum` (frequencies are taken from the data, `shapes` has none).
         resolved: Times of a memory -> the least multiple of a step at which explicit steps follow it.
         includes: Simpler effects that it contains as special cases; it stands in for them, not beside them.
-        same: Its parameters that are one of those of what it contains where the two are alike, own name -> theirs;
+        same: Its parameters that are equal to one of a contained effect where the two are alike, own name -> theirs;
             parameters of the same name are alike without a word.
         along: The one variable that it is a law of (`speed`, `position`), if there is one: two of one variable on one
             port may together represent a third that nobody listed.
@@ -394,7 +394,7 @@ class Effect(Parametrised, ABC):
             dt: Length of a step [s].
 
         Returns:
-            One memory per step (n, n_memory), to be held over it in place of what `memory_rate` makes of it.
+            One memory per step (n, n_memory), to be held over it in place of the result of `memory_rate`.
         """
         return None
 

@@ -121,7 +121,7 @@ def forced(space: StateSpace, about: Linearisation, disturbance: int, force: Ten
         space: The machine.
         about: Its linearisation.
         disturbance: Number of the disturbance that acts where the force does.
-        force: The force in the middle of the step from each row (T, C, ...), of what is known at its start
+        force: The force in the middle of the step from each row (T, C, ...), given what is known at its start
             (`StateSpace.midway`): a force of the state or the input after it would explain what was just measured.
     """
     slopes = about.slopes[..., space.ne + disturbance]

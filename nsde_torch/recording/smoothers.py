@@ -1,7 +1,7 @@
 """Filters that states went through before they were logged, by what they leave of the sensors' noise.
 
 A chain that smooths logs x_log = S (x + e): the motion x and the white noise e of a sensor, both through a smoother S.
-Where the noise is most of what is left, the spectrum of the log is that of S itself,
+Where the noise is most of the residual, the spectrum of the log is that of S itself,
 
     P(f) = |S(f)|^2 (sum_m a_m f^-m + s) + q,      m = 2, 4, 6, 8
 

@@ -72,7 +72,7 @@ def replayed_flights(
     Args:
         name: System, `hexacopter` or `quadrotor`.
         replay: How many interventions, and how long.
-        seed: Seed of the flights, which are those of `manual_flights`, and of what is drawn from them.
+        seed: Seed of the flights, which are those of `manual_flights`, and of the draws from them.
         durations, effects, process_noise, sensor_noise, making, options: As for `manual_flights`.
 
     Returns:

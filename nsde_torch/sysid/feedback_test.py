@@ -20,10 +20,11 @@ noise and the past do not predict), and v_k those of the inputs (against their o
   loop, gains rest on what was assumed of the noise (Soderstrom, Gustavsson and Ljung, International Journal of Control
   21 (1975)): with a share of 8 % a simulated gain of 100 came out as 34.
 
-- between: a controller with sensors and a clock of its own may move its inputs between rows of the log, by half of what
-  they move from row to row, always to the same side of what was logged. Within a row a loop is as good as linear: what
-  it does is a linear function of the states and of the inputs of neighbouring rows, and acts through the machine's own
-  equations. An estimate is biased as far as it lies along these: a gain or a damping does, a product of two states not.
+- between: a controller with sensors and a clock of its own may move its inputs between rows of the log, by half of
+  their change from row to row, always to the same side of the logged value. Within a row a loop is as good as linear:
+  what it does is a linear function of the states and of the inputs of neighbouring rows, and acts through the machine's
+  own equations. An estimate is biased as far as it lies along these: a gain or a damping does, a product of two states
+  not.
 
 Assumed, not checked: logged inputs are those that were commanded; the step of the log is the step of the inputs.
 """
@@ -53,12 +54,12 @@ _BINS = (1, 2, 3, 5, 9, 14, 21)  # rows between which it is summed up: an answer
 _KNOWN_S, _KNOWN = 0.08, 8  # how long before a disturbance an input may have known of it
 _OWN = 10  # order of the inputs' own past
 _STATES_BEFORE = (1, 2, 3, 5)  # rows whose states a controller may have made an input from
-_MADE = 0.02  # share of what is new in an input that past states predict, from which it was made from states
+_MADE = 0.02  # share of an input's innovation that past states predict, from which it was made from states
 _FOREKNOWN = 1e-6  # share of an input that is new: below, it is known beforehand and answers nothing
 _UPPER = 1.645  # standard deviations of the upper limit of a share
 _MOST_OF_IT = 0.8  # share of an answer that defines its time
 _PLAYED = 0.75  # share of an input that is no function of the logged state, above which no controller made it
-_OWN_ANSWER = 0.02  # share of what is new in an input, below which it hardly answers a channel
+_OWN_ANSWER = 0.02  # share of an input's innovation below which it hardly answers a channel
 _NEW = 0.1  # share of an input's variance below which it is nearly a function of the state
 _FEWEST = 400  # rows
 _NEIGHBOURS = (-2, -1, 0, 1, 2)  # rows of the log whose inputs may have acted
@@ -81,7 +82,7 @@ class Answer:
 
     input: str  # name of the direction
     channel: str
-    share: float  # of the variance of what is new in the input (an answer) or in the channel (knowledge)
+    share: float  # of the variance of the innovation of the input (an answer) or of the channel (knowledge)
     chance: float  # p value, adjusted for the number of tests (Holm)
     within_s: float = 0.0  # time by which most of it has come [s]; 0 where that means nothing
     upper: float = 0.0  # upper 95 % limit of `share`
@@ -164,7 +165,7 @@ class FeedbackTest:
 
     @property
     def hidden(self) -> dict[str, float]:
-        """By channel: the larger one of `known` and of what inputs do that move between rows (`moving`)."""
+        """By channel: the larger one of `known` and of the part from inputs that move between rows (`moving`)."""
         most = self.moving
         for channel, known in self.known.items():
             most[channel] = max(most.get(channel, 0.0), known)
@@ -460,7 +461,7 @@ def _adjusted(found: Sequence[Answer]) -> tuple[Answer, ...]:
 
 
 def lengths(regression: Regression, ways: Sequence[Direction]) -> dict[str, float]:
-    """What inputs do in whitened rows, times half of what they move from row to row over what they move at all."""
+    """What inputs do in whitened rows, times half of their change from row to row over all of their change."""
     physics, known = regression.physics, [*regression.rows]
     u = np.asarray(physics.steps.u[:, : physics.vector.system.nu])
     later = np.ones(len(u), dtype=bool)

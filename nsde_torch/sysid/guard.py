@@ -72,7 +72,7 @@ GONE = 10.0
 NOTHING = 0.02
 """Share of a channel's variance up to which a fit explains nothing of it."""
 POOR = 0.8
-"""Share of what was measured that least squares leave of half of the channels, where physics explains nothing."""
+"""Share of the measured that least squares leave of half of the channels, where physics explains nothing."""
 
 
 def doubts_the_fit(kinds: Iterable[str]) -> bool:
@@ -188,7 +188,7 @@ def guarded(
 
 
 def _recommended(found: Guarded, rough: Regression) -> Guarded:
-    """The same with least squares, their 90 % intervals (nan of what the data do not show), and words of them."""
+    """The same with least squares, their 90 % intervals (nan where the data show none), and words of them."""
     basis, sure = rough.shown.basis, rough.spread()
     error = np.sqrt(np.clip(np.diag(basis @ sure.covariance @ basis.T), 0.0, None))
     half = np.where(rough.shown.known, stdtrit(sure.degrees(basis).clip(1.0), 0.95) * error, np.nan)

@@ -14,8 +14,8 @@ z_i is the larger one of two (`FeedbackTest.hidden`). Both are assumptions that 
   the upper 95 % limit of the share: that it is not significant does not say that it is nothing. On simulated loops
   whose truth is known 3 held nearly always with strong sticks and mostly with weak ones
   (docs/content/results/feedback.md);
-- inputs that were made from other sensors may have moved between rows of the log, by half of what they move from row to
-  row, always to the same side of what was logged. A rate loop at 1 kHz below an attitude loop at 100 Hz does so: each
+- inputs that were made from other sensors may have moved between rows of the log, by half of their change from row to
+  row, always to the same side of the logged value. A rate loop at 1 kHz below an attitude loop at 100 Hz does so: each
   logged command stands at the start of a decay, and a gain seems 5 % too small whatever moves the sticks.
 
 With instruments that are strong and exogenous only the second is needed, and what estimates owe to parameters that the

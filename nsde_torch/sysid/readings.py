@@ -227,7 +227,7 @@ def _propellers(system: System, runs: Sequence[Run], clock: float) -> Objection 
     return Objection("reading", sentence, f"write system.options.yaw_direction={-system.yaw_direction}")
 
 
-# ---- readings ------------------------------------------------------------------------------------------
+# ---- the interpretations -------------------------------------------------------------------------------
 
 
 def _readings(system: System, runs: Sequence[Run]) -> Iterator[Reading]:

@@ -302,7 +302,7 @@ def _rounding(seen: Spectra, smoother: Smoother, sensor: SensorGroup, runs: Sequ
 
 
 def _rounded(sensor: SensorGroup, runs: Sequence[Run], *, least: bool = False) -> Array:
-    """Mean squares (C,) of what the grain of a sensor's columns rounds off; a rotation is twice a quaternion's part.
+    """Mean squares (C,) of the rounding errors of a sensor's columns; a rotation is twice a quaternion's part.
 
     `least` takes the values that come in the least steps, where they were written with significant digits.
     """
@@ -351,8 +351,8 @@ def _apart(system: System, runs: Sequence[Run], sensor: SensorGroup, smoother: S
 def _nats(regression: Regression, sensors: Sequence[SensorGroup], smoother: Smoother) -> float:
     """By how much changes are likelier from the physics behind a smoother than from it alone, where inputs drive.
 
-    A lag of actuators that is not declared takes the fast part of what inputs do as a smoother does. So both are judged
-    behind the lag and the delay that suit each best.
+    A lag of actuators that is not declared removes the fast part of the inputs' effect as a smoother does. So both are
+    judged behind the lag and the delay that suit each best.
     """
     physics = regression.physics
     steps, left = physics.steps, physics.residual(regression.theta)

@@ -575,7 +575,7 @@ def _length(value: NDArray[Any]) -> int:
 
 
 def _upright(value: NDArray[Any], lengths: list[int]) -> NDArray[Any] | None:
-    """A table (rows, columns); one that lies on its side is turned. None of scalars and of what is no table."""
+    """A table (rows, columns); one that lies on its side is turned. None for anything that is no table."""
     if value.ndim == 1:
         value = value[:, None]
     if value.ndim != 2 or value.dtype.kind not in "fiub" or max(value.shape) < 2:

@@ -1,7 +1,7 @@
 """A log through a mapping: one run in the system's units, axes and order.
 
 The rows are those of the stream of the attitude, else of the first state. What was logged on other clocks is put on
-them: states interpolated, commands held (of a faster stream: the mean of what acted during the step).
+them: states interpolated, commands held (of a faster stream: the mean input during the step).
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ class Supervised(ABC):
         runner: The controller of the reference.
         path: The reference, from the place of take-off.
         limits: When something is wrong.
-        setpoints: Bounds of what leaves.
+        setpoints: Bounds of the commands that are sent.
         options: How the flight goes.
         say: Takes one line about each step.
 

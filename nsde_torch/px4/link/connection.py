@@ -82,7 +82,7 @@ class Connection(ABC):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Let go of what it holds."""
+        """Release what it holds."""
 
 
 @final

@@ -60,7 +60,7 @@ class Battery:
         return torch.cat((u, voltage), 1) if plant.system.exogenous else u
 
 
-def battery_of(plant: Plant, making: Making | None, durations: Sequence[float], *, rows: int) -> Battery:
+def battery_of(plant: Plant, making: Making, durations: Sequence[float], *, rows: int) -> Battery:
     """The batteries of a recording; row i is run i modulo the number of runs.
 
     Raises:
@@ -78,7 +78,7 @@ def battery_of(plant: Plant, making: Making | None, durations: Sequence[float], 
         used = used if used + share <= EMPTY else 0.0
         starts.append(used)
         used += share
-    logged = bool(asked) or (making or Making()).battery
+    logged = bool(asked) or making.battery
     return Battery([starts[i % len(starts)] for i in range(rows)], dt=plant.dt, logged=logged)
 
 

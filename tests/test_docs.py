@@ -55,8 +55,7 @@ FREE = (
 def code(page: Path, language: str) -> list[str]:
     """The code blocks of a page, blocks in tabs and lists included."""
     text = page.read_text(encoding="utf-8")
-    found = re.findall(rf"^( *)```{language}\n(.*?)^ *```", text, flags=re.MULTILINE | re.DOTALL)
-    return [textwrap.dedent(block) for _, block in found]
+    return [textwrap.dedent(m["block"]) for m in blocks.FENCED.finditer(text) if m["info"] == language]
 
 
 def commands() -> Iterator[tuple[str, list[str]]]:
@@ -133,7 +132,9 @@ def test_every_block_of_output_names_its_command_or_says_why_none_can_print_it()
     for page in [ROOT / "README.md", *PAGES]:
         text = page.read_text(encoding="utf-8")
         marked = {mark.start("fence"): mark for mark in blocks.MARK.finditer(text) if mark["fence"]}
-        for fence in re.finditer(r"^ *``` ?(?:text|\{ \.text.*\})$", text, flags=re.MULTILINE):
+        for fence in blocks.FENCED.finditer(text):
+            if not re.match(r"text$|\{ \.text", fence["info"]):
+                continue
             line = text.count("\n", 0, fence.start()) + 1
             assert fence.start() in marked, f"{page.relative_to(ROOT)}:{line}: what prints this block?"
             mark = marked[fence.start()]

@@ -195,8 +195,8 @@ def _path_as_choice(path: str) -> str:
     """The message for `data=PATH`."""
     instead = as_typed(paths={"data.path": typed_path(path)})
     return (
-        f"`data={path}`: `data` is a kind of data, and a path goes into `data.path`: {instead} (the format is told by "
-        "the names of the files)."
+        f"`data={path}`: `data` is a kind of data, and a path goes into `data.path`: {instead} (the names of the files "
+        "decide the format)."
     )
 
 

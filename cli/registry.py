@@ -89,7 +89,8 @@ COMMANDS: dict[str, CommandEntry] = {
         ".commands.serve", "Open a page on this machine that takes dropped logs and gives their diagnosis"
     ),
     "design": CommandEntry(
-        ".commands.design", "Plan the experiment that tells most, or read what a flown one told"
+        ".commands.design",
+        "Plan the most informative experiment, or report the evidence of one that was flown",
     ),
     "evaluate": CommandEntry(
         ".commands.evaluate", "Score trained models on runs, against baselines and each other"

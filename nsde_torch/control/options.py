@@ -85,9 +85,9 @@ class SolverOptions:
 class SafetyOptions:
     """When a controller rejects a state or a plan, and for how long it flies on."""
 
-    jump: float = key(0.75, "step of the measured position that is not believed at once", unit="m", above=0)
+    jump: float = key(0.75, "step of the measured position that is not accepted at once", unit="m", above=0)
     jump_attitude: float = key(0.8, "the same for the attitude", unit="rad", above=0)
-    jump_samples: int = key(3, "samples after which a new state is believed", low=1)
+    jump_samples: int = key(3, "samples after which a new state is accepted", low=1)
     keep: float = key(
         0.5, "how long the last safe plan is flown when there is trouble; then hover", unit="s", low=0
     )

@@ -141,7 +141,7 @@ def _spectra(found: Diagnosis) -> dict[str, Figure]:
     shown = _most_reduced(found.explanation.channels)[: 2 * _CHANNELS]
     if not shown:
         return {}
-    title = "Spectrum of what the physics leaves over, and the floor of white noise"
+    title = "Spectrum of the physics' residual, and the floor of white noise"
     return {"spectrum": residual_spectra([_spectrum(found.outcome, c.name) for c in shown], title=title)}
 
 

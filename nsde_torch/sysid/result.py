@@ -135,7 +135,7 @@ class Identification:
         if self.guard is None or not self.guard.objections:
             return []
         told = [str(objection) for objection in self.guard.objections]
-        return [*told, *notes, "the fit is not to be believed: no interval is given"]
+        return [*told, *notes, "the fit is not reliable: no interval is given"]
 
     @property
     def notes(self) -> list[str]:

@@ -7,18 +7,15 @@ from __future__ import annotations
 
 import json
 import logging
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nsde_benchmarks.paper import figure_table
 from nsde_benchmarks.paper.figure_table import Settings
+from nsde_benchmarks.training import train_all
 from nsde_torch.cli.hydra_command import HydraCommand
 from nsde_torch.cli.keys import key
 from nsde_torch.errors import ConfigError, NsdeError
@@ -100,7 +97,7 @@ def run(config: DictConfig, job: Job) -> None:
         for seed in range(settings.seeds)
     }
     _check_files(needed, config.published)
-    lost = train_all(needed, settings.models, at_once=config.jobs)
+    lost = train_all({settings.models / name: words for name, words in needed.items()}, at_once=config.jobs)
     outcomes: dict[str, ExperimentOutcome] = {}
     failed: dict[str, str] = {}
     for name in names:
@@ -161,73 +158,6 @@ def _check_files(needed: Mapping[str, Sequence[str]], published: str | None) -> 
         raise ConfigError(
             f"`published={published}` must be the folder of the authors' files; it has no {', '.join(missing)}."
         )
-
-
-def train_all(needed: Mapping[str, Sequence[str]], folder: Path, *, at_once: int) -> dict[str, str]:
-    """Train what has no finished run directory yet, some jobs at a time; interrupted ones are continued.
-
-    Returns:
-        Trainings that failed, with the reason and the log.
-    """
-    missing = {
-        name: words for name, words in needed.items() if not (folder / name / "metrics.json").is_file()
-    }
-    if len(needed) > len(missing):
-        print(f"{len(needed) - len(missing)} of {len(needed)} models are there already, in {folder}")
-    folder.mkdir(parents=True, exist_ok=True)
-    started = time.perf_counter()
-    processes: list[subprocess.Popen[bytes]] = []
-    lost: dict[str, str] = {}
-    with ThreadPoolExecutor(at_once) as pool:
-        waiting: dict[Future[int], str] = {
-            pool.submit(_train, folder, name, words, processes): name for name, words in missing.items()
-        }
-        done = 0
-        try:
-            while waiting:
-                finished, _ = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    name = waiting.pop(future)
-                    done += 1
-                    if future.result():
-                        written = folder / f"{name}.log"
-                        lost[name] = f"training of {name} failed: {_last_line(written)} See {written}."
-                        log.error("%s", lost[name])
-                        continue
-                    spent = time.perf_counter() - started
-                    left = spent / done * len(waiting)
-                    print(
-                        f"trained {name} ({done} of {len(missing)}, {spent:.0f} s, about {left:.0f} s left)",
-                        flush=True,
-                    )
-        except BaseException:
-            for future in waiting:
-                future.cancel()
-            for process in processes:
-                if process.poll() is None:
-                    process.terminate()  # a training that is told to stop keeps its checkpoint
-            raise
-    return lost
-
-
-def _train(folder: Path, name: str, words: Sequence[str], processes: list[subprocess.Popen[bytes]]) -> int:
-    run_dir = folder / name
-    begun = (run_dir / ".hydra").is_dir()
-    where = [f"resume={run_dir}"] if begun else [*words, f"run_dir={run_dir}", "threads=1"]
-    with (folder / f"{name}.log").open("ab") as out:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "nsde_torch.cli", "train", *where],
-            stdout=out,
-            stderr=out,
-            env={**os.environ, "OMP_NUM_THREADS": "1"},
-        )
-        processes.append(process)
-        return process.wait()
-
-
-def _last_line(path: Path) -> str:
-    lines = path.read_text(encoding="utf-8", errors="replace").strip().splitlines() if path.is_file() else []
-    return lines[-1] if lines else "it left no output."
 
 
 def write(

@@ -19,7 +19,7 @@ import torch
 from numpy.typing import NDArray
 
 import nsde_torch
-from nsde_torch.public_benchmarks.emps import PositioningDrive, filtered_log
+from nsde_benchmarks.public.emps import PositioningDrive, filtered_log
 from nsde_torch.recording import assemble
 
 Array = NDArray[np.float64]

@@ -32,6 +32,7 @@ import torch
 from law_machines import flights, make_data
 from loop_machine import Machine
 from small_machines import STATES, Small, run
+from study import save
 
 import nsde_torch
 
@@ -127,9 +128,8 @@ def write_flights(folder: Path, system: str, effects: dict[str, Any], seed: int)
     machine = Machine(system, *MULTIROTORS[system], held, gust)
     columns = ["p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z"]
     for i, run_of in enumerate(flights(machine, seed, FLIGHT_S, PATHS, 0.5)):
-        header = ",".join(["t", *columns, *(f"u_{k + 1}" for k in range(run_of.u.shape[1]))])
-        table = np.column_stack([run_of.t + 100.0 * i, run_of.x, run_of.u])
-        np.savetxt(folder / f"run_{i}.csv", table, "%.9g", ",", header=header, comments="")
+        names = ("t", *columns, *(f"u_{k + 1}" for k in range(run_of.u.shape[1])))
+        save(folder / f"run_{i}.csv", names, [run_of.t + 100.0 * i, run_of.x, run_of.u])
 
 
 def write(folder: Path, system: str, effects: dict[str, Any], seed: int) -> None:
@@ -143,14 +143,7 @@ def write(folder: Path, system: str, effects: dict[str, Any], seed: int) -> None
     machine = Small(system, values, effects, noise, gust=0.02)
     for i in range(RUNS):
         t, y, u = run(machine, SECONDS, DT, seed=7919 * seed + i)
-        np.savetxt(
-            folder / f"run_{i}.csv",
-            np.column_stack([t + 100 * i, y, u]),
-            "%.7f",
-            ",",
-            header=",".join(["t", *STATES[system], "force"]),
-            comments="",
-        )
+        save(folder / f"run_{i}.csv", ("t", *STATES[system], "force"), [t + 100 * i, y, u], "%.7f")
 
 
 def left(

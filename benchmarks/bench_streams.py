@@ -37,6 +37,7 @@ sys.path.insert(0, str(Path(__file__).parent / "blind"))
 
 from loop_flight import LOG, SENSORS, Flight, fly
 from loop_machine import Machine
+from study import save
 
 import nsde_torch
 from nsde_torch.sysid.identify import identify
@@ -113,9 +114,8 @@ def make(kind: str, seed: int, folder: Path) -> Case:
             acting = _speeds(acting, rng)
         motors = acting[2 * (np.arange(n) // 2)]
         battery = flown.extra["battery_voltage"][10 * (np.arange(n) // 10)]
-        table = np.column_stack([flown.t, x, motors, battery])[50:-50]
-        head = ",".join(("t", *STATE, *(f"u_{i}" for i in range(1, 5)), "battery_voltage"))
-        np.savetxt(folder / f"flight_{r}.csv", table, delimiter=",", header=head, comments="", fmt="%.9g")
+        names = ("t", *STATE, *(f"u_{i}" for i in range(1, 5)), "battery_voltage")
+        save(folder / f"flight_{r}.csv", names, [np.column_stack([flown.t, x, motors, battery])[50:-50]])
     return Case(kind, folder, late, gains)
 
 

@@ -25,7 +25,7 @@ import torch
 
 from nsde_torch.data import Run
 from nsde_torch.models.identified import METHODS
-from nsde_torch.simulation import simulated
+from nsde_torch.simulation import Making, simulated
 from nsde_torch.simulation.flights import fly
 from nsde_torch.simulation.pilot import Pilot, Sticks
 from nsde_torch.sysid.identify import identify
@@ -89,11 +89,12 @@ def recordings(name: str, seeds: Sequence[int], *, noise: float) -> Iterator[Seq
         some = seeds[first : first + AT_ONCE]
         paths = [p for s in some for p in Pilot(list(FLIGHTS_S), dt=dt, seed=s).paths(Sticks())]
         generator = torch.Generator().manual_seed(1000 + some[0])
-        x, u = fly(name, paths, generator=generator, process_noise=noise, sensor_noise=noise)
-        t = dt * np.arange(len(x))
+        making = Making(process_noise=noise, sensor_noise=noise)
+        flown = fly(name, paths, generator=generator, making=making)
+        t = dt * np.arange(len(flown.x))
         for k in range(len(some)):
             rows = range(k * len(FLIGHTS_S), (k + 1) * len(FLIGHTS_S))
-            yield [Run(f"flight_{i}", t, x[:, i], u[:, i]) for i in rows]
+            yield [Run(f"flight_{i}", t, flown.x[:, i], flown.u[:, i]) for i in rows]
 
 
 def noise_free(name: str, method: str) -> dict[str, Any]:

@@ -37,7 +37,7 @@ def choose(config: DictConfig, trained: TrainedRun, machine: SystemInfo) -> Chos
     """The runs that the configuration asks for.
 
     Args:
-        config: The group `data`; of the kind "trained", it stands for that of a run.
+        config: The group `data`; of the kind "trained", it means that of a run.
         trained: That run.
         machine: Columns to read.
 

@@ -84,7 +84,7 @@ def _folders(given: object) -> list[Path]:
 
 
 def short_names(folders: Sequence[Path]) -> list[str]:
-    """As much of the end of each path as tells them apart."""
+    """As much of the end of each path as distinguishes them."""
     parts = [folder.resolve().parts for folder in folders]
     for count in range(1, max(map(len, parts)) + 1):
         names = ["/".join(p[-count:]) for p in parts]

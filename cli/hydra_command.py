@@ -23,7 +23,7 @@ from .store import store
 
 _CONFIG_PATH = "pkg://nsde_torch.conf"
 _TRACEBACK = "NSDE_TRACEBACK"
-# Hydra's own folders with the keys of ours that set them, and its names of what lies inside.
+# Hydra's own folders with the keys of ours that set them, and its names of the files inside.
 _HYDRA_FOLDERS = {"hydra.run.dir": "run_dir or out_dir", "hydra.sweep.dir": "sweep_dir"}
 _HYDRA_GROUPS = ("hydra", "hydra.run", "hydra.sweep", "hydra.job")  # that hold these
 _HYDRA_NAMES = ("hydra.output_subdir", "hydra.sweep.subdir", "hydra.job.name")
@@ -81,7 +81,7 @@ class HydraCommand:
         if "-h" in words or "--help" in words:
             print(help.describe(self.name, words))
             return OK
-        # A queue that ends a job sends SIGTERM: it is told how to resume, as after Ctrl-C. Only the main thread can.
+        # A queue that ends a job sends SIGTERM: its log says how to resume, as after Ctrl-C. Only the main thread can.
         with contextlib.suppress(ValueError):
             signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
@@ -136,7 +136,7 @@ class HydraCommand:
 
         LAST.reset()
         store(self)
-        # Hydra prints errors and exits by itself unless told to raise them, which lets us word them.
+        # Hydra prints errors and exits by itself unless asked to raise them, which lets us word them.
         os.environ["HYDRA_FULL_ERROR"] = "1"
         old, sys.argv = sys.argv, [f"nsde {self.name}", *words]
         try:
@@ -204,7 +204,7 @@ def _resumed(words: Sequence[str]) -> Path | None:
 
 
 def _reader_chosen(words: list[str], command: str) -> list[str]:
-    """The words with `data=log` where a path is named and no reader: then the names of the files tell the format."""
+    """The words with `data=log` where a path is named and no reader: then the names of the files decide the format."""
     typed = [word.partition("=")[0].lstrip("+") for word in words]
     if "data" not in groups.defaults(command) or _resumed(words) is not None:
         return words

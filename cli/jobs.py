@@ -60,7 +60,7 @@ LAST = JobOutcome()
 
 @dataclass(frozen=True)
 class Job:
-    """What a command's function is told beside its configuration.
+    """What a command's function is given beside its configuration.
 
     Attributes:
         run_dir: Folder of this job, made by Hydra.
@@ -113,7 +113,7 @@ class HydraJob:
 
 
 def _progress_to_files_alone() -> None:
-    """Leave progress, which the terminal shows by itself, out of what Hydra's logging writes there."""
+    """Leave progress, which the terminal shows by itself, out of Hydra's log there."""
     for handler in logging.getLogger().handlers:
         if not isinstance(handler, logging.FileHandler):
             handler.addFilter(lambda record: record.name != PROGRESS_LOG.name)

@@ -1,6 +1,6 @@
 """Keys of a configuration, made of the options of the library (`nsde_torch.options`).
 
-A key stands for an option (`of`), or is the command line's own (`key`); `mirrors` makes a key of every option of a
+A key mirrors an option (`of`), or is the command line's own (`key`); `mirrors` makes a key of every option of a
 dataclass of the library. OmegaConf wants lists where the library has tuples, and classes that are not frozen.
 """
 
@@ -25,7 +25,7 @@ def group(default: type, help: str) -> Any:
 
 
 def of(library: type, name: str, **changed: Any) -> Any:
-    """A key that stands for an option of the library.
+    """A key that mirrors an option of the library.
 
     Args:
         library: Dataclass of the library.

@@ -1,4 +1,4 @@
-"""What the files of a diagnosis tell of a machine: its system, the runs that were looked at, and what was found."""
+"""What the files of a diagnosis say about a machine: its system, the runs that were looked at, and what was found."""
 
 from __future__ import annotations
 

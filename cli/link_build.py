@@ -49,7 +49,7 @@ def limits(config: DictConfig) -> Limits:
 
 
 def setpoints(config: DictConfig) -> SetpointLimits:
-    """Bounds of what is sent, of the group `limits`.
+    """Bounds of the commands that are sent, of the group `limits`.
 
     Raises:
         ConfigError: a throttle that is no pair.

@@ -8,8 +8,10 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
+from nsde_torch.errors import ConfigError
+
 from .exit_status import OK, USER_ERROR
-from .registry import COMMANDS, entry_of, installed
+from .registry import all_commands, entry_of
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -34,7 +36,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if known is None:
         print(unknown_command(name), file=sys.stderr)
         return USER_ERROR
-    return known.load().main(rest)
+    try:
+        command = known.load()
+    except ConfigError as error:
+        print(f"nsde {name}: {error}", file=sys.stderr)
+        return USER_ERROR
+    return command.main(rest)
 
 
 def entry() -> NoReturn:
@@ -53,7 +60,7 @@ def entry() -> NoReturn:
 
 def listing() -> str:
     """The commands with a line each."""
-    known = {**COMMANDS, **installed()}
+    known = all_commands()
     width = max(map(len, known))
     rows = "\n".join(f"  {name:<{width}}  {command.summary}" for name, command in known.items())
     return (
@@ -65,9 +72,13 @@ def listing() -> str:
 
 def unknown_command(name: str) -> str:
     """The message for a command that is not in the table, with the nearest one that is."""
-    near = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.65)
+    known = all_commands()
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.65)
     hint = f" Did you mean `nsde {near[0]}`?" if near else ""
-    return f"nsde: no command `{name}`.{hint} Commands: {', '.join(COMMANDS)}."
+    return (
+        f"nsde: no command `{name}`.{hint} Commands: {', '.join(known)}. A command of another package is known once "
+        "that package is installed; after an update of a checkout, run `pip install -e .` there again."
+    )
 
 
 def version() -> str:

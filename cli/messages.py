@@ -139,7 +139,7 @@ def unknown_key(path: str, command: str, words: Sequence[str]) -> str:
 
 
 def nearest(name: str, known: Sequence[str]) -> str | None:
-    """The known name that a mistyped one most likely stands for."""
+    """The known name that a mistyped one most likely means."""
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     if close:
         return close[0]
@@ -195,8 +195,8 @@ def _path_as_choice(path: str) -> str:
     """The message for `data=PATH`."""
     instead = as_typed(paths={"data.path": typed_path(path)})
     return (
-        f"`data={path}`: `data` is a kind of data, and a path goes into `data.path`: {instead} (the format is told by "
-        "the names of the files)."
+        f"`data={path}`: `data` is a kind of data, and a path goes into `data.path`: {instead} (the names of the files "
+        "decide the format)."
     )
 
 

@@ -4,15 +4,20 @@ The file holds a `COMMAND`: a `HydraCommand` (name, help, schema, groups, folder
 that does its work, or a `PlainCommand` for one that Hydra does not configure. It is imported when its command is
 called, so that listing the commands costs no import of Hydra or torch; what is heavy is imported inside `run`.
 
-Another package adds a command with an entry point of the group `nsde_torch.commands`, whose value is the module.
+Another package adds a command with an entry point of the group `nsde_torch.commands`, whose value is the module. The
+first line of the module's docstring is what `nsde --help` says of it: "`nsde NAME`: what it does".
 """
 
 from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
+
+from nsde_torch.errors import ConfigError
 
 if TYPE_CHECKING:
     from .hydra_command import HydraCommand
@@ -38,14 +43,33 @@ class PlainCommand:
 
 @dataclass(frozen=True)
 class CommandEntry:
-    """One line of the table: the file of a command, and what `nsde --help` says of it."""
+    """One line of the table: the file of a command, and what `nsde --help` says of it.
+
+    Attributes:
+        module: Module with the `COMMAND`.
+        summary: One line.
+        package: Installed package that adds the command; None for a command of the table.
+    """
 
     module: str
     summary: str
+    package: str | None = None
 
     def load(self) -> Command:
-        """Import the file of the command."""
-        command: Command = importlib.import_module(self.module, package=__package__).COMMAND
+        """Import the file of the command.
+
+        Raises:
+            ConfigError: The module of another package does not load, or has no `COMMAND`.
+        """
+        try:
+            command: Command = importlib.import_module(self.module, package=__package__).COMMAND
+        except (ImportError, AttributeError) as error:
+            if self.package is None:
+                raise
+            raise ConfigError(
+                f"a command of the package {self.package} does not load ({error}). Install that package again; in "
+                "its checkout with `pip install -e .`."
+            ) from error
         return command
 
 
@@ -65,16 +89,11 @@ COMMANDS: dict[str, CommandEntry] = {
         ".commands.serve", "Open a page on this machine that takes dropped logs and gives their diagnosis"
     ),
     "design": CommandEntry(
-        ".commands.design", "Plan the experiment that tells most, or read what a flown one told"
+        ".commands.design",
+        "Plan the most informative experiment, or report the evidence of one that was flown",
     ),
     "evaluate": CommandEntry(
         ".commands.evaluate", "Score trained models on runs, against baselines and each other"
-    ),
-    "benchmark": CommandEntry(
-        ".commands.benchmark", "Run a public measured set by its own protocol, beside the published rows"
-    ),
-    "figures": CommandEntry(
-        ".commands.figures", "Make the supplement's figures anew, each with its claim and what was measured"
     ),
     "policy": CommandEntry(
         ".commands.policy", "Learn a policy in a learned model or on the true machine, and judge it there"
@@ -119,13 +138,37 @@ def installed() -> dict[str, CommandEntry]:
     """Commands of other packages: their entry points of the group `nsde_torch.commands`."""
     from importlib.metadata import entry_points
 
-    return {
-        point.name: CommandEntry(
-            point.module, f"A command of the package {point.dist.name if point.dist else '?'}"
-        )
-        for point in entry_points(group="nsde_torch.commands")
-        if point.name not in COMMANDS
-    }
+    found = {}
+    for point in entry_points(group="nsde_torch.commands"):
+        package = point.dist.name if point.dist else "?"
+        if point.name not in COMMANDS:
+            summary = _summary(point.module) or f"A command of the package {package}"
+            found[point.name] = CommandEntry(point.module, summary, package)
+    return found
+
+
+def _summary(module: str) -> str:
+    """The first line of a module's docstring without the command's name. The file is read and nothing is imported."""
+    import ast
+    from importlib.util import find_spec
+
+    top, *below = module.split(".")
+    try:
+        spec = find_spec(top)
+        if spec is None or spec.origin is None:
+            return ""
+        path = Path(spec.origin)
+        path = path.parent.joinpath(*below).with_suffix(".py") if below else path
+        line = (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").partition("\n")[0]
+    except (ImportError, OSError, ValueError, SyntaxError):
+        return ""
+    words = line.rpartition("`: ")[2].strip().removesuffix(".")
+    return words[:1].upper() + words[1:]
+
+
+def all_commands() -> dict[str, CommandEntry]:
+    """Every command by name: those of the table, then those of other packages."""
+    return {**COMMANDS, **installed()}
 
 
 def entry_of(name: str) -> CommandEntry | None:
@@ -138,6 +181,7 @@ def hydra_command(name: str) -> HydraCommand:
 
     Raises:
         KeyError: there is none of that name.
+        ConfigError: its package does not load.
     """
     from .hydra_command import HydraCommand
 
@@ -149,8 +193,14 @@ def hydra_command(name: str) -> HydraCommand:
 
 
 def hydra_commands() -> dict[str, HydraCommand]:
-    """All commands that Hydra configures, by name."""
+    """All commands that Hydra configures, by name; those of other packages only if their modules load."""
     from .hydra_command import HydraCommand
 
-    loaded = {name: entry.load() for name, entry in COMMANDS.items()}
-    return {name: command for name, command in loaded.items() if isinstance(command, HydraCommand)}
+    found = {}
+    for name, entry in all_commands().items():
+        # a broken package ends its own command, and no other
+        with suppress(ConfigError):
+            command = entry.load()
+            if isinstance(command, HydraCommand):
+                found[name] = command
+    return found

@@ -1,4 +1,4 @@
-"""The jobs of a sweep as its folders tell them: overrides, status, and the numbers that they ended in."""
+"""The jobs of a sweep as its folders record them: overrides, status, and the numbers that they ended in."""
 
 from __future__ import annotations
 

@@ -28,9 +28,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs" / "content").rglob("*.md")))
+_FENCED = r"(?P<fence> *``` ?(?P<info>[^\n]*)\n)(?P<block>.*?)^ *```$"
+FENCED = re.compile("^" + _FENCED, re.MULTILINE | re.DOTALL)
 MARK = re.compile(
     r"^(?P<indent> *)<!-- (?P<no>no )?run(?P<slow> slow)?(?:: (?P<command>.+?))? -->\n\n?"
-    r"(?:(?P<fence> *``` ?(?P<info>[^\n]*)\n)(?P<block>.*?)(?=^ *```$))?",
+    + f"(?:{_FENCED})?",
     re.MULTILINE | re.DOTALL,
 )
 VARIES = re.compile(r"\btook \d+(\.\d+)? (s|min)|\d{4}-\d\d-\d\d[/T]\d\d[-:]\d\d[-:]\d\d")

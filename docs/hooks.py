@@ -20,6 +20,7 @@ from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "nsde_torch"
+PLUG_INS = ROOT / "benchmarks" / "nsde_benchmarks"
 _FORMULA = re.compile(r"\\\((?P<inline>.+?)\\\)|\\\[(?P<block>.+?)\\\]", re.DOTALL)
 
 
@@ -73,7 +74,7 @@ def on_page_content(text: str, page: Any, config: Any, files: Files) -> str:
 
 def _commands() -> str:
     from nsde_torch.cli import groups
-    from nsde_torch.cli.registry import COMMANDS, hydra_commands
+    from nsde_torch.cli.registry import all_commands, hydra_commands
 
     lines = [
         "# Commands",
@@ -86,7 +87,7 @@ def _commands() -> str:
         "|---|---|---|---|",
     ]
     configured = hydra_commands()
-    for name, command in COMMANDS.items():
+    for name, command in all_commands().items():
         known = name in configured
         chosen = ", ".join(f"`{group}`" for group in groups.defaults(name)) if known else ""
         label = f"[`{name}`](configuration.md#nsde-{name})" if known else f"`{name}`"
@@ -265,8 +266,9 @@ def _effect_parameter(parameter: dict[str, Any]) -> str:
 
 def _packages() -> list[str]:
     """The public packages by dotted name, the top one first."""
-    below = sorted(path.parent.name for path in PACKAGE.glob("*/__init__.py"))
-    return ["nsde_torch", *(f"nsde_torch.{name}" for name in below if not name.startswith("_"))]
+    below = sorted(path.parent for path in PACKAGE.glob("*/__init__.py"))
+    plug_ins = sorted(path.parent for path in PLUG_INS.glob("*/__init__.py"))
+    return ["nsde_torch", *(f"{path.parent.name}.{path.name}" for path in [*below, *plug_ins])]
 
 
 def _api_path(name: str) -> str:
@@ -275,7 +277,8 @@ def _api_path(name: str) -> str:
 
 def _api(name: str) -> str:
     """What a package offers, and a table of its modules with what each is for."""
-    folder = ROOT.joinpath(*name.split("."))
+    beside = PLUG_INS.parent if name.startswith(PLUG_INS.name) else ROOT
+    folder = beside.joinpath(*name.split("."))
     lines = [f"# {name}", "", f"::: {name}", "    options:"]
     lines += ["      show_root_heading: false", "      show_root_toc_entry: false"]
     if name == "nsde_torch":
@@ -287,7 +290,7 @@ def _api(name: str) -> str:
     if modules:
         lines += ["## Modules", "", "| module | |", "|---|---|"]
     for path in modules:
-        parts = path.relative_to(ROOT).with_suffix("").parts
+        parts = path.relative_to(beside).with_suffix("").parts
         dotted = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
         text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
         lines.append(f"| `{dotted}` | {_cell(_first(text))} |")

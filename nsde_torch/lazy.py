@@ -43,7 +43,7 @@ def resolver(package: str, home: Mapping[str, str] | None = None) -> Callable[[s
 
 @cache
 def _homes(package: str) -> dict[str, str]:
-    """Name -> module of what a package imports for type checkers alone, read once from its source."""
+    """Name -> module of the names that a package imports for type checkers alone, read once from its source."""
     spec = sys.modules[package].__spec__
     source = spec.loader.get_source(package) if spec and isinstance(spec.loader, InspectLoader) else None
     return {

@@ -18,7 +18,7 @@ import torch
 import nsde_torch
 from nsde_torch.cli import groups
 from nsde_torch.cli.main import main
-from nsde_torch.cli.registry import COMMANDS, hydra_commands
+from nsde_torch.cli.registry import all_commands, hydra_commands
 from nsde_torch.diagnosis.result import Content
 from nsde_torch.effects import Effect
 from nsde_torch.recording import FAULTS
@@ -55,8 +55,7 @@ FREE = (
 def code(page: Path, language: str) -> list[str]:
     """The code blocks of a page, blocks in tabs and lists included."""
     text = page.read_text(encoding="utf-8")
-    found = re.findall(rf"^( *)```{language}\n(.*?)^ *```", text, flags=re.MULTILINE | re.DOTALL)
-    return [textwrap.dedent(block) for _, block in found]
+    return [textwrap.dedent(m["block"]) for m in blocks.FENCED.finditer(text) if m["info"] == language]
 
 
 def commands() -> Iterator[tuple[str, list[str]]]:
@@ -97,7 +96,7 @@ def test_commands_of_the_pages_exist_and_take_what_is_typed() -> None:
         command, *rest = words
         if command.startswith("-") or command == "COMMAND":
             continue
-        assert command in COMMANDS, where
+        assert command in all_commands(), where
         for word in rest if command in known else ():
             key, equals, value = word.partition("=")
             if not equals or key in ALIASES or key.startswith(("-", *FREE)):
@@ -133,7 +132,9 @@ def test_every_block_of_output_names_its_command_or_says_why_none_can_print_it()
     for page in [ROOT / "README.md", *PAGES]:
         text = page.read_text(encoding="utf-8")
         marked = {mark.start("fence"): mark for mark in blocks.MARK.finditer(text) if mark["fence"]}
-        for fence in re.finditer(r"^ *``` ?(?:text|\{ \.text.*\})$", text, flags=re.MULTILINE):
+        for fence in blocks.FENCED.finditer(text):
+            if not re.match(r"text$|\{ \.text", fence["info"]):
+                continue
             line = text.count("\n", 0, fence.start()) + 1
             assert fence.start() in marked, f"{page.relative_to(ROOT)}:{line}: what prints this block?"
             mark = marked[fence.start()]

@@ -17,6 +17,7 @@ from torch import Tensor
 import nsde_torch
 from nsde_torch.cli.commands.completion import query
 from nsde_torch.cli.main import main
+from nsde_torch.cli.registry import hydra_commands
 from nsde_torch.data import DataSet, SystemInfo
 from nsde_torch.effects import Effect, Port
 from nsde_torch.errors import ConfigError
@@ -328,13 +329,33 @@ def test_a_command_of_another_package_is_listed_and_runs(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["--help"]) == 0
-    assert "rows          A command of the package my_package" in capsys.readouterr().out
+    assert (
+        "rows          How many rows each run of a data set has, and for how long it lasts"
+        in capsys.readouterr().out
+    )
     assert query(["row"]) == ["rows"]
     assert query(["rows", "lea"]) == ["least="]
     assert main(["rows", "--help"]) == 0
     assert "leave out runs with fewer rows" in capsys.readouterr().out
     assert main(["rows", "system=mass_spring_damper", "data.durations=[2,3]", "least=250"]) == 0
     assert capsys.readouterr().out == "run_1: 301 rows, 3.0 s\n"
+
+
+def test_a_command_whose_package_does_not_load_is_a_sentence(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    about = tmp_path / "my_package-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: my_package\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("[nsde_torch.commands]\nrows = package_that_moved.rows\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert main(["--help"]) == 0
+    assert "rows          A command of the package my_package" in capsys.readouterr().out
+    assert main(["rows"]) == 2
+    told = capsys.readouterr().err
+    assert "the package my_package does not load (No module named 'package_that_moved')" in told
+    assert "Install that package again" in told
+    assert "rows" not in hydra_commands()
 
 
 # ---- the pages -------------------------------------------------------------------------------------------------------

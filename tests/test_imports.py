@@ -61,17 +61,15 @@ MAY_IMPORT = {
     "control": LEARNED,
     "simulation": {*LEARNED, "control"},
     "policy": {*LEARNED, "simulation"},
-    "experiments": {*LEARNED, *TRAINED},
     "api": {*LEARNED, *TRAINED, "simulation", "diagnosis"},
     "diagnosis": {*LEARNED, *TRAINED, "control"},
-    "public_benchmarks": {*LEARNED, *TRAINED, "api", "diagnosis"},
     "design": {*LEARNED, "inference", "sysid", "diagnosis", "control"},
     "px4": {*LEARNED, "control", "export", "simulation"},
     "export": {*LEARNED, "control"},
 }
 INSIDE_PX4 = {"link": (), "flight": ("link",), "simulator": ("link", "flight")}
 """Folder of `px4` -> the others that it may import; the simulator of machines is for the simulated autopilot alone."""
-FORBIDDEN = {"hydra", "omegaconf", "hydra_plugins", "cli", "conf", "tests"}
+FORBIDDEN = {"hydra", "omegaconf", "hydra_plugins", "cli", "conf", "tests", "nsde_benchmarks"}
 
 
 def _modules(root: Path) -> list[Path]:
@@ -153,17 +151,23 @@ def test_nothing_in_the_package_imports_hydra_the_commands_or_the_tests(root: Pa
     assert not wrong
 
 
+def test_the_library_does_not_know_the_benchmarks(root: Path) -> None:
+    files = [*_modules(root), *sorted((root / "cli").rglob("*.py"))]
+    assert not [str(path) for path in files if "nsde_benchmarks" in path.read_text(encoding="utf-8")]
+
+
 def test_third_party_imports_are_declared_dependencies(root: Path) -> None:
     text = (root / "pyproject.toml").read_text(encoding="utf-8")
     declared = text[text.index("dependencies = [") : text.index("[project.optional-dependencies]")].lower()
     extra = text[text.index("\npolicy = [") : text.index("\ndev = [")].lower()
     own_name = {"yaml": "pyyaml", "hydra": "hydra-core", "serial": "pyserial"}
     missing = set()
-    for path in [*_modules(root), *sorted((root / "cli").rglob("*.py"))]:
+    beside = [*(root / "cli").rglob("*.py"), *(root / "benchmarks" / "nsde_benchmarks").rglob("*.py")]
+    for path in [*_modules(root), *sorted(beside)]:
         package = _package(root, path)
         for name in _imports(path, package if package.startswith("nsde_torch") else f"nsde_torch.{package}"):
             top = name.split(".")[0]
-            if top in sys.stdlib_module_names or top in ("nsde_torch", "__future__", ""):
+            if top in sys.stdlib_module_names or top in ("nsde_torch", "nsde_benchmarks", "__future__", ""):
                 continue
             extras = ("policy", "diagnosis", "formats", "serving")
             allowed = declared + extra if path.parent.name in extras else declared

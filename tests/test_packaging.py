@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-COPIED = ("nsde_torch", "cli", "conf", "pyproject.toml", "README.md", "LICENSE")
+COPIED = ("nsde_torch", "benchmarks/nsde_benchmarks", "cli", "conf", "pyproject.toml", "README.md", "LICENSE")
 
 
 def _declared_packages(root: Path) -> set[str]:
@@ -29,6 +29,8 @@ def test_pyproject_lists_every_package_of_the_tree(root: Path) -> None:
         found.add(".".join(path.parent.relative_to(root).parts))
     for path in (root / "cli").rglob("*.py"):
         found.add(".".join(("nsde_torch", *path.parent.relative_to(root).parts)))
+    for path in (root / "benchmarks" / "nsde_benchmarks").rglob("*.py"):
+        found.add(".".join(path.parent.relative_to(root / "benchmarks").parts))
     assert _declared_packages(root) == found
 
 
@@ -109,10 +111,12 @@ def test_wheel_holds_code_commands_and_every_config_file(wheel: Path, root: Path
     expected |= {f"nsde_torch/{path.relative_to(root)}" for path in (root / "cli").rglob("*.py")}
     expected |= {f"nsde_torch/{path.relative_to(root)}" for path in (root / "conf").rglob("*.yaml")}
     expected |= {f"nsde_torch/{path.relative_to(root)}" for path in (root / "cli/serving/page").iterdir()}
+    plug_ins = (root / "benchmarks" / "nsde_benchmarks").rglob("*.py")
+    expected |= {str(path.relative_to(root / "benchmarks")) for path in plug_ins}
     templates = (root / "nsde_torch/diagnosis/templates").iterdir()
     expected |= {str(path.relative_to(root)) for path in templates}
     assert expected <= names
-    assert not [name for name in names if name.startswith(("cli/", "conf/", "tests/"))]
+    assert not [name for name in names if name.startswith(("benchmarks/", "cli/", "conf/", "tests/"))]
 
 
 def test_installed_wheel_is_the_one_that_runs(installed: dict[str, str], tmp_path: Path) -> None:
@@ -127,6 +131,20 @@ def test_installed_wheel_lists_its_commands(installed: dict[str, str], tmp_path:
     done = _nsde(installed, tmp_path, "--help")
     assert done.returncode == 0, done.stderr
     assert "sweep-report" in done.stdout
+    assert "benchmark     Run a public measured set by its own protocol" in done.stdout
+    assert "figures       Make the supplement's figures anew" in done.stdout
+
+
+def test_installed_wheel_runs_the_plug_ins(installed: dict[str, str], tmp_path: Path) -> None:
+    listed = _nsde(installed, tmp_path, "benchmark")
+    assert "fetch: biaslab/nsi-silverbox" in listed.stdout, listed.stderr
+    composed = _nsde(installed, tmp_path, "figures", "--cfg", "job", "figures=[fig5]")
+    assert "settings: fast" in composed.stdout, composed.stderr
+    refused = _nsde(installed, tmp_path, "figures", "figures=[fig99]")
+    assert refused.returncode == 2
+    assert "`figures` must be `all` or of fig5" in refused.stderr
+    completed = _nsde(installed, tmp_path, "completion", "query", "figures", "settings=")
+    assert completed.stdout.split() == ["settings=fast", "settings=full"]
 
 
 def test_installed_wheel_shows_the_help_of_train(installed: dict[str, str], tmp_path: Path) -> None:

@@ -7,35 +7,134 @@ expression that has to be found in what a command says for the fault to count as
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
 import numpy as np
-from broken_flights import (
-    Fault,
-    Log,
-    Table,
-    body_velocity,
-    down_positive,
-    frd_rates,
-    inputs_percent,
-    inputs_pwm,
-    inputs_two_sided,
-    motor_constant,
-    motor_of_another_run,
-    motors_rotated,
-    motors_swapped,
-    ned_frd,
-    ned_world,
-    quaternion_conjugate,
-    quaternion_xyzw,
-    rates_deg,
-    world_turned,
-)
+from loop_machine import product, rotation
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, sosfilt, sosfilt_zi, sosfiltfilt
 
-__all__ = ["FAULTS", "Fault", "Log", "Table"]
-
 Array = NDArray[np.float64]
+
+
+@dataclass
+class Table:
+    """One run: times (n,), states (n, nx), inputs (n, nu), further columns by name."""
+
+    t: Array
+    x: Array
+    u: Array
+    extra: dict[str, Array] = field(default_factory=dict)
+
+    def copy(self) -> Table:
+        """A copy of all columns."""
+        return Table(
+            self.t.copy(), self.x.copy(), self.u.copy(), {k: v.copy() for k, v in self.extra.items()}
+        )
+
+    def rows(self, keep: NDArray[np.int64]) -> None:
+        """Keep some rows, by number."""
+        self.t, self.x, self.u = self.t[keep], self.x[keep], self.u[keep]
+        self.extra = {k: v[keep] for k, v in self.extra.items()}
+
+
+Log = list[Table]
+Fault = Callable[[Log, Log, np.random.Generator], str]
+
+
+# ---- changes of columns that are the same in every row --------------------------------------------------
+
+
+def _each(said: str, change: Callable[[Table], None]) -> Fault:
+    """A fault that changes every run alike."""
+
+    def fault(log: Log, other: Log, rng: np.random.Generator) -> str:
+        for run in log:
+            change(run)
+        return said
+
+    return fault
+
+
+def _states(columns: slice | list[int], made: Callable[[Array], Array], said: str) -> Fault:
+    """Columns of the states that are made of all states (n, nx)."""
+
+    def change(run: Table) -> None:
+        run.x[:, columns] = made(run.x)
+
+    return _each(said, change)
+
+
+def _inputs(made: Callable[[Array], Array], said: str) -> Fault:
+    """Inputs (n, nu) written in another unit or with another sign."""
+
+    def change(run: Table) -> None:
+        run.u = made(run.u)
+
+    return _each(said, change)
+
+
+def _ned(x: Array) -> Array:
+    """Positions and velocities (n, 6) in NED."""
+    return x[:, [1, 0, 2, 4, 3, 5]] * [1, 1, -1, 1, 1, -1]
+
+
+def _ned_frd(run: Table) -> None:
+    half = np.sqrt(0.5)
+    run.x[:, 0:6] = _ned(run.x)
+    # q_ned_frd = (0, s, s, 0) q (0, 1, 0, 0)
+    turned = product(run.x[:, 6:10], np.array([[0.0, 1.0, 0.0, 0.0]]))
+    run.x[:, 6:10] = product(np.array([[0.0, half, half, 0.0]]), turned)
+    run.x[:, 11:13] *= -1.0
+
+
+def _in_the_body(x: Array) -> Array:
+    """Velocities (n, 3) along the body's axes."""
+    return np.einsum("bji,bj->bi", rotation(x[:, 6:10]), x[:, 3:6])
+
+
+def _milliseconds(run: Table) -> None:
+    run.t = run.t * 1e3
+
+
+# ---- multirotors ----------------------------------------------------------------------------------------
+
+
+def motors_swapped(log: Log, other: Log, rng: np.random.Generator) -> str:
+    """Two columns of motors exchanged."""
+    i, j = (int(k) for k in rng.choice(log[0].u.shape[1], 2, replace=False))
+    for run in log:
+        run.u[:, [i, j]] = run.u[:, [j, i]]
+    return f"u_{i + 1} and u_{j + 1} swapped"
+
+
+def motors_rotated(log: Log, other: Log, rng: np.random.Generator) -> str:
+    """Columns of motors counted from another one, or in another order."""
+    n = log[0].u.shape[1]
+    order = np.roll(np.arange(n), int(rng.integers(1, n))) if rng.random() < 0.5 else np.arange(n)[::-1]
+    for run in log:
+        run.u = run.u[:, order]
+    return f"motors in the order {(order + 1).tolist()}"
+
+
+def motor_of_another_run(log: Log, other: Log, rng: np.random.Generator) -> str:
+    """In one run, one motor's column is that of another run."""
+    k, j = int(rng.integers(len(log))), int(rng.integers(log[0].u.shape[1]))
+    source = log[(k + 1) % len(log)].u[:, j]
+    log[k].u[:, j] = np.resize(source, len(log[k].u))
+    return f"u_{j + 1} of run_{k} is of another run"
+
+
+def motor_constant(log: Log, other: Log, rng: np.random.Generator) -> str:
+    """One motor's column holds one value."""
+    j = int(rng.integers(log[0].u.shape[1]))
+    value = float(np.mean([run.u[:, j].mean() for run in log]))
+    for run in log:
+        run.u[:, j] = np.round(value, 3)
+    return f"u_{j + 1} constant"
+
 
 # ---- all machines --------------------------------------------------------------------------------------
 
@@ -57,20 +156,6 @@ def angle_deg(log: Log, other: Log, rng: np.random.Generator) -> str:
         run.x[:, 2:4] = np.degrees(run.x[:, 2:4]) if both else run.x[:, 2:4]
         run.x[:, 2] = run.x[:, 2] if both else np.degrees(run.x[:, 2])
     return f"theta{' and theta_dot' if both else ''} in degrees"
-
-
-def angle_hanging(log: Log, other: Log, rng: np.random.Generator) -> str:
-    """The pole's angle counted from hanging."""
-    for run in log:
-        run.x[:, 2] -= np.pi
-    return "theta counted from hanging"
-
-
-def input_sign(log: Log, other: Log, rng: np.random.Generator) -> str:
-    """The force logged the wrong way round."""
-    for run in log:
-        run.u *= -1.0
-    return "sign of the force flipped"
 
 
 def one_axis_flipped(log: Log, other: Log, rng: np.random.Generator) -> str:
@@ -172,13 +257,6 @@ def resampled(log: Log, other: Log, rng: np.random.Generator) -> str:
     return f"every {step}th row, straight lines between"
 
 
-def time_ms(log: Log, other: Log, rng: np.random.Generator) -> str:
-    """Time in milliseconds."""
-    for run in log:
-        run.t = run.t * 1e3
-    return "time in ms"
-
-
 def duplicated(log: Log, other: Log, rng: np.random.Generator) -> str:
     """Rows written twice."""
     for run in log:
@@ -229,13 +307,6 @@ def gaps_unmarked(log: Log, other: Log, rng: np.random.Generator) -> str:
     return "three hidden gaps a run"
 
 
-def wrapped(log: Log, other: Log, rng: np.random.Generator) -> str:
-    """The angle wrapped at pi."""
-    for run in log:
-        run.x[:, 2] = np.mod(run.x[:, 2] + np.pi, 2 * np.pi) - np.pi
-    return "theta wrapped"
-
-
 def wrapped_half(log: Log, other: Log, rng: np.random.Generator) -> str:
     """The signs of the quaternion change at random rows."""
     for run in log:
@@ -250,26 +321,78 @@ _WORLD = r"axes|frame|NED|ENU"
 FAULTS: dict[str, tuple[Fault, str, str]] = {
     "two motors swapped": (motors_swapped, "m", r"order of the (inputs|motors)|u_\d.*(swap|exchang|order)"),
     "motors in another order": (motors_rotated, "m", r"order of the (inputs|motors)|u_\d.*(swap|order)"),
-    "NED and FRD": (ned_frd, "m", r"NED|FRD"),
-    "NED positions, ENU attitude": (ned_world, "m", _WORLD),
-    "height downwards": (down_positive, "m", r"NED|downwards|sign of '?p_z|p_z.*sign|axes"),
-    "rates in FRD": (frd_rates, "m", r"FRD|sign.*w_y|w_y.*sign|rates"),
-    "velocity in the body": (body_velocity, "m", r"body's axes"),
-    "world turned by 90 deg": (world_turned, "m", _WORLD),
-    "quaternion xyzw": (quaternion_xyzw, "m", r"scalar last"),
-    "quaternion conjugate": (quaternion_conjugate, "m", r"world into the body"),
-    "rates in deg/s": (rates_deg, "m", r"deg"),
-    "inputs in percent": (inputs_percent, "m", r"percent"),
-    "inputs as pulse widths": (inputs_pwm, "m", r"pulse width"),
-    "inputs in [-1, 1]": (inputs_two_sided, "m", r"-1|expected 0 to 1"),
+    "NED and FRD": (_each("states in NED, FRD", _ned_frd), "m", r"NED|FRD"),
+    "NED positions, ENU attitude": (
+        _states(slice(0, 6), _ned, "positions and velocities in NED, the attitude in ENU"),
+        "m",
+        _WORLD,
+    ),
+    "height downwards": (
+        _states([2, 5], lambda x: -x[:, [2, 5]], "p_z and v_z positive downwards"),
+        "m",
+        r"NED|downwards|sign of '?p_z|p_z.*sign|axes",
+    ),
+    "rates in FRD": (
+        _states(slice(11, 13), lambda x: -x[:, 11:13], "body rates in FRD"),
+        "m",
+        r"FRD|sign.*w_y|w_y.*sign|rates",
+    ),
+    "velocity in the body": (
+        _states(slice(3, 6), _in_the_body, "velocities in the body's axes"),
+        "m",
+        r"body's axes",
+    ),
+    "world turned by 90 deg": (
+        _states(
+            slice(0, 6),
+            lambda x: x[:, [1, 0, 2, 4, 3, 5]] * [-1, 1, 1, -1, 1, 1],
+            "positions and velocities turned by 90 deg against the attitude",
+        ),
+        "m",
+        _WORLD,
+    ),
+    "quaternion xyzw": (
+        _states(slice(6, 10), lambda x: x[:, [7, 8, 9, 6]], "quaternion xyzw"),
+        "m",
+        r"scalar last",
+    ),
+    "quaternion conjugate": (
+        _states(slice(7, 10), lambda x: -x[:, 7:10], "quaternion world to body"),
+        "m",
+        r"world into the body",
+    ),
+    "rates in deg/s": (
+        _states(slice(10, 13), lambda x: np.degrees(x[:, 10:13]), "rates in deg/s"),
+        "m",
+        r"deg",
+    ),
+    "inputs in percent": (_inputs(lambda u: 100.0 * u, "inputs in percent"), "m", r"percent"),
+    "inputs as pulse widths": (
+        _inputs(lambda u: np.round(1000.0 + 1000.0 * u), "inputs as pulse widths"),
+        "m",
+        r"pulse width",
+    ),
+    "inputs in [-1, 1]": (_inputs(lambda u: 2.0 * u - 1.0, "inputs in [-1, 1]"), "m", r"-1|expected 0 to 1"),
     "a motor of another run": (motor_of_another_run, "m", r"u_\d|another machine|run_\d"),
     "a motor constant": (motor_constant, "m", r"never change"),
     "signs of the quaternion": (wrapped_half, "m", r"sign"),
     "unit of length": (length_unit, "msc", r"unit|metre|mm|ft|feet|SI"),
     "angle in degrees": (angle_deg, "c", r"deg"),
-    "angle from hanging": (angle_hanging, "c", r"pi more|other side"),
-    "angle wrapped": (wrapped, "c", r"wrap"),
-    "force flipped": (input_sign, "sc", r"opposite sign|sign of .?.?force"),
+    "angle from hanging": (
+        _states([2], lambda x: x[:, [2]] - np.pi, "theta counted from hanging"),
+        "c",
+        r"pi more|other side",
+    ),
+    "angle wrapped": (
+        _states([2], lambda x: np.mod(x[:, [2]] + np.pi, 2 * np.pi) - np.pi, "theta wrapped"),
+        "c",
+        r"wrap",
+    ),
+    "force flipped": (
+        _inputs(lambda u: -u, "sign of the force flipped"),
+        "sc",
+        r"opposite sign|sign of .?.?force",
+    ),
     "a velocity flipped": (one_axis_flipped, "msc", r"sign|disagree|times as fast"),
     "positions shifted": (position_late, "msc", r"late|shift"),
     "attitude shifted": (attitude_late, "mc", r"late|shift"),
@@ -279,7 +402,7 @@ FAULTS: dict[str, tuple[Fault, str, str]] = {
     "states smoothed": (smoothed, "msc", r"smooth|went through"),
     "a sensor clipped": (clipped, "msc", r"clip|sensor's end"),
     "resampled twice": (resampled, "msc", r"straight lines|interpolat|resampled|repeat"),
-    "time in ms": (time_ms, "msc", r"millisecond|ms|time"),
+    "time in ms": (_each("time in ms", _milliseconds), "msc", r"millisecond|ms|time"),
     "rows twice": (duplicated, "msc", r"duplicate|twice|repeat a time"),
     "two machines": (two_machines, "msc", r"another machine|one machine|differ.*runs|runs.*differ"),
     "one run of another machine": (one_of_another, "msc", r"another machine|one machine|differ"),

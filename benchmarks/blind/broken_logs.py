@@ -30,6 +30,7 @@ from closed_loop import EFFECTS, STATES, SYSTEMS, _machine, _sized
 from loop_flight import PATHS, Flight, fly
 from small_machines import STATES as SMALL_STATES
 from small_machines import Small, run, small
+from study import save
 
 LOOPS = (("a", 0.01), ("b", 0.02), ("c", 0.01), ("a", 0.005), ("d", 0.01), ("b", 0.004))
 """Regime and step of the log [s] of the multirotors, in turn."""
@@ -127,10 +128,7 @@ def write(case: Case, log: Log, other: Log | None, true: dict[str, object], fold
     inputs = [f"u_{i + 1}" for i in range(log[0].u.shape[1])] if case.regime else ["force"]
     for k, one in enumerate(log):
         names = ["t", *states, *inputs, *one.extra]
-        table = np.column_stack([np.round(one.t, 6), one.x, one.u, *one.extra.values()])
-        np.savetxt(
-            data / f"run_{k}.csv", table, fmt="%.9g", delimiter=",", header=",".join(names), comments=""
-        )
+        save(data / f"run_{k}.csv", names, [np.round(one.t, 6), one.x, one.u, *one.extra.values()])
     content = {
         "system": case.system,
         "fault": case.fault,

@@ -29,6 +29,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import numpy as np
 from loop_flight import PATHS, RATES, REGIMES, STICKS, Flight, Logged, fly
 from loop_machine import SIGNS, Machine
+from study import save
 
 SYSTEMS = ("hexacopter", "quadrotor")
 SINGLES, NULLS = 48, 12
@@ -166,9 +167,8 @@ def write(case: Case, logged: list[Logged], folder: Path) -> None:
     extra = [*(STICKS if case.sticks else ()), *(RATES if case.sticks else ()), "battery_voltage"]
     for k, run in enumerate(logged):
         names = ["t", *STATES, *(f"u_{i + 1}" for i in range(run.u.shape[1])), *extra]
-        table = np.column_stack([np.round(run.t, 6), run.x, run.u, *(run.extra[name] for name in extra)])
-        header = ",".join(names)
-        np.savetxt(data / f"run_{k}.csv", table, fmt="%.9g", delimiter=",", header=header, comments="")
+        columns = [np.round(run.t, 6), run.x, run.u, *(run.extra[name] for name in extra)]
+        save(data / f"run_{k}.csv", names, columns)
     m = case.machine
     content = {
         "system": m.system,

@@ -22,6 +22,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from study import held
+
 GAINS = ("thrust_gain", "roll_gain", "pitch_gain", "yaw_gain")
 MOVES = 1.1
 """Ratio of a channel's residual before and after from which on an effect counts as visible."""
@@ -86,7 +89,7 @@ def judge(truth: Mapping[str, Any], answer: Mapping[str, Any], found: Mapping[st
         if isinstance(r, dict) and r.get("after")
     }
     out["moves"] = max(cuts.values(), default=1.0) if true else None
-    out["intervals"], out["inside"] = _held(truth, found) if out["named"] else (0, 0)
+    out["inside"], out["intervals"] = held(truth["effects"], found["parameters"]) if out["named"] else (0, 0)
     out["gains"] = {}
     for name in GAINS:
         said = found["declared_parameters"].get(name)
@@ -100,23 +103,6 @@ def judge(truth: Mapping[str, Any], answer: Mapping[str, Any], found: Mapping[st
                 else 0.5 * (interval[1] - interval[0]) / truth["declared"][name],
             }
     return out
-
-
-def _held(truth: Mapping[str, Any], found: Mapping[str, Any]) -> tuple[int, int]:
-    """90 % intervals of the true effect's parameters, and how many hold the truth."""
-    total = inside = 0
-    for effect, values in truth["effects"].items():
-        for key, value in values.items():
-            for i, v in enumerate(value if isinstance(value, list) else [value]):
-                label = f"{effect}.{key}" + (f"[{i}]" if isinstance(value, list) else "")
-                said = found["parameters"].get(label) or {}
-                interval, bound = said.get("interval_90"), said.get("bound")
-                if interval and v:
-                    total += 1
-                    inside += (bound == "below" or interval[0] <= v) and (
-                        bound == "above" or v <= interval[1]
-                    )
-    return total, int(inside)
 
 
 def table(judged: Mapping[str, Json]) -> str:

@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import closed_loop
 import law_kinds as kinds
 import law_machines as machines
-from study import answers, options
+from study import answers, options, save
 
 KINDS = {
     "spring": kinds.SPRING,
@@ -98,7 +98,7 @@ def write(machine: str, seed: int, i: int, folder: Path, weaker: float = 1.0) ->
         assert law is not None  # it drove the machine off: of the other sign, and smaller
         law = machines.Law(law.kind, -0.7 * law.size, law.shape)
     for r, (t, x, u) in enumerate(made):
-        _save(folder / f"run_{r}.csv", COLUMNS[machine.removeprefix(ODD)], np.column_stack((t, x, u)))
+        save(folder / f"run_{r}.csv", COLUMNS[machine.removeprefix(ODD)], [t, x, u])
     return law
 
 
@@ -178,12 +178,8 @@ def _multirotor(
         *(f"u_{k + 1}" for k in range(closed_loop.SIGNS[machine].shape[1])),
     )
     for r, log in enumerate(machines.flights(made, seed, 25.0, PATHS[machine])):
-        _save(folder / f"flight_{r}.csv", names, np.column_stack((log.t, log.x, log.u)))
+        save(folder / f"flight_{r}.csv", names, [log.t, log.x, log.u])
     return law
-
-
-def _save(path: Path, names: tuple[str, ...], rows: Array) -> None:
-    np.savetxt(path, rows, delimiter=",", header=",".join(names), comments="", fmt="%.9g")
 
 
 def case(machine: str, seed: int, i: int, weaker: float = 1.0) -> Json:

@@ -14,6 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from study import save
 
 Array = NDArray[np.float64]
 STEP = 0.001  # [s]
@@ -287,7 +288,5 @@ def write(kind: str, seed: int, folder: Path, runs: int = 3) -> dict[str, float]
     machine, truth = make(rng)
     plant = of()
     for i in range(runs):
-        rows = plant.run(machine, rng)
-        head = ",".join(plant.columns)
-        np.savetxt(folder / f"run_{i}.csv", rows, delimiter=",", header=head, comments="", fmt="%.9g")
+        save(folder / f"run_{i}.csv", plant.columns, [plant.run(machine, rng)])
     return truth

@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 from numpy.typing import NDArray
-from study import answers, options
+from study import answers, options, save
 
 Json = dict[str, Any]
 Array = NDArray[np.float64]
@@ -155,8 +155,7 @@ def write(name: str, seed: int, folder: Path, runs: int = 3) -> Kind:
     for k in range(runs):
         rows = run(kind, rng)
         rows[:, 0] += 100.0 * k
-        header = "t,q,q_dot,force"
-        np.savetxt(folder / f"run_{k}.csv", rows, delimiter=",", header=header, comments="", fmt="%.9g")
+        save(folder / f"run_{k}.csv", ("t", "q", "q_dot", "force"), [rows])
     return kind
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from position_machines import RATES, Array, Law, cart, measured, rates, spring
-from study import Json, answers, options
+from study import Json, answers, options, save
 from two_joints import drawn, laws, make_data
 
 MACHINES = {
@@ -116,14 +116,8 @@ def recorded(
                     table[:, v] = rates(table[:, p], dt, how)
             keep = [c for c in range(len(names)) if full or how != "none" or c not in columns.values()]
             t = dt * np.arange(len(run)) + 100.0 * k
-            np.savetxt(
-                Path(folder) / f"run_{k}.csv",
-                np.column_stack([t, table[:, keep]]),
-                "%.7f",
-                ",",
-                header=",".join(["t", *(names[c] for c in keep)]),
-                comments="",
-            )
+            kept = ("t", *(names[c] for c in keep))
+            save(Path(folder) / f"run_{k}.csv", kept, [t, table[:, keep]], "%.7f")
         data = nsde_torch.read(folder, system=system)
     return system, truth, data, {"rate": "sensor" if full else how, "noise": noise, "counts": counts}
 

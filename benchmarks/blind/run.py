@@ -23,6 +23,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # `outside:Cogging` is found by its name
 
+from study import held
+
 MOVES = 1.1
 """Ratio of errors without and with the true effect from which a case counts as visible."""
 NEAR = 1.05
@@ -62,7 +64,7 @@ def diagnose_case(folder: Path, name: str) -> dict[str, Any]:
         "ranking": [r for r in content["ranking"] if r["p"] is not None][:6],
     }
     classes = {cls.name: f"outside:{cls.__name__}" for every in OUTSIDE.values() for cls in every}
-    effects = {classes.get(key, key): held["parameters"] for key, held in truth["effects"].items()}
+    effects = {classes.get(key, key): of["parameters"] for key, of in truth["effects"].items()}
     joint = found.outcome.joint
     if effects and joint is not None:
         made = [system.make_effect(key, values) for key, values in effects.items()]
@@ -135,19 +137,8 @@ def judge(truth: dict[str, Any], answer: dict[str, Any]) -> dict[str, Any]:
     elif errors.get("before"):
         out["gain"] = worth(errors["before"], errors["after"])
     out["lead"] = any(f["lead"] for f in answer.get("findings", [])) or bool(answer.get("ties"))
-    inside = total = 0
-    for key, held in truth["effects"].items():
-        for parameter, value in held["parameters"].items():
-            numbers = value if isinstance(value, list) else [value]
-            for i, v in enumerate(numbers):
-                label = f"{key}.{parameter}" + (f"[{i}]" if len(numbers) > 1 else "")
-                said = answer.get("parameters", {}).get(label) or {}
-                interval, bound = said.get("interval_90"), said.get("bound")
-                if interval and abs(v) > 1e-5:
-                    total += 1
-                    over, under = bound == "below" or interval[0] <= v, bound == "above" or v <= interval[1]
-                    inside += over and under
-    out["inside"], out["intervals"] = inside, total
+    effects = {key: of["parameters"] for key, of in truth["effects"].items()}
+    out["inside"], out["intervals"] = held(effects, answer.get("parameters", {}))
     out["seconds"] = answer.get("seconds", 0.0)
     return out
 

@@ -24,8 +24,10 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from bench_smoothed_states import FILTERS
+from study import holds, labelled, save
 
 from nsde_torch.systems import make_system
 
@@ -56,7 +58,7 @@ def smooth(cases: Path, out: Path, seed: int) -> int:
             if system.quaternion is not None:
                 q = [header.index(s) for s in system.state_names[system.quaternion]]
                 rows[:, q] /= np.linalg.norm(rows[:, q], axis=1, keepdims=True)
-            np.savetxt(target, rows, delimiter=",", header=",".join(header), comments="", fmt="%.9g")
+            save(target, header, [rows])
         (out / "truth").mkdir(parents=True, exist_ok=True)
         (out / "truth" / path.name).write_text(json.dumps(truth, indent=1), encoding="utf-8")
         count += 1
@@ -84,16 +86,10 @@ def _wrong(truth: dict[str, Any], answer: dict[str, Any]) -> list[str]:
 def _off(truth: dict[str, Any], answer: dict[str, Any]) -> list[str]:
     """Parameters of the true effects that are wrong by 5 % and more, and whose intervals do not hold."""
     out = []
-    for effect, held in truth["effects"].items():
-        for parameter, value in held["parameters"].items():
-            for i, v in enumerate(value if isinstance(value, list) else [value]):
-                label = f"{effect}.{parameter}" + (f"[{i}]" if isinstance(value, list) else "")
-                said = answer.get("parameters", {}).get(label)
-                if said and said["interval_90"] and abs(said["value"] - v) > 0.05 * abs(v):
-                    low, high = said["interval_90"]
-                    low = -np.inf if said["bound"] == "below" else low
-                    high = np.inf if said["bound"] == "above" else high
-                    out += [label] * (not low <= v <= high)
+    for label, v in labelled({effect: of["parameters"] for effect, of in truth["effects"].items()}):
+        said = answer.get("parameters", {}).get(label)
+        if said and said["interval_90"] and abs(said["value"] - v) > 0.05 * abs(v) and not holds(said, v):
+            out.append(label)
     return out
 
 

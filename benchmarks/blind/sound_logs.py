@@ -28,6 +28,7 @@ from loop_flight import SENSORS, Flight, fly, measured
 from loop_machine import Bodies
 from numpy.typing import NDArray
 from small_machines import STATES, G, small
+from study import save
 
 Array = NDArray[np.float64]
 Signal = Callable[[Array, np.random.Generator], Array]
@@ -291,15 +292,7 @@ def write(case: Case, folder: Path) -> None:
             "%.7g" if "jitter" in case.habits else "%.6g",
             *[_format(case)] * (x.shape[1] + u.shape[1]),
         ]
-        head = ",".join(names)
-        np.savetxt(
-            part / f"run_{k}.csv",
-            np.column_stack([t, x, u]),
-            fmt=formats,
-            delimiter=",",
-            header=head,
-            comments="",
-        )
+        save(part / f"run_{k}.csv", names, [t, x, u], formats)
 
 
 def options(description: str | None) -> argparse.ArgumentParser:

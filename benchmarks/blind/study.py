@@ -1,14 +1,43 @@
-"""A study: cases that are made, diagnosed and judged one after another, each answer in a file of its own."""
+"""What studies share: logs as CSV files, cases that are diagnosed and judged one after another, intervals that hold."""
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 Json = dict[str, Any]
+
+
+def save(path: Path, names: Iterable[str], columns: Sequence[Any], fmt: str | list[str] = "%.9g") -> None:
+    """Write columns, (n,) or (n, C), under their names as a CSV file."""
+    np.savetxt(path, np.column_stack(columns), fmt, ",", header=",".join(names), comments="")
+
+
+def labelled(effects: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, float]]:
+    """Labels of `diagnosis.json` and values of the parameters of effects; those of a list are numbered."""
+    for effect, values in effects.items():
+        for name, value in values.items():
+            many = isinstance(value, list) and len(value) > 1
+            for i, v in enumerate(value if isinstance(value, list) else [value]):
+                yield f"{effect}.{name}" + (f"[{i}]" if many else ""), v
+
+
+def holds(said: Mapping[str, Any], value: float) -> bool:
+    """Whether the 90 % interval of a parameter holds a value; an end that is a bound of the fit is open."""
+    (low, high), bound = said["interval_90"], said.get("bound")
+    return bool((bound == "below" or low <= value) and (bound == "above" or value <= high))
+
+
+def held(effects: Mapping[str, Mapping[str, Any]], parameters: Mapping[str, Any]) -> list[int]:
+    """How many intervals hold the true values of effects, and how many there are; values of nothing do not count."""
+    said = [(parameters.get(label) or {}, value) for label, value in labelled(effects) if abs(value) > 1e-5]
+    inside = [holds(one, value) for one, value in said if one.get("interval_90")]
+    return [sum(inside), len(inside)]
 
 
 def options(description: str, *, count: int) -> argparse.ArgumentParser:

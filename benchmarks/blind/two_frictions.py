@@ -18,7 +18,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from small_machines import STATES, Small, run
-from study import Json, answers, options
+from study import Json, answers, options, save
 
 NAMES = {"coulomb": "coulomb_friction", "quadratic": "quadratic_damping"}
 RUNS, SECONDS, DT = 4, 8.0, 0.01
@@ -40,9 +40,8 @@ def case(seed: int, i: int) -> Json:
     with tempfile.TemporaryDirectory() as folder:
         for k in range(RUNS):
             t, y, u = run(machine, SECONDS, DT, seed=1000 * seed + 10 * i + k)
-            table = np.column_stack([t + 100.0 * k, y, u])
-            header = ",".join(["t", *STATES[machine.system], "force"])
-            np.savetxt(Path(folder) / f"run_{k}.csv", table, "%.7f", ",", header=header, comments="")
+            names = ("t", *STATES[machine.system], "force")
+            save(Path(folder) / f"run_{k}.csv", names, [t + 100.0 * k, y, u], "%.7f")
         data = nsde_torch.read(folder, system=machine.system)
         found = nsde_torch.diagnose(data, system=machine.system).content()
     true = {NAMES[key]: value for key, value in sizes.items()}

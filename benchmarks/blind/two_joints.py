@@ -20,7 +20,7 @@ import numpy as np
 MACHINE = Path(__file__).resolve().parents[2] / "examples" / "double_pendulum"
 sys.path[:0] = [str(Path(__file__).resolve().parent), str(MACHINE)]
 import make_data  # noqa: E402
-from study import Json, answers, options  # noqa: E402
+from study import Json, answers, held, options  # noqa: E402
 
 KINDS = ("single", "pair", "single", "null")
 Array = np.ndarray
@@ -90,13 +90,6 @@ def case(seed: int, i: int) -> dict[str, Any]:
         found = nsde_torch.diagnose(data, system="double_pendulum:DoublePendulum")
     content = found.content()
     own = content["parameters"]
-    inside, held = 0, 0
-    for effect, values in truth.items():
-        for name, value in values.items():
-            interval = own.get(f"{effect}.{name}", {}).get("interval_90")
-            if interval:
-                held += 1
-                inside += int(interval[0] <= value <= interval[1])
     return {
         "case": i,
         "kind": kind,
@@ -106,7 +99,7 @@ def case(seed: int, i: int) -> dict[str, Any]:
         "added": content["added"],
         "provisional": [f["effect"] for f in content["findings"] if f.get("provisional")],
         "parameters": {k: [v["value"], v["interval_90"]] for k, v in own.items()},
-        "inside": [inside, held],
+        "inside": held(truth, own),
     }
 
 

@@ -1,4 +1,4 @@
-"""Experiments: ask what is open, design within the limits, fly, say what it told, diagnose with it, and so on.
+"""Experiments: ask what is open, design within the limits, fly, report its evidence, diagnose with it, and so on.
 
 What each finished step wrote is read again, not done again:
 
@@ -67,7 +67,7 @@ class ExperimentLoop:
         config: The configuration.
         folder: Of the loop.
         logs: Folder of all logs.
-        kind: Kind of the logs; None tells by their names.
+        kind: Kind of the logs; None chooses by their names.
         fly: Flies a plan and writes a log, and returns what was measured; None where a person does.
         diagnose: Diagnoses all logs into a folder.
         say: Takes a line.
@@ -83,7 +83,7 @@ class ExperimentLoop:
 
 
 def run_experiments(loop: ExperimentLoop, diagnosis: Path) -> tuple[list[dict[str, Any]], StoppedLoop, Path]:
-    """Experiments until nothing is open, the budget is spent, or none tells anything.
+    """Experiments until nothing is open, the budget is spent, or none is informative.
 
     Args:
         loop: See `ExperimentLoop`.
@@ -241,7 +241,7 @@ def _read(
     plan: Mapping[str, Any],
     content: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """What the flight told, unless that is known.
+    """The evidence of the flight, unless that is known.
 
     Raises:
         DataError: the logs hold no new run.

@@ -43,7 +43,7 @@ def read_logs(
     Args:
         folder: Where they are.
         system: Name of the system.
-        kind: Their kind; None tells by their names.
+        kind: Their kind; None chooses by their names.
         content: Content of a `diagnosis.json`: what it found that sensors did is taken out.
 
     Raises:

@@ -85,7 +85,7 @@ class ClosedLoop:
         return None
 
     def find(self) -> tuple[list[dict[str, Any]], StoppedLoop | None]:
-        """Diagnose, and close what is open by experiments; what each told, and why there is no further one."""
+        """Diagnose, and close what is open by experiments; the evidence of each, and why there is no further one."""
         first = self.folder / DIAGNOSIS
         self.diagnose(first)
         self.diagnosis = first
@@ -122,12 +122,12 @@ class ClosedLoop:
 
     @property
     def told(self) -> list[Any]:
-        """What the controller is told of: effects of the last diagnosis."""
+        """What the controller knows: effects of the last diagnosis."""
         effects = effects_found(self.diagnosis)
         return effects if self.machine is None else self.machine.told(effects)
 
     def compare(self) -> None:
-        """The flights before and after, in the same gusts, and those of a controller that is told the truth."""
+        """The flights before and after, in the same gusts, and those of a controller that knows the truth."""
         if self.machine is None:
             return
         stages = {BEFORE: [], AFTER: self.told} if self.told else {BEFORE: []}
@@ -139,7 +139,7 @@ class ClosedLoop:
 
     @property
     def truth(self) -> list[Any]:
-        """What a controller is told of that knows the simulated machine."""
+        """Effects of a controller that knows the simulated machine."""
         assert self.machine is not None
         return self.machine.told(true_effects(self.config))
 
@@ -158,11 +158,11 @@ class ClosedLoop:
         return self._fly(f"experiment {number}", from_csv(plan), [], seed, log)
 
     def _flight(self, stage: str, number: int, effects: list[Any]) -> None:
-        """Fly the reference once, unless that is done with what the controller is told of."""
+        """Fly the reference once, unless that is done with what the controller knows."""
         file = self.folder / stage / f"flight_{number}.json"
         if file.is_file():
             done = json.loads(file.read_text(encoding="utf-8"))
-            # over a link what ended a flight may be gone; elsewhere the same seed ends it again
+            # over a link the cause that ended a flight may have passed; elsewhere the same seed ends it again
             again = self.config.by == LINK and stage != LOG and not done["tracked"]
             if done["told"] == effects and not again:
                 return

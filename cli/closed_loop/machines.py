@@ -1,6 +1,6 @@
 """Who flies: the simulated vehicle in virtual time, the plant of `nsde track`, or a vehicle over MAVLink.
 
-A controller knows the declared physics with the values of the plant, and the effects that it is told of.
+A controller knows the declared physics with the values of the plant, and the effects that it is given.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ class FlyingMachine(Protocol):
     """What flies."""
 
     def told(self, effects: list[Any]) -> list[Any]:
-        """Those of some effects that a controller of this machine is to be told of."""
+        """Those of some effects that a controller of this machine needs to know."""
 
     def fly(self, path: FlightPath, effects: list[Any], *, seed: int, log: Path) -> dict[str, Any]:
         """Fly once.
 
         Args:
             path: Where to, from the place of take-off.
-            effects: Effects that the controller is told of.
+            effects: Effects that the controller is given.
             seed: Of gusts and noise, where they are simulated.
             log: CSV file to write.
 
@@ -59,7 +59,7 @@ class FlyingMachine(Protocol):
 
 
 def physics(config: DictConfig, effects: list[Any]) -> System:
-    """What a controller knows that is told of some effects.
+    """What a controller knows that is given some effects.
 
     Raises:
         ConfigError: an effect that the machine cannot have.
@@ -80,7 +80,7 @@ def true_effects(config: DictConfig) -> list[Any]:
 class VirtualVehicle:
     """The simulated vehicle with the link, the state machine and the logs of a PX4, in virtual time.
 
-    Lags and delays are not told: `delay` stands for them.
+    Lags and delays are not given: `delay` covers them.
 
     Raises:
         ConfigError: no multirotor, or options that it does not have.
@@ -210,7 +210,7 @@ class LinkedVehicle:
         """See `FlyingMachine`.
 
         Raises:
-            ConfigError: the path leans further or is faster than where a flight is ended.
+            ConfigError: the path is tilted further or is faster than where a flight is ended.
             LinkError: it was refused before it began.
             EndedError: it was stopped, or the vehicle was taken from us or is not seen to stand.
         """

@@ -26,7 +26,7 @@ def record(loop: ClosedLoop, experiments: list[dict[str, Any]], stop: StoppedLoo
 
     Args:
         loop: The loop, flown.
-        experiments: What each experiment told.
+        experiments: Evidence of each experiment.
         stop: Why there was no further one; None where none was asked for.
     """
     told, diagnosed = loop.told, loop.found

@@ -45,7 +45,7 @@ def _information(p: Mapping[str, Any]) -> float:
 
 
 def too_little(plan: Mapping[str, Any], told: float, config: DictConfig) -> str:
-    """That no plan tells anything, and which limits the best one comes close to."""
+    """That no plan is informative, and which limits the best one comes close to."""
     near = [
         f"{name} ({'leaves' if share > 1 else f'takes {share:.0%} of'} {limit_key(name, config)} in rehearsal)"
         for name, share in sorted(plan["plan"]["largest_share_of_limits"].items(), key=lambda kv: -kv[1])

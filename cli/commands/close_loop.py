@@ -1,7 +1,7 @@
 """`nsde close-loop`: log, diagnosis, experiments, before, after; each stage is kept when it is finished.
 
 The controller knows the declared physics with the values of the plant; after the diagnosis it also knows the effects
-that were found, with the values that were found, but for lags and delays, which `delay` stands for. With
+that were found, with the values that were found, but for lags and delays, which `delay` covers. With
 `experiments=N` what the diagnosis leaves open is closed by designed flights. Flights before and after meet the same
 gusts, which are others than those of the flights that were diagnosed.
 """
@@ -45,9 +45,7 @@ class CloseLoopConfig:
     logged: int = key(2, "flights that are diagnosed", low=1)
     experiments: int = key(0, "most experiments that are flown for what the diagnosis leaves open", low=0)
     flights: int = key(3, "pairs of flights that are compared, each pair in the same gusts", low=1)
-    truth: bool = key(
-        False, "compare with a controller that is told the true effects of the simulated machine"
-    )
+    truth: bool = key(False, "compare with a controller that knows the true effects of the simulated machine")
     alpha: float = of(Options, "alpha")
     max_effects: int = of(Options, "max_effects")
     candidates: list[str] | None = of(
@@ -62,7 +60,7 @@ class CloseLoopConfig:
     out_dir: str = key("???", "folder to write into; what is finished in it is not done again", file=True)
     reference: ReferenceConfig = group(ReferenceConfig, "where to fly, from the place of take-off")
     plant: FlownPlantConfig = group(
-        FlownPlantConfig, "the machine, with effects that the controller is not told of"
+        FlownPlantConfig, "the machine, with effects that the controller does not know"
     )
     mpc: MpcConfig = group(MpcConfig, "the controller")
     experiment: ExperimentConfig = group(ExperimentConfig, "what an experiment may do")

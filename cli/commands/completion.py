@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 
 from ..exit_status import OK, USER_ERROR
-from ..registry import COMMANDS, PlainCommand, entry_of, installed
+from ..registry import PlainCommand, all_commands, entry_of
 
 _BASH = """\
 _nsde_complete() {
@@ -87,7 +87,7 @@ def query(words: Sequence[str]) -> list[str]:
     """Completions of the last of the words typed after `nsde`."""
     if len(words) <= 1:
         start = words[0] if words else ""
-        return [name for name in [*COMMANDS, *installed(), "--help", "--version"] if name.startswith(start)]
+        return [name for name in [*all_commands(), "--help", "--version"] if name.startswith(start)]
     entry = entry_of(words[0])
     return entry.load().complete(words[1:]) if entry else []
 

@@ -1,4 +1,4 @@
-"""`nsde design`: plan the experiment that tells most, or read one that was flown."""
+"""`nsde design`: plan the most informative experiment, or evaluate one that was flown."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class DesignConfig:
     )
     flown: str | None = key(
         None,
-        "runs of a flown experiment: say what it told, and plan none (file or folder, as the runs of the diagnosis)",
+        "runs of a flown experiment: report its evidence, and plan none (file or folder, as the runs of the diagnosis)",
         file=True,
     )
     plan: str | None = key(
@@ -53,7 +53,7 @@ class DesignConfig:
 
 COMMAND = HydraCommand(
     name="design",
-    help="Plan the experiment that tells most: between the members of a tie, or of parameters that are not shown",
+    help="Plan the most informative experiment: between the members of a tie, or of parameters that are not shown",
     schema=DesignConfig,
     module=__name__,
     folder="designs/${now:%Y-%m-%d}/${now:%H-%M-%S}",
@@ -66,7 +66,7 @@ COMMAND = HydraCommand(
         ),
         ("run=diagnosis/ 'parameters=[quadratic_damping.damping]' duration=10", "how large is this?"),
         ("run=diagnosis/ 'limits={q: [-0.5,0.5], force: [-1,1]}'", "within these limits"),
-        ("run=diagnosis/ flown=log/ plan=experiment/ out_dir=obtained/", "what did the experiment tell?"),
+        ("run=diagnosis/ flown=log/ plan=experiment/ out_dir=obtained/", "what does the experiment show?"),
     ),
 )
 
@@ -130,7 +130,7 @@ def _options(config: DictConfig) -> dict[str, Any]:
 
 
 def _read(config: DictConfig, job: Job, known: Any, options: DesignOptions) -> None:
-    """Say what a flown experiment told."""
+    """Report the evidence of a flown experiment."""
     from dataclasses import replace
 
     from nsde_torch.design import obtained, question_of

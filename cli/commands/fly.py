@@ -34,7 +34,7 @@ class FlownSystem:
     name: str = key("???", "name of a multirotor that has a plant")
     effects: Any = key(
         [],
-        "effects that run=declared is told of: names, {NAME: {parameter: 1}}, or the file effects.yaml of a diagnosis",
+        "effects that run=declared knows: names, {NAME: {parameter: 1}}, or the file effects.yaml of a diagnosis",
         file=True,
     )
 

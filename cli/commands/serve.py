@@ -38,7 +38,7 @@ class ServeConfig:
     keep: int = key(50, "most diagnoses that are kept: then one has to be deleted", low=1)
     system: SystemConfig = group(
         SystemConfig,
-        "machine that the page chooses at first, with what is known of it; null: told by what is logged",
+        "machine that the page chooses at first, with what is known of it; null: chosen by what is logged",
     )
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class PlantSystem:
-    """The machine that a plant stands for."""
+    """The machine that a plant simulates."""
 
     name: str = key("???", "name of a system that has a plant")
 

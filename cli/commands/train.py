@@ -87,7 +87,7 @@ def fit(config: DictConfig, job: Job, run_dir: Path, *, about: dict[str, Any]) -
         config: The composed and checked configuration, effects files expanded.
         job: What is being run.
         run_dir: Where the run directory is made.
-        about: The configuration that `metrics.json` tells.
+        about: The configuration that `metrics.json` records.
 
     Returns:
         The content of `metrics.json`.

@@ -1,4 +1,4 @@
-"""`nsde vehicle`: make the machine, and be it until told to stop."""
+"""`nsde vehicle`: make the machine, and be it until asked to stop."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ class VerifyConfig:
     )
     states: int = key(1000, "states that the file and the controller in Python are given", low=1)
     adversarial: int = key(10000, "states that no sensor should send", low=0)
-    seed: int = key(0, "seed of what is drawn", low=0)
+    seed: int = key(0, "seed of the draws", low=0)
     out: str | None = key(None, "JSON file for what was found; null: none", file=True)
     threads: int = key(1, "CPU threads of torch", low=1)
     reference: ReferenceConfig = group(ReferenceConfig, "where the states are taken from")

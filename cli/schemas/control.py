@@ -31,7 +31,9 @@ class FlownPlantConfig:
         None, "run directory of the model that is flown with plant=learned; null: that of run=", file=True
     )
     effects: Any = key(
-        [], "effects that the model is not told of, beside the machine's own: as in nsde simulate", file=True
+        [],
+        "effects that the model does not declare, beside the machine's own: as in nsde simulate",
+        file=True,
     )
     declared_only: bool = key(False, "leave out the undeclared effects that the machine has anyway")
     process_noise: float = key(1.0, "strength of the gusts, relative to the machine's own", low=0)

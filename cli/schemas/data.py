@@ -56,7 +56,7 @@ class SimulatedData(DataConfig):
     seed: int = key(0, "seed of the simulated flights and their noise", low=0)
     effects: Any = key(
         [],
-        "effects that the plant has and the model is not told of: names, or {NAME: {parameter: 1}}",
+        "effects that the plant has and the model does not declare: names, or {NAME: {parameter: 1}}",
         file=True,
     )
     process_noise: float = key(1.0, "strength of the gusts, relative to the plant's own", low=0)

@@ -30,5 +30,5 @@ class ExperimentConfig:
         True, "take a usual flight where none is better: lemniscate, doublets, the longest again"
     )
     least_nats: float = key(
-        0.5, "an experiment that is expected to tell less than this is not flown", unit="nats", low=0
+        0.5, "an experiment with less expected evidence than this is not flown", unit="nats", low=0
     )

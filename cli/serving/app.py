@@ -10,7 +10,7 @@
     GET    /api/jobs/ID                     all that the page shows of it
     GET    /jobs/ID/FILE                    report.html, effects.yaml, diagnosis.json, mapping.yaml, log.txt, a picture
 
-What is under `/api` needs the token. Files of a job need its id, which nobody can guess and only `/api` tells.
+What is under `/api` needs the token. Files of a job need its id, which nobody can guess and only `/api` returns.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ class RefusedError(NsdeError):
 
 @dataclass(frozen=True)
 class ServeLimits:
-    """Limits of what is served.
+    """Limits of the service.
 
     Args:
         upload: Largest upload of one job, all its logs together [bytes].
@@ -149,7 +149,7 @@ class Machines:
     Args:
         names: Choice of the group `system` -> name of the system, of the package or `module:Class`.
         folder: Folder of the user's own choices (`--config-dir`), or None.
-        first: The one that is chosen at first; None: told by what is logged.
+        first: The one that is chosen at first; None: chosen by what is logged.
         typed: What was typed of it, `system.effects=[linear_drag]`.
     """
 
@@ -191,7 +191,7 @@ def inspect_words(
         known: Machines that the page offers.
         system: One of them; None: guessed.
         mapping: A mapping to check in place of a proposal.
-        out: JSON file of what is found.
+        out: JSON file of the findings.
     """
     words = ["inspect", str(logs), "out=none", f"json={out}"]
     words += [f"system={known.names[system]}"] if system else []

@@ -104,7 +104,7 @@ class CommandProcess:
                 os.killpg(self._process.pid, signal.SIGKILL)
 
     def _listen(self, process: subprocess.Popen[bytes]) -> list[str]:
-        """Read what it prints until it ends; progress is told, the rest goes to the log."""
+        """Read what it prints until it ends; progress is reported, the rest goes to the log."""
         assert process.stdout is not None
         tail: deque[str] = deque(maxlen=_TAIL)
         kept = 0
@@ -156,7 +156,7 @@ def why_ended(name: str, status: int, tail: Sequence[str], *, stopped: str, limi
 
 
 def _told(line: str, say: Say) -> bool:
-    """Whether a line is progress, which is told."""
+    """Whether a line is progress, which is reported."""
     if not line.startswith('{"stage"'):
         return False
     try:

@@ -86,7 +86,7 @@ def receive(read: Callable[[int], bytes], target: Path, size: int) -> None:
     """Write what is sent to a file, and stop where it is longer than was said.
 
     Args:
-        read: Reads at most so many bytes of what is sent; empty at its end.
+        read: Reads at most so many bytes of the request; empty at its end.
         target: The file; nothing is left of it if the upload fails.
         size: Bytes that were announced.
 

@@ -124,7 +124,7 @@ def _loaded(model: Model | str | Path) -> Model:
 def _sensors(model: Model, runs: Sequence[Run]) -> Tensor | None:
     """Noise of the sensors of the runs (nx,), as `nsde train` estimates it; None for a model without any.
 
-    The learned noise is scaled by the ratio of what the fourth differences of both data show.
+    The learned noise is scaled by the ratio of the fourth differences of both data.
     """
     if not learns_sensors(model):
         return None

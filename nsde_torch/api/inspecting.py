@@ -257,7 +257,7 @@ def _check(
     entry = out.mapping.columns.get("u")
     said = entry is None or "u" in log.columns
     numbering = None if entry is None or said else entry.numbering or "px4"
-    # beside a doubt, physics would find a reading that does a little better, and no cause
+    # beside a doubt, physics would find an interpretation that is a little better, and no cause
     fits = physics and not out.doubts
     found = check_physics(machine, runs, numbering=numbering, fixed=fixed, fits=fits)
     out.checks += found.checks

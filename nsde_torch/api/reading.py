@@ -49,15 +49,15 @@ def read(
     derived_rates: str = "infer",
     **faults: Mapping[str, float] | None,
 ) -> DataSet:
-    """Read and check runs: units, times, gaps, kinematics; of files also the signs and order that physics tells.
+    """Read and check runs: units, times, gaps, kinematics; of files also signs and order, by the physics.
 
     Args:
         data: Folder with one CSV file per run (header row; `t` [s], the states and inputs of the system in SI units,
             and any further channels), a PX4 log or a folder of them, what `nsde_torch.simulate` made, or a list of
             `nsde_torch.data.RawRun` with arrays t (n,), x (n, nx) and u (n, nu). A data set is returned as it is.
         system: The machine: key of `nsde_torch.systems.SYSTEMS`, `module:Class`, a class, or an instance.
-        kind: Reader: a key of `nsde_torch.data.READERS`, `module:function` of your own, or the function; None tells by
-            the names of the files.
+        kind: Reader: a key of `nsde_torch.data.READERS`, `module:function` of your own, or the function; None: by the
+            names of the files.
         options: Further arguments of the reader.
         dt: Step to resample to [s]; None: the step of the data. A longer one is taken after all checks.
         gap: A longer pause between rows splits a run [s]; None: 2.5 steps of the data.
@@ -72,7 +72,7 @@ def read(
             `nsde_torch.recording.RemedyOptions`.
 
     Returns:
-        The data set; `print(data.summary)` tells what was found and done.
+        The data set; `print(data.summary)` reports what was found and done.
 
     Raises:
         DataError: data that cannot be used; the message says where and what to do.
@@ -225,13 +225,13 @@ def check_physics(
     fixed: bool = False,
     fits: bool = True,
 ) -> PhysicsFound:
-    """Read runs with all checks, fit the declared physics to means over 0.15 s, and look for better readings.
+    """Read runs with all checks, fit the declared physics to means over 0.15 s, and look for better interpretations.
 
     Args:
         machine: The machine.
         runs: In its units, axes and order.
         numbering: Whose numbers the motors are taken to have, where others are to be tried; None: they are said.
-        fixed: Whether a user said so: another is told then, and not taken.
+        fixed: Whether a user said so: another is then reported, and not applied.
         fits: Whether the physics is fitted.
     """
     out = PhysicsFound()

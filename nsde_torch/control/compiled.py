@@ -2,7 +2,7 @@
 
 The iteration holds derivatives, which torch.export cannot trace by itself: `make_fx` writes down the operations first,
 the derivatives among them, and export and AOTInductor see plain arithmetic. What comes out is one package for each kind
-of problem. Its key is a hash of what the operations follow from (source files, architecture, shapes, torch's version,
+of problem. Its key is a hash of what determines the operations (source files, architecture, shapes, torch's version,
 processor); the weights of the model and of the cost are loaded into it, so that training anew compiles nothing.
 """
 

@@ -163,7 +163,7 @@ class Controller:
         model: What is known of the machine.
         problem: What a plan pays for.
         solver: How it is found.
-        safety: When to disbelieve.
+        safety: When to reject a state or a plan.
         batch: Machines at a time.
         say: Called with one line when something takes long.
         clock: Time [s].
@@ -349,7 +349,7 @@ def _shift(table: Tensor, steps: float | Tensor, *, axis: int = 1) -> Tensor:
     return (1.0 - share) * table.index_select(axis, low) + share * table.index_select(axis, high)
 
 
-# What a low-level controller of body rates is told, from a plan: desired rates and collective thrust.
+# Setpoints of a low-level controller of body rates, from a plan: desired rates and collective thrust.
 #
 # The supplement's flights send rates and not motor commands, because of latency: the rates that the plan
 # expects a little ahead are wanted now, and its inputs give the thrust.

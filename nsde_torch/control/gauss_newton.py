@@ -126,7 +126,7 @@ class GaussNewton(nn.Module):
             run: The stages, compiled or not.
             arguments: Those of `forward`.
             memory: Not used.
-            tolerance: Share of what the quadratic saves (and of a tenth of the cost) that may be left.
+            tolerance: Share of the quadratic's saving (and of a tenth of the cost) that may be left.
         """
         z0, u, _, ref, last, d = arguments
         quadratic, state = self._split(run["prepare"](arguments))
@@ -183,7 +183,7 @@ class GaussNewton(nn.Module):
             least: The value of the quadratic there (N,).
 
         Returns:
-            step, slope, best, least, and the largest share of what is saved that a better step could save, 0-d.
+            step, slope, best, least, and the largest share of the saving that a better step could add, 0-d.
         """
         scale = torch.diagonal(hessian, dim1=1, dim2=2)
         aim = step - slope / scale
@@ -228,7 +228,7 @@ class GaussNewton(nn.Module):
         return tried.clamp(o.low, o.high).view(n * len(self.shares), k, nu)
 
     def choose(self, paths: Tensor, tried: Tensor, ref: Tensor, last: Tensor, least: Tensor) -> Iterate:
-        """The best of what was tried.
+        """The best candidate.
 
         Args:
             paths: States (N S, P, K + 1, nz) that inputs lead to.

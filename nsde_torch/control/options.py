@@ -1,4 +1,4 @@
-"""Settings of model predictive control: what a plan pays for, how it is found, and what is believed."""
+"""Settings of model predictive control: what a plan pays for, how it is found, and which states are accepted."""
 
 from __future__ import annotations
 
@@ -83,11 +83,11 @@ class SolverOptions:
 @documented
 @dataclass(frozen=True)
 class SafetyOptions:
-    """When a controller does not believe what it is given, and for how long it flies on."""
+    """When a controller rejects a state or a plan, and for how long it flies on."""
 
-    jump: float = key(0.75, "step of the measured position that is not believed at once", unit="m", above=0)
+    jump: float = key(0.75, "step of the measured position that is not accepted at once", unit="m", above=0)
     jump_attitude: float = key(0.8, "the same for the attitude", unit="rad", above=0)
-    jump_samples: int = key(3, "samples after which a new state is believed", low=1)
+    jump_samples: int = key(3, "samples after which a new state is accepted", low=1)
     keep: float = key(
         0.5, "how long the last safe plan is flown when there is trouble; then hover", unit="s", low=0
     )
@@ -135,7 +135,7 @@ class CircleOptions:
 @documented
 @dataclass(frozen=True)
 class LemniscateOptions:
-    """A figure of eight (Gerono's lemniscate), while the heading swings."""
+    """A figure of eight (Gerono's lemniscate), while the heading oscillates."""
 
     speed: float = key(3.4, "largest speed, where the branches cross", unit="m/s", above=0)
     duration: float = key(40.0, "length from rest to rest", unit="s", above=0)

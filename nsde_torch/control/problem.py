@@ -2,7 +2,7 @@
 
     J(u) = E sum_{k=1..K} |r(x_k, x_k^ref)|^2 + sum_k |u_{k-1} - u_0|_R^2 + |u_{k-1} - u_{k-2}|_D^2,   low <= u <= high
 
-r stacks the roots of what the plan pays for at a state:
+r stacks the roots of the cost terms at a state:
 
     sqrt(Q) (p - p_ref, v - v_ref, vec(q q_ref^-1), omega - omega_ref)       tracking, Q of the supplement
     sqrt(c) max(0, |v| - v_max), (tilt), (each wall of the geofence)         soft limits

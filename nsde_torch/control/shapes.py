@@ -98,7 +98,7 @@ def lemniscate(
     yaw: float = _LEMNISCATE.yaw,
     ramp: float = _LEMNISCATE.ramp,
 ) -> FlightPath:
-    """A figure of eight (Gerono's lemniscate), while the heading swings.
+    """A figure of eight (Gerono's lemniscate), while the heading oscillates.
 
     Args:
         speed: Largest speed, where the branches cross [m/s].

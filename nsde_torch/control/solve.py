@@ -194,7 +194,7 @@ def _eager(method: nn.Module, name: str) -> Function:
 
 
 _LEFT = 1e-3
-"""Share of what the quadratic saves that an iteration may leave to the next."""
+"""Share of the quadratic's saving that an iteration may leave to the next."""
 
 SOLVERS: dict[str, Callable[[Horizon], GaussNewton | AcceleratedGradient]] = {
     "gauss_newton": GaussNewton,

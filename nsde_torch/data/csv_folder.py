@@ -250,7 +250,7 @@ def read_csv(system: SystemInfo, *, path: str | Path) -> list[RawRun]:
 
 
 def write_csv(dataset: DataSet, folder: str | Path) -> list[Path]:
-    """Writes each run as `<name>.csv` with every digit, so that reading it back gives the same numbers.
+    """Writes each run as `<name>.csv` with every digit, so that it is read back as the same numbers.
 
     Args:
         dataset: The data set.

@@ -1,4 +1,4 @@
-"""What the inputs can tell: range, constant channels, and combinations that were never varied.
+"""What the inputs can show: range, constant channels, and combinations that were never varied.
 
 The numerical rank is that of the input matrix over all runs (singular values above 1e-5 of the largest, which
 is well above float32 rounding). Directions below it are in the null space: coefficients along them are not

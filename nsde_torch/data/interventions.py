@@ -6,7 +6,7 @@ longer depend on the state or on what disturbs it. From such a row on
     E[x(t + h) | x(t), u(t ... t + h)]  =  E[x(t + h) | x(t), do(u(t ... t + h))]
 
 (Pearl, Causality, 2009, section 3.2: nothing but the past of t leads to the inputs), so that errors of predictions from
-there tell what an input does. Under feedback the two differ: inputs answer the disturbances between t and t + h.
+there show what an input does. Under feedback the two differ: inputs answer the disturbances between t and t + h.
 
 Evaluation of data that have the column starts at these rows and nowhere else. The rows before are kept: they hold the
 inputs before the start, which lags and delays remember.

@@ -348,7 +348,7 @@ class AlphaBeta:
     beta: float
 
     def unknown(self, square: float, dt: float) -> float:
-        """Standard deviation of what is not known of the rate, from the mean square of e and the step."""
+        """Standard deviation of the unknown part of the rate, from the mean square of e and the step."""
         kept = max(1.0 - self.alpha, 1e-9)
         share = max(self.beta * (2.0 * self.alpha - self.beta) / (2.0 * kept), 0.0)
         return sqrt(share * kept * square) / dt

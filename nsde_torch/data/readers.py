@@ -26,7 +26,7 @@ class Reader:
     Args:
         home: Where the function lies, `module:function`.
         summary: What it reads, one line.
-        suffixes: Suffixes of files that tell the kind; none: of what no other reader claims.
+        suffixes: Suffixes of files of this kind; none: those that no other reader claims.
         folders: Whether a folder with such a file in it is of the kind too.
         takes_step: Whether it must know the step to resample to, as the files hold no times.
         streams: Function `open(path)` that opens one file as streams (`nsde_torch.data.formats.StreamLog`), of a format

@@ -121,7 +121,7 @@ class Run:
         source: Where the run came from (file name), for messages.
         extra: Further logged columns by name, each (n,).
         band: States that were smoothed before they were logged, and the frequency up to which they are restored [Hz].
-        low_pass: Of `band`, states with louder noise above it than below, as what is gone there must not weigh.
+        low_pass: Of `band`, states with louder noise above it than below, as what was removed there must not weigh.
         inferred: States that no sensor measured and that were inferred from positions: what is not known of them
             (standard deviation, their unit).
         unbroken: Ranges without a gap that the segments are parts of, where rows between these were left out of a

@@ -178,7 +178,7 @@ def _with_units(envelope: FlightEnvelope) -> dict[str, float]:
 
 
 def _grouped(findings: Sequence[Finding]) -> list[str]:
-    """One line a finding; a kind that many runs share is told once, with the first run as the example."""
+    """One line a finding; a kind that many runs share is reported once, with the first run as the example."""
     out = []
     kinds = list(dict.fromkeys(f.kind for f in findings))
     for kind in kinds:

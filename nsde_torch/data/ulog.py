@@ -32,7 +32,7 @@ from nsde_torch.errors import ConfigError, DataError
 #
 # On the ground: `landed`, `ground_contact` or `maybe_landed` of `vehicle_land_detected`, and the rows next to
 # them that are less than 10 cm above where it stood then: PX4 says `landed` seconds after it stands, and no
-# longer as soon as it is told to climb. With such rows in it a log says that thrust lifts nothing.
+# longer as soon as it is commanded to climb. With such rows in it a log says that thrust lifts nothing.
 #
 # Resets: where a counter of the estimate grew (`reset_counter` of `vehicle_odometry`, `quat_reset_counter`,
 # ...) heading, position or velocity made a step. Field meanings: PX4 message definitions, 1.13 to 1.16.
@@ -111,7 +111,7 @@ def after_resets(sources: Sequence[tuple[Array, Fields]], t: Array) -> tuple[Mas
             if name in fields:
                 stamps |= set(times[1:][np.diff(fields[name]) != 0].tolist())
     for stamp in stamps:
-        # a slower topic tells it late: what lies between its two messages is either before or after
+        # a slower topic reports it late: what lies between its two messages is either before or after
         out |= (t > stamp - 1e-9) & (t < stamp + CUT)
     return out, len(stamps)
 
@@ -211,7 +211,7 @@ TOPICS = (
 MIN_RATE = 4.0
 """Slowest rate of a state or motor topic that is interpolated [Hz]."""
 MOTOR_RATE = 50.0
-"""Slowest rate of the motor topic that is read unless told otherwise [Hz].
+"""Slowest rate of the motor topic that is read by default [Hz].
 
 Motors answer within 50 ms. PX4's default profile logs them at 10 Hz: held for 100 ms, they gave half of the roll gain.
 """
@@ -391,7 +391,7 @@ def read_ulog_file(
         system: A multirotor; as many motors are read as it has inputs.
         state: `odometry`, `attitude` (three topics), or `auto`: the odometry unless the others are much
             faster.
-        in_air: Leave out the time on the ground, where the log tells (`vehicle_land_detected`).
+        in_air: Leave out the time on the ground, where the log has it (`vehicle_land_detected`).
         motor_rate: Slowest rate of the motors' topic that is read [Hz].
 
     Raises:

@@ -169,7 +169,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 class _Unwrap:
-    """Replaces the stand-ins by what they stand for; refuses whatever is not plain data."""
+    """Replaces the stand-ins by the objects that they represent; refuses whatever is not plain data."""
 
     def __init__(self, where: str) -> None:
         self._where = where
@@ -249,7 +249,7 @@ def read_pickle(path: str | Path) -> object:
         ) from error
 
 
-# The data files that the authors of the neural-SDE paper published; the kinds are told by their shapes.
+# The data files that the authors of the neural-SDE paper published; the kinds are recognised by their shapes.
 #
 #     hexacopter, iris      {"train": [(x, u), ...], "test": ...}   x (n, 13) ENU/FLU, u (n, 6 or 4), 100 Hz
 #     cartpole              [(y, u), ...]   y (n, 5) = x, x_dot, sin, cos, theta_dot; u (n - 1, 1) times 25 N,

@@ -1,11 +1,11 @@
-"""Plan the experiment that tells most: between the members of a tie, or of parameters that no run shows.
+"""Plan the most informative experiment: between the members of a tie, or of parameters that no run shows.
 
 question    what a diagnosis leaves open, or what the user asks                    questions
 members     what may be true, fitted to the runs there are                         members
-search      inputs within limits, by what they tell whichever member is true       signals, paths, proposals
+search      inputs within limits, by their evidence whichever member is true       signals, paths, proposals
 rehearse    with noise, fitted as the measured run will be                         rehearsal
-report      `Experiment`: what to do, what it would tell, what one would see       experiment, files
-obtain      what a flown experiment told, beside what was expected                 flown
+report      `Experiment`: what to do, its expected evidence, what to see          experiment, files
+obtain      the evidence of a flown experiment, beside the expected one             flown
 """
 
 from typing import TYPE_CHECKING

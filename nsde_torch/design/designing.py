@@ -3,7 +3,7 @@
 fit         members, or the one whose parameters are asked for, to the runs there are     members
 search      inputs within the limits, judged without noise at several draws               proposals
 rehearse    the best few and the usual ones, with noise, fitted as a measured run is      rehearsal
-choose      what tells most in the less favourable rehearsals, whichever member is true   here
+choose      the most evidence in the less favourable rehearsals, whichever is true   here
 confirm     rehearse it anew: the best of several noisy rehearsals was lucky in them      here
 """
 
@@ -33,7 +33,7 @@ FINALISTS = 3
 CONFIRMED = 2
 """Rehearsals of the plan that was chosen, over those that it was chosen by."""
 APART = 0.05
-"""Evidence below which nothing tells members apart [nats]: what rounding leaves of one equation is less."""
+"""Evidence below which members are not distinguished [nats]: rounding errors of one equation are smaller."""
 _SEARCH = {False: (120, 12), True: (48, 6)}  # proposals and generations; flights take longer
 _WIDER, _WIDE_ONES = 10.0, 16
 _SLOWEST_SHARE, _FASTEST_SHARE = 1.0, 0.2
@@ -51,7 +51,7 @@ def design(
     baselines: bool = True,
     say: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> Experiment:
-    """Plan the experiment that tells most.
+    """Plan the most informative experiment.
 
     Args:
         clock: Physical seconds per logged second.
@@ -118,7 +118,7 @@ def design(
     judged = [replace(p, rehearsed=own) for p, own in zip(plans, first, strict=True)]
     # a usual one is taken where none is better
     best = judged[int(np.argmax([_worth(plan, precision) for plan in judged]))]
-    # the best of several noisy rehearsals was lucky in them: what is expected of it is told by others
+    # the best of several noisy rehearsals was lucky in them: its expected evidence is worked out from others
     (again,) = rehearsed([best.table], CONFIRMED * options.rehearsals, len(members))
     say("rehearsing", stages, stages)
     return Experiment(
@@ -183,7 +183,7 @@ def first_state(system: System, runs: Sequence[Run], given: Mapping[str, float])
         ConfigError: a name that is no state.
     """
     names = list(system.state_names)
-    if system.quaternion is not None:  # hovering, in the middle of what was flown
+    if system.quaternion is not None:  # hovering, in the middle of the flown range
         out = np.zeros(len(names))
         out[:3] = np.median(np.concatenate([run.x[:, :3] for run in runs]), axis=0)
         out[system.quaternion.start] = 1.0

@@ -1,4 +1,4 @@
-"""A planned experiment: what to do, what it is expected to tell, and what one would see."""
+"""A planned experiment: what to do, its expected evidence, and what one would see."""
 
 from __future__ import annotations
 
@@ -276,7 +276,7 @@ class Experiment:
         """What `design.json` holds."""
         units = self.units
         use = np.max([r.use.max(0) for r in self.plan.rehearsed], axis=0)
-        beyond, at = None, int(self.most_use.argmax())  # the state of which more would tell most
+        beyond, at = None, int(self.most_use.argmax())  # the state of which more would be most informative
         if not self.question.parameters and self.most > self.plan.worth and self.most_use[at] > 1.0 - MARGIN:
             share = float(self.most_use[at])
             beyond = {"limit": self.system.state_names[at], "share": share, "worth_nats": self.most}

@@ -1,4 +1,4 @@
-"""What a flown experiment told, beside what was expected.
+"""The evidence of a flown experiment, beside what was expected.
 
 Between members it is the evidence that the experiment brought each. Of parameters it is how much smaller their standard
 errors became: ln(before / after) nats of each, the information gained about a number with normal errors (Lindley, On a
@@ -22,7 +22,7 @@ from nsde_torch.errors import DataError
 from nsde_torch.systems import System
 
 STRANGE = 2.0
-"""Mean square of what the best member leaves of an experiment, in units of the noise, from which it is another
+"""Mean square of the best member's residual of an experiment, in units of the noise, from which it is another
 machine's."""
 FAR = 8.0
 """Standard errors that the best member's parameters may be from what the runs before say."""
@@ -58,12 +58,12 @@ class KnownBetter:
 
 @dataclass(frozen=True)
 class Obtained:
-    """What an experiment told."""
+    """The evidence of an experiment."""
 
     question: Question  # what it was asked
     members: tuple[Member, ...]  # what may be true, as the runs before the experiment had them
     nats: tuple[float, ...]  # evidence that it brought each against the best of the others; of parameters 0
-    excess: float  # mean square of what the best member leaves of it, in units of the noise
+    excess: float  # mean square of the best member's residual, in units of the noise
     expected: tuple[Mapping[str, Any], ...] = ()
     """What was expected where each member is true, as `design.json` has it; empty where nothing was."""
     parameters: Mapping[str, KnownBetter] = field(default_factory=dict)
@@ -136,7 +136,7 @@ class Obtained:
 
     @property
     def report(self) -> str:
-        """What it told, in words."""
+        """Its evidence in words."""
         if self.parameters:
             return "\n".join(f"{label}: {p}" for label, p in self.parameters.items())
         name, nats, expected = self.question.names[self.best], self.nats[self.best], self.expected_nats
@@ -162,13 +162,13 @@ def obtained(
     expected: Sequence[Mapping[str, Any]] = (),
     trusted: bool = False,
 ) -> Obtained:
-    """What an experiment told.
+    """The evidence of an experiment.
 
     Args:
         clock: Physical seconds per logged second.
         values: First values of effects.
         expected: What was expected (`design.json`).
-        trusted: Whether the log is known to be of this machine: what no member explains is told (`doubt`), not
+        trusted: Whether the log is known to be of this machine: what no member explains is reported (`doubt`), not
             refused.
 
     Raises:

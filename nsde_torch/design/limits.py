@@ -63,7 +63,7 @@ class ExperimentLimits:
 
 
 def limits_of(system: System, runs: Sequence[Run], given: Mapping[str, Any]) -> ExperimentLimits:
-    """Limits as they are given; of what is not named, what the runs held.
+    """Limits as they are given; where none is named, the range of the runs.
 
     Raises:
         ConfigError: a name that is no input or state, or no two rising numbers.

@@ -468,7 +468,7 @@ def _branches(own: Posteriors, log: LogOfRuns, best: Branch, prior: Array) -> tu
     rows = rows[moved]
 
     def about(row: Array, share: float) -> Array:
-        """Information (k, k) that holds widths to a share of what they are in a row (k,)."""
+        """Information (k, k) that holds widths to a share of their values in a row (k,)."""
         out = np.zeros(len(theta))
         out[columns] = 1.0 / np.square(share * row[columns])
         return np.diag(out)

@@ -32,7 +32,7 @@ SPEEDS = (0.5, 1.0, 1.5, 2.0, 3.0)
 SIDE, UP = 6.0, 4.0
 """Largest acceleration of a path sideways (a tilt of about 31 deg) and up or down [m/s2]."""
 _ROOM = 0.8
-"""Share of the room that points may lie in: paths and flights swing beyond them."""
+"""Share of the room that points may lie in: paths and flights overshoot them."""
 _ACCELERATION = 4.5
 """Largest horizontal acceleration of a first proposal [m/s2]."""
 _TURN = np.pi / 2

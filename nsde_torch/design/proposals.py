@@ -1,6 +1,6 @@
-"""The search for the experiment that tells most: random proposals, then changes of the best, judged by the worst case.
+"""The search for the most informative experiment: random proposals, then changes of the best, judged by the worst case.
 
-An experiment is worth what it tells in the less favourable draws of the parameters (a fifth of the way up from the
+An experiment's value is its evidence in the less favourable draws of the parameters (a fifth of the way up from the
 worst), whichever member is true: for a tie the expected evidence [nats], for parameters the logarithm of how much
 smaller than their usual size the standard errors become. One that leaves a limit under any member and draw is out.
 
@@ -14,7 +14,7 @@ B's fit goes when A's parameters are a),
 
 the likelihood ratio of two regressions with known noise (Atkinson and Fedorov, The design of experiments for
 discriminating between two rival models, Biometrika 62 (1975), with what a refit takes away linearised). A difference
-that a refit takes away tells nothing. The standard errors of A's own parameters are those of J'J + M.
+that a refit takes away carries no evidence. The standard errors of A's own parameters are those of J'J + M.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -76,7 +76,7 @@ class Signals:
         return genes
 
     def gentle(self, count: int, rng: np.random.Generator) -> Array:
-        """Genes of inputs of small swing about where the machine is left alone (count, pieces, nu, 6)."""
+        """Genes of inputs of small amplitude about where the machine is left alone (count, pieces, nu, 6)."""
         genes = self.random(count, rng)
         genes[..., 1] = 0.5 + 0.02 * (genes[..., 1] - 0.5)
         genes[..., 2] *= np.linspace(0.03, 0.5, count)[:, None, None]
@@ -332,7 +332,7 @@ def nearest(member: Member, theta: Array) -> Branch:
 
 
 def worth_of(told: Array, axis: int) -> Array:
-    """What draws are worth together: the less favourable ones and, where these tell nothing, a little the mean."""
+    """What draws are worth together: the less favourable ones and, where these carry no evidence, a little the mean."""
     return np.asarray(np.quantile(told, CAUTIOUS, axis=axis) + _MEAN * told.mean(axis))
 
 
@@ -388,7 +388,7 @@ class Judge:
         return Judged(np.where(inside, worth, -np.inf), worth, use)
 
     def _told(self, i: int, states: Array, inputs: Array, fine: NDArray[np.bool_]) -> list[Array]:
-        """What experiments tell where a member is true, one table (S, C) for each other member."""
+        """Evidence of experiments where a member is true, one table (S, C) for each other member."""
         draws = self.draws[i]
         tables = 1 if self.precision is not None else len(self.members) - 1
         out = [np.full((len(draws), len(fine)), -np.inf) for _ in range(tables)]
@@ -438,7 +438,7 @@ def search(
         say: Told stage, number done and number in all.
 
     Returns:
-        These, the best first; the most that any told that was tried, within the limits or beyond; and the largest share
+        These, the best first; the most evidence of any tried, within the limits or beyond; and the largest share
         of each state's range that this one takes (nx,).
 
     Raises:
@@ -489,7 +489,7 @@ def search(
 
 
 def _within(family: Family, genes: Array, judged: Judged, worth: float, most: int) -> Array:
-    """Genes of what tells more than `worth` and leaves the limits, made so small that it may stay inside."""
+    """Genes of experiments worth more than `worth` that leave the limits, made so small that they may stay inside."""
     use = np.nan_to_num(judged.use, nan=np.inf).max(1)
     left = np.flatnonzero((use > 1.0 - MARGIN) & (use < 3.0) & (judged.told > worth))
     chosen = left[np.argsort(-judged.told[left])][:most]

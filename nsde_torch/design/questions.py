@@ -1,10 +1,10 @@
 """What an experiment is asked, and what a diagnosis leaves open for it to close.
 
-    tied         two laws explain the runs as well, and an input may tell them apart
+    tied         two laws explain the runs as well, and an input may distinguish them
     leads        what was found only provisionally
-    wide         parameters of what was found whose 90 % interval is wider than the parameter is large
+    wide         parameters of found effects whose 90 % interval is wider than the parameter is large
     confounded   the same where feedback or smoothing widens the interval, which no further run of the kind changes
-    suspected    effects that the runs lean to, by 3 nats or more, and could not show at their usual size
+    suspected    effects that the runs favour, by 3 nats or more, and could not show at their usual size
     beyond       ties that no input breaks: an effect and a fault of the recording chain
 
 Experiments ask for the ties one after another, then for the leads and wide parameters together, and then for what is
@@ -120,7 +120,7 @@ def able_ties(content: Mapping[str, Any]) -> tuple[tuple[tuple[str, ...], ...], 
 
 
 def tie_notes(content: Mapping[str, Any]) -> tuple[str, ...]:
-    """What no input tells apart, in words, up to the first tie that inputs may break."""
+    """What no input distinguishes, in words, up to the first tie that inputs may break."""
     notes: list[str] = []
     for tie in content.get("ties", ()):
         first, *others = tie["effects"]
@@ -204,14 +204,14 @@ class Standing:
     """What a diagnosis found, and what it leaves open."""
 
     found: tuple[str, ...]  # names of the effects that were found
-    tied: tuple[tuple[str, ...], ...]  # names that cannot be told apart, the one that was found first
-    beyond: tuple[tuple[str, ...], ...]  # the same, where no input tells them apart
+    tied: tuple[tuple[str, ...], ...]  # names that cannot be distinguished, the one that was found first
+    beyond: tuple[tuple[str, ...], ...]  # the same, where no input distinguishes them
     leads: tuple[str, ...]  # effects that are found provisionally
     wide: tuple[
         str, ...
     ]  # labels of parameters that are not well known, and that more data would show better
-    confounded: tuple[str, ...]  # labels of those that feedback or smoothing may have bent
-    suspected: tuple[str, ...]  # effects that were not found, and that the runs lean to
+    confounded: tuple[str, ...]  # labels of those that feedback or smoothing may have biased
+    suspected: tuple[str, ...]  # effects that were not found, and that the runs favour
 
     @property
     def settled(self) -> bool:
@@ -257,7 +257,7 @@ def standing_of(content: Mapping[str, Any]) -> Standing:
 
 
 def suspected(content: Mapping[str, Any]) -> tuple[str, ...]:
-    """Effects that the last look leans to and that were not found, the likeliest first.
+    """Effects that the last look favours and that were not found, the likeliest first.
 
     Only those that the runs could not show at their usual size: of the others the runs have said what they say.
     """
@@ -276,7 +276,7 @@ def open_questions(content: Mapping[str, Any], system: System) -> list[Question]
     """
     now = standing_of(content)
     out = of_ties(content)
-    # of a lead every parameter is to be known better, and of what is wide the parameter itself
+    # of a lead every parameter is to be known better; of a wide interval, the parameter itself
     labels = [label for label in content.get("parameters", {}) if label.partition(".")[0] in now.leads]
     labels = list(dict.fromkeys([*labels, *now.wide]))
     few = now.suspected[:MOST]

@@ -7,8 +7,8 @@ what the runs there are leave open of the parameters theta_0 with information K,
     ln p(run) = max_theta [ln p(run | theta) - d' K d / 2] + ln |K| / 2 - ln |K + J'J| / 2,      d = theta - theta_0
 
 (MacKay, Bayesian interpolation, Neural Computation 4 (1992)), noise models of one kind for all members. What it brings
-beyond another member's is what it tells. A member that could have said anything is told by the determinants what it
-is worth that it can say this; of the density of what is simulated no other is expected to be larger.
+beyond another member's is its evidence. The determinants lower the density of a member that fits
+any run; on average over its own simulations no other member has a larger one.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,7 +32,7 @@ class Fits:
     brought: Array  # logarithm of the density of the experiment under each member (M,) [nats]
     thetas: tuple[Array, ...]  # parameters of each member
     errors: tuple[Array, ...]  # their standard errors
-    excess: float  # mean square of what the best member leaves, in units of the noise
+    excess: float  # mean square of the best member's residual, in units of the noise
     moved: float  # how far its parameters are from what the runs say [standard errors of these]
 
 
@@ -116,7 +116,7 @@ def rehearse(
     )
     fine = np.isfinite(seen).all((1, 2)) & np.isfinite(inputs).all((1, 2))
     evidence, errors = np.zeros(len(whole)), np.full((len(whole), len(member.theta)), np.nan)
-    kept = np.flatnonzero(fine)  # a run that is not finite tells nothing
+    kept = np.flatnonzero(fine)  # a run that is not finite has no evidence
     fits = fit_all(members, [as_run(seen[i], inputs[i], member.log.logged_dt) for i in kept])
     for i, fit in zip(kept, fits, strict=True):
         evidence[i], errors[i] = against(fit.brought, truth), fit.errors[truth]

@@ -1,4 +1,4 @@
-"""Laws that no catalogue has, by the joint likelihood: terms of what functions are of that explain more.
+"""Laws that no catalogue has, by the joint likelihood: terms in the variables of functions that explain more.
 
     functions beside the physics  ->  their variables  ->  terms of these as columns  ->  the best are fitted  ->  again
 
@@ -11,7 +11,7 @@ the size of the library. In the end each effect and each law is looked at again,
 Laws are tried first in the place of effects that may only imitate one: where one term is likelier (`Selected.law`), and
 where two effects are laws of one variable (a friction and a quadratic damping for a cubic one).
 
-A law has to explain a good share of what functions do: several terms that each win a little of a surface of two
+A law has to explain a good share of the functions' evidence: several terms that each win a little of a surface of two
 variables are an approximation of it, and no laws; and beside much that nobody knows, any term straightens a little.
 
 A law that is the same function as an effect of the catalogue takes that effect's name: `force = c1 x^3` is a cubic
@@ -69,7 +69,7 @@ def with_laws(
     joint = laws.named_by_the_catalogue(joint)  # laws that took the place of effects
     if joint.selected.keys() != before:
         outcome = conclude(joint)
-    # not of what feedback may have made: that is not named under another name either
+    # not where feedback may have made it: that is not named under another name either
     names = [f.name for f in outcome.found if f.name in joint.selected]
     near = [(name,) for name in names if joint.selected[name].law]
     alike = [pair for pair in combinations(names, 2) if of_one_variable(*pair)]

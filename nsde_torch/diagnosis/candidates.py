@@ -75,7 +75,7 @@ def check_candidates(system: System, names: Sequence[str], also: Sequence[str] =
 
 
 def on_coordinates(system: System, names: Sequence[str]) -> list[str]:
-    """Names as the system has them; a law without a coordinate stands for that law on each that it is for."""
+    """Names as the system has them; a law without a coordinate means that law on each of its coordinates."""
     out: list[str] = []
     for name in map(system.effect_key, names):
         law, at = effect_class(name), system.bound_coordinates()

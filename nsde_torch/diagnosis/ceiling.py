@@ -1,4 +1,4 @@
-"""How much of what can be explained the effects explain: the ceiling, on blocks of time left out.
+"""The share of the explainable evidence that the effects have: the ceiling, on blocks of time left out.
 
     explained = G_effects / (G_effects + G_left)
 
@@ -143,7 +143,7 @@ class Ceiling:
     left: float = 0.0  # what the functions bring beside them [nats]
     interval: tuple[float, float] | None = None  # 90 % interval of it
     explained: float | None = None
-    """Share of what can be explained that the effects explain; None without effects."""
+    """Share of the explainable evidence that the effects have; None without effects."""
     explained_interval: tuple[float, float] | None = None
     """Its 90 % interval; None where there are too few blocks."""
     rows: tuple[RowGain, ...] = ()

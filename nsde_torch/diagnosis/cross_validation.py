@@ -247,7 +247,7 @@ def _totals(gain: Array, blocks: Blocks, seed: int) -> list[dict[str, float | No
 
 
 def _difference(of: Scored, first: Array, other: Array, seed: int, decisions: Decisions) -> Difference:
-    """Difference of root mean squares of what the bands of two physics have (M, K)."""
+    """Difference of root mean squares of the bands of two physics (M, K)."""
     pair, generator = (torch.from_numpy(first), torch.from_numpy(other)), torch.Generator().manual_seed(seed)
     blocks = _blocks(of.band_run, of.band_t, decisions)
     return paired_bootstrap(*pair, blocks, generator=generator, level=INTERVAL_LEVEL)

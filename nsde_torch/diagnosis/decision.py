@@ -73,7 +73,7 @@ def at(search: Search, place: FittedPhysics) -> Base:
 
 
 def set_aside(search: Search, chosen: Selection, feedback: Feedback) -> Selection:
-    """Effects that explain more than feedback may hide; the others are set aside, the weakest first.
+    """Effects that explain more than feedback may hide; the others are dropped, the weakest first.
 
     What one brought beside all others it brings at least beside fewer: physics without it are fitted again only where
     that is not enough any more (of six racing flights, NeuroBEM, each takes 6 to 10 s).
@@ -178,7 +178,7 @@ def _left(base: Base, tests: Sequence[Dependence], tested: FeedbackTest, alpha: 
 
 
 def _verdict(found: Sequence[Found], *, explained: float, rest: float, left: Sequence[Dependence]) -> Verdict:
-    """The verdict, from what the effects explain and what most is left over [nats]."""
+    """The verdict, from what the effects explain and the largest evidence that remains [nats]."""
     if not found:
         return "unexplained" if left else "no_effect"
     return "unexplained" if rest > explained else "effect_found"
@@ -200,7 +200,7 @@ def provisional_reason(
 
 
 def judged_by_the_ceiling(outcome: Outcome, found: Ceiling) -> Outcome:
-    """The outcome, in the light of what functions explain beside the effects: structure, as tests find it.
+    """The outcome, given what functions explain beside the effects: structure, as tests find it.
 
     Where nothing was named, something is missing. Effects that act where functions explain as much as makes one
     provisional are leads, as a law that was not written down may be behind both. Where functions explain more than all

@@ -31,7 +31,7 @@ class Wording:
     one_run_share: float = key(
         0.8, "share of the log-likelihood in one run that makes it a matter of that run"
     )
-    holds_share: float = key(0.5, "share of what is predicted that must hold elsewhere to be the same there")
+    holds_share: float = key(0.5, "share of the prediction that must hold elsewhere to be the same there")
     holds_errors: float = key(2.0, "slack of this, what is measured may be low", unit="standard errors")
     sine_factor: float = key(2.0, "times the log-likelihood of a cubic that a periodic dependence must bring")
     sine_angle_factor: float = key(1.1, "the same where the period is a whole part of a turn of an angle")
@@ -42,7 +42,9 @@ class Wording:
         0.8, "length of the mean phase of a sinusoid, over runs, from which it is the same"
     )
     few_share: float = key(
-        0.95, "share of what all effects buy on runs left out that those told first reach together", high=1
+        0.95,
+        "share of the improvement by all effects on runs left out that those listed first reach together",
+        high=1,
     )
 
     def __post_init__(self) -> None:
@@ -52,7 +54,7 @@ class Wording:
 @documented
 @dataclass(frozen=True)
 class Decisions:
-    """What counts as found, as alike, as left over, as provisional."""
+    """What counts as found, as alike, as unexplained, as provisional."""
 
     # ---- error rates ------------------------------------------------------------------------------------
     alpha: float = key(
@@ -112,7 +114,7 @@ class Decisions:
     step_block_longest: float = key(4.0, "longest of these blocks", unit="s", above=0)
     replay_block: float = key(4.0, "blocks of time for errors of open-loop predictions", unit="s", above=0)
     replay_finite_share: float = key(
-        0.9, "share of open-loop predictions that must stay finite for a horizon to be told", high=1
+        0.9, "share of open-loop predictions that must stay finite for a horizon to be reported", high=1
     )
 
     # ---- specification tests ----------------------------------------------------------------------------
@@ -124,7 +126,7 @@ class Decisions:
     # ---- laws beyond the catalogue ----------------------------------------------------------------------
     # without it five terms of one speed are named for a surface that none is (the public drive EMPS: the first wins
     # 0.2 of what functions do, the others 0.1 to 0.16; true laws of blind springs and carts 1.0 to 1.4)
-    law_share: float = key(0.18, "share of what functions explain that a law has to explain", low=0)
+    law_share: float = key(0.18, "share of the functions' evidence that a law has to explain", low=0)
 
     # ---- verdict ----------------------------------------------------------------------------------------
     provisional_share: float = key(

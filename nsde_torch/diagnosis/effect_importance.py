@@ -29,7 +29,7 @@ class Importance:
     """What one effect brings on runs left out."""
 
     effect: str  # its name
-    gain: float  # g, in nats of what effects are ordered by
+    gain: float  # g [nats], by which effects are ordered
     share: float  # g over the sum of g of all effects; 0 where no effect brings anything
     nats: float  # gain in log-likelihood of one-step predictions, on the channels that it moves
     channel: str = ""

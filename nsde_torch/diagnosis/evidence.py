@@ -86,7 +86,7 @@ def nats_by_channel(before: Regression, after: Regression) -> dict[str, float]:
 
 # ---- chances -------------------------------------------------------------------------------------------
 
-_WHOLE = 0.999  # share of what is known of a direction that one block may bring, for it to be left out
+_WHOLE = 0.999  # share of the information on a direction that one block may bring, for it to be left out
 
 
 def chance(

@@ -13,7 +13,7 @@ Q = (b - m)' (V^-1 on contrasts) (b - m) is chi-square with one degree of freedo
 runs share one zero. What a steady push that differs from run to run would explain instead is held against it: where
 that is as much, as on a linear spring, both are named. Looked for where structure is left alone.
 
-**Columns.** A declared parameter may well stand at its bound. It tells of a fault where the data pull beyond: the step
+**Columns.** A declared parameter may well stand at its bound. It indicates a fault where the data pull beyond: the step
 without bounds
 
     d = argmin |e - X d|
@@ -62,7 +62,7 @@ _AT_BOUND = 1e-5  # typical sizes from the bound; values are kept a millionth of
 
 @dataclass(frozen=True)
 class Warned:
-    """A declared parameter that tells of a fault."""
+    """A declared parameter that indicates a fault."""
 
     parameter: str  # its name
     kind: str  # `at_bound`, `far_off`, or `not_shown` where it ran off unseen
@@ -348,7 +348,7 @@ class Explanation:
     """The sensor's zero that differs between runs, where structure is left."""
     in_run: InRun | None = None
     """The effect that would explain it in the one run that it is in: provisional, unverified."""
-    warned: tuple[Warned, ...] = ()  # declared parameters that tell of a fault of the columns
+    warned: tuple[Warned, ...] = ()  # declared parameters that indicate a fault of the columns
     guard: Guarded = field(default_factory=Guarded)
     """How the final physics stands beside simple fits, and what speaks against it."""
     standstill: float = (
@@ -397,7 +397,7 @@ def explained(
 
 
 def odd_run(left: Sequence[Dependence], shapes: Sequence[Shape]) -> int | None:
-    """Number of the run that what explains most of what is left is confined to, beside single moments."""
+    """Number of the run that the largest remaining structure is confined to, beside single moments."""
     pairs = zip(left, shapes, strict=False)
     return next((s.only_run for d, s in pairs if d.moment is None), None)
 

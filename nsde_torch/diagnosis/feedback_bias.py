@@ -6,9 +6,9 @@ term can bring at most
 
     2 log L = z_i^2
 
-of channel i, and no more of it than the share by which the effect leans along linear functions of inputs and states
+of channel i, and no more of it than the share by which the effect lies along linear functions of inputs and states
 (`lengths_of_parameters`). An effect counts by what it brings beyond that on the channels
-that it moves, and so does what is left over. An effect that does not reach it is not named; it is set aside with its
+that it moves, and so does the residual. An effect that does not reach it is not named; it is kept apart with its
 reason, unless signals from outside the loop show it (`sysid.instruments`).
 
 **Vanishing gains.** Where inputs answer the states, they can cancel what the physics lacks so nearly that no gain is
@@ -73,10 +73,10 @@ class FeedbackBiased:
 
 
 def lengths_of_parameters(test: FeedbackTest, regression: Regression) -> dict[str, Array]:
-    """Standard errors (k,) by which inputs that know more than the log may bend each parameter, by channel.
+    """Standard errors (k,) by which inputs that know more than the log may bias each parameter, by channel.
 
     What they know of a step, and what they do between rows, is as in a loop that is linear within a row: a linear
-    function of states and of the inputs of neighbouring rows. It bends a parameter as far as its estimate leans along
+    function of states and of the inputs of neighbouring rows. It biases a parameter as far as its estimate lies along
     these (`sysid.feedback_test`).
     """
     if not test.not_from_the_log:
@@ -108,7 +108,7 @@ def allowances_of_tests(test: FeedbackTest) -> dict[str, float]:
 def chance_beyond(
     gained: Mapping[str, float], moved: Sequence[str], allowed: Mapping[str, float], count: int
 ) -> float:
-    """Chance of what an effect explains beyond what feedback may hide, by a chi-squared distribution.
+    """p value of the evidence for an effect beyond what feedback may hide, by a chi-squared distribution.
 
     Args:
         gained: Likelihood ratio (2 log L) that it brings, by channel.

@@ -58,7 +58,7 @@ class GramTable:
         return float(np.sqrt(max(1.0 - across @ self._others @ across / whole, 0.0))) > _NEW
 
     def errors(self, own: Labels) -> Array:
-        """Standard errors of the parameters of a candidate (q,), all others free; infinite of what moves nothing."""
+        """Standard errors of the parameters of a candidate (q,), all others free; infinite if it moves nothing."""
         total = self._held.total
         inner = total[np.ix_(own, own)]
         across = total[np.ix_(self._base, own)]

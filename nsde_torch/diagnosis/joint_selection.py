@@ -64,7 +64,7 @@ class Explained:
     columns: tuple[int, ...]  # its columns in the Gram matrices: the shift of its start, then its parameters
     blocks: Array  # `nats` by block of time (B,)
     errors: dict[str, float]
-    """Standard errors of what is nothing without it, by label; infinite where no row shows it."""
+    """Standard errors of parameters that need it, by label; infinite where no row shows it."""
 
 
 @dataclass(frozen=True)
@@ -374,7 +374,7 @@ class JointSearch:
         """The physics with a candidate that explains much more once it is fitted than its linearised step promises.
 
         Gusts that last have learned a steady push: what a step gains at their level is no measure of what a fit gains
-        (2.7 and 27 nats, tests/diagnosis/test_buys.py). And where what is missing bends the physics far, as a motor's
+        (2.7 and 27 nats, tests/diagnosis/test_buys.py). And where what is missing biases the physics far, as a motor's
         lag does a gain that one flight shows best, steps from there disagree between runs
         (tests/diagnosis/test_turned_axes.py).
         """

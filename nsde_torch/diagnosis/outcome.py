@@ -1,4 +1,4 @@
-"""What a diagnosis concluded: effects with their estimates, tests of what is left, the verdict."""
+"""What a diagnosis concluded: effects with their estimates, tests of the residuals, the verdict."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -114,7 +114,7 @@ class Outcome:
     after: list[Dependence]
     """before, after: what the residual depends on without and with the effects, all tests."""
     structured: list[Dependence] = field(default_factory=list)
-    """The tests that are left over after correction for their number, what explains most first."""
+    """The tests that remain significant after correction for their number, what explains most first."""
     hidden: tuple[FeedbackBiased, ...] = ()  # effects that are not named because feedback may have made them
     test: FeedbackTest = field(default_factory=FeedbackTest)
     """What the data say of the loop that they were recorded in, by `final`."""
@@ -179,9 +179,9 @@ class Outcome:
 
     @cached_property
     def doubt(self) -> Array:
-        """By how much feedback may have bent each parameter of `final` (k,); nan for by anything.
+        """By how much feedback may have biased each parameter of `final` (k,); nan for by anything.
 
-        Effects that were found are bent by what was made from other sensors alone, as in `feedback_bias.allowances`.
+        Effects that were found are biased by what was made from other sensors alone, as in `feedback_bias.allowances`.
         """
         r, found = self.final.regression, {f.name for f in self.found}
         of_effects = np.array([label.partition(".")[0] in found for label in r.vector.labels], dtype=bool)

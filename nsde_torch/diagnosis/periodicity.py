@@ -1,6 +1,6 @@
-"""What repeats: a force that swings at a frequency of its own, and one that repeats along a variable.
+"""What repeats: a force that oscillates at a frequency of its own, and one that repeats along a variable.
 
-**In time.** The periodogram of noise is exponential at every frequency, about a level that bends slowly with frequency:
+**In time.** The periodogram of noise is exponential at every frequency, about a slowly varying level:
 the median over a band, divided by log 2. The largest of M independent ordinates exceeds -log(p / M) times that level
 with chance p (Fisher, Proceedings of the Royal Society A 125 (1929)). Residuals are whitened by what the sensor alone
 does to them: an autoregression would have learned the line and taken it out.

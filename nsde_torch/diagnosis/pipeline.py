@@ -4,7 +4,7 @@ read            runs and logged channels, and options that fit the machine      
 undo            faults of the recording chain                                   reading, recording
 fit             the declared physics: a regression, then the joint likelihood   search, inference
 select          effects of the catalogue, one at a time; then each one again    joint_selection, feedback_bias
-set aside       what feedback may have made                                     decision, feedback_bias
+exclude         what feedback may have made                                     decision, feedback_bias
 test, decide    what is left against all that was measured; the verdict         residual_tests, decision
 beyond          laws that no catalogue has, where functions explain more        beyond_catalogue
 cross-validate  the physics without and with effects on runs left out           cross_validation
@@ -237,7 +237,7 @@ class DiagnosisCourse:
         return replace(found, not_done=(*other, *self._left(why)), so_far=so_far)
 
     def too_long(self, stage: str) -> bool:
-        """Whether a stage would not end in the time that is left, as far as the rounds so far tell."""
+        """Whether a stage would not end in the time that is left, as far as the rounds so far show."""
         return self._round_s * _ROUNDS.get(stage, 0.0) > max(self.limit.left_s, 0.0)
 
     def _left(self, why: str) -> list[NotDone]:
@@ -285,7 +285,7 @@ def diagnose(
             the test of feedback.
         decisions: What is decided by, but for alpha and the most effects, which the options give.
         budgets: How much is tried.
-        begun: What an earlier diagnosis of the same had selected, which is gone on from.
+        begun: What an earlier diagnosis of the same had selected, from which this one continues.
         say: Told stage, number done and number in all.
         so_far: Takes what is known after each round of the selection and each later stage (`Diagnosis.so_far`).
 
@@ -402,15 +402,15 @@ def _diagnosed(
 def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome:
     """Fit the declared physics, select effects, test what is left, and decide.
 
-    It begins with the effects of what was concluded from other rows of the log (`before`), else with none.
+    It begins with the effects that were concluded from other rows of the log (`before`), else with none.
     """
     search.say("fitting the declared physics", 0, 1)
     joint = None if before is None else before.joint
     made = log.stages.attempt(SELECTION, partial(_selected, log, search, joint), None)
     if made is None:
         return _concluded(log, search, joint)
-    # what tells a dry friction best is how it changes at a turn, which was left out of these rows. But how it holds is
-    # no law of the speed: where the rows do not fit it, it bends the rest (a damping of 0.265 for 0.3,
+    # a dry friction is identified best by how it changes at a turn, which these rows lack. But how it holds is
+    # no law of the speed: where the rows do not fit it, it biases the rest (a damping of 0.265 for 0.3,
     # test_standing.py)
     same = joint is not None and joint.selected.keys() == made[1].selected.keys()
     sound = joint is not None and (made[1].final.best.misfit or not joint.final.best.misfit)
@@ -489,7 +489,7 @@ def _so_far(search: Search, first: FittedPhysics, place: FittedPhysics, brought:
 
 
 def _concluded(log: Log, search: Search, joint: JointSelection | None) -> Outcome:
-    """What feedback may have made is set aside, what is left is tested, and the verdict."""
+    """Exclude what feedback may have made, test what is left, and conclude."""
     search = _of_the_same_rows(search, joint)
     chosen = selection(search, joint, log.system)
     log.so_far(SECOND_LOOK, log, undecided(search, chosen.declared, chosen.final, chosen.found, joint))

@@ -1,7 +1,7 @@
 """The log of a diagnosis: how it is read, and how it is read again once something is known of the machine.
 
 Runs have the logged channels that an effect could read, their recording chain undone: the declared physics is its
-judge where kinematics cannot tell. A log is read again, and searched again,
+judge where kinematics cannot decide. A log is read again, and searched again,
 
 - with a sensor moved that is late as a whole, where that explains more than effects do;
 - with rates that no sensor measured inferred by the physics that was come to: first the declared physics, fitted, then
@@ -55,7 +55,7 @@ class Log:
     options: Options  # settings
     decisions: Decisions  # what is decided by
     budgets: Budgets  # how much is tried
-    say: Callable[[str, int, int], None]  # told stage, number done and number in all
+    say: Callable[[str, int, int], None]  # called with stage, number done and number in all
     # speeds below which coordinates with dry friction stand, by column; rows in which one does are left out
     slowest: Mapping[int, float] = field(default_factory=dict)
     stages: OptionalStages = field(default_factory=OptionalStages)  # stages that may fail, and those that did
@@ -121,7 +121,7 @@ def read_effects(system: System, runs: Sequence[Run], options: Options) -> dict[
     own = dict(
         zip(options.also, check_candidates(system, options.candidates or (), options.also), strict=True)
     )
-    if options.instruments:  # told before any work
+    if options.instruments:  # reported before any work
         with_columns(system, runs, options.instruments)
     reading = system.reading(*logged_channels(system, runs))
     able = candidate_names(reading)
@@ -198,7 +198,7 @@ def undone(
     decisions: Decisions,
     budgets: Budgets,
 ) -> Recorded:
-    """The recording chain undone as far as kinematics and spectra tell."""
+    """The recording chain undone as far as kinematics and spectra show it."""
 
     def misfit(some: Sequence[Run], clock: float) -> float:
         search = search_in(system, some, clock, options, decisions=decisions, budgets=budgets)
@@ -222,7 +222,7 @@ def with_a_late_sensor(read: Log, outcome: Outcome) -> Log | None:
 
 
 def explains_more(moved: Outcome, outcome: Outcome) -> bool:
-    """Whether a late sensor leaves little structure, and no parameter at a bound, of what the log as it is leaves.
+    """Whether a late sensor explains most of the structure that the log as it is leaves, no parameter at a bound.
 
     Else something else looks like it: an input of the other sign, say.
     """
@@ -231,7 +231,7 @@ def explains_more(moved: Outcome, outcome: Outcome) -> bool:
 
 
 def _structure(outcome: Outcome) -> float:
-    """Log-likelihood that what is left over would bring [nats]."""
+    """Log-likelihood that explaining the residual would bring [nats]."""
     return sum(max(d.excess, 0.0) for d in outcome.structured)
 
 
@@ -270,7 +270,7 @@ def at_found(
 def not_sure(log: Log, outcome: Outcome) -> Outcome:
     """The outcome; nothing that was found is sure where the rates of several coordinates were inferred.
 
-    What is not known of one rate bends the forces on all of them, and dampings that are not there were named.
+    What is not known of one rate biases the forces on all of them, and dampings that are not there were named.
     """
     if len(log.runs[0].inferred) < 2:
         return outcome
@@ -294,7 +294,7 @@ def without_standstill(
 
     It is taken where friction is found there too: what else was found with these rows may be how friction holds. And
     friction may hold the machine so long that it is not found with them, or looks like a deadband: where a coordinate
-    stands for much of the time, or nothing explains the structure that is left, whatever may have friction is looked at
+    rests for much of the time, or nothing explains the structure that is left, whatever may have friction is looked at
     where it moves.
     """
     speeds = _dry(outcome, log)

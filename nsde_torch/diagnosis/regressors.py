@@ -47,7 +47,7 @@ RUN = "run"
 
 
 SMOOTH = 5
-"""How many of `functions_of`, ahead of the others, one run alone is asked for: blocks of time tell no more apart."""
+"""How many of `functions_of`, ahead of the others, one run alone is asked for: blocks of time distinguish no more."""
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ def rows_before(dt: float, *, moved: bool) -> list[int]:
 
     Args:
         dt: Time of a row [s].
-        moved: Whether channels were moved to where they belong. Between rows, they bend where inputs change, and what
+        moved: Whether channels were moved to where they belong. Between rows, they curve where inputs change, and what
             moves them does not know.
     """
     return sorted({max(1, round(seconds / dt)) for seconds in (_BEFORE_S[1:] if moved else _BEFORE_S)})

@@ -2,7 +2,7 @@
 
 A picture of all effects that were found shows the channel whose residual they reduced most against the variable whose
 dependence they took away most; without an effect, what the residual depends on. A picture of one effect
-shows what is left over in one channel with it, and with its own term added back,
+shows the residual of one channel with it, and with its own term added back,
 
     without = residual(theta) + (term of the effect at theta)        all other parameters as they were fitted
 
@@ -141,7 +141,7 @@ def _spectra(found: Diagnosis) -> dict[str, Figure]:
     shown = _most_reduced(found.explanation.channels)[: 2 * _CHANNELS]
     if not shown:
         return {}
-    title = "Spectrum of what the physics leaves over, and the floor of white noise"
+    title = "Spectrum of the physics' residual, and the floor of white noise"
     return {"spectrum": residual_spectra([_spectrum(found.outcome, c.name) for c in shown], title=title)}
 
 
@@ -199,7 +199,7 @@ def unexplained_views(
     done: set[tuple[str, str, int | None, float | None]] = set()
     for d, note in zip_longest(outcome.structured if left is None else left, notes, fillvalue=""):
         if not isinstance(d, Dependence) or d.sinusoid is not None:
-            continue  # the picture of the spectrum shows a swing
+            continue  # the picture of the spectrum shows an oscillation
         if len(out) == _UNEXPLAINED:
             break
         variable, unit, x = _axis(seen, d)

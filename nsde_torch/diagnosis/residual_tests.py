@@ -1,7 +1,7 @@
 """Specification tests: what forces the likelihood still asks for, as functions of everything that was measured.
 
 For each port and each group of functions of one variable (`regressors`), the scores of forces that go with these
-(`nsde_torch.inference.force_scores`), free of what the parameters can do, have mean 0 if nothing is missing. Under the
+(`nsde_torch.inference.force_scores`), orthogonal to the parameters, have mean 0 if nothing is missing. Under the
 filter's own noise their squares are Hotelling's T^2, as their information is that of draws; and whatever the noise
 inside a block of time is like, coefficients scatter over blocks as those of leaving one out do (jackknife), and bring
 likelihood to folds that they were not fitted to. The larger chance of the first two counts, or the third, twice.
@@ -21,7 +21,7 @@ nothing special in a run gives, with g what all R runs differ by in q functions 
     g_r ~ chi2(q),        (g_r / q) / s ~ F(q, n - q + m),        s = (g - g_r + m) / (n - q + m),   n = q (R - 1)
 
 the second whatever the noise has missed in every run (its size s of 1 counts as m differences between runs: Smyth,
-Statistical Applications in Genetics and Molecular Biology 3 (2004)), the first in the unit of what is left of the
+Statistical Applications in Genetics and Molecular Biology 3 (2004)), the first in the unit of the residuals of the
 blocks of time of the run where that is more than their information says. The larger chance counts, times the number of
 runs. With two runs nobody knows which of them is the odd one. Where the chance is small, scores and information are
 those of the Gram matrices, without draws.
@@ -118,7 +118,7 @@ class PhysicsResiduals:
         space, about = place.at.of.space, place.at.about
         self.system: System = place.at.of.vector.system
         self.channels = tuple(names[0] for names in moved_channels_of(regression, space.disturbances))
-        # of what is known at the start of a step, so that gusts and sensor noise are not in it
+        # given what is known at the start of a step, so that gusts and sensor noise are not in it
         row, steps = space.chunks.row.flatten(), space.steps
         first = torch.zeros(len(steps), dtype=torch.int64)
         order = space.chunks.counted.flatten().argsort(stable=True)
@@ -209,7 +209,7 @@ def dependences(left: PhysicsResiduals) -> list[Dependence]:
         for name in _places(left):
             out.append(_repeated(left, port, name))
         out.append(largest_moment(left, port))
-    # inputs that were restored swing at the nulls of the average
+    # inputs that were restored oscillate at the nulls of the average
     found = lines(left.regression, fewest=WHOLE, decisions=left.decisions, budgets=left.budgets)
     out += [_sinusoid(left, line) for line in found[:1] if left.inputs]
     return sorted(own_of_runs([d for d in out if d is not None]), key=lambda d: d.p)
@@ -396,7 +396,7 @@ def in_one_run(
 def _of_run(
     left: PhysicsResiduals, port: int, functions: Array, run: int
 ) -> tuple[Array, Array, NDArray[np.int64], NDArray[np.bool_]]:
-    """The first functions in one run, free of all in all runs and of what is constant in a run.
+    """The first functions in one run, orthogonal to all in all runs and to constants in a run.
 
     Returns:
         Their scores by block of time in directions of unit information (B, q), the information of these (B, q, q),

@@ -64,7 +64,7 @@ class Diagnosis:
     data: DataSet  # the data set
     runs: tuple[str, ...]  # names of its runs that were looked at
     recorded: Recorded  # recording chain, undone
-    outcome: Outcome  # effects that were found, and the tests of what is left
+    outcome: Outcome  # effects that were found, and the tests of the residuals
     errors: HeldOut  # errors on runs left out
     explanation: Explanation  # what is left, and what may explain it
     options: Options  # settings
@@ -158,7 +158,7 @@ class Diagnosis:
 
     @property
     def width(self) -> float:
-        """Length of the means over which residuals are told [s]."""
+        """Length of the means over which residuals are reported [s]."""
         return rates_width(self.outcome.final.regression)
 
     @property
@@ -178,7 +178,7 @@ class Diagnosis:
         return preformatted(str(self))
 
     def to_frame(self) -> Any:
-        """A `pandas.DataFrame` of what was found: `name`, `value`, `low`, `high` (None: no interval) and `unit`."""
+        """A `pandas.DataFrame` of the findings: `name`, `value`, `low`, `high` (None: no interval) and `unit`."""
         rows = [
             (name, p["value"], *(p["interval_90"] or (None, None)), p["unit"])
             for name, p in self.parameters.items()
@@ -206,7 +206,7 @@ class Diagnosis:
 _DEPENDENCES = 12  # tests of structure that are listed
 _SHORT = "shorter than a step of the log: taken into account, and not named"
 TWINS = {"constant_force": ("sensor_bias",)}
-"""Faults of the recording chain that no data of the log can tell from an effect."""
+"""Faults of the recording chain that no data of the log distinguish from an effect."""
 JsonObject = dict[str, Any]
 
 
@@ -356,7 +356,7 @@ def summary(
 
 
 def named(first: Sequence[str], shown: ShownEffects) -> str:
-    """Names of what was found, small effects by their number."""
+    """Names of the findings, small effects by their number."""
     return ", ".join(first) + (f" and {small(len(shown.rest))}" if shown.rest else "")
 
 

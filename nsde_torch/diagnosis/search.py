@@ -78,7 +78,7 @@ def at_bounds(regression: Regression) -> NDArray[np.bool_]:
 
 
 def bent_shape(regression: Regression, name: str) -> str:
-    """Label of a shape of an effect that stands at the end of what the data tell from another law; empty if none.
+    """Label of a shape of an effect that is at the end of what the data distinguish from another law; empty if none.
 
     A friction that is developed only beyond the speeds of the data is no dry one, whatever explains the data; and a
     force that repeats less than once in a turn does not repeat.
@@ -190,7 +190,7 @@ class Search:
         """Physics at the values of largest likelihood: of its regression, the noise models alone are fitted.
 
         Values of its own would be others where a noise model learns the physics: of racing flights whose states were
-        smoothed (NeuroBEM), the thrust was a tenth of what the likelihood has.
+        smoothed (NeuroBEM), the thrust was a tenth of the likelihood's.
         """
         vector = ParameterVector(system)
         physics = Physics(vector, self.steps)

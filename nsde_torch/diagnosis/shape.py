@@ -233,7 +233,7 @@ def spectrum(regression: Regression, channel: int) -> tuple[Array, Array]:
 
 
 def white_parts(regression: Regression, channel: int) -> tuple[float, float]:
-    """Variances per step of what pushes and of the sensor, from the upper half of the band."""
+    """Variances per step of the disturbance and of the sensor, from the upper half of the band."""
     frequency, power = spectrum(regression, channel)
     high = frequency >= _FROM * frequency[-1]
     curve = 4.0 * np.sin(np.pi * frequency * regression.physics.steps.dt) ** 2
@@ -387,7 +387,7 @@ def _sinusoid_by_run(regression: Regression, channel: int, frequency: float) -> 
 
 
 def _of_phase(regression: Regression, channel: int, frequency: float, wording: Wording) -> str:
-    """Whether a swing has the same phase in all stretches, by the clock of the log; of what it is a harmonic."""
+    """Whether an oscillation has the same phase in all stretches, by the log's clock; and what it is a harmonic of."""
     left, waves = regression.residual[:, regression.rows[channel]], waves_of(regression, frequency)
     turns, steps = 2.0 * np.pi * frequency, regression.physics.steps
     found = []
@@ -475,7 +475,7 @@ def _only_run(left: PhysicsResiduals, port: int, variable: str) -> int | None:
     most = int(np.argmax(gains))
     if not gains[most] > wording.one_run_share * sum(gains) > 0:
         return None
-    # what is only strongest in one run holds in the others too, as far as they can tell
+    # what is only strongest in one run holds in the others too, as far as they can show
     others = scores.of(left.owners != runs[most])
     return None if _holds(_weights(parts[most]), others, wording) else int(runs[most])
 
@@ -486,6 +486,6 @@ def _weights(scores: FunctionScores) -> Array:
 
 
 def _holds(weights: Array, rest: FunctionScores, wording: Wording) -> bool:
-    """Whether the rest may have a good part of what functions of these sizes predict, as far as it can tell."""
+    """Whether the rest may have a good part of the prediction of functions of these sizes, as far as its data show."""
     size = max(float(weights @ rest.information @ weights), 1e-300)
     return float(weights @ rest.total) / size + wording.holds_errors * size**-0.5 >= wording.holds_share

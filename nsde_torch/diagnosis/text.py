@@ -70,7 +70,7 @@ def rehearsed(own: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 
 def heading(content: Content) -> str:
-    """The verdict in a few words; that the fit is not believed comes before it."""
+    """The verdict in a few words; that the fit is rejected comes before it."""
     doubted = doubts_the_fit(o["kind"] for o in content["guard"]["objections"])
     return _VERDICTS["doubted" if doubted else content["verdict"]]
 
@@ -104,7 +104,7 @@ def least_squares(content: Content, name: str | None = None) -> list[str]:
 
 
 def in_order(content: Content) -> list[Mapping[str, Any]]:
-    """Findings that are told one by one: effects that matter, the most important first, then the recording."""
+    """Findings that are listed one by one: effects that matter, the most important first, then the recording."""
     by_name = {f["name"]: f for f in content["findings"] if f["kind"] != "recording"}
     recording = [f for f in content["findings"] if f["kind"] == "recording"]
     return [*(by_name[name] for name in content["told"]["few"]), *recording]
@@ -162,7 +162,7 @@ def unfinished(content: Content, go_on: str = "resume=DIR") -> list[str]:
 
 
 def notices(content: Content) -> list[tuple[str, str]]:
-    """Title and text of what is to be read before the findings: warnings, and stages without a result."""
+    """Title and text that precede the findings: warnings, and stages without a result."""
     odd = [("Warning", f"{w['sentence']}. {sentence_case(w['remedy'])}.") for w in content["warnings"]]
     failed = [n for n in content.get("not_done", ()) if n["why"] not in _UNFINISHED]
     return [*odd, *(("Not done", f"{n['stage']}: {n['why']}.") for n in failed)]

@@ -311,7 +311,7 @@ class _Lag(Effect):
         return late * (self._goes() / self.step) if self.step else late / self.value("time_constant")
 
     def _goes(self) -> Tensor:
-        """Share of what is left that a step makes good."""
+        """Share of the remaining difference that a step closes."""
         return -torch.expm1(-self.step / self.value("time_constant"))
 
     def held(self, u: Tensor, dt: float) -> Tensor:

@@ -236,7 +236,7 @@ class Effect(Parametrised, ABC):
         stage: On the port `input`: effects of a lower stage act first.
         exogenous: Logged columns that it reads beside the inputs.
         quantities: What it reads of the system's own working, name -> columns (see `System.quantities`).
-        null: Values at which it adds nothing (a bound may stand for "arbitrarily close to"). Parameters left out
+        null: Values at which it adds nothing (a bound may mean "arbitrarily close to"). Parameters left out
             are without effect at these values.
         amplitudes: Parameters of `null` that the term is linear in.
         shapes: First values to try for parameters that it is not linear in; a vector parameter takes one number for
@@ -247,14 +247,14 @@ class Effect(Parametrised, ABC):
             `spectrum` (frequencies are taken from the data, `shapes` has none).
         resolved: Times of a memory -> the least multiple of a step at which explicit steps follow it.
         includes: Simpler effects that it contains as special cases; it stands in for them, not beside them.
-        same: Its parameters that are one of those of what it contains where the two are alike, own name -> theirs;
+        same: Its parameters that are equal to one of a contained effect where the two are alike, own name -> theirs;
             parameters of the same name are alike without a word.
         along: The one variable that it is a law of (`speed`, `position`), if there is one: two of one variable on one
-            port may together stand for a third that nobody listed.
-        sentence: What it means, for who runs the machine; {parameter} stands for a value with its unit.
-        separate: The experiment that would tell it apart from its likes.
+            port may together represent a third that nobody listed.
+        sentence: What it means, for who runs the machine; {parameter} is replaced by a value with its unit.
+        separate: The experiment that would distinguish it from similar effects.
 
-        whole_steps: Whether, told the `step`, `memory_rate` is the mean rate over a step that starts from a memory, and
+        whole_steps: Whether, with a `step`, `memory_rate` is the mean rate over a step that starts from a memory, and
             `forward` the mean term over it, for inputs that are held: what they are given is then of its start.
         jumps: Whether, of `whole_steps`, its memory jumps with a held input, so that it has a rate over a step alone.
         step: Step of the integrator [s], for effects of `whole_steps`. 0: rate and term are those of the instant.
@@ -394,7 +394,7 @@ class Effect(Parametrised, ABC):
             dt: Length of a step [s].
 
         Returns:
-            One memory per step (n, n_memory), to be held over it in place of what `memory_rate` makes of it.
+            One memory per step (n, n_memory), to be held over it in place of the result of `memory_rate`.
         """
         return None
 

@@ -54,7 +54,7 @@ def coefficient_units(law: Written, variables: Mapping[str, str], port: str) -> 
     Args:
         law: The law.
         variables: Unit of each variable; empty where it is unknown.
-        port: Unit of what the law adds.
+        port: Unit of the law's value.
 
     Raises:
         ConfigError: things of different units are added, or an angle is none.

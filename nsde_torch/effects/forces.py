@@ -31,7 +31,7 @@ class ConstantForce(Law):
 
 @final
 class PeriodicForce(Law):
-    """A force that swings with the clock of the log, as an unbalanced rotor's."""
+    """A force that oscillates with the clock of the log, as an unbalanced rotor's."""
 
     name = "periodic_force"
     formula = "a sin(2 pi f t) + b cos(2 pi f t)"
@@ -39,7 +39,7 @@ class PeriodicForce(Law):
     PARAMETERS = {
         "sine": Parameter(0.0, "force", scale=0.1, help="part in phase with the clock"),
         "cosine": Parameter(0.0, "force", scale=0.1, help="part a quarter ahead of it"),
-        "frequency": Parameter(1.0, "Hz", low=0.0, scale=0.1, help="swings per second"),
+        "frequency": Parameter(1.0, "Hz", low=0.0, scale=0.1, help="oscillations per second"),
     }
     null = {"sine": 0.0, "cosine": 0.0}
     amplitudes = ("sine", "cosine")

@@ -151,7 +151,7 @@ class QuadraticDamping(Law):
 
 @final
 class PositionDependentFriction(Law):
-    """Dry friction that changes along the way: a bent rail, a joint that binds towards one end."""
+    """Dry friction that changes along the way: a crooked rail, a joint that binds towards one end."""
 
     name = "position_dependent_friction"
     kinds = ("rail", "joint")

@@ -45,7 +45,7 @@ class Law(Effect):
     """An effect on one coordinate. Subclasses write `term`, with `self.q(x)` and `self.v(x)`.
 
     Units of `PARAMETERS` are products of `force`, `speed` and `position`: `force/speed` is 1/s where forces are over
-    mass. In `sentence`, `{it}` stands for what moves.
+    mass. In `sentence`, `{it}` is replaced by what moves.
 
     Attributes:
         at: The coordinate; that of the simplest machine where none was given.

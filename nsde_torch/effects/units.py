@@ -14,11 +14,11 @@ Powers = dict[str, int]
 
 
 def of(law: str, units: Mapping[str, str]) -> str:
-    """The unit that `force/speed2` is, each word of which stands for a unit.
+    """The unit that `force/speed2` is, each word of which represents a unit.
 
     Args:
-        law: Product of words, at most one `/`, powers behind them; words that `units` lacks stand for themselves.
-        units: Unit that each word stands for.
+        law: Product of words, at most one `/`, powers behind them; words that `units` lacks are units themselves.
+        units: Unit that each word represents.
 
     Returns:
         The unit, its powers collected; `(unit)/(unit)` in words where a unit is none that can be read.
@@ -48,13 +48,13 @@ def _written(unit: str, power: int) -> str:
 
 
 def divided(one: Powers, by: Powers) -> Powers:
-    """The quotient of two units; what cancels is gone."""
+    """The quotient of two units, common factors cancelled."""
     out = {unit: one.get(unit, 0) - by.get(unit, 0) for unit in (*one, *by)}
     return {unit: power for unit, power in out.items() if power}
 
 
 def powers(unit: str) -> Powers | None:
-    """Powers of the factors of a unit; None of what cannot be read."""
+    """Powers of the factors of a unit; None if it cannot be parsed."""
     out: Powers = {}
     for place, part in enumerate(unit.split("/")):
         for factor in part.strip().strip("()").replace("*", " ").split():

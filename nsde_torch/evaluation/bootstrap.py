@@ -143,7 +143,7 @@ def paired_bootstrap(
 def mean_bootstrap(
     values: Tensor, blocks: Blocks, *, generator: torch.Generator, level: float = 0.95
 ) -> Difference:
-    """Interval of the mean of what two models differ by at each row, such as their log densities.
+    """Interval of the mean difference of two models at each row, such as of their log densities.
 
     `values` are other minus first (S, K); the other arguments, result and errors are those of `function_bootstrap`.
     """

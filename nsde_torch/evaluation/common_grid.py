@@ -35,7 +35,7 @@ Note = dict[str, Any]
 
 
 def note(text: str, *, red: bool = False) -> Note:
-    """A remark on an evaluation; red if figures must not be believed without it."""
+    """A remark on an evaluation; red if figures are misleading without it."""
     return {"text": text, "red": red}
 
 

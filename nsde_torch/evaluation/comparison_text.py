@@ -20,7 +20,7 @@ def lines(content: Mapping[str, Any]) -> Iterator[Line]:
         content: What `evaluation.json` holds.
 
     Yields:
-        A line and whether it is red: a figure on runs that the model was trained on, or one not to be believed.
+        A line and whether it is red: a figure on runs that the model was trained on, or one that is not reliable.
     """
     models = content["models"]
     every = content["start_every_s"]

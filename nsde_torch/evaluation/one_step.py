@@ -1,4 +1,4 @@
-"""What a model leaves of every step of runs that it has not seen: figures that feedback does not bend.
+"""Residuals of single steps of runs that a model has not seen: figures that feedback does not bias.
 
     residual    root mean square of the residual rate, in means over a quarter of a second, beside the measured rate
     nats        Whittle log likelihood of the residuals under the model's own diffusion, disturbances and sensors, per
@@ -110,7 +110,7 @@ def disturbed_channels(model: NeuralSDE, found: Residuals) -> list[int]:
     return out
 
 
-# What disturbs a machine, from the spectrum of what its physics leaves of every step.
+# What disturbs a machine, from the spectrum of the residuals of every step.
 #
 #     r_k = int d dt + sigma w_k + s (e_{k+1} - e_k),        d: Ornstein-Uhlenbeck, standard deviation std, time tau
 #

@@ -1,12 +1,12 @@
-"""Exported files: zip archives with one JSON record of what they are, and a hash over everything in them.
+"""Exported files: zip archives with one JSON record that describes them, and a hash over everything in them.
 
     sha256 = H(for every member by name: len(name), name, len(bytes), bytes),   lengths as 8 bytes, little-endian
 
-where the record stands for itself with two of its values empty: the hash, and the time of writing, without which the
+where the record enters with two of its values empty: the hash, and the time of writing, without which the
 same controller has the same hash.
 
 Archives are written with fixed times, order and names, so that the same controller makes the same bytes. The hash
-tells a damaged file; it tells nothing about who wrote it, and a TorchScript file or a compiled package is code.
+reveals a damaged file; it says nothing about who wrote it, and a TorchScript file or a compiled package is code.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from nsde_torch.columns import few_operations
 #     split(cat(a, b, ...)) -> a, b, ...                   cat(cat(a, b), c) -> cat(a, b, c)
 #     x + c y               -> add(x, y, alpha=c)          x + a @ b         -> addmm(x, a, b)
 #
-# Parts of no width are constants, and are left out of what is put together and cut.
+# Parts of no width are constants, and are left out when parts are put together and cut.
 
 _aten_op = torch.ops.aten
 _CAT, _SPLIT = _aten_op.cat.default, _aten_op.split_with_sizes.default
@@ -95,7 +95,7 @@ def _narrow(node: fx.Node, shape: Shapes) -> None:
 
 
 def _uncut(graph: fx.Graph, node: fx.Node, shape: Shapes) -> fx.Node | None:
-    """The parts of what was put together that a cut takes out again, where it cuts between them."""
+    """The joined parts that a cut takes out again, where it cuts between them."""
     split: Any = node.args[0]
     if split.target is not _SPLIT or split.args[0].target is not _CAT:
         return None

@@ -81,7 +81,7 @@ def step_inputs(s: Sizes) -> tuple[Entry, ...]:
     """Arguments of `step`, in order."""
     return (
         Entry("state", (s.nx,), _STATE, "measured state at the time from which the plan holds"),
-        Entry("valid", (), "1", "0: the state is not to be believed, whatever it says"),
+        Entry("valid", (), "1", "0: the state is not reliable, whatever it says"),
         Entry("elapsed", (), "s", "time since the step that `before` comes from"),
         Entry("reference", (s.steps, s.nx), _STATE, "states to track at the ends of the steps"),
         Entry("last", (s.nu,), "1", "inputs that act now; nan: those of the plan before"),

@@ -40,7 +40,7 @@ class Loops:
 
     Args:
         changes: Most changes of the active set in an iteration.
-        left: Share of what the quadratic saves that an iteration may leave.
+        left: Share of the quadratic's saving that an iteration may leave.
         iterations: Most iterations.
         tolerance: Share of the cost that may be left.
     """
@@ -182,7 +182,7 @@ class ExportedStep(nn.Module):
     def choose(
         self, paths: Tensor, tried: Tensor, ref: Tensor, last: Tensor, least: Tensor
     ) -> tuple[Tensor, ...]:
-        """u, z, cost, gap of the best of what was tried, from states (S P, K + 1, nz); see `GaussNewton.choose`."""
+        """u, z, cost, gap of the best candidate, from states (S P, K + 1, nz); see `GaussNewton.choose`."""
         by_plan = paths.view(len(tried), self.sizes.particles, *paths.shape[1:])
         best = self.method.choose(by_plan, tried, ref, last, least)
         return best.u, best.z, best.cost, best.gap

@@ -150,7 +150,7 @@ def export(
         path: The file.
         problem: What a plan pays for.
         solver: How it is found.
-        safety: When to disbelieve.
+        safety: When to reject a state or a plan.
         kind: "torchscript" or "aoti".
         run: Run directory of the model, for its hashes; None: declared physics.
         sample: Step of `predict` [s].

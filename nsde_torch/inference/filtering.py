@@ -60,7 +60,7 @@ class Pass:
     white: Tensor  # the same in standard deviations (m)
     whitening: Tensor  # L^-1 of the covariance L L' of each (m, m); of the first row that of white noise
     gain: Tensor  # Kalman gain (n, m)
-    delta: Tensor  # errors of the states of the linearisation that the rows until then tell (n)
+    delta: Tensor  # errors of the states of the linearisation, estimated from the rows until then (n)
     rows: Tensor  # log likelihood of each row, 0 of those that do not count
     covariance: Tensor | None = None  # of delta (n, n), where it was asked for
 
@@ -121,7 +121,7 @@ def forced(space: StateSpace, about: Linearisation, disturbance: int, force: Ten
         space: The machine.
         about: Its linearisation.
         disturbance: Number of the disturbance that acts where the force does.
-        force: The force in the middle of the step from each row (T, C, ...), of what is known at its start
+        force: The force in the middle of the step from each row (T, C, ...), given what is known at its start
             (`StateSpace.midway`): a force of the state or the input after it would explain what was just measured.
     """
     slopes = about.slopes[..., space.ne + disturbance]

@@ -39,13 +39,13 @@ _AT_ONCE = 16  # rows side by side of one pass
 _BLOCKS = 60  # of time that are enough: below, chunks are parted
 _BLOCK_S = 0.25  # the shortest of them [s]
 # without it a damping beside that of the machine has a score of 5 standard errors, of rounding alone
-_FREE = 1e-5  # share of what a function does that the parameters must leave
+_FREE = 1e-5  # share of a function's effect that the parameters must leave
 _NEW = 1e-3  # share of the square of a function that those before it must leave
 
 
 @dataclass(frozen=True)
 class FunctionScores:
-    """Scores of some functions of one port, free of what the parameters can do, by block of time."""
+    """Scores of some functions of one port, orthogonal to the parameters, by block of time."""
 
     blocks: Array  # (B, q)
     drawn: Array  # the same of rows that are drawn (B, q, R)
@@ -113,7 +113,7 @@ def directions(information: Array, least: Array) -> tuple[Array, NDArray[np.int6
 
 @dataclass(frozen=True)
 class ForceScores:
-    """Scores of forces on each port in each row of each chunk, of what is seen in each part of the chunk.
+    """Scores of forces on each port in each row of each chunk, from the rows of each part of the chunk.
 
     A force is felt for as long as the filter remembers. Its scores by the time at which it acts are therefore not
     independent of one another, by the rows in which it is seen they are: blocks of time are parts of chunks.

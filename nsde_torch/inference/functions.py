@@ -51,13 +51,11 @@ _CHANCE = 3.0  # nats beyond the logarithm of the number of groups
 MOST_GROUPS = 4
 """Groups of one row of a port."""
 _ROUNDS = 2  # choices, the second under noise levels found beside the first
-_VARIANCES = np.geomspace(
-    1.0, 1e4, 13
-)  # tau, in units of what moves the rows by one standard deviation in all
+_VARIANCES = np.geomspace(1.0, 1e4, 13)  # tau, in units that move the rows by one standard deviation in all
 _ROUNDING = 1e-10
 # without it parameters that one fold alone shows (a ground effect) go anywhere in the other ones, and what keeps them
 # passes for thousands of nats (blind hexacopter case_000, seed 8124)
-_KNOWN = 1e-3  # share of what is known of a declared parameter that holds it at its optimum in every fold
+_KNOWN = 1e-3  # share of the information on a declared parameter that holds it at its optimum in every fold
 # without it a function linear in the speed took a weight of 87 beside a viscous damping, on a spring with quadratic one
 _NEW = 0.03  # share of the length of a direction that the declared parameters must leave
 _AT_ONCE = 96  # columns of one recursion
@@ -138,7 +136,7 @@ class Functions:
         Args:
             values: Values of the variables, each (N,).
             port: Number of the disturbance.
-            within: The nearest values inside the range of the data: waves stay there, as they say nothing of what is
+            within: The nearest values inside the range of the data: waves stay there, as they say nothing about values
                 beyond; polynomials go on.
         """
         count = len(next(iter(values.values())))
@@ -574,7 +572,7 @@ class _Choice:
         )
 
     def _sizes(self, levels: Levels) -> Array:
-        """Log determinants of what whitens the innovations of each block (B,)."""
+        """Log determinants of the whitening matrices of the innovations of each block (B,)."""
         space, at = self._all.space, self._all.at(levels)
         live = space.chunks.counted[..., None]
         rows = at.rows + 0.5 * torch.where(live, at.white, 0.0).square().sum(-1)

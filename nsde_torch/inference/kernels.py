@@ -342,7 +342,7 @@ def means(
             for j in range(m):
                 scale = whitening[k, c, j, j]
                 white[k, c, j] = _dot(whitening[k, c, j], errors[k, c])
-                if scale != 0.0:  # 0 of what the row does not measure
+                if scale != 0.0:  # 0 for what the row does not measure
                     total += np.log(scale) - 0.5 * white[k, c, j] * white[k, c, j]
             nats[k, c] = total if live[k, c] else 0.0
 

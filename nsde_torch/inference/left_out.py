@@ -28,7 +28,7 @@ from nsde_torch.rotation import matrix
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
-_KNOWN = 1e-3  # share of what all rows say of a parameter below which those of the other folds do not move it
+_KNOWN = 1e-3  # share of the information of all rows on a parameter below which those of the other folds do not move it
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def left_out(optimum: Optimum, folds: Folds, still: NDArray[np.bool_] | None = N
 
 
 def _densities(space: StateSpace, about: Linearisation, at: Pass) -> tuple[tuple[str, ...], Tensor]:
-    """States whose rates the physics gives, and log densities (T, C, names): of each, and of what its rate moves."""
+    """States whose rates the physics gives, and log densities (T, C, names): of each with the states that it moves."""
     system = space.vector.system
     whitening = at.whitening
     if about.measured is not None:  # what a row does not measure has no density

@@ -11,7 +11,7 @@ and those of the row before F' a- and F' A- F. The noise of the sensors is reach
 w/2 (v v' - S^-1), that of a step by A-, its transition by a- m' + 2 A- F P.
 
 The slopes are those of one recursion forwards. With the closed loop B = F (I - G H), m and P predicted for a row, and
-a prime before the name of what is a slope in one level,
+a prime before a name for the slope in one level,
 
     'P -> B 'P B^T + F G 'R G^T F^T + 'F P F^T + F P 'F^T + 'Q,      'm -> B ('m + 'P H^T v) - F G 'R v + 'F m
 """
@@ -122,5 +122,5 @@ def _of_pass(
 
 
 def _in_time_constant(levels: Levels, h: float) -> Tensor:
-    """Slope of what is left of a disturbance after a step in the logarithm of its time constant (d,)."""
+    """Slope of the decay of a disturbance over a step in the logarithm of its time constant (d,)."""
     return levels.keep(h) * h / torch.exp(levels.lasts)

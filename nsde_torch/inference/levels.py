@@ -9,7 +9,7 @@ _GUST_S = 0.2  # first guess of the time that a disturbance lasts [s]
 _FOURTH = 70.0  # C(8, 4): variance of a fourth difference of white noise
 _OVER = 10  # steps over which the first guess looks for disturbances
 _LEAST = 1e-9
-_MOVES = 1e-3  # of what a disturbance moves most: what it moves less says nothing of its size
+_MOVES = 1e-3  # of the state that a disturbance moves most: one that it moves less says nothing of its size
 
 
 @dataclass(frozen=True)

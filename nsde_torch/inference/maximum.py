@@ -41,7 +41,7 @@ _GAIN = 0.5  # nats for which another turn is taken
 # without it the levels of a cart's lag end 47 nats below (tests/inference/test_fit.py)
 _HOLDS = 0.1  # share of the nats that a step promises, from which its information is used again
 _VANISHES = 0.1  # nats that a level has to bring by vanishing, to go down
-_CURVED = 0.01  # of the curvature expected, below which a step tells none
+_CURVED = 0.01  # of the curvature expected, below which a step shows none
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e4
 _INFORMING = 500  # rows that the information is made from
 _ENTRIES = (
@@ -69,7 +69,7 @@ def likeliest(
         first: The first guess, which the prior holds to.
         about: What the filter is linearised about.
         start: Where each chunk starts.
-        known: The information of levels close by, which tells whether to begin at all.
+        known: The information of levels close by, which decides whether to begin at all.
         least: Nats that a step has to promise.
         rows: How many rows are enough, evenly from all of the log; None takes all of them.
     """
@@ -164,7 +164,7 @@ def likeliest(
         damping = max(damping / 10.0, _LEAST_DAMPING)
         if fresh and not gained:
             break
-        # what promised far more than it brought is of another place, and a step that brings little may have gone to the
+        # what promised far more than it brought is of another place, and a step that brings little may lead to the
         # other side of a hill: levels stopped 6 to 275 nats below, which whatever was tried next brought, a sinusoid
         # that is not there too (test_levels_do_not_stop_by_information_from_elsewhere, test_fit.py)
         if not gained > max(_GAIN, _HOLDS * promised):

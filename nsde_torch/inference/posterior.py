@@ -67,7 +67,7 @@ class Posteriors:
         system: The machine.
         levels: Noise levels.
         clock: Physical seconds per logged second.
-        disturbances: Ports that these are levels of, and their columns; None takes those that a log tells apart.
+        disturbances: Ports that these are levels of, and their columns; None takes those that a log distinguishes.
 
     Attributes:
         vector: Its parameters, whose bounds hold.
@@ -110,7 +110,7 @@ class Posteriors:
         return out
 
     def cross_information(self, log: LogWithPrior, other: System, run_in: bool) -> Array:
-        """What a log tells of parameters here and of those of another machine together (k, k_other).
+        """Shared information of a log on parameters here and on those of another machine (k, k_other).
 
         Args:
             log: The log; its centre is where the parameters here are.

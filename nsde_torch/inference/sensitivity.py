@@ -24,7 +24,7 @@ from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.spread import Spread
 from nsde_torch.inference.state_space import StateSpace
 
-_WHOLE = 0.999  # share of what is known of a direction that one block may bring, for it to be left out
+_WHOLE = 0.999  # share of the information on a direction that one block may bring, for it to be left out
 _RANK = 1e-10
 _NUMBERS = 2_000_000  # of whitened rows that are held at once
 

@@ -26,7 +26,7 @@ _ONE, _TWO = 12, 5  # waves of one variable, and of each of two
 _FINE, _FINE_LENGTH = 16, 0.2  # waves of each of two where they are fine, and length of their process
 _LENGTH = 1.0  # of the Matern process with nu = 3/2, of the half range
 EXTENDED: tuple[Kind, ...] = ("polynomial", "signed", "product")
-"""Functions that go on beyond the data; waves say nothing of what is there."""
+"""Functions that go on beyond the data; waves say nothing about it."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ class Filtered:
     """A log under physics with their present values."""
 
     of: LogLikelihood  # the likelihood, with these values in use
-    levels: Levels  # noise levels, from differences of what the physics leaves
+    levels: Levels  # noise levels, from differences of the residuals of the physics
     about: Linearisation  # what the pass is linearised about
     at: Pass  # the pass, with the covariances of the states
 

@@ -148,7 +148,7 @@ def steps_of(
 
 
 def _run_in(run: Run, a: int, b: int, lead: int, most: int) -> tuple[int, int]:
-    """First row of what brings memory up to a stretch (a, b), and the row from which its equations count.
+    """First row of the rows that bring memory up to a stretch (a, b), and the row from which its equations count.
 
     Rows before the stretch do so where there are any without a gap; else its own first ones do.
     """

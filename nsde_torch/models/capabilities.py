@@ -1,4 +1,4 @@
-"""Questions to a model about what it can do, which tell the type checker what the answer means."""
+"""Questions to a model about what it can do, typed so that the type checker knows what the answer means."""
 
 from typing import TypeGuard
 

@@ -3,7 +3,7 @@
     u_applied(t) = u(t) + sum_j w_j u(t + j dt),   j = -reach ... reach,   sum_j w_j = 0
 
 The weights are learned with the rest; their sum is zero, so gains keep their meaning. The filter looks
-`reach * dt` into the future of the log, as does the average that it undoes. It stands for the recording, not
+`reach * dt` into the future of the log, as does the average that it undoes. It models the recording, not
 for the machine: a controller, which knows what it applies, does not use it.
 """
 

@@ -222,7 +222,7 @@ class Diffusion(nn.Module):
 #
 # The supplement asks for a range of [0, 1] and leaves the last layer open. A sigmoid alone saturates in
 # float32 a few standard deviations out; asinh grows like a logarithm, keeps the order and keeps the logit of
-# eta finite, so that "further away" can still be told far from the data. The gradient of E is written out:
+# eta finite, so that "further away" is still distinguished far from the data. The gradient of E is written out:
 # the losses need it at every step, and a second backward pass would cost more.
 
 

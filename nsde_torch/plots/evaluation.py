@@ -204,7 +204,7 @@ def grid_of_bands(
     return figure
 
 
-_ROOM = 4.0  # how far a band may go beyond the range of what was measured, in such ranges
+_ROOM = 4.0  # how far a band may go beyond the measured range, in such ranges
 
 
 @styled
@@ -311,7 +311,7 @@ def rollouts_of_models(
 
 
 def _limits(pairs: Sequence[tuple[Array, Array]]) -> tuple[float, float]:
-    """Range of what was measured and of the widest bands, cut off where they go far beyond."""
+    """Range of the measurements and of the widest bands, cut off where they go far beyond."""
     low, high = min(float(m.min()) for m, _ in pairs), max(float(m.max()) for m, _ in pairs)
     share = BANDS[0][0]
     ends = [np.quantile(s, [(1 - share) / 2, (1 + share) / 2], axis=0) for _, s in pairs]

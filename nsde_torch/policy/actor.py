@@ -1,8 +1,8 @@
-"""A policy: the mean action of a Gaussian, from a small network of what it sees.
+"""A policy: the mean action of a Gaussian, from a small network of the observation.
 
     a = clip(W_n tanh(... tanh(W_1 (o / scale) + b_1) ...) + b_n, -1, 1)
 
-Its file holds tensors and, in the header, plain words (safetensors): reading one runs no code.
+Its file holds tensors and, in the header, plain words (safetensors): a file is read without running code.
 """
 
 from __future__ import annotations

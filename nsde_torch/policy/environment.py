@@ -19,7 +19,7 @@ from torch import Tensor
 
 from nsde_torch.errors import ConfigError, ShapeError
 
-# What a policy is asked to do: swing the pole of a cart up within four seconds, and hold it there.
+# What a policy is asked to do: swing up the pole of a cart within four seconds, and hold it there.
 #
 #     r = cos(theta) - 0.01 |x| - |a| - 0.1 |theta'| - 0.1 |x'|,        force = 25 N * a,   a in [-1, 1]
 #

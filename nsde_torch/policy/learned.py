@@ -30,7 +30,7 @@ from nsde_torch.systems import make_plant_system
 # `plant` integrates the equations of motion by Runge-Kutta 4 in steps of 5 ms, pushed by weak gusts, and
 # measures with a tenth of the published noise. `published` is explicit Euler at 50 Hz without gusts; the
 # variances of its sensors, [0.005, 0.01, 0.009, 0.05], are those of the public code that belongs to the
-# supplement, and are found in its data (standard deviations of what kinematics and physics leave over: 0.070
+# supplement, and are found in its data (standard deviations of the residuals of kinematics and physics: 0.070
 # m, 0.100 m/s, 0.095 rad, 0.22 rad/s).
 
 TRUTHS = ("plant", "published")

@@ -1,4 +1,4 @@
-"""Recording: from logged files to checked runs, and the faults of what recorded them.
+"""Recording: from logged files to checked runs, and the faults of the recording chain.
 
 Each fault is put into simulated runs, found in data, and undone in them; see `Fault`.
 """

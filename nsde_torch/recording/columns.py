@@ -1,6 +1,6 @@
 """What columns must hold before anything is made of them: sizes, units, unit quaternions, angles without wraps.
 
-**Conventions** that kinematics tell apart: order and direction of a quaternion, axes of a velocity.
+**Conventions** that kinematics distinguish: order and direction of a quaternion, axes of a velocity.
 
     log(q(t)^-1 q(t + dt)) = omega dt           for a quaternion w x y z, body to world
     p(t + dt) - p(t) = v dt                     for a velocity in the world, R(q) v dt for one in the body's axes

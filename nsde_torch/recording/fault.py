@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 STAGES = ("clock", "lateness", "biases", "effects", "structure")
-"""In order. The first three are faults of the recording chain, `structure` the tests of what is left."""
+"""In order. The first three are faults of the recording chain, `structure` the tests of the residuals."""
 NATS = 3.0
 """By how much a log has to be likelier with a fault undone."""
 
@@ -59,8 +59,8 @@ class Detected:
     sentence: str
     short: bool = False
     """Whether it is shorter than a step, or was undone by the reader, and so not called a finding."""
-    ties: tuple[str, ...] = ()  # other faults that no data of the log tell from it
-    experiment: str = ""  # what would tell
+    ties: tuple[str, ...] = ()  # other faults that no data of the log distinguish from it
+    experiment: str = ""  # what would distinguish them
     clock: float = 1.0  # physical seconds for each logged second, which is undone by counting with it
     reason: str = ""  # why it is not called a finding, where `short` has another one than its length
 

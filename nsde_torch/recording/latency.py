@@ -54,7 +54,7 @@ _MOST_ROWS = 60_000
 """Rows that are looked at; of longer recordings the first part of each segment."""
 _UNEXPLAINED = 0.5  # largest share of a channel's changes that its rate does not explain
 _AVERAGED, _FILTER_NATS = 4, 4.0
-"""Times a delay, over which channels are averaged to tell it from a filter; and by how much that must be better."""
+"""Times a delay, over which channels are averaged to separate it from a filter; and by how much that must be better."""
 _SURE_STEPS, _LEAST_STEPS = 0.6, 0.2
 """Steps by which a channel is late for sure, whatever a simulator does, and by which it matters at all."""
 _SENSOR_S, _SENSOR_NATS, _Z90 = 0.2, 20.0, 1.645
@@ -113,7 +113,7 @@ def surely_late(late: Sequence[Latency], dt: float, *, chance: float = LATE) -> 
 
 
 _Fit: TypeAlias = tuple[Uncertain, float]
-"""How late positions are [s], and what is left over [nats]."""
+"""How late positions are [s], and what remains unexplained [nats]."""
 
 
 def _delay_or_filter(
@@ -154,7 +154,7 @@ def _time_of(group: str, pieces: Sequence[_Piece], dt: float, *, filtered: bool)
 
 
 def _rest(one: Array) -> float:
-    """Square of what is left of a channel's changes."""
+    """Square of the residual of a channel's changes."""
     gap, change, _, integral = one
     by = np.stack([change, integral, np.ones_like(gap)], 1)
     size = np.sqrt(np.square(by).mean(0)) + 1e-300

@@ -49,7 +49,7 @@ _LEFT = 0.3  # share of a glitch that its neighbours may be off without it
 _MOST = 0.02  # share of the rows; more is how the sensor is
 _EVEN = 0.2  # of a step, by which the rows around a glitch may be apart from it
 
-_LEAVES, _USUAL = 0.1, 8.0  # of the largest speed, and of what the column usually changes by
+_LEAVES, _USUAL = 0.1, 8.0  # of the largest speed, and of the column's usual change
 _BEYOND = 1.2
 """Share of the largest speed beyond which a value is no speed, however long it lasts."""
 _LONGEST, _AROUND = 4, 5  # rows of a glitch at most (two, held at half the rate), and rows on each side

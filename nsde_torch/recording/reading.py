@@ -86,7 +86,7 @@ def _called(make: Callable[..., Any], name: str, system: SystemInfo, **given: An
     """What a reader returns, once its arguments are found to be those of a reader."""
     try:
         inspect.signature(make).bind(system, **given)
-    except (TypeError, ValueError) as error:  # other arguments, or a function in C that does not tell its own
+    except (TypeError, ValueError) as error:  # other arguments, or a function in C without a signature
         raise ConfigError(
             f"data of kind {name!r}: {error}. A reader is a function `read(system, *, path, ...)`."
         ) from error

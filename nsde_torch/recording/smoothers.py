@@ -1,7 +1,7 @@
 """Filters that states went through before they were logged, by what they leave of the sensors' noise.
 
 A chain that smooths logs x_log = S (x + e): the motion x and the white noise e of a sensor, both through a smoother S.
-Where the noise is most of what is left, the spectrum of the log is that of S itself,
+Where the noise is most of the residual, the spectrum of the log is that of S itself,
 
     P(f) = |S(f)|^2 (sum_m a_m f^-m + s) + q,      m = 2, 4, 6, 8
 
@@ -52,7 +52,7 @@ _ROUGH, _FINE, _LAST = 40, 100, 400
 """Steps of a fit in the search, near its best, and of the one that is judged."""
 _ZOOMS = (1.1, 1.04, 1.012, 1.004, 1.0015)
 _NEAR, _NEAR_SHARE = 0.1, 0.5
-"""Deviance by which another smoother may be worse and still be likely: at least, and of what the best lacks."""
+"""Deviance by which another smoother may be worse and still be likely: at least, and as a share of the best's."""
 _TYPICAL = 0.3  # deviance where the form is right
 _AGREE = 0.1  # of the gain
 _SLOW = 1e-3  # of the rate of the log, at which a delay is read off the phase

@@ -1,7 +1,7 @@
 """One clock for a run: order, duplicates, missing values, gaps, dropped samples, and one uniform step in every segment.
 
 A longer step than that of the log is taken after the log was looked at at its own rate: states are those of the log at
-the new times, inputs the mean of what acted during a step. What is late by less than a step cannot be seen in the new
+the new times, inputs the mean during a step. What is late by less than a step cannot be seen in the new
 rows, nor distinguished from physics: it is taken out before.
 """
 
@@ -177,7 +177,7 @@ def is_uniform(t: Array, dt: float) -> bool:
 def resample(run: RawRun, start: int, stop: int, *, dt: float, quaternion: slice | None) -> RawRun:
     """Rows start..stop on a uniform grid: states linear (quaternion slerp).
 
-    Inputs are those of the nearest row; of steps that hold several rows the mean of what acted during the step.
+    Inputs are those of the nearest row; for steps that hold several rows, the mean during the step.
     """
     t = run.t[start:stop]
     count = int(np.floor((t[-1] - t[0]) / dt * (1 + 1e-12) + 1e-6)) + 1

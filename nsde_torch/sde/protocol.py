@@ -41,7 +41,7 @@ class SDE(Protocol):
 class HoldsColumns(Protocol):
     """An equation whose drift, in some columns, is known as the mean over a whole step and not at an instant.
 
-    Lags of inputs that are held over a step are such: they have a closed form. Before a rollout the equation is told
+    Lags of inputs that are held over a step are such: they have a closed form. Before a rollout the equation is given
     the step; a step that evaluates the drift more than once then asks at which state (see `within`).
     """
 

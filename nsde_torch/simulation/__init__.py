@@ -1,4 +1,4 @@
-"""Simulation: plants, which are machines that stand for the real ones, and the data sets made with them."""
+"""Simulation: plants, which are simulated machines in place of the real ones, and the data sets made with them."""
 
 from typing import TYPE_CHECKING
 

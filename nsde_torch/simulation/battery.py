@@ -34,7 +34,7 @@ class Battery:
     """Batteries of a batch of machines.
 
     Args:
-        used: Share of the charge that is gone at the start (B,).
+        used: Share of the charge that is spent at the start (B,).
         dt: Sample [s].
         logged: Whether the voltage is logged.
     """
@@ -60,7 +60,7 @@ class Battery:
         return torch.cat((u, voltage), 1) if plant.system.exogenous else u
 
 
-def battery_of(plant: Plant, making: Making | None, durations: Sequence[float], *, rows: int) -> Battery:
+def battery_of(plant: Plant, making: Making, durations: Sequence[float], *, rows: int) -> Battery:
     """The batteries of a recording; row i is run i modulo the number of runs.
 
     Raises:
@@ -78,12 +78,12 @@ def battery_of(plant: Plant, making: Making | None, durations: Sequence[float], 
         used = used if used + share <= EMPTY else 0.0
         starts.append(used)
         used += share
-    logged = bool(asked) or (making or Making()).battery
+    logged = bool(asked) or making.battery
     return Battery([starts[i % len(starts)] for i in range(rows)], dt=plant.dt, logged=logged)
 
 
 def used_of(voltage: Array, u: Array) -> Array:
-    """Share of the charge that is gone (B,), from the voltage (B, 1) that was logged under commands (B, nu)."""
+    """Share of the charge that is spent (B,), from the voltage (B, 1) that was logged under commands (B, nu)."""
     return np.asarray((FULL - LOAD * u.mean(1) - voltage[:, 0]) / SWING)
 
 

@@ -1,4 +1,4 @@
-"""Simulated runs on disk: one `.npz` for each content hash of what made them.
+"""Simulated runs on disk: one `.npz` for each hash of their settings and code.
 
 The key is a hash of all settings and of the source files that a simulation runs through, so that no change
 of the code can be answered with old runs. No pickle is written or read. A file that cannot be read, or does

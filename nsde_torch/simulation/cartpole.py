@@ -22,9 +22,9 @@ from torch import Tensor
 
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
-from nsde_torch.simulation.make import Making, make_plant, plant_options, record
+from nsde_torch.simulation.make import Making, record
 from nsde_torch.systems import Cartpole
-from nsde_torch.systems.machines import Effects, make_plant_system
+from nsde_torch.systems.machines import make_plant_system
 from nsde_torch.systems.one_dof import GRAVITY
 
 DURATIONS = (4.0,) * 20
@@ -87,12 +87,9 @@ def cartpole_episodes(
     *,
     durations: Sequence[float] | None = None,
     seed: int,
-    effects: Effects = (),
-    process_noise: float = 1.0,
-    sensor_noise: float = 1.0,
     policy: str = "mixed",
     exploration: float = 0.1,
-    making: Making | None = None,
+    making: Making = Making(),
 ) -> list[RawRun]:
     """Episodes of the cart and pole.
 
@@ -100,15 +97,12 @@ def cartpole_episodes(
         name: System.
         durations: Length of each episode [s]; default: twenty of 4 s.
         seed: Seed of first states, actions and noise.
-        effects: Effects that the plant has beyond the declared physics.
-        process_noise: Factor on the gusts.
-        sensor_noise: Factor on the sensor noise, whose standard deviations [0.0071 m, 0.01 m/s, 0.03 rad,
-            0.0412 rad/s] are a tenth of those of the published data: 10 gives data as noisy as the
-            authors'.
         policy: `random` (a new action, uniform in [-1, 1], at every sample), `on_policy` (swing up and
             balance), or `mixed` (the episodes in turn).
         exploration: Standard deviation of the noise added to the actions of the controller.
-        making: How the plant is made.
+        making: Effects and noise of the plant, and how it is made. The standard deviations of the sensor noise
+            [0.0071 m, 0.01 m/s, 0.03 rad, 0.0412 rad/s] are a tenth of those of the published data:
+            `sensor_noise=10` gives data as noisy as the authors'.
 
     Returns:
         Runs at 50 Hz (or on the step of `making`): measured states and the force [N].
@@ -123,14 +117,7 @@ def cartpole_episodes(
     lengths = DURATIONS if durations is None else durations
     rng = np.random.default_rng([seed, 1])
     generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
-    plant = make_plant(
-        name,
-        generator=generator,
-        effects=effects,
-        process_noise=process_noise,
-        sensor_noise=sensor_noise,
-        **plant_options(making),
-    )
+    plant = making.plant(name, generator=generator)
     system = make_plant_system(name, declared_only=True)
     assert isinstance(system, Cartpole)
     controller = SwingUp(system, dt=plant.dt)

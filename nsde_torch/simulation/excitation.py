@@ -13,11 +13,10 @@ import torch
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
 from nsde_torch.lookup import function_by_name
-from nsde_torch.simulation import Making, make_plant
-from nsde_torch.simulation.make import plant_options, record
+from nsde_torch.simulation.make import Making, record
 from nsde_torch.systems import system_class
 from nsde_torch.systems.machine import Excitation, Machine
-from nsde_torch.systems.machines import Effects, machine
+from nsde_torch.systems.machines import machine
 
 SINES = 6
 """Sines of each input."""
@@ -28,10 +27,7 @@ def excited_runs(
     *,
     durations: Sequence[float] | None = None,
     seed: int,
-    effects: Effects = (),
-    process_noise: float = 1.0,
-    sensor_noise: float = 1.0,
-    making: Making | None = None,
+    making: Making = Making(),
     size: float = 1.0,
     inputs: Sequence[float] | None = None,
     noise: Sequence[float] | None = None,
@@ -45,11 +41,8 @@ def excited_runs(
         name: System.
         durations: Length of each run [s]; default: those of the excitation.
         seed: Seed of first states, inputs and noise.
-        effects: Effects that the plant has beyond its own.
-        process_noise: Factor on the gusts.
-        sensor_noise: Factor on the sensor noise.
-        making: How the plant is made.
-        size: Factor on the swing of the inputs.
+        making: Effects and noise of the plant, and how it is made.
+        size: Factor on the amplitude of the inputs.
         inputs: Standard deviation of each input [its unit].
         noise: Standard deviation of the sensor noise of each error channel [its unit].
         hertz: Lowest and highest frequency [Hz].
@@ -71,15 +64,7 @@ def excited_runs(
     lengths = how.durations if durations is None else durations
     rng = np.random.default_rng([seed, 1])
     generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
-    plant = make_plant(
-        name,
-        generator=generator,
-        effects=effects,
-        process_noise=process_noise,
-        sensor_noise=sensor_noise,
-        sensor_std=noise,
-        **plant_options(making),
-    )
+    plant = making.plant(name, generator=generator, sensor_std=noise)
     starts = _starts(how, len(lengths), plant.system.nx, rng, name)
     swing = size * np.asarray(how.size) * np.sqrt(2.0 / SINES)
     mean = np.asarray(how.mean or (0.0,) * len(how.size))

@@ -19,10 +19,10 @@ from nsde_torch.data.quaternion import euler_zyx
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
 from nsde_torch.simulation.battery import battery_column, battery_of
-from nsde_torch.simulation.make import Making, make_plant, noise_generator, plant_options
+from nsde_torch.simulation.make import Making, noise_generator
 from nsde_torch.simulation.pilot import Path, Pilot, Sticks, figures
 from nsde_torch.systems import Multirotor
-from nsde_torch.systems.machines import Effects, machine, make_plant_system
+from nsde_torch.systems.machines import make_plant_system
 
 DURATIONS = (73.0, 66.0, 64.0)
 """Lengths of the flights of the supplement [s]."""
@@ -62,34 +62,7 @@ def fly(
     paths: Sequence[Path],
     *,
     generator: torch.Generator,
-    effects: Effects = (),
-    process_noise: float = 1.0,
-    sensor_noise: float = 1.0,
-) -> tuple[Array, Array]:
-    """Fly wanted paths at once: measured states (n, B, 13) and the commands given at them (n, B, nu).
-
-    Arguments and errors are those of `fly_logged`.
-    """
-    flown = fly_logged(
-        name,
-        paths,
-        generator=generator,
-        effects=effects,
-        process_noise=process_noise,
-        sensor_noise=sensor_noise,
-    )
-    return flown.x, flown.u
-
-
-def fly_logged(
-    name: str,
-    paths: Sequence[Path],
-    *,
-    generator: torch.Generator,
-    effects: Effects = (),
-    process_noise: float = 1.0,
-    sensor_noise: float = 1.0,
-    making: Making | None = None,
+    making: Making = Making(),
     durations: Sequence[float] = (),
     keep_truth: bool = False,
 ) -> Flown:
@@ -99,10 +72,7 @@ def fly_logged(
         name: System, `hexacopter` or `quadrotor`.
         paths: What the pilot wants, one for each row.
         generator: Source of the noise.
-        effects: Effects beyond those of the plant.
-        process_noise: Factor on the gusts.
-        sensor_noise: Factor on the sensor noise.
-        making: How the plant is made.
+        making: Effects and noise of the plant, and how it is made.
         durations: Lengths of the runs that take turns on one battery [s]; row i is run i modulo their number.
         keep_truth: Keep the true states too.
 
@@ -112,14 +82,7 @@ def fly_logged(
     Raises:
         NonFiniteError: the flight left the finite numbers.
     """
-    plant = make_plant(
-        name,
-        generator=generator,
-        effects=effects,
-        process_noise=process_noise,
-        sensor_noise=sensor_noise,
-        **plant_options(making),
-    )
+    plant = making.plant(name, generator=generator)
     logged = battery_of(plant, making, durations or [len(paths[0].p) * plant.dt], rows=len(paths))
     pilot_knows = make_plant_system(name, declared_only=True)
     assert isinstance(pilot_knows, Multirotor)
@@ -207,10 +170,7 @@ def chosen_flights(
     *,
     durations: Sequence[float] | None = None,
     seed: int,
-    effects: Effects = (),
-    process_noise: float = 1.0,
-    sensor_noise: float = 1.0,
-    making: Making | None = None,
+    making: Making = Making(),
     variants: int = VARIANTS,
     rounds: int = ROUNDS,
     keep_truth: bool = False,
@@ -224,7 +184,7 @@ def chosen_flights(
     """
     if min(variants, rounds) < 1:
         raise ConfigError(f"`variants` and `rounds` must be 1 or more; got {variants!r} and {rounds!r}.")
-    dt = (making or Making()).dt or machine(name).dt
+    dt = making.sample(name)
     lengths = DURATIONS if durations is None else tuple(durations)
     pilot = Pilot(lengths, dt=dt, seed=seed)
     generator = noise_generator(seed, 2)
@@ -234,13 +194,10 @@ def chosen_flights(
         sticks = pilot.rehearse(sticks, aim)
         tried = pilot.variants(sticks, variants, 0.1)
         paths = [path for variant in tried for path in pilot.paths(variant)]
-        made = fly_logged(
+        made = fly(
             name,
             paths,
             generator=generator,
-            effects=effects,
-            process_noise=process_noise,
-            sensor_noise=sensor_noise,
             making=making,
             durations=lengths,
             keep_truth=keep_truth,
@@ -268,10 +225,7 @@ def manual_flights(
     *,
     durations: Sequence[float] | None = None,
     seed: int,
-    effects: Effects = (),
-    process_noise: float = 1.0,
-    sensor_noise: float = 1.0,
-    making: Making | None = None,
+    making: Making = Making(),
     variants: int = VARIANTS,
     rounds: int = ROUNDS,
 ) -> list[RawRun]:
@@ -281,10 +235,7 @@ def manual_flights(
         name: System, `hexacopter` or `quadrotor`.
         durations: Length of each flight [s]; default: the supplement's three.
         seed: Seed of pilot and noise.
-        effects: Effects that the plant has beyond its own.
-        process_noise: Factor on the gusts.
-        sensor_noise: Factor on the sensor noise.
-        making: How the plant is made.
+        making: Effects and noise of the plant, and how it is made.
         variants: Flights to choose from; fewer are quicker and meet the figures less well.
         rounds: How often the aim may be moved at most.
 
@@ -300,14 +251,11 @@ def manual_flights(
         name,
         durations=durations,
         seed=seed,
-        effects=effects,
-        process_noise=process_noise,
-        sensor_noise=sensor_noise,
         making=making,
         variants=variants,
         rounds=rounds,
     )
-    dt = (making or Making()).dt or machine(name).dt
+    dt = making.sample(name)
     digits = len(str(len(flights) - 1))
     return [
         RawRun(

@@ -132,10 +132,10 @@ def simulate(
             replay,
             durations=[(round(d / nominal) + late) * step for d in lengths],
             seed=seed,
-            effects=asked,
-            process_noise=process_noise,
-            sensor_noise=sensor_noise,
             making=Making(
+                effects=asked,
+                process_noise=process_noise,
+                sensor_noise=sensor_noise,
                 declared_only=declared_only,
                 latency=latency,
                 dt=step,

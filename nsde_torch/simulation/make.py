@@ -21,9 +21,12 @@ from nsde_torch.systems.machines import Effects, machine, make_plant_system
 
 @dataclass(frozen=True)
 class Making:
-    """How a plant is made for a recording, beside its effects and noise; None takes the machine's own.
+    """The plant of a recording; None takes the machine's own.
 
     Args:
+        effects: Effects beyond those that the plant has: `name` or `{name: {parameter: value}}`.
+        process_noise: Factor on the machine's gusts.
+        sensor_noise: Factor on the machine's sensor noise.
         declared_only: Leave out the effects that the declared physics does not have.
         latency: Time from a command to its effect [s].
         dt: Sample [s].
@@ -32,6 +35,9 @@ class Making:
         values: Parameters of the declared physics in place of the machine's.
     """
 
+    effects: Effects = ()
+    process_noise: float = 1.0
+    sensor_noise: float = 1.0
     declared_only: bool = False
     latency: float | None = None
     dt: float | None = None
@@ -39,17 +45,27 @@ class Making:
     battery: bool = False
     values: Mapping[str, Any] | None = None
 
+    def sample(self, name: str) -> float:
+        """Sample of the plant of a system [s]."""
+        return self.dt or machine(name).dt
 
-def plant_options(making: Making | None) -> dict[str, Any]:
-    """Arguments of `make_plant` that a `Making` stands for."""
-    made = making or Making()
-    return {
-        "declared_only": made.declared_only,
-        "latency": made.latency,
-        "dt": made.dt,
-        "step": made.step,
-        "values": made.values,
-    }
+    def plant(
+        self, name: str, *, generator: torch.Generator, sensor_std: Sequence[float] | None = None
+    ) -> Plant:
+        """The plant of a system; arguments and errors are those of `make_plant`."""
+        return make_plant(
+            name,
+            generator=generator,
+            effects=self.effects,
+            declared_only=self.declared_only,
+            process_noise=self.process_noise,
+            sensor_noise=self.sensor_noise,
+            latency=self.latency,
+            dt=self.dt,
+            step=self.step,
+            values=self.values,
+            sensor_std=sensor_std,
+        )
 
 
 def noise_generator(seed: int, stream: int) -> torch.Generator:

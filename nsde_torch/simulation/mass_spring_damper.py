@@ -18,8 +18,7 @@ import torch
 
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
-from nsde_torch.simulation.make import Making, make_plant, plant_options, record
-from nsde_torch.systems.machines import Effects
+from nsde_torch.simulation.make import Making, record
 
 DURATIONS = (5.0,) * 5
 REGION = ((-0.1, 0.1), (-0.1, 0.1))
@@ -34,12 +33,9 @@ def spring_runs(
     *,
     durations: Sequence[float] | None = None,
     seed: int,
-    effects: Effects = (),
-    process_noise: float = 1.0,
-    sensor_noise: float = 1.0,
     force: str = "zero",
     force_size: float = FORCE_SIZE,
-    making: Making | None = None,
+    making: Making = Making(),
     region: Sequence[Sequence[float]] = REGION,
 ) -> list[RawRun]:
     """Runs of the mass-spring-damper.
@@ -48,12 +44,9 @@ def spring_runs(
         name: System.
         durations: Length of each run [s]; default: five of 5 s.
         seed: Seed of first states, force and noise.
-        effects: Effects that the plant has beyond spring and damper.
-        process_noise: 0 or 1; the machine has none.
-        sensor_noise: Factor on the noise [0.005 m, 0.01 m/s].
         force: `zero` or `multisine`.
         force_size: Standard deviation of the multisine [N].
-        making: How the plant is made.
+        making: Effects and noise of the plant, and how it is made.
         region: Where runs start, ((lowest q, highest q), (lowest q_dot, highest q_dot)).
 
     Returns:
@@ -72,14 +65,7 @@ def spring_runs(
     lengths = DURATIONS if durations is None else durations
     rng = np.random.default_rng([seed, 1])
     generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
-    plant = make_plant(
-        name,
-        generator=generator,
-        effects=effects,
-        process_noise=process_noise,
-        sensor_noise=sensor_noise,
-        **plant_options(making),
-    )
+    plant = making.plant(name, generator=generator)
     start = rng.uniform(bounds[:, 0], bounds[:, 1], (len(lengths), 2))
     hertz = np.exp(rng.uniform(np.log(0.05), np.log(1.5), (len(lengths), SINES)))
     phase = rng.uniform(0.0, 2.0 * pi, (len(lengths), SINES))

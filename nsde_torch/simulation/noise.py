@@ -1,4 +1,4 @@
-"""Noise of a plant: gusts that push it and errors of what is measured.
+"""Noise of a plant: gusts that push it and errors of its sensors.
 
 A port is pushed by g + w: g an Ornstein-Uhlenbeck process, dg = -g dt / tau + std sqrt(2 / tau) dW, sampled
 exactly,
@@ -85,7 +85,7 @@ class Gusts:
         self._state = self._stationary(batch)
 
     def restart(self, rows: Tensor) -> None:
-        """Start some rows (K,) from the stationary distribution, independent of what they were."""
+        """Start some rows (K,) from the stationary distribution, independent of their values before."""
         fresh = self._stationary(len(rows))
         self._state = [old.index_copy(0, rows, new) for old, new in zip(self._state, fresh, strict=True)]
 

@@ -44,7 +44,7 @@ SHORTEST_S = 2.0
 
 @dataclass(frozen=True)
 class Sticks:
-    """Sizes of what the pilot does.
+    """Sizes of the pilot's inputs.
 
     Args:
         slow: Acceleration of the slow wander [m/s2].

@@ -16,10 +16,9 @@ from nsde_torch.data.csv_folder import csv_rows
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.simulation.battery import battery_column
-from nsde_torch.simulation.flights import fly_logged
-from nsde_torch.simulation.make import Making, make_plant, noise_generator, plant_options, record
+from nsde_torch.simulation.flights import fly
+from nsde_torch.simulation.make import Making, noise_generator, record
 from nsde_torch.simulation.pilot import Path as Wanted
-from nsde_torch.systems.machines import Effects, machine
 
 PLAN, DESIGN = "plan.csv", "design.json"
 
@@ -29,10 +28,7 @@ def planned_runs(
     *,
     durations: Sequence[float] | None = None,
     seed: int,
-    effects: Effects = (),
-    process_noise: float = 1.0,
-    sensor_noise: float = 1.0,
-    making: Making | None = None,
+    making: Making = Making(),
     plan: str,
     start: Mapping[str, float] | None = None,
 ) -> list[RawRun]:
@@ -42,10 +38,7 @@ def planned_runs(
         name: System.
         durations: Length of each run [s]; default: one of the plan's.
         seed: Seed of the noise.
-        effects: Effects that the plant has beyond its own.
-        process_noise: Factor on the gusts.
-        sensor_noise: Factor on the sensor noise.
-        making: How the plant is made.
+        making: Effects and noise of the plant, and how it is made.
         plan: CSV file of `t` and the inputs, or the folder that `nsde design` wrote.
         start: First values of states; default: those of `design.json` beside the plan, else 0.
 
@@ -53,14 +46,7 @@ def planned_runs(
         ConfigError: a name that is no state, or an unknown effect.
         DataError: no plan, or one that does not fit the system.
     """
-    plant = make_plant(
-        name,
-        generator=noise_generator(seed, 1),
-        effects=effects,
-        process_noise=process_noise,
-        sensor_noise=sensor_noise,
-        **plant_options(making),
-    )
+    plant = making.plant(name, generator=noise_generator(seed, 1))
     names = plant.system.state_names
     t, table = read_plan(plan, plant.system.input_names)
     first = _first_state(Path(plan), names, start)
@@ -78,18 +64,14 @@ def planned_flights(
     *,
     durations: Sequence[float] | None = None,
     seed: int,
-    effects: Effects = (),
-    process_noise: float = 1.0,
-    sensor_noise: float = 1.0,
-    making: Making | None = None,
+    making: Making = Making(),
     plan: str,
 ) -> list[RawRun]:
     """One flight of a plan for each duration, along a path through points (`nsde_torch.control.shapes.from_csv`).
 
     Arguments and errors are those of `planned_runs`; there is no start, because a flight begins at its first point.
     """
-    made = making or Making()
-    dt = made.dt or machine(name).dt
+    dt = making.sample(name)
     path = from_csv(plan_file(plan))
     lengths = [path.duration] if durations is None else list(durations)
     grid = path.dt * np.arange(len(path.p))
@@ -100,13 +82,10 @@ def planned_flights(
         wanted.append(
             Wanted(p, v, a, np.interp(t, grid, path.yaw), np.interp(t, grid, np.gradient(path.yaw, path.dt)))
         )
-    flown = fly_logged(
+    flown = fly(
         name,
         wanted,
         generator=noise_generator(seed, 1),
-        effects=effects,
-        process_noise=process_noise,
-        sensor_noise=sensor_noise,
         making=making,
         durations=lengths,
     )

@@ -1,4 +1,4 @@
-"""A plant: the simulated machine that stands for the real one, and may hold effects that no model is told of.
+"""A plant: the simulated machine in place of the real one; it may hold effects that no model declares.
 
     dz/dt = system.drift(t, z, u(t - latency)) + gusts on the ports,        measured = x + sensor noise
 
@@ -173,7 +173,7 @@ class Plant:
         Args:
             z: True states with the memory of the effects (B, nz), as `whole_state` has them.
             before: Commands given until now, the newest last, (B, K, nu); they fill the latency, and where they are
-                fewer the first of them stands for those before it. K >= 1.
+                fewer, the first of them is used for those before it. K >= 1.
             t0: Time of the machines' clock now, which effects that drift in time read [s], one number or (B,).
 
         Returns:

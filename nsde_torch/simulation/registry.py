@@ -21,6 +21,7 @@ from nsde_torch.simulation import cartpole, flights
 from nsde_torch.simulation.cartpole import cartpole_episodes
 from nsde_torch.simulation.excitation import excited_runs
 from nsde_torch.simulation.flights import manual_flights
+from nsde_torch.simulation.make import Making
 from nsde_torch.simulation.mass_spring_damper import spring_runs
 from nsde_torch.simulation.planned import plan_file, planned_flights, planned_runs, read_plan
 from nsde_torch.simulation.replay import replayed_flights
@@ -35,7 +36,7 @@ class RunRecorder:
     """How runs of a machine are made.
 
     Args:
-        make: Function (name, *, durations, seed, effects, process_noise, sensor_noise, making, ...) -> runs.
+        make: Function (name, *, durations, seed, making, ...) -> runs.
         durations: Lengths of the runs that `simulate` makes by default [s].
         options: Options of `make` that `simulate` has by default, so that the runs show something.
         replay: Function that makes interventions of the runs (see `nsde_torch.simulation.replay`); None: none.
@@ -105,7 +106,7 @@ def simulated(
         system: The system, or its name.
         durations: Length of each run [s]; default: the system's own set.
         seed: Seed of everything random.
-        effects: Effects that the plant has and the model need not be told of: `name`, or
+        effects: Effects that the plant has and the model need not declare: `name`, or
             `{name: {parameter: value}}`; parameters of an effect that the plant has anyway are replaced.
         process_noise: Factor on the machine's gusts.
         sensor_noise: Factor on the machine's sensor noise.
@@ -144,18 +145,20 @@ def simulated(
             f"simulated runs of {name!r} have no further channels, but effects read "
             f"{sorted({*info.exogenous, *own.exogenous})}. Leave those effects out, or use data=csv."
         )
-    settings: dict[str, Any] = {
+    when: dict[str, Any] = {
         "durations": None if durations is None else [float(d) for d in durations],
         "seed": int(seed),
+    }
+    which: dict[str, Any] = {
         "effects": named_effects(effects, name),
         "process_noise": float(process_noise),
         "sensor_noise": float(sensor_noise),
     }
-    key = _cache.key_of(_plain({"system": name, **settings, "options": options}))
+    key = _cache.key_of(_plain({"system": name, **when, **which, "options": options}))
     raw = _cache.load(key, cache) if use_cache else None
     if raw is None:
         try:
-            raw = made.make(name, **settings, **options)
+            raw = made.make(name, **when, making=Making(**which), **options)
         except TypeError as error:
             if "unexpected keyword" in str(error):
                 raise ConfigError(f"simulated runs of {name!r}: {error}.") from error

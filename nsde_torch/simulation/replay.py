@@ -5,7 +5,7 @@
     gusts        drawn anew from their stationary law at s = 0
 
 States and commands are those of the flights, one by one, and independent of each other and of the gusts, so that an
-error of a prediction tells what an input does, and not how a pilot answers (see `data.interventions`).
+error of a prediction shows what an input does, and not how a pilot answers (see `data.interventions`).
 
 Each intervention is logged from `before` seconds before its start on, as the flight was: measured states and commands,
 then `intervention` turns from 0 to 1. `t` is the clock of the flight. Those of one flight that do not overlap share a
@@ -28,10 +28,9 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
 from nsde_torch.simulation.battery import Battery, battery_column, used_of
 from nsde_torch.simulation.flights import Flown, chosen_flights
-from nsde_torch.simulation.make import Making, make_plant, noise_generator, plant_options
+from nsde_torch.simulation.make import Making, noise_generator
 from nsde_torch.simulation.options import ReplayOptions
 from nsde_torch.simulation.plant import Plant
-from nsde_torch.systems.machines import Effects, machine
 
 GAP_ROWS = 10
 """Rows that lie between two interventions of one run, at least; a reader splits it there."""
@@ -61,10 +60,7 @@ def replayed_flights(
     replay: Replay,
     seed: int,
     durations: Sequence[float] | None = None,
-    effects: Effects = (),
-    process_noise: float = 1.0,
-    sensor_noise: float = 1.0,
-    making: Making | None = None,
+    making: Making = Making(),
     **options: Any,
 ) -> list[list[RawRun]]:
     """Interventions on the machine of `manual_flights`, from states of its flights.
@@ -72,8 +68,8 @@ def replayed_flights(
     Args:
         name: System, `hexacopter` or `quadrotor`.
         replay: How many interventions, and how long.
-        seed: Seed of the flights, which are those of `manual_flights`, and of what is drawn from them.
-        durations, effects, process_noise, sensor_noise, making, options: As for `manual_flights`.
+        seed: Seed of the flights, which are those of `manual_flights`, and of the draws from them.
+        durations, making, options: As for `manual_flights`.
 
     Returns:
         For each run its interventions in the order of time, each with the column `intervention`.
@@ -85,24 +81,14 @@ def replayed_flights(
         name,
         durations=durations,
         seed=seed,
-        effects=effects,
-        process_noise=process_noise,
-        sensor_noise=sensor_noise,
         making=making,
         keep_truth=True,
         **options,
     )
-    dt = (making or Making()).dt or machine(name).dt
+    dt = making.sample(name)
     before, after = replay.rows(dt)
     starts, sources = _drawn(flights, replay.starts, before, after, np.random.default_rng([seed, 4]))
-    plant = make_plant(
-        name,
-        generator=noise_generator(seed, 5),
-        effects=effects,
-        process_noise=process_noise,
-        sensor_noise=sensor_noise,
-        **plant_options(making),
-    )
+    plant = making.plant(name, generator=noise_generator(seed, 5))
     commands = np.stack([flights[f].u[k : k + after + 1] for f, k in sources], axis=1)
     x, voltage = _flown(plant, flights, starts, commands, before)
     pieces = []

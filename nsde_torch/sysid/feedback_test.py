@@ -5,11 +5,11 @@ noise and the past do not predict), and v_k those of the inputs (against their o
 
 - feedback: v_{k+l} on e_k, l = 1, 2, ..., in six bins: later inputs answer what the physics does not explain, one of
   them surely or all together (Fisher's sum over the channels that each drives). Then an input is not independent of
-  disturbances, and errors of many open-loop steps under logged inputs do not tell what an input does.
+  disturbances, and errors of many open-loop steps under logged inputs do not show what an input does.
 - knowledge: e_k on u_k, u_{k-1}, ..., beyond what the parameters and the noise model took out. Inputs that were
   made from the logged states know nothing of e_k. Where they do, either the controller saw more than the log holds
   (a faster rate, other sensors), or the inputs act in a way that is not declared (a lag, a delay): from second
-  moments of inputs and states alone the two cannot be told apart, because the same spectra are had with a controller
+  moments of inputs and states alone the two cannot be distinguished, because the same spectra are had with a controller
   that acts on the log and another response (Ljung, System Identification, 1999, section 13.4).
 - other sensors: an input that was made from a logged state answers the noise of its sensor too, which is most of an
   innovation. Of a loop that is closed, a direction that is a function of the state to a quarter at least, and hardly
@@ -20,10 +20,11 @@ noise and the past do not predict), and v_k those of the inputs (against their o
   loop, gains rest on what was assumed of the noise (Soderstrom, Gustavsson and Ljung, International Journal of Control
   21 (1975)): with a share of 8 % a simulated gain of 100 came out as 34.
 
-- between: a controller with sensors and a clock of its own may move its inputs between rows of the log, by half of what
-  they move from row to row, always to the same side of what was logged. Within a row a loop is as good as linear: what
-  it does is a linear function of the states and of the inputs of neighbouring rows, and acts through the machine's own
-  equations. An estimate is bent as far as it leans along these: a gain or a damping does, a product of two states not.
+- between: a controller with sensors and a clock of its own may move its inputs between rows of the log, by half of
+  their change from row to row, always to the same side of the logged value. Within a row a loop is as good as linear:
+  what it does is a linear function of the states and of the inputs of neighbouring rows, and acts through the machine's
+  own equations. An estimate is biased as far as it lies along these: a gain or a damping does, a product of two states
+  not.
 
 Assumed, not checked: logged inputs are those that were commanded; the step of the log is the step of the inputs.
 """
@@ -53,12 +54,12 @@ _BINS = (1, 2, 3, 5, 9, 14, 21)  # rows between which it is summed up: an answer
 _KNOWN_S, _KNOWN = 0.08, 8  # how long before a disturbance an input may have known of it
 _OWN = 10  # order of the inputs' own past
 _STATES_BEFORE = (1, 2, 3, 5)  # rows whose states a controller may have made an input from
-_MADE = 0.02  # share of what is new in an input that past states predict, from which it was made from states
+_MADE = 0.02  # share of an input's innovation that past states predict, from which it was made from states
 _FOREKNOWN = 1e-6  # share of an input that is new: below, it is known beforehand and answers nothing
 _UPPER = 1.645  # standard deviations of the upper limit of a share
-_MOST_OF_IT = 0.8  # share of an answer by whose time it is told
+_MOST_OF_IT = 0.8  # share of an answer that defines its time
 _PLAYED = 0.75  # share of an input that is no function of the logged state, above which no controller made it
-_OWN_ANSWER = 0.02  # share of what is new in an input, below which it hardly answers a channel
+_OWN_ANSWER = 0.02  # share of an input's innovation below which it hardly answers a channel
 _NEW = 0.1  # share of an input's variance below which it is nearly a function of the state
 _FEWEST = 400  # rows
 _NEIGHBOURS = (-2, -1, 0, 1, 2)  # rows of the log whose inputs may have acted
@@ -81,7 +82,7 @@ class Answer:
 
     input: str  # name of the direction
     channel: str
-    share: float  # of the variance of what is new in the input (an answer) or in the channel (knowledge)
+    share: float  # of the variance of the innovation of the input (an answer) or of the channel (knowledge)
     chance: float  # p value, adjusted for the number of tests (Holm)
     within_s: float = 0.0  # time by which most of it has come [s]; 0 where that means nothing
     upper: float = 0.0  # upper 95 % limit of `share`
@@ -99,7 +100,7 @@ class FeedbackTest:
     together: float = 1.0  # chance of all answers of inputs to the channels that they drive, if there is none
     rows: int = 0  # number of innovations of each channel
     between: dict[str, float] = field(default_factory=dict)
-    """By channel: standard errors by which inputs that move between rows may bend an estimate."""
+    """By channel: standard errors by which inputs that move between rows may bias an estimate."""
     still: tuple[str, ...] = ()  # names of inputs that never move
     why_not: str = ""  # why nothing was tested; empty where it was
     smoothed: tuple[str, ...] = ()
@@ -151,7 +152,7 @@ class FeedbackTest:
 
     @property
     def known(self) -> dict[str, float]:
-        """By channel: standard errors by which what inputs know of a step beyond the log may bend an estimate.
+        """By channel: standard errors by which what inputs know of a step beyond the log may bias an estimate.
 
         Inputs may know `FACTOR` times as much of a step as they may be seen to predict of later ones.
         """
@@ -164,7 +165,7 @@ class FeedbackTest:
 
     @property
     def hidden(self) -> dict[str, float]:
-        """By channel: the larger one of `known` and of what inputs do that move between rows (`moving`)."""
+        """By channel: the larger one of `known` and of the part from inputs that move between rows (`moving`)."""
         most = self.moving
         for channel, known in self.known.items():
             most[channel] = max(most.get(channel, 0.0), known)
@@ -172,7 +173,7 @@ class FeedbackTest:
 
     @property
     def hidden_from_tests(self) -> dict[str, float]:
-        """The part of `hidden` on channels of which specification tests cannot tell physics from what inputs know."""
+        """The part of `hidden` on channels where specification tests cannot separate physics from what inputs know."""
         hidden, smoothed = self.hidden, self.smoothed if self.closed else ()
         return {c: hidden[c] for c in (*self.other_sensors, *smoothed) if c in hidden}
 
@@ -460,7 +461,7 @@ def _adjusted(found: Sequence[Answer]) -> tuple[Answer, ...]:
 
 
 def lengths(regression: Regression, ways: Sequence[Direction]) -> dict[str, float]:
-    """What inputs do in whitened rows, times half of what they move from row to row over what they move at all."""
+    """What inputs do in whitened rows, times half of their change from row to row over all of their change."""
     physics, known = regression.physics, [*regression.rows]
     u = np.asarray(physics.steps.u[:, : physics.vector.system.nu])
     later = np.ones(len(u), dtype=bool)
@@ -481,7 +482,7 @@ def lengths(regression: Regression, ways: Sequence[Direction]) -> dict[str, floa
 
 
 def leaning(regression: Regression) -> Array:
-    """How far the estimate of each parameter leans along what inputs may do between rows, 0 to 1 (channels, k).
+    """How far the estimate of each parameter lies along what inputs may do between rows, 0 to 1 (channels, k).
 
     The share, as a length, of what weighs the rows of a channel in the estimate that lies along what inputs do that are
     linear functions of the states and of the inputs of neighbouring rows.

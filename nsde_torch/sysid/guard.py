@@ -10,23 +10,23 @@ for none. The two fits err in opposite ways. Least squares lose a gain to noise 
 answers what the physics lacks: both pull it towards nothing. A likelihood fit loses it where its model of the noise has
 learned what a smoother or a lag did to the physics. So
 
-- where least squares find less than the fit, the fit is believed, and nothing is said: a loop does that;
-- where least squares explain surely and much more of the rates than the fit, they are believed, and the fit is not;
+- where least squares find less than the fit, the fit is accepted, and nothing is said: a loop does that;
+- where least squares explain surely and much more of the rates than the fit, they are accepted, and the fit is not;
 - where the first values leave less than the fit, and least squares find no less, the fit stopped at another optimum;
 - where the fit leaves more than was measured, it is worse than nothing; but not where least squares find less and
   explain something: a loop cancels what the physics lacks;
 - where the fit explains nothing of a channel, and is sure that what moves it is a small part of its first value, the
-  parameter has gone to nothing: no noise is so small that a machine surely has no motors.
+  parameter has vanished: no noise is so small that a machine surely has no motors.
 
 "Surely" is one test of all parameters, d' (V + W)^-1 d for the difference d of the two fits with covariances from
-blocks of time. Before that come readings of the columns (`readings`), streams of another time (`timing`) and runs of
+blocks of time. Before come interpretations of the columns (`readings`), streams of another time (`timing`) and runs of
 another machine (`run_differences`): where the log is at fault, fits part for that reason.
 
 **Longer boxes.** A noise model learns what a smoother, a differentiated encoder or a friction does within a few rows,
 and with it the physics: the likelihood of many rows a second prefers it so. Sums over longer boxes do not hold that
 band, and both sides of the equation go through the same one. So, where least squares, the first values or a parameter
-that has gone to nothing speak against a fit (and no fault of the log does), it is made again with boxes of `LENGTHS_S`.
-It is taken where the guard believes it at both lengths. Two things grow with the length of the boxes: what inputs
+that has vanished speak against a fit (and no fault of the log does), it is made again with boxes of `LENGTHS_S`.
+It is taken where the guard accepts it at both lengths. Two things grow with the length of the boxes: what inputs
 answer within one of them (feedback), and what is lost of fast physics. So intervals widen by what parameters change
 from the one to the other, which is no less than a bias that grows as the root of the length or faster.
 """
@@ -54,7 +54,7 @@ CHANCE = 1e-3
 """Chance of calling two fits of a sound log different."""
 MORE = 0.1
 """Share of a channel's variance that least squares must explain beyond the fit, beside that: what the physics lacks
-bends both, and not alike."""
+biases both, and not alike."""
 TIMES = 2.0
 """Or times what least squares leave that the fit leaves: how much of the rest they explain, where the rest is small."""
 LESS = 0.9
@@ -68,11 +68,11 @@ MATTERS = 0.01
 """Share of a channel's variance that the first values must explain beyond the fit, beside that: of what is explained
 almost wholly, the widths of frictions leave more or less in rough rates."""
 GONE = 10.0
-"""Times smaller than its first value that a parameter must surely be (two standard errors) to have gone."""
+"""Times smaller than its first value that a parameter must surely be (two standard errors) to have vanished."""
 NOTHING = 0.02
 """Share of a channel's variance up to which a fit explains nothing of it."""
 POOR = 0.8
-"""Share of what was measured that least squares leave of half of the channels, where physics explains nothing."""
+"""Share of the measured that least squares leave of half of the channels, where physics explains nothing."""
 
 
 def doubts_the_fit(kinds: Iterable[str]) -> bool:
@@ -105,7 +105,7 @@ class Compared:
 class Guarded:
     """What speaks against a fit, and how it stands beside simple ones."""
 
-    objections: tuple[Objection, ...] = ()  # what speaks against it; nothing where it is believed
+    objections: tuple[Objection, ...] = ()  # what speaks against it; nothing where it is accepted
     channels: tuple[Compared, ...] = ()  # what each fit leaves of each channel
     labels: tuple[str, ...] = ()
     least_squares: tuple[float, ...] = ()  # their values by least squares (k,)
@@ -188,7 +188,7 @@ def guarded(
 
 
 def _recommended(found: Guarded, rough: Regression) -> Guarded:
-    """The same with least squares, their 90 % intervals (nan of what the data do not show), and words of them."""
+    """The same with least squares, their 90 % intervals (nan where the data show none), and words of them."""
     basis, sure = rough.estimable.basis, rough.spread()
     error = np.sqrt(np.clip(np.diag(basis @ sure.covariance @ basis.T), 0.0, None))
     half = np.where(rough.estimable.known, stdtrit(sure.degrees(basis).clip(1.0), 0.95) * error, np.nan)
@@ -276,7 +276,7 @@ def _disagreements(channels: Sequence[Compared], chance: float) -> list[Objectio
 
 
 def _gone(rough: Regression, theta: Array, covariance: Array | None, now: Sequence[Left]) -> list[Objection]:
-    """Parameters that have surely gone to nothing, and with them all that is explained of a channel."""
+    """Parameters that have surely vanished, and with them all that is explained of a channel."""
     vector = rough.vector
     error = np.zeros(len(theta)) if covariance is None else np.sqrt(np.diag(covariance).clip(0.0))
     small = GONE * (np.abs(theta) + 2.0 * error) < np.abs(vector.start)

@@ -1,4 +1,4 @@
-"""Identify the declared parameters of a system, in a loop too: which estimate to print, and how far feedback bends it.
+"""Identify the declared parameters of a system, in a loop too: which estimate to print, and how far feedback biases it.
 
 Ordinary estimates (`regression`) are right under feedback from the log. Where the test of the loop says that inputs
 know more than the log, or were made from other sensors (`feedback_test`), they are not, and the interval is widened by
@@ -14,11 +14,11 @@ z_i is the larger one of two (`FeedbackTest.hidden`). Both are assumptions that 
   the upper 95 % limit of the share: that it is not significant does not say that it is nothing. On simulated loops
   whose truth is known 3 held nearly always with strong sticks and mostly with weak ones
   (docs/content/results/feedback.md);
-- inputs that were made from other sensors may have moved between rows of the log, by half of what they move from row to
-  row, always to the same side of what was logged. A rate loop at 1 kHz below an attitude loop at 100 Hz does so: each
+- inputs that were made from other sensors may have moved between rows of the log, by half of their change from row to
+  row, always to the same side of the logged value. A rate loop at 1 kHz below an attitude loop at 100 Hz does so: each
   logged command stands at the start of a decay, and a gain seems 5 % too small whatever moves the sticks.
 
-With instruments that are strong and exogenous only the second is needed, and what estimates lean on parameters that the
+With instruments that are strong and exogenous only the second is needed, and what estimates owe to parameters that the
 instruments do not show. Their estimates are printed where they differ, or where inputs know more than the log, unless
 they show that an effect is missing. Where inputs of a faster controller may have moved between rows of the log, they
 are made with inputs held and with the mean of each row and the next; the smaller statistic of Sargan decides, and what
@@ -62,7 +62,7 @@ from nsde_torch.sysid.signals import row_weights
 from nsde_torch.sysid.standstill import SHARE, moving, slowest
 from nsde_torch.systems import System
 
-_TOLD = 4.0  # difference of statistics from which on data tell what inputs do between rows
+_TOLD = 4.0  # difference of statistics from which on data show what inputs do between rows
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ def _by_instruments(
 
 
 def in_longer_boxes(found: Identification, again: Callable[[float], Identification]) -> Identification:
-    """An identification in longer boxes where its guard asks for it and believes that one; else as it is."""
+    """An identification in longer boxes where its guard asks for it and accepts that one; else as it is."""
     first, second = LENGTHS_S
     if not asks_for_longer_boxes(found.guard) or first < LONGER * found.box_s:
         return found

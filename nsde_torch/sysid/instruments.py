@@ -8,7 +8,7 @@ moves (a pilot's stick, a setpoint) moves the inputs all the same, and what of t
 
 (two-stage least squares: Soderstrom and Stoica, Instrumental Variable Methods for System Identification, 1983). The
 first stage is fitted on other blocks than it predicts, which takes out the bias of many instruments (Angrist, Imbens
-and Krueger, Journal of Applied Econometrics 14 (1999)). Three things are tested and told:
+and Krueger, Journal of Applied Econometrics 14 (1999)). Three things are tested and reported:
 
 - exogeneity: instruments that answer innovations (new in z on e before it) are left out.
 - strength: F of the slope of each parameter on its own part of H, from blocks of time. Below `_WEAK` (Staiger and
@@ -43,7 +43,7 @@ MISSING = 1e-3
 _SURE = 0.05  # chance below which two estimates differ
 _WEAK = 10.0
 _ROWS = (-1, 0, 1, 2)  # rows before that the first stage knows: sticks move between rows too
-_LAGS_S = (0.03, 0.1, 0.3, 1.0)  # time constants of what it knows of the past
+_LAGS_S = (0.03, 0.1, 0.3, 1.0)  # time constants of its knowledge of the past
 _FOLDS = 5
 _ROUNDS, _SETTLED = 10, 0.02  # standard errors
 _BINS = (1, 2, 3, 4, 6, 9, 14, 21, 31, 46)  # rows after a disturbance between which an answer is summed up

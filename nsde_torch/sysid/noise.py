@@ -10,7 +10,7 @@ compared then is the state itself, and not its change. The test function of a wh
 that looks back as far as noise allows. Whitening is causal, so that a whitened row knows no input that reacts to it:
 that is what keeps feedback from bending the estimate (Ljung, System Identification, 1999, section 13.4).
 
-Second differences of a position, which stand for a rate that no sensor measured, hold its error three times: their
+Second differences of a position, which replace a rate that no sensor measured, hold its error three times: their
 moving average is (1 - c B)^2.
 
 How each is found:
@@ -23,7 +23,7 @@ How each is found:
 
 **Feedback.** The rate of a gyro reveals its error only slowly; the attitude, which is its integral, knows part of it at
 once, and so does an input that a controller made from the attitude. What a channel's own law calls new is then not new
-to the input, and the estimate bends (a motor's lag by 3 %). So the part of a whitened residual that the past of
+to the input, and the estimate is biased (a motor's lag by 3 %). So the part of a whitened residual that the past of
 kinematic residuals predicts is taken out of it (`past`):
 
     s = measured minus integrated change of the states that no parameter moves,   S_j = sum_i c_j^i s_{k-1-i}
@@ -82,7 +82,7 @@ class Series:
         return Series(tuple(zip([0, *ends[:-1]], ends, strict=True)))
 
     def summed(self, values: Array, width: int) -> Array:
-        """Sums over boxes of `width` rows (M, ...); what is left over at the end of a stretch is dropped."""
+        """Sums over boxes of `width` rows (M, ...); rows beyond the last whole box of a stretch are dropped."""
         if width == 1:
             return values
         parts = []

@@ -187,7 +187,7 @@ class Physics:
         return np.concatenate([residual[:, rest], *parts], 1)
 
     def estimate_sensors(self, residual: Array) -> None:
-        """Take the white noise of the sensors from fourth differences of what the physics leaves unexplained."""
+        """Take the white noise of the sensors from fourth differences of the residuals of the physics."""
         thirds = [np.diff(residual[a:b], 3, axis=0) for a, b in self.steps.segments if b - a > 3]
         if thirds:
             self.sensor_std = np.sqrt(np.square(np.concatenate(thirds)).mean(0) / _FOURTH)
@@ -363,7 +363,7 @@ class Channel:
     name: str
     unit: str
     measured: float  # standard deviation of the measured rate
-    residual: float  # root mean square of what the physics leaves of it
+    residual: float  # root mean square of its residual
     sensor: float  # what white sensor noise alone leaves
     r2: float  # share of the variance that is explained
     noise: Noise | None  # law of the noise over single steps; None where the method has none

@@ -1,13 +1,13 @@
 """Other ways to read the columns of a log, and the one in which the declared physics leaves much less.
 
-Kinematics tell a velocity in the body from one in the world, but not a log whose axes are all others, nor an input that
-is wired to another motor: there only the physics speaks. Each reading is a change of the runs; the declared physics is
+Kinematics distinguish a velocity in the body from one in the world. They do not reveal a log whose axes are all others,
+or an input that is wired to another motor: only the physics does. Each interpretation changes the runs; the physics is
 fitted to it by plain least squares on means over 0.15 s (`rough`), gains inside their bounds, and
 
     score = sum over channels of log(left / measured)
 
-says how much is left, whatever the units. Readings are looked at only where the log as it is leaves much, and one is
-told only where it leaves `LESS` times less: in a sound log nothing is better than what the columns say.
+says how much is left, whatever the units. Others are tried only where the log as it is leaves much, and one is
+reported only where it leaves `LESS` times less: in a sound log nothing is better than what the columns say.
 
 **Motors.** Which motor is which, and which way propellers turn, is found by the moments that the motors make,
 
@@ -55,7 +55,7 @@ class MotorOrder:
     places: Places  # places of the motors in the inputs, in the order of the machine's mixing
     yaw: int  # 1: propellers turn as declared; -1: the other way
     blocks: Array  # log likelihood by block of half a second (B,), beyond that of no moments at all [nats]
-    left: Array  # root mean square of what is left of roll, pitch and yaw (3,) [rad/s2]
+    left: Array  # root mean square residuals of roll, pitch and yaw (3,) [rad/s2]
 
     @property
     def nats(self) -> float:
@@ -72,7 +72,7 @@ class MotorOrder:
 def motor_orders(
     system: Multirotor, runs: Sequence[Run], clock: float, orders: Sequence[Places]
 ) -> list[MotorOrder]:
-    """Orders of the motors with propellers either way, the likeliest first; none where there is too little to tell."""
+    """Orders of the motors with propellers either way, the likeliest first; none where data are too few to decide."""
     dt = runs[0].dt * clock
     some = [_in_a_band(system, runs, dt, band, orders) for band in BANDS_S]
     found = [
@@ -142,17 +142,17 @@ def _filtered(
     return np.concatenate(pushed), np.concatenate(turned), np.concatenate(block), first
 
 
-# ---- readings of all machines --------------------------------------------------------------------------
+# ---- interpretations for all machines ----------------------------------------------------------------------
 
 MUCH = 0.25
-"""Share of what was measured that least squares leave, in the mean of the channels, from which on other readings are
+"""Share of the measured that least squares leave, in the mean of the channels, from which on interpretations are
 looked at. It saves time and decides nothing: sound logs of machines in motion leave 0.1 to 0.3."""
 LESS = exp(1.0)
-"""Times less of all channels together that another reading must leave; of 30 ms of delay it is six times."""
+"""Factor by which another interpretation must lower the residual of all channels; 30 ms of delay make six times."""
 AS_GOOD = 0.15
-"""Difference of scores within which two readings do as well."""
+"""Difference of scores within which two interpretations are equally good."""
 _ITERATIONS = 4
-_PART_S = 20.0  # of the runs, on which readings are compared before the best is looked at in all
+_PART_S = 20.0  # of the runs, on which interpretations are compared before the best is tried on all
 _ROUNDS = 3  # exchanges of two inputs, one after another
 _BOTH_SIGNS = 0.05  # share of samples of either sign from which an input has a direction
 _METRES = {
@@ -172,7 +172,7 @@ class Reading:
 
 
 def better_readings(system: System, runs: Sequence[Run], clock: float, rough: Regression) -> Objection | None:
-    """The reading of the columns in which the declared physics leaves least, if much less than in theirs."""
+    """The interpretation of the columns in which the declared physics leaves least, if much less than in theirs."""
     return _much_better(system, runs, clock, rough) or _propellers(system, runs, clock)
 
 
@@ -227,7 +227,7 @@ def _propellers(system: System, runs: Sequence[Run], clock: float) -> Objection 
     return Objection("reading", sentence, f"write system.options.yaw_direction={-system.yaw_direction}")
 
 
-# ---- readings ------------------------------------------------------------------------------------------
+# ---- the interpretations -------------------------------------------------------------------------------
 
 
 def _readings(system: System, runs: Sequence[Run]) -> Iterator[Reading]:

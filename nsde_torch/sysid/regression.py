@@ -19,7 +19,7 @@ beside the noise (it could move by a thousand typical sizes unseen). No step is 
 **Narrow shapes**, such as the width at which a friction is developed. A search keeps widths within a few times the
 sizes of the data (`ParameterVector.limit`), because far below them nothing changes any more and it would not find back.
 The truth may be narrower: where a coordinate mostly runs fast, a friction turns within a hundredth of its usual speed.
-A fit that ends at such a bound is bent in whatever the width trades with (a friction at speed by 0.1 to 0.5 %, one near
+A fit that ends at such a bound is biased in what the width trades with (a friction at speed by 0.1 to 0.5 %, one near
 rest by 10 %), and by more than its interval. From there the way is found (`narrower`): the bound is moved, and the fit
 goes on while that leads anywhere.
 
@@ -162,7 +162,7 @@ _ROUNDING = 1e-4  # of the measured changes: below that there is no noise to spe
 _BLOCK_S = (0.5, 2.0)  # shortest and longest block of the covariance [s]
 _BLOCKS = 100
 _UNBOUNDED = 1e100  # largest slope: the squares of larger ones overflow
-_KEPT = 1e-8  # share of what laws explain of slopes that is kept
+_KEPT = 1e-8  # share of the slopes that laws explain, from which they are kept
 
 
 @final
@@ -447,7 +447,7 @@ class Regression:
         return [self.law(c, self.residual[:, c], float(limits[c]), most) for c in self.rows]
 
     def law(self, channel: int, left: Array, limit: float, orders: int) -> Noise:
-        """Law of the noise of what is left of a channel (M,), its c up to a limit and its order up to another."""
+        """Noise law of the residual of a channel (M,), its c up to a limit and its order up to another."""
         memory, times = self.memory, self.times(channel)
         return estimate(left, self.series, limit=limit, orders=orders, memory=memory, times=times)
 

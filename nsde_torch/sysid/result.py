@@ -40,12 +40,12 @@ class Identification:
     blocks: int  # number of blocks of time that the covariance comes from
     loop: FeedbackTest | None = None  # test of the loop; None where it was not asked for
     instrumented: Instrumented | None = None  # what instruments say; None without any
-    # what half-widths are widened by, because feedback may have bent the estimate (k,), nan for anything; None for
+    # what half-widths are widened by, because feedback may have biased the estimate (k,), nan for anything; None for
     # nothing
     doubt: Array | None = None
     guard: Guarded | None = None  # how the fit stands beside simple ones; None where it was not asked for
     finer: "Identification | None" = None
-    """The fit over shorter boxes that the guard did not believe; None where these are the first ones."""
+    """The fit over shorter boxes that the guard rejected; None where these are the first ones."""
     standstill: float = 0.0
     """Share of the rows that were left out because what has dry friction stands in them."""
     # the fit of largest likelihood, whose values these are where nothing speaks against it; None where there was
@@ -66,7 +66,7 @@ class Identification:
 
     @property
     def standard_errors(self) -> Array:
-        """Standard error of each parameter (k,); nan where the data do not show it, or it is not to be believed."""
+        """Standard error of each parameter (k,); nan where the data do not show it, or it is not reliable."""
         known = self.shown.known & self.believed
         return np.where(known, np.sqrt(np.diag(self.covariance).clip(0.0)), np.nan)
 
@@ -84,12 +84,12 @@ class Identification:
             printed = adopted(self.instrumented, self.loop)
             moved = self.instrumented.moved if printed else None
             out += self.instrumented.findings(printed)
-        if self.finer is not None:  # widened by what changes with the boxes too, which a warning tells
+        if self.finer is not None:  # widened by what changes with the boxes too, which a warning says
             return out
         return [*out, *self._widened(moved)]
 
     def _widened(self, moved: NDArray[np.bool_] | None) -> list[str]:
-        """Which intervals are widened by what the data cannot tell, and why; `moved` are those by instruments."""
+        """Which intervals are widened by what the data cannot show, and why; `moved` are those by instruments."""
         labels, doubt, errors = self.vector.labels, self.doubt, self.standard_errors
         if doubt is None:
             return []
@@ -135,7 +135,7 @@ class Identification:
         if self.guard is None or not self.guard.objections:
             return []
         told = [str(objection) for objection in self.guard.objections]
-        return [*told, *notes, "the fit is not to be believed: no interval is given"]
+        return [*told, *notes, "the fit is not reliable: no interval is given"]
 
     @property
     def notes(self) -> list[str]:

@@ -82,8 +82,8 @@ class Left:
     name: str
     unit: str
     measured: float  # standard deviation of the measured rate
-    left: float  # root mean square of what physics leaves of it
-    predicted: float  # root mean square of what physics says of it
+    left: float  # root mean square of its residual
+    predicted: float  # root mean square of its prediction by the physics
 
     @property
     def share(self) -> float:

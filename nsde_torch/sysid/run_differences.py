@@ -1,16 +1,16 @@
 """Runs that are not of one machine: parameters of each run alone against those of the others.
 
-With X_r the whitened slopes and e_r the whitened residuals of run r at the optimum of all runs (feedback bends plain
+With X_r the whitened slopes and e_r the whitened residuals of run r at the optimum of all runs (feedback biases plain
 least squares in each run in its own way), and b_r = (X_r' X_r)^-1 X_r' e_r how far the run alone would move theta,
 
     d_r = b_r - mean of the other runs' b, weighed by what each shows,      V_r from blocks of time (`spread`)
 
-Runs of one machine differ too: batteries fall, air moves, and what the physics lacks bends each run in its own way. A
+Runs of one machine differ too: batteries fall, air moves, and what the physics lacks biases each run in its own way. A
 loop whose inputs cancel a disturbance d beside what is asked for, u = r - d / g, makes least squares find
 
     g (1 - s^2),      s^2 = var d / (var r + var d),      the share of the measured variance that is left
 
-so that a run in which little is asked for seems weaker. A difference is told only where it is surely larger than both.
+so that a run in which little is asked for seems weaker. A difference is reported only if surely larger than both.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,7 +33,7 @@ CHANCE, EITHER = 0.02, 0.3
 """Chance of so large a difference beyond what runs differ by, over all runs and parameters: the geometric mean of that
 by the whitened rows and that by plain least squares; and the largest of either."""
 WHOLE, TIMES = 0.6, 2.5
-"""Share of what was measured that is left of a run that is not explained; and times as much as of each other run."""
+"""Share of the measured that an unexplained run leaves as residual; and the ratio to that of each other run."""
 
 
 def odd_run(regression: Regression, rough: Regression, runs: Sequence[Run]) -> Objection | None:

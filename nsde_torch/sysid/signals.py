@@ -1,4 +1,4 @@
-"""Inputs and instruments on the rows of a regression, and the tests of what they know of its innovations.
+"""Inputs and instruments on the rows of a regression, and the tests of their knowledge of its innovations.
 
 An innovation e_k is what one step brings that nothing before it predicted. A score test asks whether columns v_k that
 were known then predict it after all,
@@ -70,7 +70,7 @@ def late(series: Series, rows: int) -> NDArray[np.bool_]:
 
 
 def basis_of(columns: Array) -> Array:
-    """Orthonormal columns that span these; none of what rounding leaves."""
+    """Orthonormal columns that span these; none for rounding errors."""
     length = np.linalg.norm(columns, axis=0)
     columns = columns[:, length > 0] / length[length > 0]
     if not columns.shape[1]:

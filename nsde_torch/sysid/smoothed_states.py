@@ -4,7 +4,7 @@ What a smoother took away, the noise model of the identification takes for noise
 smoother left near nothing most, there the inputs move nothing, and gains go to nothing, surely.
 
 A spectrum that falls steeply may also be a motion's own; a motion alone ends in the white noise of the sensor, and not
-in the log's digits. That the log was smoothed is believed where it ends in no such noise, and where
+in the log's digits. That the log was smoothed is concluded where it ends in no such noise, and where
 
 - position and integrated rate do not agree in the band in which S falls: what is left there is noise, of two sensors;
 - or else the declared physics, fitted to means over 0.15 s, predicts the changes of channels that inputs drive better
@@ -29,7 +29,7 @@ two, that one is no smoother.
 
 where f_r is the frequency at which S has fallen to a hundredth, or to what rounding left, or to which smoothers that
 fit about as well agree. The noise is as large as the sensor's, and much larger than what moves at f_r: what moves above
-it is gone, and must not weigh. Where S fits none of the families (`recording.smoothers`), or only roughly, nothing is
+it is absent, and must not weigh. Where S fits none of the families (`recording.smoothers`), or only roughly, nothing is
 restored; white noise is added from where S begins to fall. Noise is drawn from a fixed seed.
 
 Ends of stretches are left out, where nobody knows how the smoother began and ended. In a closed loop the restored log
@@ -233,7 +233,7 @@ def _smooth(q: Array, dt: float) -> Array:
 
 
 def group_spectra(sensor: SensorGroup, runs: Sequence[Run], dt: float) -> Spectra | None:
-    """Spectra of what is filtered of a sensor; None where stretches are short or a channel never moves."""
+    """Spectra of the filtered columns of a sensor; None where stretches are short or a channel never moves."""
     parts = [sensor.values(np.asarray(run.x[a:b]), dt) for run in runs for a, b in run.segments]
     if not np.any([(part != part[0]).any(0) for part in parts], axis=0).all():
         return None
@@ -302,7 +302,7 @@ def _rounding(seen: Spectra, smoother: Smoother, sensor: SensorGroup, runs: Sequ
 
 
 def _rounded(sensor: SensorGroup, runs: Sequence[Run], *, least: bool = False) -> Array:
-    """Mean squares (C,) of what the grain of a sensor's columns rounds off; a rotation is twice a quaternion's part.
+    """Mean squares (C,) of the rounding errors of a sensor's columns; a rotation is twice a quaternion's part.
 
     `least` takes the values that come in the least steps, where they were written with significant digits.
     """
@@ -351,8 +351,8 @@ def _apart(system: System, runs: Sequence[Run], sensor: SensorGroup, smoother: S
 def _nats(regression: Regression, sensors: Sequence[SensorGroup], smoother: Smoother) -> float:
     """By how much changes are likelier from the physics behind a smoother than from it alone, where inputs drive.
 
-    A lag of actuators that is not declared takes the fast part of what inputs do as a smoother does. So both are judged
-    behind the lag and the delay that suit each best.
+    A lag of actuators that is not declared removes the fast part of the inputs' effect as a smoother does. So both are
+    judged behind the lag and the delay that suit each best.
     """
     physics = regression.physics
     steps, left = physics.steps, physics.residual(regression.theta)
@@ -396,7 +396,7 @@ def _reach(seen: Spectra, one: SpectrumFit, smoother: Smoother) -> float:
 def _contradicted(
     lag: Latency, found: Sequence[Smoothed], system: System, dt: float, clock: float
 ) -> set[int]:
-    """Columns of the sensor whose smoother does not fit the lateness; none where all do, or nothing tells which."""
+    """Columns of the sensor whose smoother does not fit the lateness; none where all do, or nothing shows which."""
     pair = [set(channel_columns(system, name)) for name in (lag.channel, lag.other)]
     late = [[o.smoother.delay for o in found for k in o.behind if {*k.sensor.columns} == own] for own in pair]
     if not all(late):
@@ -448,7 +448,7 @@ def undone_at_own_rate(
 def smoothers_of(data: DataSet, system: SystemInfo, taken_out: Iterable[str] = ()) -> list[Smoothed]:
     """What smoothed the states of a data set, for `restored`; nothing of columns without physics, or once it is undone.
 
-    Behind a fault that the reader took out (`taken_out`) and that smooths no smoother can be told.
+    Behind a fault that the reader took out (`taken_out`) and that smooths, no smoother can be identified.
     """
     known = remedies()
     smooths = any(known[name].remedy_smooths for name in taken_out if name in known)
@@ -499,7 +499,7 @@ def _restore_stretch(
     at = int(np.argmin(np.abs(one.seen.f - one.reach)))
     values = one.sensor.values(x, dt)
     level = ADDED * one.seen.power[:, at]
-    if one.restored:  # what moves above is gone: it must not weigh beside the noise that stands in for it
+    if one.restored:  # what moves above is removed: it must not weigh beside the noise that stands in for it
         level = one.fit.noise[:, at] + ABOVE * one.fit.motion[:, at]
     noise = rng.standard_normal(values.shape) * np.sqrt(level / (2.0 * dt))
     new = _unsmoothed(values, smoother, one.reach, noise, dt) if one.restored else values + noise

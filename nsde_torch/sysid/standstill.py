@@ -2,7 +2,7 @@
 
 Where it stands, friction is whatever holds it, up to its size, and no function of the speed: `-c tanh(v / v0)` of a
 noisy speed is nothing on average there, and what friction really does looks like a deadband, or like a law of the speed
-times the input. And where its speed changes sign within a step, a few values at its ends and in its middle do not tell
+times the input. And where its speed changes sign within a step, a few values at its ends and in its middle do not show
 how long it went which way. So rows whose speed, averaged over a few of them, is within the noise of the speed and what
 it changes by in a step are left out of the regression, and so is what is too short between them.
 """

@@ -149,12 +149,12 @@ class System(Parametrised, ABC):
 
     @property
     def step(self) -> float:
-        """Step that the effects were told [s]; 0: none."""
+        """Step that the effects were given [s]; 0: none."""
         return self._own[0].step if self._own else 0.0
 
     @property
     def whole_steps(self) -> bool:
-        """Whether every memory knows whole steps of held inputs exactly, once told the step."""
+        """Whether every memory knows whole steps of held inputs exactly, once given the step."""
         return all(effect.whole_steps for effect in self._own if effect.n_memory)
 
     @property
@@ -353,7 +353,7 @@ class System(Parametrised, ABC):
             dt: Length of a step [s].
 
         Returns:
-            Memory that stands for its mean over each step (n, nz - nx), and whether each column is known (nz - nx,).
+            Memory that holds its mean over each step (n, nz - nx), and whether each column is known (nz - nx,).
             What comes after an effect that does not know is not known.
         """
         return memory_of.held_memory(

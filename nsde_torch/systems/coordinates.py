@@ -90,7 +90,7 @@ def made(system: System, name: str, values: Mapping[str, float | list[float]] | 
 
 def all_made(system: System, items: Sequence[str | Effect], values: dict[str, Numbers]) -> list[Effect]:
     """Effects for a system, each checked; their values are taken out of `values`."""
-    system.bound_coordinates()  # those that are declared wrong are told even where no effect asks for one
+    system.bound_coordinates()  # those that are declared wrong are reported even where no effect asks for one
     out = []
     for item in items:
         if isinstance(item, str):

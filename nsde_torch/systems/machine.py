@@ -26,7 +26,7 @@ class Gust:
 
 @dataclass(frozen=True)
 class Excitation:
-    """Runs that show what a machine does: first states drawn at random, inputs that swing about a mean.
+    """Runs that show what a machine does: first states drawn at random, inputs that vary about a mean.
 
         u_i(t) = mean_i + sum_k A_i sin(2 pi f_k t + phi_k),    f_k log-uniform between two frequencies
 

@@ -1,6 +1,6 @@
 """Machines of one degree of freedom, q'' = gain u + what effects add; the mass on a spring among them.
 
-Mass-spring-damper: m q'' = -b q' - k q + F (supplement B), divided by the mass, which cannot be told from the spring:
+Mass-spring-damper: m q'' = -b q' - k q + F (supplement B), divided by the mass, which cannot be identified too:
 the parameters are k/m, b/m and 1/m.
 """
 
@@ -73,7 +73,7 @@ class MassSpringDamper(OneDegreeOfFreedom):
 #     theta'' = (g sin theta - a cos theta) / (l (4/3 - m cos^2 theta / M))
 #     x''     = a - m l theta'' cos theta / M
 #
-# Only 1/M, m/M and l can be told from motion; these are the parameters. Forces on the port `force` add to a
+# Only 1/M, m/M and l can be identified from motion; these are the parameters. Forces on the port `force` add to a
 # [m/s2]; on `torque`, a torque about the pivot over the pole's inertia about it, 4/3 m l^2, to g sin theta /
 # (4/3 l) [rad/s2], so that a cart that is free to move gives way to it; on `world_force` (what pulls cart and
 # pole alike, so that the pole does not turn) to x'' [m/s2]; what adds to `angle` is the angle at which all

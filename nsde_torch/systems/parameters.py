@@ -1,7 +1,7 @@
 """The declared parameters of a system as one vector theta, in their own units.
 
 A copy of the system looks its parameters up in theta, so that a drift linear in the parameters stays linear (the raw
-numbers of an optimiser bend it), derivatives in theta need no chain rule, and many thetas can be tried side by side
+numbers of an optimiser distort it), derivatives in theta need no chain rule, and many thetas can be tried side by side
 (torch.func.vmap over theta).
 """
 

@@ -45,13 +45,13 @@ def vocabulary(cls: type[System]) -> Vocabulary:
 
 
 def offered(cls: type[System]) -> dict[str, int]:
-    """Columns of what effects on force ports may read beside state and input (see `System.quantities`)."""
+    """Columns that effects on force ports may read beside state and input (see `System.quantities`)."""
     up = {UP: 3} if cls.quaternion is not None else {}
     return {**cls.quantities, FEATURES: len(cls.feature_names), **up}
 
 
 def quantity_of(system: System, name: str, x: Tensor, u: Tensor) -> Tensor:
-    """One of what a system offers (N, its columns), from state and applied input."""
+    """One of the quantities that a system offers (N, its columns), from state and applied input."""
     if name == FEATURES:
         return system.features(x)
     if name == UP and system.quaternion is not None:

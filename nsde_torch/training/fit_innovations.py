@@ -573,7 +573,7 @@ class _Fit:
         return by_likelihood(known, system, self.runs, self.task.clock, held=levels)
 
     def _networks(self, left: Residuals) -> Distilled | None:
-        """Networks of what the likelihood finds; silent ones where there is no likelihood."""
+        """Networks of the functions that the likelihood finds; zero where there is no likelihood."""
         model = self.model
         at = self._optimum() if left.ports else None
         if at is None:
@@ -669,7 +669,7 @@ class _Fit:
 
 
 def _channel_laws(physics: Physics, found: Residuals, model: NeuralSDE) -> dict[str, Disturbance]:
-    """Laws of what is left of every channel beside physics and networks, by the name of the state."""
+    """Noise laws of the residual of every channel beside physics and networks, by the name of the state."""
     system, q, left = model.system, model.system.quaternion, found.change
     lasting = {int(found.rows[c]) for c in disturbed_channels(model, found)}
     forced = set(found.rows.tolist())
@@ -689,7 +689,7 @@ def _channel_laws(physics: Physics, found: Residuals, model: NeuralSDE) -> dict[
         # a rotation is twice its quaternion
         half = Disturbance(0.5 * law.diffusion, 0.0, law.tau, 0.5 * law.sensor)
         out.update(dict.fromkeys(system.state_names[q], half))
-    if physics.turned is not None:  # measured in the world, told in the body
+    if physics.turned is not None:  # measured in the world, given in the body
         names = system.state_names[physics.turned]
         sensor, diffusion = (
             sqrt(np.mean([getattr(out[n], part) ** 2 for n in names])) for part in ("sensor", "diffusion")

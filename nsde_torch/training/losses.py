@@ -27,7 +27,7 @@ each channel is scored.
 
 Paths come in pairs p, p' with mirrored noise (antithetic variates; Hammersley and Morton 1956), which takes
 most of the noise of sampling out of the gradient of the drift. E|X_p - X_q| is estimated from paths of
-different pairs, which are independent, as the fair form of Ferro (QJRMS 140 (2014)); one pair alone stands for
+different pairs, which are independent, as the fair form of Ferro (QJRMS 140 (2014)); one pair alone represents
 it with |X_p - X_p'| / sqrt 2, which is right for Gaussian laws. The centre of a pair is the path without noise
 to first order: its absolute error is least at the median, does not depend on sigma to that order, and teaches
 the drift at little more than the noise of the data. Without it a spring's stiffness came out 20 % low after 400

@@ -53,7 +53,7 @@ def prepare(
         bend = torch.diff(x, n=min(2, windows.horizon), dim=1)
         variance = bend.reshape(-1, x.shape[-1]).var(0)
         if model.spec.measurement and windows.horizon > 1:
-            # white noise s of the sensors alone bends a path by 6 s^2; what is left may be diffusion
+            # white noise s of the sensors alone curves a path by 6 s^2; what is left may be diffusion
             variance = torch.maximum(variance - 6.0 * sensor_std(runs).to(x) ** 2, 1e-3 * variance)
         sigma = 0.5 * (variance / windows.dt_model).sqrt()
         if model.h.log_sigma_max.requires_grad:

@@ -13,7 +13,7 @@ import pytest
 from nsde_torch.cli import groups
 from nsde_torch.cli.commands.completion import SCRIPTS, query
 from nsde_torch.cli.main import main
-from nsde_torch.cli.registry import COMMANDS
+from nsde_torch.cli.registry import all_commands
 
 
 @pytest.mark.parametrize(
@@ -38,7 +38,7 @@ def test_the_last_word_is_completed(words: list[str], expected: list[str]) -> No
 
 
 def test_commands_groups_and_keys_are_all_reachable() -> None:
-    assert set(COMMANDS) <= set(query([""]))
+    assert set(all_commands()) <= set(query([""]))
     top = query(["train", ""])
     for group in groups.defaults("train"):
         assert f"{group}=" in top

@@ -7,7 +7,7 @@ import time
 import pytest
 
 from nsde_torch.cli.main import main, unknown_command
-from nsde_torch.cli.registry import COMMANDS
+from nsde_torch.cli.registry import all_commands
 
 
 @pytest.mark.parametrize("words", [[], ["--help"], ["-h"], ["help"]])
@@ -16,13 +16,13 @@ def test_alone_or_with_help_it_lists_every_command_with_a_line(
 ) -> None:
     assert main(words) == 0
     lines = capsys.readouterr().out.splitlines()
-    for name, command in COMMANDS.items():
+    for name, command in all_commands().items():
         assert any(line.split() == [name, *command.summary.split()] for line in lines)
     assert max(map(len, lines)) <= 100
 
 
 def test_every_command_of_the_table_can_be_called_for_help(capsys: pytest.CaptureFixture[str]) -> None:
-    for name in COMMANDS:
+    for name in all_commands():
         try:
             status = main([name, "--help"])
         except SystemExit as ended:  # argparse leaves by itself

@@ -15,7 +15,7 @@ from nsde_torch.cli import groups
 from nsde_torch.cli.help import value_text
 from nsde_torch.cli.keys import walk
 from nsde_torch.cli.main import main
-from nsde_torch.cli.registry import COMMANDS, hydra_commands
+from nsde_torch.cli.registry import all_commands, hydra_commands
 from nsde_torch.cli.schemas.choices import CHOICES
 from nsde_torch.cli.store import store
 from tests.golden.kept import same_text, same_values
@@ -66,7 +66,7 @@ def test_every_key_has_the_default_unit_range_and_help_that_it_had(regenerate: b
     same_text(HERE / "keys.txt", "\n".join(lines) + "\n", regenerate=regenerate)
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", all_commands())
 def test_the_help_of_a_command_reads_as_it_did(
     command: str, regenerate: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

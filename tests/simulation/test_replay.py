@@ -12,7 +12,7 @@ from nsde_torch.data import Windows
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.recording import read
 from nsde_torch.recording.chain import Recording
-from nsde_torch.simulation import Replay, make_plant, replay, simulate, write
+from nsde_torch.simulation import Making, Replay, make_plant, replay, simulate, write
 from nsde_torch.simulation.flights import chosen_flights
 from nsde_torch.systems import make_system
 
@@ -48,7 +48,7 @@ def test_commands_of_the_same_time_fly_the_same_flight(monkeypatch: pytest.Monke
     monkeypatch.setattr(
         replay, "_drawn", lambda flights, count, *_: ([(0, 80), (1, 300)], [(0, 80), (1, 300)])
     )
-    settings = {"seed": 1, "durations": [6.0, 5.0], "variants": 12, "rounds": 1, **QUIET}
+    settings = {"seed": 1, "durations": [6.0, 5.0], "variants": 12, "rounds": 1, "making": Making(**QUIET)}
     flights = chosen_flights("hexacopter", **settings)
     found = replay.replayed_flights("hexacopter", replay=Replay(2), **settings)
     assert [len(some) for some in found] == [1, 1]

@@ -10,9 +10,9 @@ import pytest
 from scipy.signal import butter, filtfilt
 
 import nsde_torch
+from nsde_benchmarks.public.emps import PositioningDrive
 from nsde_torch.data import DataSet, RawRun
 from nsde_torch.errors import DataError
-from nsde_torch.public_benchmarks.emps import PositioningDrive
 from nsde_torch.recording import assemble
 from nsde_torch.sysid import Identification, identify_in_loop
 from nsde_torch.sysid.guard import Guarded, Objection, asks_for_longer_boxes

@@ -13,7 +13,7 @@ import torch
 
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.simulation import simulated
+from nsde_torch.simulation import Making, simulated
 from nsde_torch.simulation.flights import fly
 from nsde_torch.simulation.pilot import Pilot, Sticks
 from nsde_torch.sysid.identify import identify, identify_in_loop
@@ -26,15 +26,10 @@ from nsde_torch.systems.parameters import ParameterVector
 def flights(noise: float) -> tuple[Run, ...]:
     """two flights of 10 s on the hexacopter's plant, whose rotor drag and motor lag the system may declare."""
     paths = list(Pilot([10.0, 10.0], dt=0.01, seed=3).paths(Sticks()))
-    x, u = fly(
-        "hexacopter",
-        paths,
-        generator=torch.Generator().manual_seed(1),
-        process_noise=noise,
-        sensor_noise=noise,
-    )
-    t = 0.01 * np.arange(len(x))
-    return tuple(Run(f"flight_{i}", t, x[:, i], u[:, i]) for i in range(2))
+    making = Making(process_noise=noise, sensor_noise=noise)
+    flown = fly("hexacopter", paths, generator=torch.Generator().manual_seed(1), making=making)
+    t = 0.01 * np.arange(len(flown.x))
+    return tuple(Run(f"flight_{i}", t, flown.x[:, i], flown.u[:, i]) for i in range(2))
 
 
 @cache

@@ -26,15 +26,13 @@ from nsde_torch.training.fit_ensemble import (
     nll,
     standardised_pairs,
 )
+from nsde_torch.training.loop import Loop
 from nsde_torch.training.task import Task
+from tests.helpers.loop_contract import LoopContract
 from tests.helpers.toy_systems import DT
 
 DECAY = "tests.helpers.toy_systems:Decay"
 OPTIONS = TrainerOptions(steps=12, validate_every=3, checkpoint_every=2, patience=100)
-
-
-class Killed(Exception):
-    """Stands for the power failing."""
 
 
 def std_of(x: Any) -> Any:
@@ -89,27 +87,6 @@ def make_task(tmp_path: Path, **spec: Any) -> Task:
         checkpoint=tmp_path / "c",
         log=lambda step, row: rows.append(step),
     )
-
-
-def kill_at(loop: EnsembleLoop, count: int) -> None:
-    """Raise in the middle of gradient step number `count`."""
-    terms, calls = loop.terms, [0]
-
-    def counted() -> dict[str, torch.Tensor]:
-        calls[0] += 1
-        if calls[0] == count:
-            raise Killed
-        return terms()
-
-    loop.terms = counted  # type: ignore[method-assign]
-
-
-def same(a: EnsembleLoop, b: EnsembleLoop) -> None:
-    assert a.progress == b.progress
-    assert torch.equal(a.best_score, b.best_score)
-    assert torch.equal(a.best_step, b.best_step)
-    for (name, p), q in zip(a.model.state_dict().items(), b.model.state_dict().values(), strict=True):
-        assert torch.equal(p, q), name
 
 
 # ---- likelihood and pairs -------------------------------------------------------------------------------
@@ -294,51 +271,20 @@ def test_the_history_starts_before_the_first_step_and_has_a_row_per_validation()
 # ---- resume -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("killed", [1, 3, 6, 11, 12])
-def test_a_fit_killed_at_any_step_and_resumed_ends_in_the_same_bits(killed: int, tmp_path: Path) -> None:
-    whole = make_loop()
-    whole.run(title="t", quiet=True)
-    first = make_loop()
-    kill_at(first, killed)
-    with pytest.raises(Killed):
-        first.run(title="t", checkpoint=tmp_path / "c", quiet=True)
-    second = make_loop()
-    second.run(title="t", checkpoint=tmp_path / "c", quiet=True)
-    same(whole, second)
+class TestEnsembleLoop(LoopContract):
+    @pytest.fixture(params=[1, 3, 6, 11, 12])
+    def killed(self, request: pytest.FixtureRequest) -> int:
+        return int(request.param)
 
+    def make(self, seed: int = 0) -> EnsembleLoop:
+        return make_loop(seed=seed)
 
-def test_a_fit_killed_again_and_again_ends_in_the_same_bits(tmp_path: Path) -> None:
-    whole = make_loop()
-    whole.run(title="t", quiet=True)
-    for _ in range(20):
-        loop = make_loop()
-        kill_at(loop, 3)
-        try:
-            loop.run(title="t", checkpoint=tmp_path / "c", quiet=True)
-        except Killed:
-            continue
-        break
-    same(whole, loop)
-
-
-def test_a_finished_fit_run_again_takes_no_step(tmp_path: Path) -> None:
-    first = make_loop()
-    first.run(title="t", checkpoint=tmp_path / "c", quiet=True)
-    again = make_loop()
-    kill_at(again, 1)
-    again.run(title="t", checkpoint=tmp_path / "c", quiet=True)
-    same(first, again)
-
-
-def test_the_same_seed_gives_the_same_bits_another_seed_others_and_the_global_generator_plays_no_part() -> (
-    None
-):
-    a, b, c = (make_loop(seed=s) for s in (1, 1, 2))
-    for k, loop in enumerate((a, b, c)):
-        torch.manual_seed(k)
-        loop.run(title="t", quiet=True)
-    same(a, b)
-    assert a.progress.history != c.progress.history
+    def same(self, a: Loop, b: Loop) -> None:
+        super().same(a, b)
+        assert isinstance(a, EnsembleLoop)
+        assert isinstance(b, EnsembleLoop)
+        assert torch.equal(a.best_score, b.best_score)
+        assert torch.equal(a.best_step, b.best_step)
 
 
 def test_a_checkpoint_of_another_training_is_refused(tmp_path: Path) -> None:

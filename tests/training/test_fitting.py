@@ -17,15 +17,12 @@ from nsde_torch.data import Windows
 from nsde_torch.errors import CheckpointError, NonFiniteError
 from nsde_torch.training import LossOptions, TrainerOptions
 from nsde_torch.training.fit_sde import Fit
+from tests.helpers.loop_contract import LoopContract
 from tests.helpers.toy_systems import DT, Decay, Gusty, decay_runs, make_model
 
 OPTIONS = TrainerOptions(
     steps=12, batch=8, validate_every=3, checkpoint_every=2, patience=100, compile="off", polish=5
 )
-
-
-class Killed(Exception):
-    """Stands for the power failing."""
 
 
 def make_fit(
@@ -52,79 +49,18 @@ def make_fit(
     )
 
 
-def kill_at(fit: Fit, count: int) -> None:
-    """Raise in the middle of gradient step number `count` (the steps on all windows are counted on)."""
-    terms, calls = fit.terms, [0]
+class TestFit(LoopContract):
+    @pytest.fixture(params=[1, 3, 6, 12, 13, 14, 17])
+    def killed(self, request: pytest.FixtureRequest) -> int:
+        return int(request.param)
 
-    def counted() -> dict[str, torch.Tensor]:
-        calls[0] += 1
-        if calls[0] == count:
-            raise Killed
-        return terms()
+    def make(self, seed: int = 0) -> Fit:
+        return make_fit(seed=seed)
 
-    fit.terms = counted  # type: ignore[method-assign]
-
-
-def same(a: Fit, b: Fit) -> None:
-    assert a.progress == b.progress
-    for (name, p), q in zip(a.model.state_dict().items(), b.model.state_dict().values(), strict=True):
-        assert torch.equal(p, q), name
-
-
-@pytest.mark.parametrize("killed", [1, 3, 6, 12, 13, 14, 17])
-def test_a_fit_killed_at_any_step_and_resumed_ends_in_the_same_bits(killed: int, tmp_path: Path) -> None:
-    whole = make_fit()
-    whole.run(title="t", quiet=True)
-    assert (whole.progress.step, whole.progress.polished) == (12, 5)
-    first = make_fit()
-    kill_at(first, killed)
-    with pytest.raises(Killed):
-        first.run(title="t", checkpoint=tmp_path / "c", quiet=True)
-    second = make_fit()
-    second.run(title="t", checkpoint=tmp_path / "c", quiet=True)
-    same(whole, second)
-
-
-def test_a_fit_killed_again_and_again_ends_in_the_same_bits(tmp_path: Path) -> None:
-    whole = make_fit()
-    whole.run(title="t", quiet=True)
-    for _ in range(20):
-        fit = make_fit()
-        kill_at(fit, 3)
-        try:
-            fit.run(title="t", checkpoint=tmp_path / "c", quiet=True)
-        except Killed:
-            continue
-        break
-    same(whole, fit)
-
-
-def test_a_finished_fit_run_again_changes_nothing_and_takes_no_step(tmp_path: Path) -> None:
-    first = make_fit()
-    first.run(title="t", checkpoint=tmp_path / "c", quiet=True)
-    again = make_fit()
-    kill_at(again, 1)
-    again.run(title="t", checkpoint=tmp_path / "c", quiet=True)
-    same(first, again)
-
-
-def test_the_same_seed_gives_the_same_bits_and_another_seed_others() -> None:
-    a, b, c = (make_fit(seed=s) for s in (1, 1, 2))
-    for fit in (a, b, c):
-        fit.run(title="t", quiet=True)
-    same(a, b)
-    assert a.progress.history != c.progress.history
-
-
-def test_the_global_generator_plays_no_part() -> None:
-    a, b = make_fit(), make_fit()
-    torch.manual_seed(1)
-    a.run(title="t", quiet=True)
-    torch.manual_seed(2)
-    state = torch.random.get_rng_state()
-    b.run(title="t", quiet=True)
-    same(a, b)
-    assert torch.equal(state, torch.random.get_rng_state())
+    def test_it_takes_all_steps_and_then_those_on_all_windows(self) -> None:
+        whole = make_fit()
+        whole.run(title="t", quiet=True)
+        assert (whole.progress.step, whole.progress.polished) == (12, 5)
 
 
 def scripted(fit: Fit, score: Callable[[int], float]) -> None:

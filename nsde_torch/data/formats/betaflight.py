@@ -18,7 +18,7 @@ from nsde_torch.data.formats.log import StreamLog, lacking, unreadable
 from nsde_torch.data.streams import Stream, ordered
 from nsde_torch.errors import DataError
 
-# it tells of every file, and of every event that it does not know
+# it reports every file, and every event that it does not know
 logging.getLogger("orangebox").setLevel(logging.CRITICAL)
 _TOGETHER = 20_000
 _MOST = 20_000_000  # frames of a log

@@ -24,7 +24,7 @@ _SAME = {"sec": "s", "seconds": "s", "msec": "ms", "usec": "us", "µs": "us", "n
 
 @dataclass(frozen=True)
 class ClockOf:
-    """How a table tells the time.
+    """How a table gives the time.
 
     Args:
         source: Column; None: the one whose name says so.
@@ -63,7 +63,7 @@ def found(fields: Mapping[str, Array], clock: ClockOf) -> ClockOf | None:
 
     Args:
         fields: Columns.
-        clock: How it tells the time.
+        clock: How it gives the time.
     """
     if clock.rate is not None:
         return clock
@@ -90,7 +90,7 @@ def timed(name: str, fields: dict[str, Array], clock: ClockOf, *, source: str) -
     Args:
         name: Of the stream.
         fields: Columns, all of one length.
-        clock: How it tells the time.
+        clock: How it gives the time.
         source: File, for messages.
 
     Raises:
@@ -133,7 +133,7 @@ class StreamLog:
             an entry of a mapping would.
         frames: Axes that the format fixes: `world` (ENU or NED), `body` (FLU or FRD).
         notes: What the reader found, in words.
-        clock: How a table was taken to tell the time; None: the format says it.
+        clock: How the time was read from a table; None: the format says it.
     """
 
     name: str

@@ -250,7 +250,7 @@ def read_parquet(path: Path) -> Arrays:
 
 _MARKS = (",", ";", "\t")
 _COMMENT = ("#", "%")
-_PROBED = 200  # rows that tell which columns hold numbers
+_PROBED = 200  # rows that decide which columns hold numbers
 _BRACKETS = re.compile(r"[\[(][^\[\]()]*[\])]")
 _BARE_LIST = {mark: re.compile(rf"(?:^|(?<={mark}))\s*{_BRACKETS.pattern}") for mark in (*_MARKS, " ")}
 _ARRAY = re.compile(r"^(?:np\.|numpy\.)?array\(|,?\s*dtype=[\w.]+")
@@ -494,7 +494,7 @@ def open_table(path: Path, *, clock: ClockOf | None = None) -> StreamLog:
 
     Args:
         path: The file or folder.
-        clock: How the tables tell the time; None: by names.
+        clock: How the tables give the time; None: by names.
 
     Raises:
         DataError: a file that cannot be read, or one without a table of numbers.
@@ -575,7 +575,7 @@ def _length(value: NDArray[Any]) -> int:
 
 
 def _upright(value: NDArray[Any], lengths: list[int]) -> NDArray[Any] | None:
-    """A table (rows, columns); one that lies on its side is turned. None of scalars and of what is no table."""
+    """A table (rows, columns); one that lies on its side is turned. None for anything that is no table."""
     if value.ndim == 1:
         value = value[:, None]
     if value.ndim != 2 or value.dtype.kind not in "fiub" or max(value.shape) < 2:

@@ -1,7 +1,7 @@
 """A log through a mapping: one run in the system's units, axes and order.
 
 The rows are those of the stream of the attitude, else of the first state. What was logged on other clocks is put on
-them: states interpolated, commands held (of a faster stream: the mean of what acted during the step).
+them: states interpolated, commands held (of a faster stream: the mean input during the step).
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ SLOWEST = 4.0
 MOTOR_RATE = 50.0
 """Slowest rate of motors [Hz], which answer within 50 ms."""
 _FASTEST = 2e4  # rate of a log [Hz]
-_FAR = 0.8  # share of the rows' rate below which a stream is told to be slow
+_FAR = 0.8  # share of the rows' rate below which a stream is reported as slow
 
 
 def apply(log: StreamLog, mapping: LogMapping, system: SystemInfo) -> RawRun:

@@ -1,6 +1,6 @@
 """Whether a mapping says the truth: the run that it makes against kinematics and gravity, in words.
 
-What is looked for is another reading of the same columns that leaves a tenth of what the mapping's leaves; a unit, an
+The check looks for another interpretation of the same columns whose residual is a tenth of the mapping's; a unit, an
 order of columns, axes. Nothing here knows the machine beyond that its thrust holds it up.
 """
 
@@ -38,20 +38,20 @@ from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_col
 #
 #     p(t + T) - p(t) = int v dt         (T = 0.25 s)
 #
-# holds for a position and its rate. Where it fails as the columns are read and holds in another reading, that
+# holds for a position and its rate. Where it fails as the columns are read and holds in another interpretation, that
 # one is named. In a sound log it holds as it is, and nothing else is looked at.
 
 BETTER = 10.0
-"""Times less that another reading of the columns must leave."""
+"""Factor by which the residual of another interpretation of the columns must be smaller."""
 _SLOW_S, _FAST_S, _FASTEST_S = 0.5, 2e-5, 1e-5
 """Steps beyond which times are taken for another unit, and the shortest that they then may have [s]."""
-_ALIKE = 2.0  # times the least that is left, up to which two readings do as well
+_ALIKE = 2.0  # times the least that is left, up to which two interpretations are equally good
 _LENGTHS = (("mm", 1e-3), ("cm", 1e-2), ("ft", 0.3048))
 
 
 @dataclass(frozen=True)
 class Misread:
-    """Another reading of columns, in which they agree.
+    """Another interpretation of columns, in which they agree.
 
     Args:
         words: What would be so.
@@ -247,7 +247,7 @@ class LogCheck:
 
     Args:
         name: What was checked.
-        passed: True, False, or None where the log does not tell.
+        passed: True, False, or None where the log does not decide.
         text: The result, one sentence.
         remedy: What to mend, in the imperative; empty where nothing speaks against the columns.
     """
@@ -302,7 +302,7 @@ def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -
             out += _velocity(run.t, attitude, run.x[:, i], run.x[:, j])
             if not any(
                 check.passed is False for check in out
-            ):  # else the lean shows the same fault once more
+            ):  # else the tilt shows the same fault once more
                 out.append(_lean(run.t, attitude, run.x[:, i]))
         else:
             for a, b in zip(i, j, strict=True):
@@ -507,5 +507,5 @@ def _exchanged(
 
 
 def _alternatives(readings: Sequence[Misread]) -> tuple[str, str]:
-    """Words and remedies of readings that do as well."""
+    """Words and remedies of interpretations that are equally good."""
     return " or ".join(one.words for one in readings), ", or ".join(one.remedy for one in readings)

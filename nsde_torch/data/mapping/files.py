@@ -39,7 +39,7 @@ class LogFile:
         """The streams.
 
         Args:
-            clock: How tables tell the time; other formats say so themselves.
+            clock: How tables give the time; other formats say so themselves.
 
         Raises:
             DataError: the file cannot be read.

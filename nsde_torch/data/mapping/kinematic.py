@@ -3,9 +3,9 @@
     log(q(t)^-1 q(t + T)) = int omega dt,    p(t + T) - p(t) = int v dt         (T = 0.25 s)
     a_xy = g M b_xy          a the acceleration, b the body's third axis in the world
 
-Whatever a multirotor weighs, it speeds up where its thrust leans: `M` is the identity where the body's third axis is
-that of the thrust, its negative where it points down, and another where the axes of positions are not those of the
-attitude. Whether the world's third axis is up, too, is seen from the sign of `b_z`.
+A multirotor of any weight accelerates in the direction in which its thrust is tilted. `M` is the identity if the
+body's third axis is that of the thrust, its negative if it points down, and another matrix if the axes of positions
+are not those of the attitude. Whether the world's third axis is up, too, is seen from the sign of `b_z`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ INTERVAL_S = 0.25
 SOUND_ATTITUDE, SOUND_VELOCITY = 0.25, 0.05
 """Shares of the motion that a sound log leaves at most."""
 NOISY_VELOCITY = 5 * SOUND_VELOCITY
-"""The share up to which noise explains what velocities leave; a reading that leaves more is no remedy."""
+"""The share up to which noise explains what velocities leave; an interpretation that leaves more is no remedy."""
 _FEWEST = 20  # intervals
 _TILT_S = 0.3
 _LEAST_TILT = 0.01  # root mean square of the tilt [rad] from which on it says something
@@ -158,7 +158,7 @@ LEANS: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
 
 @dataclass(frozen=True)
 class Lean:
-    """How horizontal acceleration follows the lean of the body's third axis.
+    """How horizontal acceleration follows the tilt of the body's third axis.
 
     Args:
         left: Share of the horizontal acceleration that each `M` of `LEANS` leaves, its size free.
@@ -189,7 +189,7 @@ def lean(t: Array, q: Array, p: Array) -> Lean | None:
     if len(t) < 2 or t[-1] - t[0] < 10 * _TILT_S:
         return None
     step = _TILT_S / 4
-    if t[-1] - t[0] > 2 * step * len(t):  # too few rows to say anything, or times that no clock tells
+    if t[-1] - t[0] > 2 * step * len(t):  # too few rows to say anything, or times of no clock
         return None
     grid = np.arange(t[0], t[-1], step)
     third = rotate(q, np.broadcast_to([0.0, 0.0, 1.0], (len(q), 3)))
@@ -201,7 +201,7 @@ def lean(t: Array, q: Array, p: Array) -> Lean | None:
     starts = edges[:-1][keep]
     b = np.add.reduceat(third, starts, axis=0) / counts[keep][:, None]
     x = np.add.reduceat(p, starts, axis=0) / counts[keep][:, None]
-    k = 4  # a second difference over twice 0.3 s, and the mean of the lean with the same triangle
+    k = 4  # a second difference over twice 0.3 s, and the mean of the tilt with the same triangle
     if len(x) < 4 * k:
         return None
     even = np.diff(np.flatnonzero(keep)) == 1

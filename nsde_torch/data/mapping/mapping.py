@@ -237,7 +237,7 @@ def _flow(value: Any) -> str:
 
 
 def targets(system: SystemInfo, name: str) -> tuple[str, ...]:
-    """Columns of a system that an entry stands for; of a name that it does not know, that channel."""
+    """Columns of a system that an entry names; for an unknown name, the channel of that name."""
     everything = (*system.state_names, *system.input_names, *system.exogenous)
     if name in everything:
         return (name,)

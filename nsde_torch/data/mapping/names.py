@@ -160,7 +160,7 @@ class Named:
         unit: As the names say; None: they do not.
         order: Of a quaternion, `wxyz` or `xyzw`; None: numbered, so that it is not said.
         down: Whether the names say north, east, down.
-        measured: False of what looks like a setpoint or an error.
+        measured: False for names that look like a setpoint or an error.
     """
 
     kind: str

@@ -1,8 +1,8 @@
 """What the columns of a log are likely to mean to a system: by what the format says, by names, and by kinematics.
 
 Names say which columns are a position, a velocity, an attitude, rates, motors; where they leave open how (order of a
-quaternion, degrees, axes), the reading that kinematics contradict least is proposed. Several sources of one quantity
-make a proposal ambiguous: it is shown, and not used unseen.
+quaternion, degrees, axes), the interpretation is proposed that kinematics contradict least. Several sources of one
+quantity make a proposal ambiguous: it is shown, and not used unseen.
 """
 
 from __future__ import annotations
@@ -172,7 +172,7 @@ _INPUTS = {
     "vir",
     "motor",
 }
-_FEWEST = 10  # movements that tell a rate
+_FEWEST = 10  # movements that determine a rate
 _MEASURED = re.compile(r"_(meas|measured|act|actual|filt|filtered|enc|encoder)(?=\d*$)")
 _COMMANDED = re.compile(r"_(cmd|command|commanded)(?=\d*$)")
 

@@ -2,7 +2,7 @@
 
 | parameter | judged |
 |---|---|
-| COM_OF_LOSS_T | how long it flies on the last rates: refused above 2 s, told where that is more than 2 m of the way |
+| COM_OF_LOSS_T | how long it flies on the last rates: refused above 2 s, noted where that is more than 2 m of way |
 | COM_OBL_RC_ACT, NAV_RCL_ACT, NAV_DLL_ACT, GF_ACTION | refused where it stops the motors in the air |
 | these, COM_LOW_BAT_ACT, RTL_RETURN_ALT | noted where it climbs above the fence's top to return |
 | COM_LOW_BAT_ACT | noted where it only warns |
@@ -33,7 +33,7 @@ CLIMBS_TO, BATTERY, OVERRIDE, PROFILE = (
 LONGEST_LOSS = 2.0
 """Time for which PX4 may hold the last rates when the stream stops [s]."""
 BLIND = 2.0
-"""Distance that it may fly on the last rates without being told [m]."""
+"""Distance that it may fly on the last rates without a remark [m]."""
 ADVISED_LOSS, ADVISED_ACTION, ADVISED_PROFILE = 0.5, 4, 147
 NO_STICKS = 4
 IN_OFFBOARD, OVER_OFFBOARD, HIGH_RATE = 4, 2, 16

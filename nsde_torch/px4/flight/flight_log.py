@@ -130,7 +130,7 @@ class FlownState:
 
     Args:
         state: The state.
-        motors: Commands of the motors, 0 to 1, as far as the autopilot tells.
+        motors: Commands of the motors, 0 to 1, as far as the autopilot reports them.
         voltage: Of the battery [V].
         sent: Time, rates and throttle that left last.
     """

@@ -1,4 +1,4 @@
-"""The flight as a state machine: each step is asked for, and believed when telemetry shows it.
+"""The flight as a state machine: each step is requested, and counts as done when telemetry shows it.
 
     CONNECT -> PREFLIGHT -> STREAM -> OFFBOARD -> ARM -> TAKEOFF -> HOLD -> TRACK -> RETURN -> LAND -> DISARM -> DONE
 

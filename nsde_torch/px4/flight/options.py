@@ -122,7 +122,7 @@ class Limits:
 @documented
 @dataclass(frozen=True)
 class SetpointLimits:
-    """Bounds of what is sent."""
+    """Bounds of the commands that are sent."""
 
     rate: float = key(6.0, "largest roll and pitch rate that is sent", unit="rad/s", above=0)
     yaw_rate: float = key(2.5, "largest yaw rate that is sent", unit="rad/s", above=0)

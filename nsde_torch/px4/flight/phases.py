@@ -44,7 +44,7 @@ class FlightOutcome:
         tracked: The reference was flown to its end.
         landed: On the ground and disarmed, as telemetry says.
         trouble: The first thing that went wrong.
-        actions: The phases that were gone through, with their times from the start [s] and the reason.
+        actions: The phases of the flight, with their times from the start [s] and the reason.
         without_plans: Time for which the built-in cascade flew the reference, because plans were late [s].
         steps: Resets of the estimate in flight, with their times from the start [s].
     """

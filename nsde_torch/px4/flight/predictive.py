@@ -204,7 +204,7 @@ COVERED = ("input_delay", "motor_lag", "actuator_lag")
 
 
 def told(effects: Effects) -> list[dict[str, Any]]:
-    """Effects that a controller of rates and thrust is to be told of: those that are more than lateness.
+    """Effects that a controller of rates and thrust needs to know: those that are more than lateness.
 
     Args:
         effects: Names, or names with values, as a diagnosis found them.
@@ -251,7 +251,7 @@ def braking(controller: Controller) -> Drag:
     """How a model brakes by its speed along the body, D of a = -D v: slopes at hovering, level [1/s].
 
     Args:
-        controller: The controller with the model; a file of `nsde export` does not tell.
+        controller: The controller with the model; a file of `nsde export` does not hold it.
     """
     known = controller.predictor
     x = torch.zeros(6, known.nx, dtype=known.dtype)
@@ -384,7 +384,7 @@ class PredictiveMaker:
         path: Where to fly.
         problem: What a plan pays for.
         solver: How it is found.
-        safety: When to disbelieve.
+        safety: When to reject a state or a plan.
         delay: See `PredictiveController`.
         lead: See `PredictiveController`.
         tilt: See `PredictiveController`.

@@ -2,7 +2,7 @@
 
 | trouble | seen by | action |
 |---|---|---|
-| estimate too old or gone | age of the newest state | level, PX4's own LAND at once; silence if that is not confirmed |
+| estimate too old or lost | age of the newest state | level, PX4's own LAND at once; silence if that is not confirmed |
 | link silent | no message at all | silence: PX4 fails over by itself, and we never stream again |
 | plans late | age of the newest | the built-in cascade flies the reference for 3 s in all; then hold, then LAND |
 | solver failed, dead | its words, its process | hold by the built-in cascade, then LAND |
@@ -79,7 +79,7 @@ class EstimateStep:
 
 
 def step_between(last: VehicleState, state: VehicleState) -> EstimateStep | None:
-    """The step from one state to a later one; None where they are the same, or too far apart to tell."""
+    """The step from one state to a later one; None where they are the same, or too far apart to compare."""
     dt = state.stamp - last.stamp
     if not 0.0 < dt < LONGEST:
         return None

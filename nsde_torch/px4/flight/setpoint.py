@@ -1,4 +1,4 @@
-"""What a demand must pass before it leaves, because PX4 does not check it, and the throttle that thrust stands for.
+"""What a demand must pass before it leaves, because PX4 does not check it, and the throttle for a thrust.
 
     throttle = hover * thrust / g,       hover' = hover + (hover_seen - hover) dt / T,    hover_seen = throttle g / f
 
@@ -67,7 +67,7 @@ class HoverThrottle:
         first: The autopilot's own idea of it (MPC_THR_HOVER).
         lag: From throttle to thrust [s].
         time: Time constant of learning [s].
-        bounds: Lowest and highest that is believed.
+        bounds: Lowest and highest that is accepted.
     """
 
     WINDOW = 0.2

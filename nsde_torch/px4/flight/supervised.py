@@ -26,9 +26,9 @@ STALL = 0.15
 GRACE = 0.05
 """Time that the hearing is given for it [s]."""
 REMEMBERED = 0.3
-"""Time for which a controller is told what was sent [s]."""
+"""Time for which a controller is given what was sent [s]."""
 SETPOINTS = 500
-"""Newest rates that are known for ours when PX4 tells them: it may hold them for 2 s, at 250 a second."""
+"""Newest rates that are recognised as ours when PX4 reports them: it may hold them for 2 s, at 250 a second."""
 
 
 class Supervised(ABC):
@@ -39,7 +39,7 @@ class Supervised(ABC):
         runner: The controller of the reference.
         path: The reference, from the place of take-off.
         limits: When something is wrong.
-        setpoints: Bounds of what leaves.
+        setpoints: Bounds of the commands that are sent.
         options: How the flight goes.
         say: Takes one line about each step.
 

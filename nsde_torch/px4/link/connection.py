@@ -82,7 +82,7 @@ class Connection(ABC):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Let go of what it holds."""
+        """Release what it holds."""
 
 
 @final
@@ -142,7 +142,7 @@ class Link(Connection):
                 if now - polled >= POLL:
                     polled = now
                     self.endpoint.poll(now)
-            except Exception as error:  # a fault of ours must not end the hearing; the flight is told of it
+            except Exception as error:  # a fault of ours must not end the hearing; the flight is informed
                 self.fault = error
                 time.sleep(0.001)
 

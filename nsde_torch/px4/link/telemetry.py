@@ -88,7 +88,7 @@ class EstimateQuality:
 
 
 Followed = tuple[float, Vec | None]
-"""When the autopilot told a setpoint that it follows [s], and its body rates, FLU [rad/s]; None: a position."""
+"""When the autopilot reported a setpoint that it follows [s], and its body rates, FLU [rad/s]; None: a position."""
 
 
 @dataclass
@@ -103,10 +103,10 @@ class Status:
         landed: `landed_state` of EXTENDED_SYS_STATE, 0 unknown.
         voltage: Of the battery [V].
         remaining: Charge left, 0 to 1.
-        motors: Commands of the motors, 0 to 1, as far as the autopilot tells.
+        motors: Commands of the motors, 0 to 1, as far as the autopilot reports them.
         motors_stamp: Their time on the autopilot's clock [s].
         receiver: Whether it hears a transmitter; None where it does not say.
-        home: Place of take-off, ENU [m], as far as the autopilot tells.
+        home: Place of take-off, ENU [m], as far as the autopilot reports it.
         quality: What its estimator says of itself, as far as it is sent.
     """
 
@@ -136,7 +136,7 @@ class Telemetry:
         state: The newest consistent state, None before the first.
         history: The newest ones, for who looks less often than they come.
         followed: Setpoints that the autopilot says it follows, for who takes them.
-        rejected: States that were not believed: not finite, no rotation, or older than what is known.
+        rejected: States that were not accepted: not finite, no rotation, or older than what is known.
     """
 
     def __init__(self) -> None:
@@ -279,7 +279,7 @@ class Telemetry:
                 return False
             self.sync.reset()
         elif before is not None and stamp > before.stamp + BACK and now - before.received < 0.5 * BACK:
-            # a leap ahead of what time has passed: the same holds
+            # a leap ahead of the time that has passed: the same holds
             self._old += 1
             if self._old < 5:
                 self.rejected += 1

@@ -22,7 +22,7 @@ JUMP = 0.5
 PERIOD = 0.1
 """Time between questions [s]."""
 WINDOW = 4.0
-"""Time over which answers are believed [s]."""
+"""Time over which answers are accepted [s]."""
 SLACK, ODD = 0.02, 3
 """Disagreement of an answer with the line, beyond its own error [s], and how many of them in a row set a clock anew."""
 SPREAD = 1e-3
@@ -30,7 +30,7 @@ SPREAD = 1e-3
 FEWEST, SHORTEST = 8, 0.5
 """Answers, and time that they span [s], from which a drift is fitted."""
 STEEPEST = 0.1
-"""Largest drift that is believed."""
+"""Largest drift that is accepted."""
 
 
 @final

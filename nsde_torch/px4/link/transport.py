@@ -4,7 +4,7 @@
     udpout:127.0.0.1:14580    send to the vehicle there         tcpin:127.0.0.1:4560  wait for a connection
     serial:/dev/ttyACM0:921600
 
-What waits does so on the loopback interface unless told otherwise: MAVLink without signing lets anyone fly.
+What waits does so on the loopback interface by default: MAVLink without signing lets anyone fly.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ TAKEOVER = 2.0
 
 
 class LinkError(NsdeError, OSError):
-    """A link cannot be opened or is gone; the message names the address and the remedy."""
+    """A link cannot be opened or is lost; the message names the address and the remedy."""
 
 
 class Transport(ABC):
@@ -51,7 +51,7 @@ class Transport(ABC):
 
     @property
     def connected(self) -> bool:
-        """Whether there is another side, as far as this kind of way can tell."""
+        """Whether there is another side, as far as this kind of link can show."""
         return True
 
     def trust(self) -> None:  # noqa: B027
@@ -199,7 +199,7 @@ class UdpOut(Transport):
 
 
 class _Connected(Transport):
-    """A TCP connection; when it is gone nothing comes and nothing goes."""
+    """A TCP connection; when it is lost, nothing is received or sent."""
 
     stream = True
 

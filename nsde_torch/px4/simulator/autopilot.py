@@ -100,8 +100,8 @@ class SimulatedAutopilot:
         estimate: Position, velocity, attitude and rates as its estimator has them.
         rates: Body rates that it follows [rad/s].
         home: Place of take-off [m], None before the first arming.
-        position: Position that it followed since it was told last [m], None where it followed rates.
-        commands: What the motors are told.
+        position: Position that it followed since the last report [m], None where it followed rates.
+        commands: Commands of the motors.
     """
 
     def __init__(
@@ -156,7 +156,7 @@ class SimulatedAutopilot:
 
     @property
     def landed(self) -> bool:
-        """Whether it believes to have landed."""
+        """Whether its estimate is that it has landed."""
         return self.body.on_ground and self.estimator.still
 
     def advance(self, until: float) -> list[bytes]:
@@ -496,7 +496,7 @@ def _attitude_target(a: SimulatedAutopilot, now: float) -> Message:
 
 
 def _position_target_local_ned(a: SimulatedAutopilot, now: float) -> Message | None:
-    """Only where a position was followed since it was told last."""
+    """Only where a position was followed since the last report."""
     to, a.position = a.position, None
     if to is None:
         return None

@@ -52,7 +52,7 @@ class Body:
         p, v, q, w: True state, ENU and FLU.
         motors: What the motors do, 0 to 1.
         on_ground: Whether the ground carries it.
-        voltage: Of the battery [V]; `used` is the share of its charge that is gone.
+        voltage: Of the battery [V]; `used` is the share of its charge that is spent.
 
     Raises:
         ConfigError: no multirotor plant of that name, or an effect that reads a channel that is not there.

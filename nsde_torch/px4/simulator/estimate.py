@@ -1,8 +1,8 @@
-"""What the simulated autopilot believes of itself: the truth with noise, and with the errors that PX4's estimator has.
+"""The state estimate of the simulated autopilot: the truth with noise, and with the errors that PX4's estimator has.
 
     heading:    q_believed = R_z(e) q until it climbs past 1.5 m above the ground, then e = 0;    1 deg <= |e| <= 9 deg
 
-    touch-down at v_z = -s:    v_z believed too low by d, p_z by h;    d' = -d / 1.5 s, d(0) = 0.8 s, h' = d - h / 3 s
+    touch-down at v_z = -s:    v_z estimated too low by d, p_z by h;    d' = -d / 1.5 s, d(0) = 0.8 s, h' = d - h / 3 s
 
 PX4 resets its heading there, once in each flight, and ODOMETRY's reset counter grows by one. While the heading is wrong
 accelerations are turned by it, and its velocity innovations show that (ESTIMATOR_STATUS):
@@ -11,7 +11,7 @@ accelerations are turned by it, and its velocity innovations show that (ESTIMATO
 
 What its accelerometer
 cannot show of a touch-down it does not know: one at 0.7 m/s takes it half a metre below the ground for seconds, and
-`landed` comes only when it no longer believes to sink.
+`landed` comes only when the estimate no longer sinks.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ ALIGNED = 1.5
 HEADING = (radians(1.0), radians(9.0))
 """Smallest and largest error of the heading before that, as they were seen [rad]."""
 KEPT, SINKS, RISES = 0.8, 1.5, 3.0
-"""Share of the speed of touch-down that is believed on, and times in which velocity [s] and height [s] come back."""
+"""Share of the touch-down speed that the estimate keeps, and times in which velocity [s] and height [s] come back."""
 GATE, CORRECTED = 5.0 * 0.3, 0.5
 """Velocity that is rejected [m/s], and time in which measured velocities correct its own [s]."""
 STILL = 0.25
-"""Vertical speed below which it believes to have landed [m/s]."""
+"""Vertical speed below which it counts as landed [m/s]."""
 Estimate = tuple[Vec, Vec, Quat, Vec]
 """Position, velocity, attitude and rates."""
 
@@ -80,7 +80,7 @@ class SimulatedEstimator:
 
     @property
     def still(self) -> bool:
-        """Whether it believes not to sink."""
+        """Whether the estimate does not sink."""
         return self._sinking < STILL
 
     def _drawn(self) -> float:

@@ -240,7 +240,7 @@ PATIENCE = 0.1
 LONGEST = 0.1
 """Most that is made up for at once when the machine or PX4 was busy [s]."""
 _FIRST = 1.0
-"""First time that is told; PX4 takes 0 for no time [s]."""
+"""First time that is sent; PX4 takes 0 for no time [s]."""
 _LOCKSTEP = 1
 
 
@@ -274,7 +274,7 @@ class HilPlant:
 
     @property
     def time(self) -> float:
-        """As PX4 is told [s]."""
+        """As sent to PX4 [s]."""
         return _FIRST + self.body.time
 
     def sample(self) -> bytes:
@@ -327,7 +327,7 @@ class HilServer:
         self.plant, self.unanswered = make(), 0
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
-        """Serve until told to stop."""
+        """Serve until asked to stop."""
         self._say("waiting for PX4")
         while not until():
             early = self._transport.receive(0.05)  # accepts a connection

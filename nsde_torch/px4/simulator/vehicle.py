@@ -37,7 +37,7 @@ class Vehicle:
         self.slipped = 0.0
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
-        """Run until told to stop."""
+        """Run until asked to stop."""
         begun, offset = time.monotonic(), self.autopilot.time
         while not (self._stop.is_set() or until()):
             wanted = offset + (time.monotonic() - begun) * self._speed

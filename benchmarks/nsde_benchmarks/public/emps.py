@@ -1,0 +1,202 @@
+"""EMPS: a carriage on a rail, driven by a motor with dry friction, in closed loop (Janot, Gautier, Brunot, 2019).
+
+    M q'' = tau - F_v q' - F_c sign(q') + offset
+
+Two runs of the same reference at 1 kHz; in the second, pulses of force disturb it. Declared are mass and viscous
+friction; dry friction and offset are to be found. The model is identified on the first run and simulated over the
+whole of the second from its first position at rest, with the measured force alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from torch import Tensor
+
+from nsde_benchmarks.public.benchmark import (
+    BenchmarkMetric,
+    BenchmarkOutcome,
+    PublicBenchmark,
+    PublishedRow,
+    Trace,
+)
+from nsde_benchmarks.public.files import Work, found, long_enough, matrices
+from nsde_benchmarks.public.named import diagnosed, words_of
+from nsde_benchmarks.public.output_error import output_error, simulated, windows
+from nsde_torch.arrays import Array
+from nsde_torch.data.raw import RawRun
+from nsde_torch.effects import Parameter, Port
+from nsde_torch.errors import DataError
+from nsde_torch.systems import Defaults, ErrorGroup, OneDegreeOfFreedom, ResidualPort
+from nsde_torch.systems.options import system_options
+
+RATE_HZ = 1000.0
+ROWS = 5  # of the log to one of what is diagnosed
+SKIPPED = 20  # first samples of the test, which are not scored
+WINDOW = 500
+LEAST = 2000
+
+
+@final
+class PositioningDrive(OneDegreeOfFreedom):
+    """A carriage that a force drives along a rail: viscous friction is declared."""
+
+    name = "positioning_drive"
+    state_names = ("q", "q_dot")
+    state_units = ("m", "m/s")
+    input_names = ("force",)
+    input_units = ("N",)
+    position_derivatives = (("q", "q_dot", "world"),)
+    declared = ("viscous_friction",)
+    residual_ports = {Port.FORCE: ResidualPort(1, 0.5, "m/s2")}
+    PARAMETERS = {"force_gain": Parameter(0.05, "1/kg", low=0.0, help="1 / mass")}
+    defaults = Defaults(0.005, 25, (0.001, 0.05), 0.1, 1.0, "euler_maruyama")
+    error_names = state_names
+    error_groups = (ErrorGroup("position", (0,), "m"), ErrorGroup("velocity", (1,), "m/s"))
+    feature_names = ("q_dot",)
+    feature_units = ("m/s",)
+
+    def features(self, x: Tensor) -> Tensor:
+        """The velocity (N, 1)."""
+        return x[:, 1:]
+
+
+@final
+class Emps(PublicBenchmark):
+    """See the module."""
+
+    name = "emps"
+    title = "electro-mechanical positioning system: a drive with dry friction"
+    repository = "forgi86/sysid-neural-continuous"
+    files = ("examples/EMPS/data/DATA_EMPS.mat", "examples/EMPS/data/DATA_EMPS_PULSES.mat")
+    protocol = (
+        "Identified on DATA_EMPS, simulated open loop over the whole of DATA_EMPS_PULSES from its first position "
+        "with the measured force; R2 and root mean square of the position, without the first 20 samples."
+    )
+    metrics = (
+        BenchmarkMetric("r2", "", higher_is_better=True, digits=4),
+        BenchmarkMetric("rmse", "mm", digits=2),
+    )
+    published = (
+        PublishedRow(
+            "neural state space, truncated simulation error",
+            {"r2": 0.99},
+            "forgi86/sysid-neural-continuous, paper, section on EMPS",
+            "published as above 0.99",
+        ),
+        PublishedRow(
+            "neural state space, soft-constrained integration",
+            {"r2": 0.99},
+            "forgi86/sysid-neural-continuous, paper, section on EMPS",
+            "published as above 0.99",
+        ),
+        PublishedRow(
+            "linear models",
+            {"r2": 0.5},
+            "forgi86/sysid-neural-continuous, paper, of Janot, Gautier and Brunot (2019)",
+        ),
+    )
+    minutes = 6
+
+    def paths(self, folder: Path) -> list[Path]:
+        return found(folder, self.files, repository=self.repository)
+
+    def run(self, paths: Sequence[Path], work: Work) -> BenchmarkOutcome:
+        (t, q, force), (t_test, q_test, force_test) = (_read(path) for path in paths)
+
+        log = filtered_log(t, q, force, step=ROWS / RATE_HZ)
+        first = work.stage("diagnosis", lambda: diagnosed([log], system=PositioningDrive, say=work.say))
+        machine = system_options(PositioningDrive, effects=first["effects"], parameters=first["values"])
+        weights = np.array([1e4, 0.0])
+
+        def fitted() -> dict[str, Any]:
+            system = machine.make().double()
+            data = windows(
+                [np.stack((q, _filtered(q)[1]), 1)], [force[:, None]], dt=1 / RATE_HZ, length=WINDOW
+            )
+            estimate = output_error(
+                system,
+                data,
+                weights=weights,
+                free=(0, 1),
+                iterations=8,
+                stage="fitting to rollouts",
+                say=work.say,
+            )
+            return {"values": estimate.values}
+
+        second = work.stage("output_error", fitted)
+
+        def of(values: Mapping[str, Any], name: str) -> dict[str, Any]:
+            def simulate() -> dict[str, Any]:
+                work.say(f"simulating the test run, {name}", 0, 1)
+                system = system_options(machine, parameters=values).make().double()
+                start = np.array([[q_test[0], 0.0]])
+                path = simulated(system, start, force_test[None, :-1, None], dt=1 / RATE_HZ)
+                return {"q": path[0, :, 0].tolist()}
+
+            return work.stage(f"simulation_{name}", simulate)
+
+        paths_of = {
+            "diagnosis": np.array(of(first["values"], "diagnosis")["q"]),
+            "output error": np.array(of(second["values"], "output_error")["q"]),
+        }
+        rows = {f"ours, {name}": _scores(q_test, path) for name, path in paths_of.items()}
+        values = second["values"]
+        return BenchmarkOutcome(
+            rows,
+            first["added"],
+            {**first["parameters"], "mass": {"value": 1.0 / values["force_gain"], "unit": "kg"}},
+            [*words_of(first["added"], "the drive with viscous friction alone")],
+            [Trace("test run, open loop", "position [m]", t_test, q_test, paths_of["output error"])],
+            {"output_error": values},
+        )
+
+
+def _read(path: Path) -> tuple[Array, Array, Array]:
+    """Time, position and force of a file."""
+    held = matrices(path, ("t", "qm", "vir", "gtau"), what="EMPS")
+    t, q, force = held["t"], held["qm"], held["vir"] * held["gtau"][0]
+    if not len(t) == len(q) == len(force):
+        raise DataError(
+            f"{path}: t, qm and vir have {len(t)}, {len(q)} and {len(force)} rows. Fetch it again."
+        )
+    long_enough(len(t), LEAST, path)
+    return t, q, force
+
+
+def _filtered(q: Array) -> tuple[Array, Array]:
+    """Positions at 1 kHz behind a zero-phase low-pass at 100 Hz, and their derivative."""
+    from scipy.signal import butter, filtfilt
+
+    b, a = butter(4, 100.0 / (0.5 * RATE_HZ))
+    smooth = filtfilt(b, a, q)
+    return smooth, np.gradient(smooth, 1 / RATE_HZ)
+
+
+def filtered_log(t: Array, q: Array, force: Array, *, step: float) -> RawRun:
+    """A run at 1 kHz on longer steps: filtered and differentiated as its authors do, with the mean force of every step.
+
+    Args:
+        t: Times (n,) [s].
+        q: Positions (n,) [m].
+        force: (n,) [N].
+        step: Of the log [s].
+    """
+    smooth, speed = _filtered(q)
+    width = round(step * RATE_HZ)
+    rows = np.arange(50, len(t) - 50, width)
+    mean = np.array([force[k : k + width].mean() for k in rows])
+    return RawRun("emps", t[rows], np.stack((smooth[rows], speed[rows]), 1), mean[:, None])
+
+
+def _scores(measured: Array, path: Array) -> dict[str, float]:
+    error = (path - measured)[SKIPPED:]
+    spread = float(((measured - measured.mean()) ** 2)[SKIPPED:].sum())
+    return {
+        "r2": 1.0 - float((error**2).sum()) / spread,
+        "rmse": 1e3 * float(np.sqrt((error**2).mean())),
+    }

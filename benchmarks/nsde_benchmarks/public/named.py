@@ -1,0 +1,77 @@
+"""What a diagnosis named, as plain values and as a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from nsde_benchmarks.public.files import Say
+from nsde_torch.api.diagnosing import diagnose
+from nsde_torch.api.reading import Data
+
+Rung = Mapping[str, Any]
+"""What a fit made: `effects`, `values`, and its error on what was held out."""
+
+
+def ladder(
+    tried: Callable[[tuple[str, ...], Mapping[str, Any]], Rung],
+    candidates: Iterable[str],
+    *,
+    first: Mapping[str, Any],
+    error: str,
+    gain: float,
+) -> list[Rung]:
+    """Fits without any term and with one more in each, the best first.
+
+    Args:
+        tried: Fits terms from first values.
+        candidates: Names of the terms.
+        first: Values of the declared physics to start from.
+        error: Key of the error on what was held out.
+        gain: Share of that error by which one more term has to lower it.
+    """
+    rungs, names = [tried((), first)], tuple(candidates)
+    while True:
+        last = rungs[-1]
+        taken = tuple(last["effects"])
+        more = [tried((*taken, name), last["values"]) for name in names if name not in taken]
+        best = min(more, key=lambda made: float(made[error]), default=None)
+        if best is None or best[error] > (1.0 - gain) * last[error]:
+            return rungs
+        rungs.append(best)
+
+
+def diagnosed(data: Data, *, say: Say, **options: Any) -> dict[str, Any]:
+    """Diagnose runs, as plain values that a stage can keep.
+
+    Args:
+        data: The runs.
+        say: Told stage, number done and number in all.
+        options: Of `nsde_torch.diagnose`.
+
+    Returns:
+        `added` (names), `leads` (those of them that are provisional), `verdict`, `effects` (with values), `values` of
+        the declared parameters, and `parameters` found and declared with value, 90 % interval and unit.
+    """
+    seen = diagnose(data, say=say, **options).finished()
+    content = seen.content()
+    declared = content["declared_parameters"]
+    return {
+        "added": list(seen.added),
+        "leads": [entry["name"] for entry in content.get("findings", ()) if entry["lead"]],
+        "verdict": seen.verdict,
+        "effects": seen.effects,
+        "values": {name: entry["value"] for name, entry in declared.items()},
+        "parameters": {
+            name: {key: entry[key] for key in ("value", "interval_90", "unit")}
+            for name, entry in {**declared, **content["parameters"]}.items()
+        },
+    }
+
+
+def words_of(added: Sequence[str], declared: str, verdict: str = "effect_found") -> list[str]:
+    """A sentence that names what was found beside the declared physics."""
+    if not added:
+        return [f"Nothing was found missing in {declared}."]
+    lead = " This is a lead: something else is missing too." if verdict == "unexplained" else ""
+    return [f"Missing in {declared}: {', '.join(added)}.{lead}"]

@@ -1,0 +1,364 @@
+"""NanoBench: a Crazyflie 2.1 under motion capture, with motor commands and the battery's voltage (Ullah, Baca, 2026).
+
+Its first task asks for the vertical acceleration from the motor commands: thrust per command falls with the voltage.
+The quadrotor of the package is the declared physics; what it lacks is named by a diagnosis of the training parts of a
+few flights. The parameters of the score are least squares of accelerations in the training parts of all flights, and
+the four models of the set (`thrust_models`) are fitted to the training part of each.
+
+The set publishes one table, of one flight that its repository does not hold, so that its rows are beside ours and not
+comparable with them. Its compiled script takes gravity off the predictions of three of its models and not off what they
+are scored against; both readings of these models are scored here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+import torch
+
+from nsde_benchmarks.public.benchmark import (
+    BenchmarkMetric,
+    BenchmarkOutcome,
+    PublicBenchmark,
+    PublishedRow,
+    Trace,
+)
+from nsde_benchmarks.public.files import Work, found, long_enough, table
+from nsde_benchmarks.public.named import diagnosed, words_of
+from nsde_torch.api.reading import read
+from nsde_torch.arrays import Array
+from nsde_torch.data.raw import RawRun
+from nsde_torch.errors import DataError
+from nsde_torch.sysid.identify import identify
+from nsde_torch.systems.base import System
+from nsde_torch.systems.options import system_options
+
+# The four models of thrust that NanoBench compares: a gain of the sum of squared commands, or a regression.
+#
+#     m (a + g) = k sum_i u_i^2,     k constant, of the second degree in time, or of the second degree in the voltage
+#     a + g     = w [u_1 ... u_4, V, 1]
+#
+# The gain of each row, m (a + g) / sum u^2, is averaged or fitted by a polynomial; the mass is that of the
+# set. Here both sides hold gravity.
+
+GRAVITY = 9.81
+SAMPLES, DEGREE = 15, 3
+"""Of the filter of Savitzky and Golay that differentiates the height twice."""
+POLYNOMIAL = 2
+SMALLEST = 1e-9
+
+
+@dataclass(frozen=True)
+class VerticalRecord:
+    """What the models read of a flight.
+
+    Args:
+        t: Times (n,) [s].
+        u: Commands (n, 4) in [0, 1].
+        voltage: (n,) [V].
+        vertical: Vertical acceleration and gravity (n,) [m/s2].
+    """
+
+    t: Array
+    u: Array
+    voltage: Array
+    vertical: Array
+
+    @property
+    def squares(self) -> Array:
+        """Sum of the squared commands (n,)."""
+        return np.asarray((self.u**2).sum(1))
+
+    @property
+    def gain(self) -> Array:
+        """Acceleration per squared command (n,) [m/s2]."""
+        return self.vertical / (self.squares + SMALLEST)
+
+
+ThrustModel = Callable[[VerticalRecord, int], Array]
+"""From a flight and the first row of its test to the accelerations of the test rows (m,)."""
+
+
+def vertical_acceleration(t: Array, height: Array) -> Array:
+    """Second derivative of the height, and gravity (n,) [m/s2].
+
+    Args:
+        t: Times (n,) [s].
+        height: (n,) [m].
+    """
+    from scipy.signal import savgol_filter
+
+    dt = float(np.median(np.diff(t)))
+    return np.asarray(savgol_filter(height, SAMPLES, DEGREE, deriv=2, delta=dt) + GRAVITY)
+
+
+def constant_gain(record: VerticalRecord, split: int) -> Array:
+    """One gain."""
+    return float(record.gain[:split].mean()) * record.squares[split:]
+
+
+def time_indexed(record: VerticalRecord, split: int) -> Array:
+    """A gain that is a polynomial of the time."""
+    return _polynomial(record, record.t, split)
+
+
+def linear_regression(record: VerticalRecord, split: int) -> Array:
+    """Least squares on commands and voltage."""
+    columns = np.column_stack((record.u, record.voltage, np.ones(len(record.t))))
+    weights = np.linalg.lstsq(columns[:split], record.vertical[:split], rcond=None)[0]
+    return np.asarray(columns[split:] @ weights)
+
+
+def voltage_conditioned(record: VerticalRecord, split: int) -> Array:
+    """A gain that is a polynomial of the voltage."""
+    return _polynomial(record, record.voltage, split)
+
+
+def _polynomial(record: VerticalRecord, of: Array, split: int) -> Array:
+    middle = float(of[:split].mean())
+    weights = np.polyfit(of[:split] - middle, record.gain[:split], POLYNOMIAL)
+    return np.asarray(np.polyval(weights, of[split:] - middle) * record.squares[split:])
+
+
+THRUST_MODELS: dict[str, ThrustModel] = {
+    "constant gain": constant_gain,
+    "time-indexed": time_indexed,
+    "linear regression": linear_regression,
+    "voltage-conditioned": voltage_conditioned,
+}
+
+
+FULL = 65535.0
+"""Motor command of full thrust."""
+FLYING = 1000.0
+"""Command of motor 1 above which a row is of the flight, as the set has it."""
+AIRBORNE = 0.5  # [m] height above which nothing touches the ground
+TRAINED = 0.7  # share of a flight that is trained on
+STEP = 0.01
+FLIGHTS = (
+    *(f"B2_circle_{speed}_rep{k}" for speed in ("slow", "medium", "fast") for k in (1, 2, 3)),
+    *(f"B3_figure8_{speed}_rep{k}" for speed in ("slow", "medium") for k in (1, 2, 3)),
+    *(f"B3_figure8_fast_rep{k}" for k in (1, 2)),
+)
+DIAGNOSED = ("B2_circle_fast_rep2", "B3_figure8_medium_rep2", "B3_figure8_fast_rep2")
+"""Flights on batteries of different charge, the fastest ones: a voltage that is the same throughout shows nothing."""
+CANDIDATES = (
+    *("battery_voltage", "thrust_sag", "motor_lag", "flapping_moment", "linear_drag"),
+    *("com_offset", "motor_efficiency_loss"),
+)
+RUNGS: tuple[tuple[str, ...], ...] = ((), ("battery_voltage",))
+METHOD = "differences"
+"""How parameters are identified for the score: it is of accelerations with their slow part, which a model of the noise
+takes for noise."""
+COLUMNS = (
+    *("t", "px", "py", "pz", "vx", "vy", "vz", "qw", "qx", "qy", "qz"),
+    *("imu_gyro_x", "imu_gyro_y", "imu_gyro_z"),
+    *(f"motor_motor_m{k}" for k in (1, 2, 3, 4)),
+    "pwr_pm_vbat",
+)
+MOTORS = (0, 2, 3, 1)  # of the set, in the order of quad-x: front right, rear left, front left, rear right
+SOURCE = "syediu/nanobench-iros2026, benchmarks/results/tables/task1_model_comparison_table.csv"
+NOTE = "another flight, below 3.8 V, not in the repository"
+
+
+@dataclass(frozen=True)
+class BatteryFlight(VerticalRecord):
+    """Rows of a flight, from the first on which the motors turn to the last; motors in the order of quad-x.
+
+    Args:
+        name: Of the file.
+        x: States (n, 13).
+    """
+
+    name: str
+    x: Array
+
+    @property
+    def split(self) -> int:
+        """First row of the test."""
+        return int(TRAINED * len(self.t))
+
+    def training(self) -> RawRun:
+        """The airborne rows of the training part."""
+        up = np.flatnonzero(self.x[: self.split, 2] > AIRBORNE)
+        if not len(up):
+            raise DataError(
+                f"{self.name} never rises above {AIRBORNE} m: check that it is a file of this set."
+            )
+        rows = slice(up[0], up[-1] + 1)
+        extra = {"battery_voltage": self.voltage[rows]}
+        return RawRun(self.name, self.t[rows], self.x[rows], self.u[rows], extra)
+
+
+@final
+class NanoBench(PublicBenchmark):
+    """See the module."""
+
+    name = "nanobench"
+    title = "NanoBench: a Crazyflie 2.1 whose battery runs down"
+    repository = "syediu/nanobench-iros2026"
+    files = tuple(f"datasets/dataset/{name}.csv" for name in FLIGHTS)
+    protocol = (
+        "Of each circle and figure eight, rows on which motor 1 turns: the first 70 % train, the rest is predicted "
+        "from motor commands, voltage and measured states; root mean square error and R2 of the vertical "
+        "acceleration (second derivative of the height by Savitzky-Golay, 15 samples, degree 3), on all of these rows "
+        "and on those above 0.5 m; median over the flights."
+    )
+    metrics = (
+        BenchmarkMetric("rmse", "m/s2"),
+        BenchmarkMetric("r2", "", higher_is_better=True),
+        BenchmarkMetric("rmse_airborne", "m/s2"),
+        BenchmarkMetric("r2_airborne", "", higher_is_better=True),
+    )
+    published = tuple(
+        PublishedRow(name, {"rmse": rmse, "r2": r2}, SOURCE, NOTE, comparable=False)
+        for name, rmse, r2 in (
+            ("constant gain", 36.735, -2434.785),
+            ("time-indexed", 21.981, -8978.773),
+            ("linear regression", 2.171, -0.259),
+            ("voltage-conditioned", 254.547, -10146.020),
+        )
+    )
+    minutes = 6
+
+    def paths(self, folder: Path) -> list[Path]:
+        return found(folder, self.files, repository=self.repository)
+
+    def run(self, paths: Sequence[Path], work: Work) -> BenchmarkOutcome:
+        flights = [read_flight(path) for path in paths]
+
+        def name_effects() -> dict[str, Any]:
+            logs = [flight.training() for flight in flights if flight.name in DIAGNOSED]
+            return diagnosed(logs, system="quadrotor", candidates=CANDIDATES, max_effects=5, say=work.say)
+
+        named = work.stage("diagnosis", name_effects)
+        rows: dict[str, dict[str, float]] = {}
+        as_published: dict[str, dict[str, float]] = {}
+        for name, model in THRUST_MODELS.items():
+            fitted = [model(flight, flight.split) for flight in flights]
+            rows[f"{name}, fitted here"] = _scores(flights, fitted)
+            as_published[name] = _scores(
+                flights, [p if name == "linear regression" else p - GRAVITY for p in fitted]
+            )
+        values: dict[str, Any] = {}
+        for terms in RUNGS:
+            made = work.stage(f"model_{len(terms)}", partial(_identified, terms, flights, work))
+            values = made["values"]
+            rows[f"ours, {' + '.join(('quadrotor', *terms))}"] = made["scores"]
+        system = _machine(RUNGS[-1], values)
+        return BenchmarkOutcome(
+            rows,
+            named["added"],
+            {
+                **named["parameters"],
+                **{f"all flights: {name}": {"value": value} for name, value in values.items()},
+            },
+            [*words_of(named["added"], "the rigid quadrotor", named["verdict"]), *_reservations(named)],
+            [_trace(system, flight) for flight in flights if flight.name in DIAGNOSED],
+            {
+                "verdict_of_the_diagnosis": named["verdict"],
+                "with_gravity_as_in_the_compiled_script": as_published,
+            },
+        )
+
+
+def read_flight(path: Path) -> BatteryFlight:
+    """A file of the set.
+
+    Raises:
+        DataError: damaged, cut off, or of another set.
+    """
+    held = table(path, COLUMNS, what="NanoBench")
+    rows = np.stack([held[name] for name in COLUMNS], 1)
+    rows = rows[rows[:, COLUMNS.index("motor_motor_m1")] > FLYING]
+    long_enough(len(rows), 200, path)
+    if not np.isfinite(rows).all():
+        raise DataError(f"{path} has empty cells. Fetch it again.")
+    t, x, u, voltage = rows[:, 0], rows[:, 1:14].copy(), rows[:, 14:18], rows[:, 18]
+    length = np.linalg.norm(x[:, 6:10], axis=1, keepdims=True)
+    if (np.abs(length - 1.0) > 0.1).any():
+        raise DataError(
+            f"{path}: qx, qy, qz, qw are no unit quaternion. Check that it is a file of this set."
+        )
+    x[:, 6:10] /= length
+    vertical = vertical_acceleration(t, x[:, 2])
+    return BatteryFlight(t, u[:, list(MOTORS)] / FULL, voltage, vertical, path.stem, x)
+
+
+def _reservations(named: dict[str, Any]) -> list[str]:
+    """What of a diagnosis is a lead, and what the data do not show."""
+    unseen = [name for name, entry in named["parameters"].items() if entry["interval_90"] is None]
+    return [
+        f"{what}: {', '.join(names)}."
+        for what, names in (("Leads", named["leads"]), ("Not shown by the data", unseen))
+        if names
+    ]
+
+
+def _machine(terms: Sequence[str], values: dict[str, Any]) -> System:
+    return system_options("quadrotor", effects=terms, parameters=values).make().double()
+
+
+def _identified(terms: Sequence[str], flights: Sequence[BatteryFlight], work: Work) -> dict[str, Any]:
+    """Parameters from the training parts of all flights, and the scores of the tests."""
+    name = " + ".join(["quadrotor", *terms])
+    work.say(f"identifying {name}", 0, 1)
+    system = _machine(terms, {})
+    data = read([flight.training() for flight in flights], system=system)
+    estimate = identify(system, data.runs, clock=data.clock_scale, method=METHOD)
+    found_at = {place.name: estimate.values[place.columns].tolist() for place in estimate.vector.places}
+    values = {name: value[0] if len(value) == 1 else value for name, value in found_at.items()}
+    system = _machine(terms, values)
+    predicted = []
+    for k, flight in enumerate(flights):
+        work.say(f"predicting with {name}", k, len(flights))
+        predicted.append(predicted_acceleration(system, flight)[flight.split :])
+    return {"values": values, "scores": _scores(flights, predicted)}
+
+
+def predicted_acceleration(system: System, flight: BatteryFlight) -> Array:
+    """Vertical acceleration and gravity (n,) [m/s2] that the physics gives each measured row."""
+    u = torch.from_numpy(np.column_stack((flight.u, flight.voltage)) if system.exogenous else flight.u)
+    x = torch.from_numpy(flight.x)
+    vertical = system.state_names.index("v_z")
+    with torch.no_grad():
+        z = system.augment(x[:1], u[:1])
+        memory = [z[:, system.nx :]]
+        for k in range(len(x) - 1):
+            z = torch.cat((x[k : k + 1], memory[-1]), 1)
+            memory.append(memory[-1] + STEP * system.memory_rate(0.0, z, u[k : k + 1]))
+        rate = system.drift(0.0, torch.cat((x, torch.cat(memory)), 1), u)[:, vertical]
+    return np.asarray(rate.numpy() + GRAVITY)
+
+
+def _scores(flights: Sequence[BatteryFlight], predicted: Sequence[Array]) -> dict[str, float]:
+    """Medians over flights of what the test rows leave."""
+    seen: dict[str, list[float]] = {"rmse": [], "r2": [], "rmse_airborne": [], "r2_airborne": []}
+    for flight, path in zip(flights, predicted, strict=True):
+        measured = flight.vertical[flight.split :]
+        up = flight.x[flight.split :, 2] > AIRBORNE
+        for ending, rows in (("", np.ones(len(up), dtype=bool)), ("_airborne", up)):
+            if not rows.any():
+                continue  # it ends before its last third
+            error, spread = (path - measured)[rows], (measured - measured[rows].mean())[rows]
+            seen[f"rmse{ending}"].append(float(np.sqrt((error**2).mean())))
+            seen[f"r2{ending}"].append(1.0 - float((error**2).sum() / max((spread**2).sum(), 1e-12)))
+    return {key: float(np.median(values)) for key, values in seen.items()}
+
+
+def _trace(system: System, flight: BatteryFlight) -> Trace:
+    test = slice(flight.split, None)
+    up = np.flatnonzero(flight.x[test, 2] > AIRBORNE) + flight.split
+    path = predicted_acceleration(system, flight)
+    return Trace(
+        f"{flight.name}, last 30 %, in the air",
+        "vertical acceleration + g [m/s2]",
+        flight.t[up] - flight.t[0],
+        flight.vertical[up],
+        path[up],
+    )

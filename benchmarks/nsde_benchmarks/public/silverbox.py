@@ -1,0 +1,224 @@
+"""Silverbox: a circuit that behaves as a mass on a hardening spring (Wigren, Schoukens, ECC 2013).
+
+    m y'' + d y' + a y + b y^3 = u
+
+Only the output y is measured, at 610.35 Hz. Declared is the linear oscillator. Terms of the catalogue are tried one
+after another by output error on the multisine: one is taken where the simulation of held-out stretches is better by
+more than `GAIN`, the best first. The input is band-limited, so it is not held over a sample: it is resampled to a finer
+grid, and the middle of each fine step is what acts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from nsde_benchmarks.public.benchmark import (
+    BenchmarkMetric,
+    BenchmarkOutcome,
+    PublicBenchmark,
+    PublishedRow,
+    Trace,
+)
+from nsde_benchmarks.public.files import Work, found, long_enough, matrices
+from nsde_benchmarks.public.named import ladder, words_of
+from nsde_benchmarks.public.output_error import output_error, simulated, times, windows
+from nsde_torch.arrays import Array
+from nsde_torch.effects import Parameter, Port
+from nsde_torch.systems import Defaults, ErrorGroup, OneDegreeOfFreedom, ResidualPort
+from nsde_torch.systems.options import system_options
+
+STEP = 2.0**14 / 1e7  # [s]
+FINER = 2  # steps of the integrator in a sample: 17 a period at resonance
+ARROW = slice(100, 40575)
+INSIDE = 32000  # samples of the arrow whose amplitude the multisine has too
+MULTISINE = slice(40650, 127400)
+TRAINED = 0.75
+SKIPPED = 50  # first samples of each test, from which the first state is estimated
+WINDOW = 200
+STRETCHES = 30
+CANDIDATES = ("constant_force", "cubic_stiffness", "quadratic_damping")
+GAIN = 0.05
+NORM = 1e3  # errors are in millivolts
+
+
+@final
+class SilverboxCircuit(OneDegreeOfFreedom):
+    """An oscillator of one degree of freedom in volts: a spring and a damper are declared."""
+
+    name = "silverbox"
+    gain = "input_gain"
+    state_names = ("y", "y_dot")
+    state_units = ("V", "V/s")
+    input_names = ("u",)
+    input_units = ("V",)
+    position_derivatives = (("y", "y_dot", "world"),)
+    declared = ("linear_spring", "viscous_friction")
+    residual_ports = {Port.FORCE: ResidualPort(1, 1.0, "V/s2")}
+    PARAMETERS = {"input_gain": Parameter(1.8e5, "1/s2", low=0.0, scale=1e4, help="gain of the input")}
+    defaults = Defaults(STEP, 50, (1e-4, 0.1), 0.1, 1.0, "euler_maruyama")
+    error_names = state_names
+    error_groups = (ErrorGroup("output", (0,), "V"), ErrorGroup("rate", (1,), "V/s"))
+    feature_names = state_names
+    feature_units = state_units
+
+
+@final
+class Silverbox(PublicBenchmark):
+    """See the module."""
+
+    name = "silverbox"
+    title = "Silverbox: a circuit with a cubic spring, output alone measured"
+    repository = "biaslab/nsi-silverbox"
+    files = ("data/Silverbox/SNLS80mV.mat",)
+    protocol = (
+        "Identified on the first 75 % of the multisine, simulated over the whole arrow (samples 100 to 40575; its last "
+        "fifth is louder than the multisine) and over the rest of the multisine; root mean square of the output after "
+        "the first 50 samples, of which the first state is estimated."
+    )
+    metrics = (
+        BenchmarkMetric("arrow", "mV"),
+        BenchmarkMetric("arrow_no_extrapolation", "mV"),
+        BenchmarkMetric("multisine", "mV"),
+    )
+    published = (
+        PublishedRow(
+            "NARX, polynomial of degree 3, prediction error",
+            {"arrow": 0.638965},
+            "biaslab/nsi-silverbox, experiments/experiment-NARMAXpol3.ipynb",
+            "samples 1000 to 40499",
+        ),
+        PublishedRow(
+            "nonlinear ARX, neural network",
+            {"arrow": 0.667907},
+            "biaslab/nsi-silverbox, experiments/experiment-NLARX.ipynb",
+            "root of the mean square error stated",
+        ),
+    )
+    minutes = 5
+
+    def paths(self, folder: Path) -> list[Path]:
+        return found(folder, self.files, repository=self.repository)
+
+    def run(self, paths: Sequence[Path], work: Work) -> BenchmarkOutcome:
+        held = matrices(paths[0], ("V1", "V2"), what="Silverbox")
+        u, y = held["V1"], held["V2"]
+        long_enough(min(len(u), len(y)), MULTISINE.stop, paths[0])
+        record = _Record(_finer(u), y)
+        middle = MULTISINE.start + round(TRAINED * (MULTISINE.stop - MULTISINE.start))
+
+        def tried(effects: tuple[str, ...], first: Mapping[str, Any]) -> dict[str, Any]:
+            return work.stage(
+                "model_" + "_".join(["linear", *effects]),
+                lambda: record.tried(effects, first, MULTISINE.start, middle, work),
+            )
+
+        rungs = ladder(tried, CANDIDATES, first=_FIRST, error="held_out_mV", gain=GAIN)
+        taken = tuple(rungs[-1]["effects"])
+        tests = {"arrow": ARROW, "multisine": slice(middle, MULTISINE.stop)}
+        rows: dict[str, dict[str, float]] = {}
+        traces = []
+        for made, name in ((rungs[0], "linear oscillator"), (rungs[-1], " + ".join(["linear", *taken]))):
+            errors = {}
+            for test, part in tests.items():
+                path = record.simulated(made, part, f"{test}_{'_'.join(['linear', *made['effects']])}", work)
+                errors[test] = (path - y[part])[SKIPPED:]
+                if made is rungs[-1]:
+                    t = times(len(path), STEP)
+                    traces.append(Trace(f"{test}, open loop", "output [V]", t, y[part], path))
+            rows[f"ours, {name}"] = {
+                "arrow": _rms(errors["arrow"]),
+                "arrow_no_extrapolation": _rms(errors["arrow"][: INSIDE - SKIPPED]),
+                "multisine": _rms(errors["multisine"]),
+            }
+        return BenchmarkOutcome(
+            rows,
+            taken,
+            {name: {"value": value} for name, value in rungs[-1]["values"].items()},
+            words_of(taken, "the linear oscillator"),
+            traces,
+            {"ladder": [{"effects": m["effects"], "held_out_mV": m["held_out_mV"]} for m in rungs]},
+        )
+
+
+class _Record:
+    """The whole recording.
+
+    Args:
+        u: Input on the fine grid (n * FINER,).
+        y: Output (n,).
+    """
+
+    def __init__(self, u: Array, y: Array) -> None:
+        self.u, self.y = u, y
+
+    def _cut(self, start: int, stop: int, length: int, stride: int) -> Any:
+        x = np.stack([self.y[start:stop], np.gradient(self.y[start:stop], STEP)], 1)
+        u = self.u[start * FINER : stop * FINER, None]
+        return windows([x], [u], dt=STEP, length=length, stride=stride, finer=FINER)
+
+    def tried(
+        self, effects: tuple[str, ...], first: Mapping[str, Any], start: int, stop: int, work: Work
+    ) -> dict[str, Any]:
+        """Values on every other stretch of the training part, and the error on those between."""
+        stride = max(2 * WINDOW, (stop - start) // STRETCHES)
+        data = self._cut(start, stop, WINDOW, stride)
+        system = system_options(SilverboxCircuit, effects=effects, parameters=first).make().double()
+        weights = np.array([NORM, 0.0])
+        name = " + ".join(["linear", *effects])
+        made = output_error(
+            system, data, weights=weights, free=(0, 1), iterations=12, stage=f"fitting {name}", say=work.say
+        )
+        other = self._cut(start + stride // 2, stop, WINDOW, stride)
+        starts = output_error(
+            system,
+            other,
+            weights=weights,
+            free=(0, 1),
+            fixed=tuple(made.values),
+            iterations=4,
+            stage="checking",
+        )
+        return {"effects": list(effects), "values": made.values, "held_out_mV": _rms(starts.errors[..., 0])}
+
+    def simulated(self, made: Mapping[str, Any], part: slice, name: str, work: Work) -> Array:
+        """Output over a test, from a state that its first samples show."""
+
+        def make() -> dict[str, Any]:
+            work.say(f"simulating {name}", 0, 1)
+            system = system_options(
+                SilverboxCircuit, effects=made["effects"], parameters={**_FIRST, **made["values"]}
+            ).make()
+            first = self._cut(part.start, part.start + SKIPPED + 1, SKIPPED, SKIPPED)
+            state = output_error(
+                system.double(),
+                first,
+                weights=np.array([NORM, 0.0]),
+                free=(0, 1),
+                fixed=tuple(made["values"]),
+                iterations=8,
+                stage="first state",
+            ).starts
+            u = self.u[None, part.start * FINER : (part.stop - 1) * FINER, None]
+            return {"y": simulated(system, state, u, dt=STEP, finer=FINER)[0, :, 0].tolist()}
+
+        return np.array(work.stage(f"simulation_{name}", make)["y"])
+
+
+_FIRST = {"linear_spring.stiffness": 1.8e5, "viscous_friction.damping": 30.0}
+
+
+def _finer(u: Array) -> Array:
+    """The band-limited input at the middles of the fine steps."""
+    from scipy.signal import resample_poly
+
+    fine: Array = resample_poly(u, 2 * FINER, 1)[1::2]
+    return fine
+
+
+def _rms(error: Array) -> float:
+    """Root mean square [mV] of errors in volts."""
+    return 1e3 * float(np.sqrt((error**2).mean()))

@@ -1,0 +1,103 @@
+"""Trainings by the command line, some at a time, one thread each; what is finished is used again."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from pathlib import Path
+
+log = logging.getLogger(__name__)
+
+Processes = list[subprocess.Popen[bytes]]
+
+
+def run(command: str, run_dir: Path, words: Sequence[str], processes: Processes | None = None) -> int:
+    """Run a command of `nsde` that has a run directory, or continue it; its output goes to `RUN_DIR.log`.
+
+    Args:
+        command: `train` or `policy`.
+        run_dir: The run directory; where it is begun, the run is continued and the words are not read.
+        words: Words of the command.
+        processes: The process is added here.
+
+    Returns:
+        Its exit status.
+    """
+    begun = (run_dir / ".hydra").is_dir()
+    where = [f"resume={run_dir}"] if begun else [*words, f"run_dir={run_dir}", "threads=1"]
+    run_dir.parent.mkdir(parents=True, exist_ok=True)
+    with log_of(run_dir).open("ab") as out:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "nsde_torch.cli", command, *where],
+            stdout=out,
+            stderr=out,
+            env={**os.environ, "OMP_NUM_THREADS": "1"},
+        )
+        if processes is not None:
+            processes.append(process)
+        return process.wait()
+
+
+def log_of(run_dir: Path) -> Path:
+    """File of the output of a run."""
+    return run_dir.with_name(f"{run_dir.name}.log")
+
+
+def train_all(jobs: Mapping[Path, Sequence[str]], *, at_once: int) -> dict[str, str]:
+    """Train what has no finished run directory yet; interrupted trainings are continued.
+
+    Args:
+        jobs: Words of `nsde train` by run directory.
+        at_once: Trainings at a time.
+
+    Returns:
+        Trainings that failed, by the name of their directory, with the reason and the log.
+    """
+    missing = {folder: words for folder, words in jobs.items() if not (folder / "metrics.json").is_file()}
+    if len(jobs) > len(missing):
+        where = ", ".join(sorted({str(folder.parent) for folder in jobs}))
+        print(f"{len(jobs) - len(missing)} of {len(jobs)} models are there already, in {where}")
+    started = time.perf_counter()
+    processes: Processes = []
+    lost: dict[str, str] = {}
+    with ThreadPoolExecutor(at_once) as pool:
+        waiting: dict[Future[int], Path] = {
+            pool.submit(run, "train", folder, words, processes): folder for folder, words in missing.items()
+        }
+        done = 0
+        try:
+            while waiting:
+                finished, _ = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    folder = waiting.pop(future)
+                    done += 1
+                    if future.result():
+                        lost[folder.name] = (
+                            f"training of {folder.name} failed: {_last_line(log_of(folder))} See {log_of(folder)}."
+                        )
+                        log.error("%s", lost[folder.name])
+                        continue
+                    spent = time.perf_counter() - started
+                    left = spent / done * len(waiting)
+                    print(
+                        f"trained {folder.name} ({done} of {len(missing)}, {spent:.0f} s, about {left:.0f} s left)",
+                        flush=True,
+                    )
+        except BaseException:
+            for future in waiting:
+                future.cancel()
+            for process in processes:
+                if process.poll() is None:
+                    process.terminate()  # a training that is asked to stop keeps its checkpoint
+            raise
+    return lost
+
+
+def _last_line(path: Path) -> str:
+    lines = path.read_text(encoding="utf-8", errors="replace").strip().splitlines() if path.is_file() else []
+    return lines[-1] if lines else "it left no output."

@@ -1,0 +1,169 @@
+"""Tiny files in the layouts of the public sets, made by steppers of their own; no public data."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.io import savemat
+
+from nsde_benchmarks.public.nanobench import COLUMNS, FLIGHTS
+
+Array = NDArray[np.float64]
+
+
+def drive(
+    force: Array, *, mass: float = 90.0, viscous: float = 180.0, dry: float = 20.0, dt: float = 1e-3
+) -> Array:
+    """Positions of a carriage under a force that is held, in steps of dt / 10."""
+    q = v = 0.0
+    out = np.empty(len(force))
+    for k, f in enumerate(force):
+        out[k] = q
+        for _ in range(10):
+            v += 0.1 * dt * (f - viscous * v - dry * np.tanh(v / 1e-3)) / mass
+            q += 0.1 * dt * v
+    return out
+
+
+@pytest.fixture(scope="session")
+def emps_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("emps")
+    rng = np.random.default_rng(1)
+    for name, shift in (("DATA_EMPS", 0.0), ("DATA_EMPS_PULSES", 0.4)):
+        t = 1e-3 * np.arange(3000)
+        force = 70.0 * np.sin(2.0 * t + shift) + 30.0 * np.sin(7.1 * t) + rng.standard_normal(len(t))
+        column = {"t": t, "qm": drive(force) + 1e-7 * rng.standard_normal(len(t)), "vir": force / 35.0}
+        savemat(folder / f"{name}.mat", {k: v[:, None] for k, v in column.items()} | {"gtau": 35.0})
+    return folder
+
+
+@pytest.fixture(scope="session")
+def pendulum_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("pendulum")
+    rng = np.random.default_rng(2)
+    for name, shift in (("ddp", 0.0), ("direct_collocation", 1.0)):
+        t = 0.002 * np.arange(3000)
+        torque = 1.5 * np.sin(3.0 * t + shift) + 0.8 * np.sin(8.0 * t)
+        theta = rate = 0.0
+        rows = np.empty((len(t), 4))
+        for k, u in enumerate(torque):
+            rows[k] = t[k], theta + 1e-4 * rng.standard_normal(), rate + 1e-3 * rng.standard_normal(), u
+            for _ in range(4):
+                rate += 5e-4 * (8.0 * u - 20.0 * np.sin(theta) - 0.5 * rate)
+                theta += 5e-4 * rate
+        path = folder / "results" / f"control_method_{name}" / "data_measured.csv"
+        path.parent.mkdir(parents=True)
+        np.savetxt(path, rows, delimiter=",", header="time,position,velocity,torque", comments="")
+    return folder
+
+
+def hovering(seed: int, rows: int) -> Array:
+    """Rows of a flight that hovers and rocks, in the columns of the nano-drone's files; no true flight moves so."""
+    rng = np.random.default_rng(seed)
+    t = 0.01 * np.arange(rows)
+    roll = 0.1 * np.sin(5.0 * t)
+    out = np.zeros((rows, 18))
+    out[:, 0] = t
+    out[:, 3] = 1.0
+    out[:, 7], out[:, 10] = np.sin(roll / 2), np.cos(roll / 2)
+    out[:, 11] = 0.5 * np.cos(5.0 * t)
+    out[:, 14:] = 1700.0 + 20.0 * rng.standard_normal((rows, 4))
+    return out
+
+
+@pytest.fixture(scope="session")
+def nanodrone_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("nanodrone")
+    head = "t,x,y,z,vx,vy,vz,qx,qy,qz,qw,wx,wy,wz,m1_rads,m2_rads,m3_rads,m4_rads"
+    names = [f"train/{kind}_20251017_run{k}" for kind in ("square", "random", "chirp") for k in (1, 2, 3)]
+    names += [f"test/melon_20251017_run{k}" for k in (1, 2, 3)]
+    for seed, name in enumerate(names):
+        path = folder / "data" / f"{name}.csv"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savetxt(path, hovering(seed, 160), delimiter=",", header=head, comments="")
+    return folder
+
+
+def flight_on_a_battery(seed: int, rows: int = 1500) -> Array:
+    """Rows of a flight that bobs under commands times the voltage, in NanoBench's columns; no true flight moves so."""
+    rng = np.random.default_rng(seed)
+    t = 0.01 * np.arange(rows)
+    voltage = 3.9 - 0.05 * seed - 0.02 * t + 0.02 * rng.standard_normal(rows).cumsum() / np.sqrt(rows)
+    asked = 9.81 + 0.8 * np.sin(2.1 * t + seed) + 0.5 * np.sin(5.3 * t)
+    height = 1.0 + np.cumsum(np.cumsum(asked - 9.81 - (asked - 9.81).mean())) * 1e-4
+    height += 1.0 - np.linspace(height[0], height[-1], rows)
+    squares = asked / (11.0 * (1.0 + 0.5 * (voltage - 4.0)))
+    out = np.zeros((rows, 19))
+    out[:, 0], out[:, 3], out[:, 7], out[:, 18] = t, height, 1.0, voltage
+    out[:, 6] = np.gradient(height, 0.01)
+    out[:, 11:14] = 0.01 * rng.standard_normal((rows, 3))
+    out[:, 14:18] = 65535.0 * np.sqrt(squares / 4)[:, None]
+    return out
+
+
+@pytest.fixture(scope="session")
+def nanobench_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("nanobench")
+    for seed, name in enumerate(FLIGHTS[:3]):
+        path = folder / f"{name}.csv"
+        np.savetxt(path, flight_on_a_battery(seed), delimiter=",", header=",".join(COLUMNS), comments="")
+    return folder
+
+
+def servo_log(seed: int, *, kp: int, rows: int = 100) -> dict[str, object]:
+    """A recording in the layout of the servo's set, by steps of dt / 10; its goals arrive 30 ms late."""
+    rng = np.random.default_rng(seed)
+    mass, length, dt, late = 0.5 + 0.1 * (seed % 4), 0.1, 0.005, 6
+    t = dt * np.arange(rows)
+    goal = 0.8 * np.sin(3.0 * t**2 + seed) + 0.4 * np.sin(9.0 * t) - 0.8 * np.sin(seed)
+    angle = speed = 0.0
+    entries = []
+    inertia = (mass + 0.036 / 3) * length**2 + 0.01
+    for k in range(rows):
+        on = k < 75 or seed % 2 == 0
+        entries.append(
+            {
+                "position": angle + 1e-4 * rng.standard_normal(),
+                "speed": speed,
+                "goal_position": goal[k],
+                "torque_enable": on,
+                "timestamp": t[k],
+            }
+        )
+        for _ in range(10):
+            duty = np.clip(0.16383 * kp * (goal[max(k - late, 0)] - angle), -0.97, 0.97)
+            motor = on * 8.0 * (duty - 0.15 * speed)
+            weight = -(mass + 0.018) * 9.80665 * length * np.sin(angle)
+            speed += 0.1 * dt * (motor + weight - 0.1 * np.tanh(speed / 0.05)) / inertia
+            angle += 0.1 * dt * speed
+    return {"mass": mass, "length": length, "kp": kp, "trajectory": "sin_sin", "dt": dt, "entries": entries}
+
+
+@pytest.fixture(scope="session")
+def servo_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("servo")
+    logs = folder / "data" / "feetech" / "STS_3250" / "processed"
+    (logs / "validation").mkdir(parents=True)
+    for k in range(6):
+        content = servo_log(k, kp=(8, 16, 32)[k % 3])
+        (logs / f"run{k}.json").write_text(json.dumps(content, default=bool))
+    for k in range(6, 8):
+        content = servo_log(k, kp=16, rows=100 + 20 * (k - 6))
+        (logs / "validation" / f"run{k}.json").write_text(json.dumps(content, default=bool))
+    models = logs.parent / "friction_params"
+    models.mkdir()
+    plain = {
+        "kt": 1.2,
+        "R": 2.25,
+        "armature": 0.01,
+        "q_offset": 0.0,
+        "friction_base": 0.1,
+        "friction_viscous": 0.0,
+    }
+    for k in range(1, 7):
+        (models / f"m{k}.json").write_text(json.dumps({**plain, "model": f"m{k}"}))
+    return folder

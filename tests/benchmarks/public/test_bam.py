@@ -1,0 +1,137 @@
+"""BAM: recordings in the layout of the set are read, simulated and scored; what was put into them is found."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from nsde_benchmarks.public import bam, named, run_benchmark
+from nsde_benchmarks.public.servo import budget, swing
+from nsde_torch.data.raw import RawRun
+from nsde_torch.errors import DataError
+
+FRICTION = {"friction_base": 0.1, "friction_viscous": 0.05}
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The protocol, on the few short recordings of the tests; what is diagnosed is told by another."""
+
+    class Seen:
+        added = ("coulomb_friction",)
+        effects = ()
+        verdict = "effect_found"
+
+        def finished(self) -> Seen:
+            return self
+
+        def content(self) -> dict[str, Any]:
+            found = {"coulomb_friction.size": {"value": 0.1, "interval_90": None, "unit": "N m"}}
+            return {"declared_parameters": {}, "parameters": found}
+
+    def diagnose(runs: Sequence[RawRun], **_: Any) -> Seen:
+        assert len(runs) == 2
+        assert runs[0].x.shape == (45, 2)
+        assert np.allclose(np.diff(runs[0].t), 0.01)
+        return Seen()
+
+    monkeypatch.setattr(named, "diagnose", diagnose)
+    for name, value in {
+        "LOGS": {"training": 6, "validation": 2},
+        "ROWS": 90,
+        "THINNED": 1,
+        "DIAGNOSED": 3,
+        "ITERATIONS": (5, 3),
+        "CANDIDATES": {name: bam.CANDIDATES[name] for name in ("input_delay", "coulomb_friction")},
+    }.items():
+        monkeypatch.setattr(bam, name, value)
+
+
+@pytest.mark.usefixtures("small")
+@pytest.mark.slow
+def test_delay_and_dry_friction_of_a_servo_are_found(servo_folder: Path, tmp_path: Path) -> None:
+    content = run_benchmark("bam", servo_folder, out_dir=tmp_path)
+    assert sorted(content["effects"]) == ["coulomb_friction", "input_delay"]
+    values = {name: entry["value"] for name, entry in content["parameters"].items()}
+    assert values["input_delay.delay"] == pytest.approx(0.03, abs=0.004)
+    assert values["coulomb_friction.size"] == pytest.approx(0.1, rel=0.25)
+    assert values["stall_torque"] == pytest.approx(8.0, rel=0.1)
+    assert content["parameters"]["stall_torque"]["unit"] == "N m"
+    *models, first, last = content["ours"].values()
+    assert len(models) == 6
+    assert content["found"][1].endswith("(effect_found): coulomb_friction.size 0.1 N m.")
+    assert last["validation"] < 0.3 * min(first["validation"], models[0]["validation"])
+    assert content["ratio_to_best_published"]["training"] == pytest.approx(last["training"] / 29.9)
+    assert (tmp_path / "benchmark.png").stat().st_size > 10_000
+
+
+@pytest.mark.usefixtures("small")
+def test_folders_and_files_of_something_else_are_refused(servo_folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"no such folder|holds no data/feetech"):
+        run_benchmark("bam", tmp_path / "none", out_dir=tmp_path / "out")
+    (tmp_path / "newer").mkdir()
+    with pytest.raises(DataError, match="at commit 140d9c5: newer ones hold the recordings in archives"):
+        run_benchmark("bam", tmp_path / "newer", out_dir=tmp_path / "out")
+    folder = tmp_path / "copy"
+    shutil.copytree(servo_folder, folder)
+    path = folder / bam.HOME / "processed" / "run0.json"
+    whole = path.read_text()
+    log = json.loads(whole)
+    for text, message in (
+        (whole[:-40], r"run0\.json is no recording of a servo, or is cut off"),
+        (
+            json.dumps({**log, "entries": log["entries"][:50]}),
+            "run0.json has 50 rows, and the protocol needs 90",
+        ),
+        (json.dumps({**log, "dt": 0.01}), r"run0.json has steps of 0.01 s"),
+        (json.dumps({**log, "mass": None}), "run0.json is no recording of a servo"),
+    ):
+        path.write_text(text)
+        with pytest.raises(DataError, match=message):
+            run_benchmark("bam", folder, out_dir=tmp_path / "out")
+    path.unlink()
+    with pytest.raises(DataError, match="holds 5 recordings and not 6"):
+        run_benchmark("bam", folder, out_dir=tmp_path / "out")
+    shutil.copy(servo_folder / bam.HOME / "processed" / "run0.json", path)
+    (folder / bam.HOME / "friction_params" / "m3.json").write_text('{"kt": 1.0}')
+    with pytest.raises(DataError, match=r"m3\.json lacks R, armature"):
+        bam._parameters(folder / bam.HOME / "friction_params" / "m3.json")
+
+
+def test_friction_holds_what_the_weight_cannot_move_and_no_more() -> None:
+    p = {"kt": 1.0, "R": 1.0, "armature": 0.001, "q_offset": 0.0, **FRICTION}
+    u = np.zeros((2, 200, 5))
+    u[..., 3:] = 0.5, 0.1
+    x = np.array([[0.1, 0.0], [1.0, 0.0]])  # weights of 0.05 and 0.41 N m, against 0.1 N m
+    path = swing(p, x, u, 12.0)
+    assert np.ptp(path[0]) == 0.0
+    assert path[1].min() < 0.3
+
+
+def test_the_six_budgets_grow_by_what_their_names_say() -> None:
+    motor, weight, speed = np.array([0.6, 0.6]), np.array([-0.5, -0.5]), np.array([0.0, 2.0])
+    coulomb = budget(FRICTION, motor, weight, speed)
+    assert np.allclose(coulomb, [0.1, 0.2])
+    stribeck = {**FRICTION, "friction_stribeck": 0.04, "dtheta_stribeck": 0.2, "alpha": 1.0}
+    assert np.allclose(budget(stribeck, motor, weight, speed) - coulomb, [0.04, 0.0], atol=1e-5)
+    loaded = {**FRICTION, "load_friction_base": 0.1}
+    assert np.allclose(budget(loaded, motor, weight, speed) - coulomb, 0.11)
+    sides = {"load_friction_motor": 0.1, "load_friction_external": 0.2}
+    none = {"load_friction_motor_stribeck": 0.0, "load_friction_external_stribeck": 0.0}
+    directional = {**stribeck, **sides, **none}
+    assert np.allclose(budget(directional, motor, weight, speed) - coulomb, [0.2, 0.16], atol=1e-5)
+    quadratic = {**directional, "load_friction_external_quad": 0.08, "load_friction_motor_quad": 0.5}
+    grown = budget(quadratic, motor, weight, speed) - budget(directional, motor, weight, speed)
+    assert np.allclose(grown, [0.02, 0.0], atol=1e-5)

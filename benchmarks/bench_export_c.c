@@ -44,12 +44,13 @@ int main(int argc, char **argv)
         iterations += command.iterations;
     }
     qsort(times, (size_t)count, sizeof *times, ascending);
-    printf("p50 %.4f p90 %.4f p99 %.4f p99.9 %.4f max %.4f ms; converged %d of %d, iterations %.2f\n", times[count / 2],
-           times[count * 9 / 10], times[count * 99 / 100], times[count * 999 / 1000], times[count - 1], converged, count,
-           (double)iterations / count);
     char line[128];
     FILE *about = fopen("/proc/self/status", "r");
-    while (about && fgets(line, sizeof line, about))
-        if (!strncmp(line, "VmHWM", 5)) printf("%s", line);
+    long memory = 0; /* largest resident size [kB] */
+    while (about && fgets(line, sizeof line, about)) sscanf(line, "VmHWM: %ld", &memory);
+    printf("{\"p50_ms\": %.4f, \"p90_ms\": %.4f, \"p99_ms\": %.4f, \"max_ms\": %.4f, ", times[count / 2],
+           times[count * 9 / 10], times[count * 99 / 100], times[count - 1]);
+    printf("\"converged\": %d, \"iterations_mean\": %.3f, \"memory_mb\": %.2f}\n", converged,
+           (double)iterations / count, (double)memory / 1024);
     return 0;
 }

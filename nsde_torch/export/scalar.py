@@ -163,7 +163,7 @@ def _sign(x: float) -> float:
 
 _FOLDED: dict[str, Callable[..., float]] = {
     **{n: getattr(math, n) for n in ("sin", "cos", "tan", "exp", "expm1", "log", "log1p", "sqrt", "tanh")},
-    **{n: getattr(math, n) for n in ("atan", "acos", "asin", "atan2", "pow")},
+    **{n: getattr(math, n) for n in ("atan", "acos", "asin", "asinh", "atan2", "pow")},
     **{"abs": abs, "max": max, "min": min, "sign": _sign, "floor": lambda x: float(math.floor(x))},
     **{"lt": lambda a, b: float(a < b), "le": lambda a, b: float(a <= b), "eq": lambda a, b: float(a == b)},
 }
@@ -225,6 +225,7 @@ def _slopes(x: Scalar) -> list[Number]:
         "tanh": lambda: 1.0 - x * x,
         "abs": lambda: call("sign", a),
         "atan": lambda: div(1.0, 1.0 + a * a),
+        "asinh": lambda: div(1.0, call("sqrt", 1.0 + a * a)),
         "acos": lambda: div(-1.0, call("sqrt", 1.0 - a * a)),
         "asin": lambda: div(1.0, call("sqrt", 1.0 - a * a)),
     }
@@ -490,7 +491,7 @@ _RULES: Mapping[str, Callable[..., Any]] = {
         n: _each(n)
         for n in ("sin", "cos", "tan", "exp", "expm1", "log", "log1p", "sqrt", "tanh", "abs", "atan", "acos")
     },
-    **{n: _each(n) for n in ("asin", "atan2", "sign", "floor", "where", "lt", "le", "eq")},
+    **{n: _each(n) for n in ("asin", "asinh", "atan2", "sign", "floor", "where", "lt", "le", "eq")},
     **dict.fromkeys(("alias", "clone", "detach", "_to_copy", "contiguous", "lift_fresh_copy"), _same),
     **dict.fromkeys(("view", "reshape", "_unsafe_view"), lambda x, shape: x.reshape(shape)),
     **dict.fromkeys(("bitwise_and", "logical_and"), lambda a, b: a * b),

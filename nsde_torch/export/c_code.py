@@ -251,7 +251,7 @@ def _void(head: str, lines: Iterable[str]) -> str:
 
 
 def _products(a: _Matrix, b: _Matrix, q: _Matrix, nz: int) -> str:
-    """Products with the Jacobians of a step: A, B, and Q = J^T J of the roots of the cost."""
+    """Products with the Jacobians of a step: A, B, and Q = J^T J of the roots of the cost; and m - h^T h."""
     vector, square = "const real *restrict", "real (*restrict m)[LD], "
 
     def over(count: str, x: _Matrix, left: str, right: str, start: str = "0") -> list[str]:
@@ -259,6 +259,7 @@ def _products(a: _Matrix, b: _Matrix, q: _Matrix, nz: int) -> str:
         return [f"{head} {left} = {x.column(j, right)};".replace("<j>", str(j)) for j in range(x.width)]
 
     to = "real (*restrict out)[LD]"
+    terms = " + ".join(f"h[{i}][r] * h[{i}][c]" for i in range(b.width))
     return "".join(
         (
             _void(f"a_times({vector} a, {square}{to})", over("LD", a, "out[<j>][c]", "m[{}][c]")),
@@ -281,6 +282,13 @@ def _products(a: _Matrix, b: _Matrix, q: _Matrix, nz: int) -> str:
             _void(
                 f"back_b({vector} b, {vector} l, real *restrict out)",
                 (f"out[{j}] = {b.column(j, 'l[{}]')};" for j in range(b.width)),
+            ),
+            # a sum in one go: a row that is stored and loaded again for each term takes twice as long
+            _void(
+                f"less_square(real (*restrict h)[LD], {to})",
+                (
+                    f"for (int r = 0; r < NR; r++)\n        for (int c = 0; c < LD; c++) out[r][c] -= {terms};",
+                ),
             ),
             _void(f"add_q({vector} q, {to})", (f"out[{i}][{j}] += {t};" for (i, j), t in q.terms.items())),
             _void(

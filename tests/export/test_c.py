@@ -162,6 +162,23 @@ def test_a_file_compiles_without_a_warning_and_calls_nothing_but_libm(
         assert used <= numbers | {"_GLOBAL_OFFSET_TABLE_", "memcpy", "memmove", "memset", "__stack_chk_fail"}
 
 
+@needs_compiler
+def test_the_header_is_for_cpp_too(file: Path, tmp_path: Path) -> None:
+    compiler = shutil.which("g++") or shutil.which("clang++")
+    if compiler is None:
+        pytest.skip("needs a C++ compiler")
+    (tmp_path / "node.cpp").write_text(
+        f'#include "{file.with_suffix(".h")}"\n'
+        "static nsde_pilot pilot{};\nstatic nsde_command command{};\n"
+        "static nsde_real state[NSDE_NX], reference[NSDE_STEPS][NSDE_NX];\n"
+        "int main() { nsde_reset(&pilot, state);\n"
+        "  return nsde_command_of(&pilot, state, true, reference, &command); }\n"
+    )
+    words = [compiler, "-std=c++17", "-Wall", "-Werror", "-fsyntax-only", str(tmp_path / "node.cpp")]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_a_file_compiles_for_a_cortex_m7(file: Path, tmp_path: Path) -> None:
     cross = shutil.which("arm-none-eabi-gcc")
     if cross is None:

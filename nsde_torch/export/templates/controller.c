@@ -140,6 +140,12 @@ static void diagonal(nsde_work *w)
 
 /* ---- the quadratic program ------------------------------------------------------------------------------ */
 
+/* y -= f x, of rows of a table. */
+static void take(real f, const real *restrict x, real *restrict y)
+{
+    for (int j = 0; j < LD; j++) y[j] -= f * x[j];
+}
+
 /* One step of the recursion: cost to go before step k from that after it, with the held inputs at their bounds. */
 static void recursion(nsde_work *w, int k)
 {
@@ -191,22 +197,21 @@ static void recursion(nsde_work *w, int k)
             huu[i][l] = l < i ? huu[i][l] * huu[l][l] : 1 / F(sqrt)(huu[i][i]);
         }
         for (int l = 0; l < i; l++) {
-            for (int j = 0; j < LD; j++) hux[i][j] -= huu[i][l] * hux[l][j];
+            take(huu[i][l], hux[l], hux[i]);
             hu[i] -= huu[i][l] * hu[l];
         }
         for (int j = 0; j < LD; j++) hux[i][j] *= huu[i][i];
         hu[i] *= huu[i][i];
     }
     for (int i = 0; i < NR; i++) {
-        for (int j = 0; j <= i; j++)
-            for (int l = 0; l < NU; l++) w->p[k][i][j] -= hux[l][i] * hux[l][j];
-        for (int l = 0; l < NU; l++) hx[i] -= hux[l][i] * hu[l];
         w->pv[k][i] = hx[i];
+        for (int l = 0; l < NU; l++) w->pv[k][i] -= hux[l][i] * hu[l];
     }
+    less_square(hux, w->p[k]);
     mirror(w->p[k]);
     for (int i = NU - 1; i >= 0; i--) {
         for (int l = i + 1; l < NU; l++) {
-            for (int j = 0; j < LD; j++) hux[i][j] -= huu[l][i] * hux[l][j];
+            take(huu[l][i], hux[l], hux[i]);
             hu[i] -= huu[l][i] * hu[l];
         }
         for (int j = 0; j < LD; j++) w->gain[k][i][j] = hux[i][j] *= huu[i][i];

@@ -2,6 +2,7 @@
 
     python benchmarks/bench_export_c.py declared RUN [--program build/flight_computer] [--package controller.pt2]
 
+`declared` is the physics alone, RUN what `nsde train system=hexacopter` writes. The states are those of
 bench_export.py: along the lemniscate, 20 ms apart, off it by more than a flight's errors, so that nearly all plans take
 two iterations. C is compiled with -O2 (CC names the compiler) and with -O3 -march=native, into a process that does
 nothing else; the others are run by examples/flight_computer, if it is given. The package is that of the last RUN, since

@@ -109,8 +109,9 @@ def test_wheel_holds_code_commands_and_every_config_file(wheel: Path, root: Path
     expected |= {f"nsde_torch/{path.relative_to(root)}" for path in (root / "cli").rglob("*.py")}
     expected |= {f"nsde_torch/{path.relative_to(root)}" for path in (root / "conf").rglob("*.yaml")}
     expected |= {f"nsde_torch/{path.relative_to(root)}" for path in (root / "cli/serving/page").iterdir()}
-    templates = (root / "nsde_torch/diagnosis/templates").iterdir()
-    expected |= {str(path.relative_to(root)) for path in templates}
+    for part in ("diagnosis", "export"):
+        templates = (root / "nsde_torch" / part / "templates").iterdir()
+        expected |= {str(path.relative_to(root)) for path in templates}
     assert expected <= names
     assert not [name for name in names if name.startswith(("cli/", "conf/", "tests/"))]
 

@@ -50,6 +50,8 @@ def number(x: float) -> str:
     """A constant, of the type that the file is compiled for."""
     if x in (float("inf"), -float("inf")):
         return "R(INFINITY)" if x > 0 else "R(-INFINITY)"
+    if x != x:
+        return "R(NAN)"
     text = repr(float(x))
     if text.endswith(".0") and len(text) < 8:
         text = text[:-2]
@@ -176,11 +178,8 @@ class _Body:
             at = self._call(network, x.args)
             return f"y{at}[{place}]" if x.op == "layer" else f"j{at}[{place}][{x.data[2]}]"
         args = [self._name(a) for a in x.args]
-        if x.op in (
-            "div",
-            "mul",
-            "neg",
-        ):  # of those without brackets, what follows a division or a sign needs them
+        # of those without brackets, what follows a division or a sign needs them
+        if x.op in ("div", "mul", "neg"):
             args[-1] = f"({args[-1]})" if re.search(r"^-|[*/]", args[-1]) else args[-1]
         made = _CALLS[x.op].format(*args)
         if self._uses.get(id(x), 0) <= 1 and len(made) < _LONG:

@@ -146,9 +146,9 @@ def mul(a: Number, b: Number) -> Number:
 def div(a: Number, b: Number) -> Number:
     """a / b."""
     a, b = _plain(a), _plain(b)
-    if isinstance(b, float):
+    if isinstance(b, float) and b != 0.0:
         return a / b if isinstance(a, float) else mul(1.0 / b, a)
-    return 0.0 if a == 0.0 else Scalar.of("div", a, b)
+    return 0.0 if a == 0.0 and b != 0.0 else Scalar.of("div", a, b)
 
 
 def _ordered(a: Number, b: Number) -> tuple[Number, Number]:
@@ -169,6 +169,16 @@ _FOLDED: dict[str, Callable[..., float]] = {
 }
 
 
+def folded(op: str, *args: float) -> float:
+    """An operation on constants; no number where there is none, as in torch."""
+    try:
+        return float(_FOLDED[op](*args))
+    except OverflowError:
+        return math.inf
+    except ValueError:
+        return math.nan
+
+
 def call(op: str, *args: Number) -> Number:
     """An operation by its name, worked out where it is constant."""
     given = tuple(map(_plain, args))
@@ -178,7 +188,7 @@ def call(op: str, *args: Number) -> Number:
             return b if condition == 0.0 else a
         return Scalar.of(op, *given)
     if all(isinstance(a, float) for a in given):
-        return float(_FOLDED[op](*given))
+        return folded(op, *given)
     return Scalar.of(op, *given)
 
 
@@ -197,12 +207,6 @@ def _slopes(x: Scalar) -> list[Number]:
     if op == "div":
         inverse = div(1.0, b)
         return [inverse, neg(mul(x, inverse))]
-    if op in ("max", "min"):
-        above, below = call("lt", b, a), call("lt", a, b)
-        first = call("where", above, 1.0, call("where", below, 0.0, 0.5))
-        return [first, 1.0 - first] if op == "max" else [1.0 - first, first]
-    if op == "where":
-        return [0.0, call("where", a, 1.0, 0.0), call("where", a, 0.0, 1.0)]
     if op == "pow":
         return [mul(b, call("pow", a, b - 1.0)), 0.0]
     if op == "atan2":
@@ -210,8 +214,6 @@ def _slopes(x: Scalar) -> list[Number]:
         return [b * inverse, neg(a * inverse)]
     if op in ("lt", "le", "eq", "sign", "floor"):
         return [0.0] * len(x.args)
-    if op == "clamped":  # (x, low, high): 1 on the bounds too
-        return [mul(call("le", b, a), call("le", a, x.args[2])), 0.0, 0.0]
     rules: dict[str, Callable[[], Number]] = {
         "neg": lambda: -1.0,
         "sin": lambda: call("cos", a),
@@ -230,6 +232,23 @@ def _slopes(x: Scalar) -> list[Number]:
         "asin": lambda: div(1.0, call("sqrt", 1.0 - a * a)),
     }
     return [rules[op]()]
+
+
+def _chosen(x: Scalar, parts: Sequence[Mapping[int, Number]]) -> dict[int, Number]:
+    """Derivatives of what takes one of its arguments: chosen, since 0 times what is not taken may be no number."""
+    out: dict[int, Number] = {}
+    for k in sorted(set().union(*parts)):
+        first, second, *third = (part.get(k, 0.0) for part in parts)
+        if x.op == "where":
+            out[k] = call("where", x.args[0], second, third[0])
+        elif x.op == "clamped":  # (x, low, high): that of x on the bounds too
+            low, high = call("le", x.args[1], x.args[0]), call("le", x.args[0], x.args[2])
+            out[k] = call("where", mul(low, high), first, 0.0)
+        else:
+            a, b = x.args if x.op == "max" else x.args[::-1]
+            mean = mul(0.5, add(first, second))
+            out[k] = call("where", call("lt", b, a), first, call("where", call("lt", a, b), second, mean))
+    return out
 
 
 def in_order(outputs: Sequence[Number]) -> list[Scalar]:
@@ -252,6 +271,10 @@ def jacobian(outputs: Sequence[Number], inputs: Sequence[Scalar]) -> list[dict[i
     made: dict[int, dict[int, Number]] = {id(x): {k: 1.0} for k, x in enumerate(inputs)}
     for x in in_order(outputs):
         if id(x) in made or not x.args:
+            continue
+        if x.op in ("where", "clamped", "max", "min"):
+            parts = [{} if isinstance(a, float) else made.get(id(a), {}) for a in x.args]
+            made[id(x)] = _chosen(x, parts)
             continue
         if x.op == "layer":
             slopes: list[Number] = [
@@ -305,7 +328,7 @@ class Layer:
             below += (j + starts[k - 1]).tolist()
         n = int(starts[-1])
         _, label = connected_components(coo_matrix((np.ones(len(above)), (above, below)), (n, n)), False)
-        found = dict.fromkeys(label[starts[-2] :].tolist())
+        found = dict.fromkeys(label[starts[-2] :][chain[-1].weight.any(axis=1)].tolist())
         return [
             [np.flatnonzero(label[a:b] == one).tolist() for a, b in pairwise(starts.tolist())]
             for one in found
@@ -316,22 +339,31 @@ PLACE = Scalar("input", (), ("x", None))
 
 
 def _layer(weight: Table, bias: Table, inputs: Sequence[Number]) -> Table:
-    """Outputs of an affine map of constants: written out, or a layer."""
-    leaves = [_leaf(x) for x in inputs]
+    """Outputs of an affine map of constants: written out, or a layer where they follow from the inputs at all."""
+    varying = [(j, x) for j, x in enumerate(inputs) if isinstance(x, Scalar) and weight[:, j].any()]
+    leaves: list[Any] = [_leaf(x) for _, x in varying]
     inside = all(leaf is not None for leaf in leaves)
-    if not inside and np.count_nonzero(weight) <= _WIDE:
+    if not varying or not (inside or np.count_nonzero(weight) > _WIDE):
         return np.array([_dot(row, inputs) + b for row, b in zip(weight, bias, strict=True)], object)
-    below, base = None, tuple(inputs)
-    activation: Number = 0.0
+    weight, columns = weight.astype(float), [j for j, _ in varying]
+    fixed = np.array([0.0 if isinstance(x, Scalar) else x for x in inputs])
+    base: tuple[Number, ...] = tuple(x for _, x in varying)
+    layer = Layer(weight[:, columns], bias.astype(float) + weight @ fixed)
     if inside:
-        below, base = leaves[0].data[0], leaves[0].args  # type: ignore[union-attr]
-        forms = {id(f): f for f in (_at_place(x, leaf) for x, leaf in zip(inputs, leaves, strict=True))}
-        places = [leaf.data for leaf in leaves]  # type: ignore[union-attr]
-        if len(forms) != 1 or places != [(below, i) for i in range(len(below.bias))]:
-            raise ExportError("a network whose layers are not one after another cannot be written in C")
+        below, base = leaves[0].data[0], leaves[0].args
+        forms = {id(f): f for f in (_at_place(x, leaf) for (_, x), leaf in zip(varying, leaves, strict=True))}
+        if len(forms) != 1 or any(leaf.data[0] is not below for leaf in leaves):
+            raise ExportError(
+                "a network whose layers are not one after another cannot be written in C. Take format=torchscript."
+            )
+        full = np.zeros((len(bias), len(below.bias)))
+        for j, leaf in zip(columns, leaves, strict=True):
+            full[:, leaf.data[1]] += weight[:, j]
         (activation,) = forms.values()
-    layer = Layer(weight.astype(float), bias.astype(float), below, activation)
-    return np.array([Scalar.of("layer", *base, data=(layer, i)) for i in range(len(bias))], object)
+        layer = Layer(full, layer.bias, below, activation)
+    made = [Scalar.of("layer", *base, data=(layer, i)) for i in range(len(bias))]
+    rows = zip(layer.weight, made, layer.bias.tolist(), strict=True)
+    return np.array([x if row.any() else constant for row, x, constant in rows], object)
 
 
 def _dot(a: Iterable[Number], b: Iterable[Number]) -> Number:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import shutil
@@ -86,12 +87,13 @@ def _valued(outputs: Sequence[scalar.Number], tables: dict[str, Tensor]) -> list
 
     plain = {"add": lambda a, b: a + b, "sub": lambda a, b: a - b, "mul": lambda a, b: a * b}
     more = {"div": lambda a, b: a / b, "neg": lambda a: -a, "clamped": lambda x, a, b: min(max(x, a), b)}
-    rules = {**scalar._FOLDED, **plain, **more, "where": lambda c, a, b: a if c else b}
+    rules = {**plain, **more, "where": lambda c, a, b: a if c else b}
     for x in scalar.in_order(outputs):
         if x.op == "input":
             made[id(x)] = float(tables[x.data[0]].flatten()[x.data[1]])
         else:
-            made[id(x)] = rules[x.op](*map(value, x.args))
+            rule = rules.get(x.op, functools.partial(scalar.folded, x.op))
+            made[id(x)] = rule(*map(value, x.args))
     return [value(x) for x in outputs]
 
 
@@ -132,6 +134,41 @@ def test_an_operation_that_c_does_not_have_is_named() -> None:
     graph = graph_of(lambda x: (torch.special.bessel_j0(x),), [torch.ones(1, 2)])
     with pytest.raises(ExportError, match=r"special_bessel_j0.*format=torchscript"):
         scalar.run(graph, [scalar.inputs("x", 1, 2)])
+
+
+def _with_branches(x: Tensor) -> tuple[Tensor, ...]:
+    a, b, c = x.unbind(1)
+    chosen = torch.where(a > 0.5, torch.sqrt(a - 0.5), b * c)
+    rest = torch.atan2(a, c).abs() - torch.asinh(b) / (1.0 + a * a) + torch.sigmoid(c) ** 2.5
+    return (torch.stack((chosen, torch.maximum(a, b), torch.minimum(b, c), a.clamp(0.2, 0.3), rest), 1),)
+
+
+@pytest.mark.parametrize("row", [[0.2, 0.7, -0.4], [0.9, -0.3, 0.6], [0.4, 0.4, 0.4], [0.3, 0.1, 0.2]])
+def test_branches_have_the_slopes_that_torch_gives_them(row: list[float]) -> None:
+    x = torch.tensor([row], dtype=torch.float64)
+    given = scalar.inputs("x", 1, 3)
+    (made,) = scalar.run(graph_of(_with_branches, [x]), [given])
+    assert _valued(list(made[0]), {"x": x}) == pytest.approx(_with_branches(x)[0][0].tolist())
+    exact = torch.func.jacfwd(lambda v: _with_branches(v[None])[0][0])(x[0])
+    rows = scalar.jacobian(list(made[0]), list(given[0]))
+    for slopes, wanted in zip(rows, exact.tolist(), strict=True):
+        values = dict(zip(slopes, _valued(list(slopes.values()), {"x": x}), strict=True))
+        assert [values.get(k, 0.0) for k in range(3)] == pytest.approx(wanted)
+
+
+def test_networks_side_by_side_are_taken_apart_and_what_learned_nothing_is_left_out() -> None:
+    g = torch.Generator().manual_seed(2)
+    first = torch.randn(40, 3, generator=g, dtype=torch.float64)
+    last = torch.zeros(5, 40, dtype=torch.float64)
+    last[:2, :20], last[2, 20:] = 1.0, 2.0
+    graph = graph_of(
+        lambda x: (torch.tanh(x @ first.T) @ last.T + torch.arange(5.0, dtype=torch.float64),),
+        [torch.ones(1, 3, dtype=torch.float64)],
+    )
+    (made,) = scalar.run(graph, [scalar.inputs("x", 1, 3)])
+    assert made[0, 3:].tolist() == [3.0, 4.0]
+    layer = made[0, 0].data[0]
+    assert [[len(units) for units in part] for part in layer.parts()] == [[20, 2], [20, 1]]
 
 
 # ---- files ----------------------------------------------------------------------------------------------

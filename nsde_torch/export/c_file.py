@@ -25,8 +25,8 @@ from nsde_torch.export import container
 from nsde_torch.export.layout import Sizes
 
 MARK, _BEGIN, _END = "@RECORD@", "/* nsde record\n", "\n*/\n"
-FLAGS = ("-std=c99", "-O2", "-Wall", "-Werror")
-"""What the files compile with, without a word."""
+FLAGS = ("-std=c99", "-O2")
+"""What the files compile with; a compiler that is not known yet may warn of more than those of the tests do."""
 
 
 def is_c(path: Path) -> bool:

@@ -33,6 +33,7 @@ from tests.helpers.exported import flight
 from tests.helpers.hexacopters import VALUES
 
 needs_compiler = pytest.mark.skipif(c_file.compiler() is None, reason="needs a C compiler")
+WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Werror")
 SMALL = {"horizon": 0.3, "steps": 6}
 ESTIMATOR = EstimatorOptions(latency=0.04, force_time=0.3, moment_time=0.2)
 
@@ -183,7 +184,7 @@ def test_a_file_compiles_without_a_warning_and_calls_nothing_but_libm(
     words = [
         str(c_file.compiler()),
         *c_file.FLAGS,
-        "-Wextra",
+        *WARNINGS,
         f"-D{precision}",
         "-c",
         str(file),
@@ -221,7 +222,17 @@ def test_a_file_compiles_for_a_cortex_m7(file: Path, tmp_path: Path) -> None:
     if cross is None:
         pytest.skip("needs arm-none-eabi-gcc")
     chip = ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard")
-    words = [cross, *c_file.FLAGS, *chip, "-DNSDE_FLOAT", "-c", str(file), "-o", str(tmp_path / "c.o")]
+    words = [
+        cross,
+        *c_file.FLAGS,
+        *WARNINGS,
+        *chip,
+        "-DNSDE_FLOAT",
+        "-c",
+        str(file),
+        "-o",
+        str(tmp_path / "c.o"),
+    ]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 

@@ -203,13 +203,18 @@ def autopilot(
         path,
         period=mpc.period,
         sample=sample,
-        estimator=EstimatorOptions(
-            latency=_rounded(latency(config, known), sample),
-            force_time=mpc.force_time,
-            moment_time=mpc.moment_time,
-        ),
+        estimator=estimator(mpc, latency=latency(config, known), sample=sample),
         state_latency=flown.state_latency,
         say=say,
+    )
+
+
+def estimator(config: DictConfig, *, latency: float, sample: float) -> EstimatorOptions:
+    """What the estimator is told: the latency, in whole samples, and how fast pushes are learned."""
+    return EstimatorOptions(
+        latency=round(latency / sample) * sample,
+        force_time=config.force_time,
+        moment_time=config.moment_time,
     )
 
 
@@ -263,10 +268,6 @@ def agreed(file: ExportedController, mpc: DictConfig) -> None:
                 f"`mpc.{name}` is {given[name]} here, and {file.path} was exported with {kept[name]}, which is what it "
                 "does. Leave it out, or export anew."
             )
-
-
-def _rounded(time: float, step: float) -> float:
-    return round(time / step) * step
 
 
 def label(name: str) -> str:

@@ -27,13 +27,13 @@ class ExportConfig:
         "run directory of the model to plan with, or `declared`: physics with the plant's values",
         file=True,
     )
-    out: str = key("???", "file to write, controller.ts or controller.pt2", file=True)
+    out: str = key("???", "file to write: controller.ts, controller.pt2 or controller.c", file=True)
     overwrite: bool = key(False, "replace a file that is there")
     format: str = key(
         "torchscript",
         "torchscript: for libtorch on any processor; aoti: machine code for processors of this kind, three times as "
-        "fast (needs g++, takes minutes)",
-        choices=("torchscript", "aoti"),
+        "fast (needs g++, takes minutes); c: plain C, a .c and a .h with the estimator of mpc.force_time within",
+        choices=("torchscript", "aoti", "c"),
     )
     precision: str = key("float64", "arithmetic within", choices=("float32", "float64"))
     sample: float | None = key(
@@ -64,6 +64,7 @@ def run(config: DictConfig, job: Job) -> None:
 
     from nsde_torch.control.loop import DECLARED, system_of
     from nsde_torch.errors import ConfigError
+    from nsde_torch.export.record import C
     from nsde_torch.export.write import export
     from nsde_torch.systems.machines import machine
 
@@ -72,10 +73,13 @@ def run(config: DictConfig, job: Job) -> None:
     started = time.perf_counter()
     torch.set_num_threads(config.threads)
     path = Path(config.out)
-    if path.exists() and not config.overwrite:
-        raise ConfigError(f"`out={path}` is there already; name another file, or say overwrite=true.")
+    for file in (path, path.with_suffix(".h")) if config.format == C else (path,):
+        if file.exists() and not config.overwrite:
+            raise ConfigError(f"`out={file}` is there already; name another file, or say overwrite=true.")
     known = track_build.knowledge(config.run, config.plant, command="export")
     mpc = config.mpc
+    sample = config.sample or config.plant.dt or machine(system_of(known).name).dt
+    latency = track_build.latency(config, known)
     digest = export(
         known,
         path,
@@ -84,9 +88,10 @@ def run(config: DictConfig, job: Job) -> None:
         safety=track_build.safety(mpc),
         kind=config.format,
         run=None if config.run == DECLARED else Path(config.run),
-        sample=config.sample or config.plant.dt or machine(system_of(known).name).dt,
+        sample=sample,
         period=mpc.period,
-        latency=track_build.latency(config, known),
+        latency=latency,
+        estimator=track_build.estimator(mpc, latency=latency, sample=sample),
         dtype=getattr(torch, config.precision),
         say=lambda line: print(line, flush=True),
     )

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
     from ..jobs import Job
 
+_ESTIMATED = 200
+"""States that the estimator of a file is given."""
+
 
 @dataclass
 class VerifyConfig:
@@ -68,11 +71,12 @@ def run(config: DictConfig, job: Job) -> None:
     # torch is imported here, not above: help and completion do without it.
     import torch
 
+    from nsde_torch.control.autopilots import EstimatorOptions, PredictivePilot
     from nsde_torch.control.loop import DECLARED, knowledge
     from nsde_torch.errors import ExportError
     from nsde_torch.export import verify
     from nsde_torch.export.exported import ExportedController
-    from nsde_torch.export.record import hashes
+    from nsde_torch.export.record import C, hashes
     from nsde_torch.export.write import controller_of
 
     from .. import track_build
@@ -103,13 +107,31 @@ def run(config: DictConfig, job: Job) -> None:
     controller = controller_of(
         known, problem=problem, solver=solver, safety=safety, dtype=exported.hover.dtype
     )
+    if about["kind"] == C and about["dtype"] == "float32":
+        out.allowed = verify.SINGLE_TOLERANCE
     samples = _samples(config, exported, reference)
     verify.compare(exported, controller, samples, out, elapsed=about["period_s"])
     print(
-        f"{out.states} states: inputs differ by {out.worst:.2g} at most ({verify.TOLERANCE:g} allowed), costs by "
+        f"{out.states} states: inputs differ by {out.worst:.2g} at most ({out.allowed:g} allowed), costs by "
         f"{100 * out.cost_ratio:.2g} %, {len(out.differing)} words of status differ"
     )
     print("  " + ", ".join(f"{n} {word}" for word, n in sorted(out.words.items(), key=lambda p: -p[1])))
+    if exported.pilot is not None:
+        pilot = PredictivePilot(
+            controller,
+            known,
+            reference,
+            period=about["period_s"],
+            sample=about["sample_s"],
+            estimator=EstimatorOptions(**about["estimator"]),
+        )
+        o, count = exported.options, min(config.states, _ESTIMATED)
+        drawn = verify.along(reference, count, dt=o.dt, steps=o.steps, period=pilot.period, seed=config.seed)
+        verify.compare_estimators(exported, pilot, [x for x, _ in drawn], out)
+        print(
+            f"{out.estimated} states with estimators and plans of their own: inputs differ by "
+            f"{out.estimated_worst:.2g} at most"
+        )
     verify.attack(exported, reference, config.adversarial, out, seed=config.seed + 1)
     print(f"{out.adversarial} adversarial states: {len(out.unsafe)} answers not finite or out of bounds")
     clock, cpu = (verify.percentiles(t) for t in (out.wall_ms, out.cpu_ms))
@@ -122,7 +144,8 @@ def run(config: DictConfig, job: Job) -> None:
         file.write_text(json.dumps(out.as_dict(), indent=1, allow_nan=False), encoding="utf-8")
     took = f"took {time.perf_counter() - started:.0f} s"
     if not out.passed:
-        examples = "; ".join([*out.differing[:3], *out.unsafe[:3]]) or f"inputs differ by {out.worst:.2g}"
+        worst = max(out.worst, out.estimated_worst)
+        examples = "; ".join([*out.differing[:3], *out.unsafe[:3]]) or f"inputs differ by {worst:.2g}"
         raise ExportError(f"{config.controller} must not be flown: {examples}. Export anew. ({took})")
     print(f"passed; {took}")
 

@@ -121,12 +121,21 @@ def read(path: Path) -> tuple[bytes, dict[str, Any]]:
         members = members_of(archive)
     except ExportError as error:
         raise ExportError(f"{path}: {error}") from error
+    return archive, checked(path, members)
+
+
+def checked(path: Path, members: Mapping[str, bytes]) -> dict[str, Any]:
+    """The record of a file with these members, after its format and its hash.
+
+    Raises:
+        ExportError: it was changed, or is of another format.
+    """
     if RECORD not in members:
         raise ExportError(
             f"{path} is no exported controller (it holds no {RECORD}). Make one with `nsde export`."
         )
     try:
-        record = json.loads(members[RECORD])
+        record: dict[str, Any] = json.loads(members[RECORD])
         written, digest = str(record["format"]), str(record["sha256"])
     except (ValueError, LookupError, TypeError) as error:
         raise ExportError(f"{path}: its record {RECORD} is damaged ({error}). Export anew.") from error
@@ -140,4 +149,4 @@ def read(path: Path) -> tuple[bytes, dict[str, Any]]:
             f"{path} was changed after it was written: its content hashes to {found[:16]}..., and its record says "
             f"{digest[:16]}.... Export anew."
         )
-    return archive, record
+    return record

@@ -18,7 +18,7 @@ from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.effects import Port
 from nsde_torch.errors import ExportError, ShapeError
-from nsde_torch.export import container, jit, record
+from nsde_torch.export import c_file, container, jit, record
 from nsde_torch.export.layout import JUMPED, N_HEAD, STATUS, Sizes
 from nsde_torch.export.step import packed
 from nsde_torch.systems import System
@@ -74,19 +74,31 @@ class ExportedController:
     Attributes:
         record: What the file says of itself.
         known: Declared physics with the model's values.
+        pilot: The file's own estimator and controller, which files in C have; else None.
 
     Raises:
-        ExportError: the file is damaged, changed, of another version or for another processor.
+        ExportError: the file is damaged, changed, of another version or for another processor, or it is in C and there
+            is no compiler here.
     """
 
     batch = 1
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        archive, self.record = container.read(self.path)
+        if c_file.is_c(self.path):
+            archive, self.record = b"", c_file.read(self.path)
+        else:
+            archive, self.record = container.read(self.path)
+        self._step: Function
+        predict: Function
         try:
             record.check(self.record)
-            self._step, predict = _functions(self.record, archive, self.path)
+            self.pilot: c_file.CController | None = None
+            if self.record["kind"] == record.C:
+                self.pilot = c_file.CController(c_file.library(self.path), self.record)
+                self._step, predict = self.pilot.step, self.pilot.predict
+            else:
+                self._step, predict = _functions(self.record, archive, self.path)
             self.options: ProblemOptions
             self.safety: SafetyOptions
             self.options, solver, self.safety = record.options_of(self.record)
@@ -190,5 +202,5 @@ def _functions(about: dict[str, Any], archive: bytes, path: Path) -> tuple[Funct
 
         return loaded(path, about["loops"])
     raise ExportError(
-        f"it is of the kind {kind!r}; this version knows {record.TORCHSCRIPT} and {record.AOTI}."
+        f"it is of the kind {kind!r}; this version knows {record.TORCHSCRIPT}, {record.AOTI} and {record.C}."
     )

@@ -32,7 +32,7 @@ from nsde_torch.models.run_directory import CONFIG, WEIGHTS, make_spec
 from nsde_torch.systems import System, make_plant_system
 
 FRAMES = "world ENU, body FLU, quaternion w x y z from body to world, SI units, radians"
-TORCHSCRIPT, AOTI = "torchscript", "aoti"
+TORCHSCRIPT, AOTI, C = "torchscript", "aoti", "c"
 
 
 def record_of(

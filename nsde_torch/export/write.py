@@ -10,14 +10,15 @@ from typing import Any
 import torch
 
 from nsde_torch.control.controller import Controller, SafetyOptions
+from nsde_torch.control.options import EstimatorOptions
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.errors import ConfigError, ExportError
-from nsde_torch.export import container, jit
+from nsde_torch.export import c_file, container, jit
 from nsde_torch.export.graph import graph_of
 from nsde_torch.export.layout import step_outputs
-from nsde_torch.export.record import AOTI, TORCHSCRIPT, record_of
+from nsde_torch.export.record import AOTI, TORCHSCRIPT, C, record_of
 from nsde_torch.export.step import ExportedStep
 from nsde_torch.models import Model
 from nsde_torch.systems import System
@@ -101,7 +102,7 @@ def _single(graph: Any) -> Any:
     return graph
 
 
-KINDS = (TORCHSCRIPT, AOTI)
+KINDS = (TORCHSCRIPT, AOTI, C)
 
 
 def controller_of(
@@ -140,6 +141,7 @@ def export(
     sample: float,
     period: float,
     latency: float,
+    estimator: EstimatorOptions | None = None,
     dtype: torch.dtype = torch.float32,
     say: Callable[[str], None] | None = None,
 ) -> str:
@@ -151,10 +153,12 @@ def export(
         problem: What a plan pays for.
         solver: How it is found.
         safety: When to reject a state or a plan.
-        kind: "torchscript" or "aoti".
+        kind: "torchscript", "aoti" or "c" (`path` is then the source file, and its header lies beside it).
         run: Run directory of the model, for its hashes; None: declared physics.
         sample: Step of `predict` [s].
         period, latency: For the record; see `record_of`.
+        estimator: What the estimator of a controller in C is told, for which it is part of the file; None: its
+            defaults, with the latency given here. Others leave it to their host.
         dtype: Precision of the arithmetic within.
         say: Called with a line when something takes long.
 
@@ -163,10 +167,20 @@ def export(
         ExportError: there is no compiler for format=aoti.
     """
     if kind not in KINDS:
-        raise ConfigError(f"`format` must be {' or '.join(KINDS)}; got {kind!r}.")
+        raise ConfigError(f"`format` must be {', '.join(KINDS[:-1])} or {KINDS[-1]}; got {kind!r}.")
+    if (kind == C) != c_file.is_c(path):
+        raise ConfigError(
+            f"`format=c` and only that writes a file that ends in .c; got format={kind}, out={path}."
+        )
     controller = controller_of(known, problem=problem, solver=solver, safety=safety, dtype=dtype)
     step = ExportedStep(controller, Predictor(known, dt=sample, dtype=dtype))
     about = record_of(step, known, kind=kind, run=run, period=period, latency=latency)
+    if kind == C:
+        from nsde_torch.export.c_code import sources
+
+        known_times = estimator or EstimatorOptions(latency=latency)
+        about["estimator"] = asdict(known_times)
+        return c_file.write(path, *sources(step, path.stem, about, known_times), about)
     if kind == TORCHSCRIPT:
         members = container.plain(container.members_of(jit.saved(scripted(step))))
     else:

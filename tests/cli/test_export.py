@@ -13,6 +13,7 @@ import pytest
 import torch
 
 from nsde_torch.cli.main import main
+from nsde_torch.export import c_file
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
@@ -68,6 +69,39 @@ def test_a_file_flies_as_the_controller_that_it_was_made_of(
         main(["verify", str(file), "run=declared", "log=out/log/flight_0.csv", "states=10", "adversarial=0"])
         == 0
     )
+
+
+@pytest.mark.skipif(c_file.compiler() is None, reason="needs a C compiler")
+def test_a_controller_in_c_is_written_and_verified(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert main(["export", "run=declared", "out=controller.c", "format=c", "mpc.moment_time=0.4", *MPC]) == 0
+    assert main(["export", "run=declared", "out=other.ts", "format=c", *MPC]) == 2
+    assert "ends in .c" in capsys.readouterr().err
+    assert main(["export", "run=declared", "out=controller.c", "format=c", *MPC]) == 2
+    assert "is there already" in capsys.readouterr().err
+    assert (
+        main(["verify", "controller.c", "run=declared", "states=6", "adversarial=20", "out=found.json"]) == 0
+    )
+    assert "6 states with estimators and plans of their own" in capsys.readouterr().out
+    found = json.loads(Path("found.json").read_text())
+    assert found["passed"]
+    assert max(found["input_difference_max"], found["estimator_input_difference_max"]) < 1e-8
+    monkeypatch.setenv("CC", "no_such_compiler")
+    assert main(["verify", "controller.c", "run=declared"]) == 2
+    assert "needs a C compiler" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(c_file.compiler() is None, reason="needs a C compiler")
+@pytest.mark.slow
+def test_a_controller_in_c_flies_as_the_one_that_it_was_made_of() -> None:
+    words = ["duration=0.8", "mpc.period=0.04", "mpc.compile=off", "out_dir=out", *MPC]
+    assert main(["export", "run=declared", "out=controller.c", "format=c", *MPC]) == 0
+    assert main(["track", "controller=controller.c", "beside=[declared]", *words]) == 0
+    flown = json.loads(Path("out/tracking.json").read_text())["controllers"]
+    ours, theirs = flown["MPC, controller.c"], flown["MPC, declared physics"]
+    assert ours["lost"] == 0
+    assert ours["rmse_m"] == pytest.approx(theirs["rmse_m"], rel=0.02)
 
 
 def test_settings_that_a_file_does_not_have_are_refused(

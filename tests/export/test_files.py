@@ -172,6 +172,6 @@ def test_what_a_file_cannot_hold_is_refused(model: NeuralSDE, run_dir: Path, tmp
     out = tmp_path / "c.ts"
     with pytest.raises(ConfigError, match="needs a clock"):
         _export(model, run_dir, out, solver=SolverOptions(deadline=0.01))
-    with pytest.raises(ConfigError, match="torchscript or aoti"):
+    with pytest.raises(ConfigError, match="torchscript, aoti or c"):
         _export(model, run_dir, out, kind="onnx")
     assert not out.exists()

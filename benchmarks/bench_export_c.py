@@ -1,0 +1,147 @@
+"""A controller in C beside the same as TorchScript and as machine code for libtorch: times and memory, in one run.
+
+    python benchmarks/bench_export_c.py declared RUN [--program build/flight_computer] [--package controller.pt2]
+
+`declared` is the physics alone, RUN what `nsde train system=hexacopter` writes. The states are those of
+bench_export.py: along the lemniscate, 20 ms apart, off it by more than a flight's errors, so that nearly all plans take
+two iterations. C is compiled with -O2 (CC names the compiler) and with -O3 -march=native, into a process that does
+nothing else; the others are run by examples/flight_computer, if it is given. The package is that of the last RUN, since
+to make one takes minutes. Forms take turns, and a row shows the lowest and the highest of the repeats. On a busy
+computer the tail is that of its other work; the time of the processor for this thread alone, which C tells too, is not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import subprocess
+import tempfile
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from bench_export import PERIOD, write
+
+from nsde_torch.control.controller import SafetyOptions
+from nsde_torch.control.loop import DECLARED, knowledge
+from nsde_torch.control.problem import ProblemOptions
+from nsde_torch.control.reference import Reference
+from nsde_torch.control.shapes import lemniscate
+from nsde_torch.control.solve import SolverOptions
+from nsde_torch.export import c_file
+from nsde_torch.export.verify import along
+from nsde_torch.export.write import export
+
+Times = dict[str, float]
+DRIVER = Path(__file__).with_suffix(".c")
+FORMS = {
+    "C, double, -O2": ("float64", ("-O2",)),
+    "C, double, -O3 -march=native": ("float64", ("-O3", "-march=native")),
+    "C, float, -O2": ("float32", ("-O2",)),
+}
+
+
+def written(run: str, file: Path, kind: str, precision: str) -> Path:
+    """A controller of a run, exported."""
+    export(
+        knowledge(run, "hexacopter"),
+        file,
+        problem=ProblemOptions(),
+        solver=SolverOptions(iterations=10, tolerance=5e-3),
+        safety=SafetyOptions(),
+        kind=kind,
+        run=None if run == DECLARED else Path(run),
+        sample=0.01,
+        period=PERIOD,
+        latency=0.04,
+        dtype=getattr(torch, precision),
+    )
+    return file
+
+
+def driver(file: Path, flags: tuple[str, ...], samples: Path, count: int) -> Callable[[], Times]:
+    """Runs a controller in C over the samples."""
+    program = file.with_name("driver")
+    words = [str(c_file.compiler()), "-std=c99", *flags, f"-I{file.parent}", str(DRIVER), str(file), "-lm"]
+    subprocess.run([*words, "-o", str(program)], check=True)
+
+    def run() -> Times:
+        done = subprocess.run([program, samples, str(count), str(PERIOD)], check=True, capture_output=True)
+        found: Times = json.loads(done.stdout)
+        return found
+
+    return run
+
+
+def host(program: Path, file: Path, folder: Path) -> Callable[[], Times]:
+    """Runs a file for libtorch over the same states."""
+
+    def run() -> Times:
+        words = ["--controller", file, "--log", folder / "log.csv", "--reference", folder / "reference.csv"]
+        done = subprocess.run([str(program), *map(str, words)], check=True, capture_output=True, text=True)
+        solves = re.search(r"p50 ([\d.]+) ms.*p99 ([\d.]+) ms.*max ([\d.]+) ms", done.stdout)
+        memory = re.search(r"memory: ([\d.]+) MB", done.stdout)
+        assert solves is not None
+        assert memory is not None
+        p50, p99, most = map(float, solves.groups())
+        return {"p50_ms": p50, "p99_ms": p99, "max_ms": most, "memory_mb": float(memory[1])}
+
+    return run
+
+
+def main() -> None:
+    """Run the measurement."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("runs", nargs="+")
+    parser.add_argument("--program", type=Path, default=None)
+    parser.add_argument("--package", type=Path, default=None)
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--repeats", type=int, default=5)
+    given = parser.parse_args()
+    torch.set_num_threads(1)
+    path, problem, count = Reference(lemniscate()), ProblemOptions(), round(given.seconds / PERIOD)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        states = along(path, count, dt=problem.dt, steps=problem.steps, period=PERIOD)
+        write(folder / "log.csv", [2.0 + PERIOD * k for k in range(count)], [x.tolist() for x, _ in states])
+        grid = path.dt * torch.arange(round(path.duration / path.dt) + 1, dtype=torch.float64)
+        write(folder / "reference.csv", grid.tolist(), path.at(grid).tolist())
+        samples = folder / "samples.bin"
+        torch.cat([torch.cat((x[None], ref)).flatten() for x, ref in states]).numpy().tofile(samples)
+        forms: dict[tuple[str, str], Callable[[], Times]] = {}
+        for n, run in enumerate(given.runs):
+            called = "physics alone" if run == DECLARED else "with networks"
+            for k, (form, (precision, flags)) in enumerate(FORMS.items()):
+                file = written(run, folder / f"c_{n}_{k}" / "controller.c", "c", precision)
+                forms[called, form] = driver(file, flags, samples, count)
+            if given.program is not None:
+                file = written(run, folder / f"controller_{n}.ts", "torchscript", "float64")
+                forms[called, "TorchScript"] = host(given.program, file, folder)
+                if given.package is not None and n == len(given.runs) - 1:
+                    forms[called, "format=aoti"] = host(given.program, given.package, folder)
+        found = defaultdict(list)
+        for _ in range(given.repeats):
+            for form, measured in forms.items():
+                found[form].append(measured())
+    columns = ("p50", "p99", "max")
+    print(
+        "| model | form | p50 [ms] | p99 [ms] | largest [ms] | the same of the processor alone | resident [MB] |\n"
+        "|---|---|---|---|---|---|---|"
+    )
+
+    def span(rows: list[Times], key: str) -> str:
+        low, high = min(r[key] for r in rows), max(r[key] for r in rows)
+        return f"{low:.2f} to {high:.2f}"
+
+    for (called, form), rows in found.items():
+        clock = " | ".join(span(rows, f"{c}_ms") for c in columns)
+        own = ", ".join(span(rows, f"{c}_cpu_ms") for c in columns) if "p50_cpu_ms" in rows[0] else ""
+        print(f"| {called} | {form} | {clock} | {own} | {max(r['memory_mb'] for r in rows):.1f} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,197 @@
+"""Controllers in C: written as a pair of files, read, compiled here and called.
+
+The record of what they are is the last comment of the header. The hash in it is that of other exported files
+(`container`), over the source, the header without the record, and the record.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nsde_torch.errors import ExportError
+from nsde_torch.export import container
+from nsde_torch.export.layout import Sizes
+
+MARK, _BEGIN, _END = "@RECORD@", "/* nsde record\n", "\n*/\n"
+FLAGS = ("-std=c99", "-O2")
+"""What the files compile with; a compiler that is not known yet may warn of more than those of the tests do."""
+
+
+def is_c(path: Path) -> bool:
+    """Whether a file is of this kind, by its name."""
+    return path.suffix == ".c"
+
+
+def write(path: Path, source: str, header: str, record: Mapping[str, Any]) -> str:
+    """Write both files; returns their hash (hex).
+
+    Args:
+        path: The source file; the header lies beside it.
+        source, header: Their text, with `MARK` in the place of the record.
+        record: What they are, plain values.
+    """
+
+    def text(digest: str) -> bytes:
+        about = {"format": container.FORMAT, "sha256": digest, **record}
+        # no end of a comment within
+        return json.dumps(about, indent=1, allow_nan=False).replace("*/", "*\\/").encode()
+
+    members = {"controller.c": source.encode(), "controller.h": header.encode()}
+    digest = container.digest_of({**members, container.RECORD: text("")})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.with_suffix(".h").write_text(header.replace(MARK, text(digest).decode()), encoding="utf-8")
+    path.write_text(source, encoding="utf-8")
+    return digest
+
+
+def read(path: Path) -> dict[str, Any]:
+    """The record of a pair of files, checked.
+
+    Raises:
+        ExportError: one of them is missing, changed, or of another format.
+    """
+    beside = path.with_suffix(".h")
+    for file in (path, beside):
+        if not file.is_file():
+            raise ExportError(
+                f"no file {file}; give the .c that `nsde export format=c` wrote, its .h beside it."
+            )
+    header = beside.read_text(encoding="utf-8")
+    start, end = header.find(_BEGIN), header.rfind(_END)
+    if not 0 <= start < end:
+        raise ExportError(f"{path} is no exported controller (its header holds no record). Export anew.")
+    text = header[start + len(_BEGIN) : end]
+    rest = header[: start + len(_BEGIN)] + MARK + header[end:]
+    members = {"controller.c": path.read_bytes(), "controller.h": rest.encode()}
+    return container.checked(path, {**members, container.RECORD: text.encode()})
+
+
+def compiler() -> str | None:
+    """A C compiler: what CC names, or cc, gcc or clang."""
+    named = os.environ.get("CC")
+    return next((c for c in ([named] if named else ["cc", "gcc", "clang"]) if shutil.which(c)), None)
+
+
+def library(path: Path, *, flags: Sequence[str] = ()) -> ctypes.CDLL:
+    """The controller, compiled for this computer and loaded; it is machine code, and runs when called.
+
+    Args:
+        path: The source file.
+        flags: More for the compiler.
+
+    Raises:
+        ExportError: there is no C compiler, or it refuses.
+    """
+    cc = compiler()
+    if cc is None:
+        raise ExportError(
+            "to run a controller in C here needs a C compiler, and there is none (cc, gcc or clang; CC names it). "
+            "Install one (apt install gcc), or verify it where there is one."
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / "controller.so"
+        words = [cc, *FLAGS, *flags, "-shared", "-fPIC", "-o", str(made), str(path.resolve()), "-lm"]
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            said = (done.stderr.strip().splitlines() or ["no word"])[0]
+            raise ExportError(f"{cc} does not compile it: {said}. Export anew.")
+        return ctypes.CDLL(str(made))
+
+
+@final
+class CController:
+    """A controller in C behind the face of the exported step: `step` and `predict` of plain tensors, see `layout`.
+
+    Args:
+        built: The library.
+        about: The record.
+    """
+
+    def __init__(self, built: ctypes.CDLL, about: Mapping[str, Any]) -> None:
+        s = self._sizes = Sizes(**about["sizes"])
+        self._dtype = getattr(torch, about["dtype"])
+        number = ctypes.c_float if self._dtype == torch.float32 else ctypes.c_double
+        widths = (s.steps * s.nu, 3, 1, s.steps, (s.steps + 1) * s.nx, 1, 1)
+        shapes = ((s.steps, s.nu), (3,), (), (s.steps,), (s.steps + 1, s.nx), (), ())
+        self._parts = list(zip(widths, shapes, strict=True))
+
+        class Command(ctypes.Structure):
+            _fields_ = (
+                *(("numbers", number * sum(widths)),),
+                *(("iterations", ctypes.c_int), ("status", ctypes.c_int)),
+            )
+
+        self._command = Command()
+        self._numbers = torch.from_numpy(np.ctypeslib.as_array(self._command.numbers))
+        self._work = ctypes.create_string_buffer(ctypes.c_uint.in_dll(built, "nsde_work_bytes").value)
+        pilot = ctypes.c_uint.in_dll(built, "nsde_pilot_bytes").value
+        self._pilot = ctypes.create_string_buffer(pilot)
+        self._built, self._real = built, number
+
+    def step(self, state: Tensor, valid: Tensor, elapsed: Tensor, *rest: Tensor) -> tuple[Tensor, ...]:
+        """See `layout.step_inputs` and `layout.step_outputs`."""
+        # held by a name while the call looks at them
+        given, reference, last, push, memory, before = map(self._given, (state, *rest))
+        plan = before.clone()
+        self._built.nsde_step(
+            self._work,
+            _at(given),
+            int(float(valid) > 0.5),
+            self._real(float(elapsed)),
+            *map(_at, (reference, last, push, memory, plan)),
+            ctypes.byref(self._command),
+        )
+        return self._answer(plan)
+
+    def predict(self, z: Tensor, u: Tensor, push: Tensor) -> tuple[Tensor]:
+        """See `layout.predict_inputs`."""
+        tables = [*map(self._given, (z, u, push)), torch.empty(self._sizes.nz, dtype=self._dtype)]
+        self._built.nsde_predict(*map(_at, tables))
+        after = tables[-1]
+        return (after.double(),)
+
+    def reset(self, state: Tensor) -> None:
+        """Start the controller with its estimator from a measured state (nx,)."""
+        state = self._given(state)
+        self._built.nsde_reset(self._pilot, _at(state))
+
+    def command(self, state: Tensor, reference: Tensor, *, valid: bool = True) -> tuple[Tensor, ...]:
+        """The answer, without `after`, of the controller with its estimator.
+
+        Args:
+            state: The newest measured state (nx,).
+            reference: States to track from the time on at which the command acts (steps, nx).
+            valid: Whether the state is to be believed.
+        """
+        state, reference = self._given(state), self._given(reference)
+        self._built.nsde_command_of(
+            self._pilot, _at(state), int(valid), _at(reference), ctypes.byref(self._command)
+        )
+        return self._answer(torch.empty(0))[:-1]
+
+    def _given(self, x: Tensor) -> Tensor:
+        return x.to(self._dtype).contiguous()
+
+    def _answer(self, plan: Tensor) -> tuple[Tensor, ...]:
+        out, start = [], 0
+        for width, shape in self._parts:
+            out.append(self._numbers[start : start + width].double().view(shape).clone())
+            start += width
+        counts = (self._command.status, self._command.iterations)
+        return (*out, *(torch.tensor(float(n), dtype=torch.float64) for n in counts), plan.double())
+
+
+def _at(x: Tensor) -> ctypes.c_void_p:
+    return ctypes.c_void_p(x.data_ptr() if x.numel() else None)

@@ -1,0 +1,452 @@
+"""The controller in C: built without a warning, equal to the one in Python, or refused with the reason."""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from nsde_torch.control.autopilots import EstimatorOptions, PredictivePilot
+from nsde_torch.control.controller import SafetyOptions
+from nsde_torch.control.predictor import Predictor
+from nsde_torch.control.problem import ProblemOptions
+from nsde_torch.control.reference import Reference
+from nsde_torch.control.solve import SolverOptions
+from nsde_torch.effects.registry import effects_of
+from nsde_torch.errors import ConfigError, ExportError
+from nsde_torch.export import c_file, scalar, verify
+from nsde_torch.export.exported import ExportedController
+from nsde_torch.export.graph import graph_of
+from nsde_torch.export.layout import STATUS
+from nsde_torch.export.write import controller_of, export
+from nsde_torch.models import NeuralSDE, SDESpec
+from nsde_torch.systems import Multirotor, System, make_system
+from tests.helpers.exported import flight
+from tests.helpers.hexacopters import VALUES
+
+needs_compiler = pytest.mark.skipif(c_file.compiler() is None, reason="needs a C compiler")
+WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Werror")
+SMALL = {"horizon": 0.3, "steps": 6}
+ESTIMATOR = EstimatorOptions(latency=0.04, force_time=0.3, moment_time=0.2)
+
+
+def _written(
+    known: NeuralSDE | System, path: Path, *, dtype: torch.dtype = torch.float64, **options: object
+) -> dict[str, object]:
+    """Writes a controller of 6 steps; returns what its like in Python is made with."""
+    given: dict[str, object] = {
+        "problem": ProblemOptions(**{**SMALL, **options}),  # type: ignore[arg-type]
+        "solver": SolverOptions(compile="off", iterations=3, tolerance=5e-3),
+        "safety": SafetyOptions(),
+        "dtype": dtype,
+    }
+    times = {"sample": 0.01, "period": 0.02, "latency": 0.04, "estimator": ESTIMATOR}
+    export(known, path, kind="c", **given, **times)  # type: ignore[arg-type]
+    return given
+
+
+def _compared(
+    known: NeuralSDE | System, folder: Path, path: Reference, states: int, **options: object
+) -> verify.Verification:
+    """What C and Python make of states along a path."""
+    file, out = folder / "controller.c", verify.Verification()
+    given = _written(known, file, **options)  # type: ignore[arg-type]
+    o: ProblemOptions = given["problem"]  # type: ignore[assignment]
+    controller = controller_of(known, **given)  # type: ignore[arg-type]
+    samples = verify.along(path, states, dt=o.dt, steps=o.steps, period=0.02)
+    verify.compare(ExportedController(file), controller, samples, out, elapsed=0.02)
+    return out
+
+
+@pytest.fixture(scope="module")
+def file(declared: System, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A controller on declared physics in double precision."""
+    path = tmp_path_factory.mktemp("c") / "controller.c"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SOURCE_DATE_EPOCH", "0")
+        _written(declared, path)
+    return path
+
+
+# ---- expressions ----------------------------------------------------------------------------------------
+
+
+def _valued(outputs: Sequence[scalar.Number], tables: dict[str, Tensor]) -> list[float]:
+    """Values of scalars at given inputs."""
+    made: dict[int, float] = {}
+
+    def value(x: scalar.Number) -> float:
+        return x if isinstance(x, float) else made[id(x)]
+
+    plain = {"add": lambda a, b: a + b, "sub": lambda a, b: a - b, "mul": lambda a, b: a * b}
+    more = {"div": lambda a, b: a / b, "neg": lambda a: -a, "clamped": lambda x, a, b: min(max(x, a), b)}
+    rules = {**plain, **more, "where": lambda c, a, b: a if c else b}
+    for x in scalar.in_order(outputs):
+        if x.op == "input":
+            made[id(x)] = float(tables[x.data[0]].flatten()[x.data[1]])
+        else:
+            rule = rules.get(x.op, functools.partial(scalar.folded, x.op))
+            made[id(x)] = rule(*map(value, x.args))
+    return [value(x) for x in outputs]
+
+
+@pytest.mark.parametrize(
+    "effect", sorted(set(effects_of("hexacopter", Multirotor.ports)) - {"battery_voltage"})
+)
+def test_a_step_and_its_slopes_are_those_of_torch_whatever_the_effect(effect: str) -> None:
+    system = make_system("hexacopter", effects=[effect], values=VALUES)
+    g = torch.Generator().manual_seed(3)
+    with torch.no_grad():
+        for parameter in system.parameters():
+            parameter += 0.2 * torch.rand(parameter.shape, generator=g, dtype=parameter.dtype)
+    p = Predictor(system, dt=0.05, dtype=torch.float64)
+
+    def draw(n: int) -> Tensor:
+        return 0.1 + 0.8 * torch.rand(1, n, generator=g, dtype=torch.float64)
+
+    tables = {"z": draw(p.nz), "u": draw(p.nu), "d": draw(p.nd)}
+    tables["z"][:, 6:10] /= tables["z"][:, 6:10].norm()
+    graph = graph_of(lambda z, u, d: (p(z, u, d),), list(tables.values()))
+    given = [scalar.inputs(name, *t.shape) for name, t in tables.items()]
+    (after,) = scalar.run(graph, given)
+    rows = scalar.jacobian(list(after[0]), [*given[0][0], *given[1][0]])
+    found = _valued(list(after[0]), tables)
+    assert found == pytest.approx(p(*tables.values())[0].tolist(), abs=1e-12)
+    n = p.nz + p.nu
+    slopes = torch.zeros(p.nz, n, dtype=torch.float64)
+    for i, row in enumerate(rows):
+        slopes[i, list(row)] = torch.tensor(_valued(list(row.values()), tables), dtype=torch.float64)
+    exact = torch.func.jacfwd(lambda x: p(x[None, : p.nz], x[None, p.nz :], tables["d"])[0])(
+        torch.cat((tables["z"][0], tables["u"][0]))
+    )
+    assert torch.allclose(slopes, exact, atol=1e-11)
+    assert sum(map(len, rows)) < 0.9 * slopes.numel()
+
+
+def test_an_operation_that_c_does_not_have_is_named() -> None:
+    graph = graph_of(lambda x: (torch.special.bessel_j0(x),), [torch.ones(1, 2)])
+    with pytest.raises(ExportError, match=r"special_bessel_j0.*format=torchscript"):
+        scalar.run(graph, [scalar.inputs("x", 1, 2)])
+
+
+def _with_branches(x: Tensor) -> tuple[Tensor, ...]:
+    a, b, c = x.unbind(1)
+    chosen = torch.where(a > 0.5, torch.sqrt(a - 0.5), b * c)
+    rest = torch.atan2(a, c).abs() - torch.asinh(b) / (1.0 + a * a) + torch.sigmoid(c) ** 2.5
+    return (torch.stack((chosen, torch.maximum(a, b), torch.minimum(b, c), a.clamp(0.2, 0.3), rest), 1),)
+
+
+@pytest.mark.parametrize("row", [[0.2, 0.7, -0.4], [0.9, -0.3, 0.6], [0.4, 0.4, 0.4], [0.3, 0.1, 0.2]])
+def test_branches_have_the_slopes_that_torch_gives_them(row: list[float]) -> None:
+    x = torch.tensor([row], dtype=torch.float64)
+    given = scalar.inputs("x", 1, 3)
+    (made,) = scalar.run(graph_of(_with_branches, [x]), [given])
+    assert _valued(list(made[0]), {"x": x}) == pytest.approx(_with_branches(x)[0][0].tolist())
+    exact = torch.func.jacfwd(lambda v: _with_branches(v[None])[0][0])(x[0])
+    rows = scalar.jacobian(list(made[0]), list(given[0]))
+    for slopes, wanted in zip(rows, exact.tolist(), strict=True):
+        values = dict(zip(slopes, _valued(list(slopes.values()), {"x": x}), strict=True))
+        assert [values.get(k, 0.0) for k in range(3)] == pytest.approx(wanted)
+
+
+def test_networks_side_by_side_are_taken_apart_and_what_learned_nothing_is_left_out() -> None:
+    g = torch.Generator().manual_seed(2)
+    first = torch.randn(40, 3, generator=g, dtype=torch.float64)
+    last = torch.zeros(5, 40, dtype=torch.float64)
+    last[:2, :20], last[2, 20:] = 1.0, 2.0
+    graph = graph_of(
+        lambda x: (torch.tanh(x @ first.T) @ last.T + torch.arange(5.0, dtype=torch.float64),),
+        [torch.ones(1, 3, dtype=torch.float64)],
+    )
+    (made,) = scalar.run(graph, [scalar.inputs("x", 1, 3)])
+    assert made[0, 3:].tolist() == [3.0, 4.0]
+    layer = made[0, 0].data[0]
+    assert [[len(units) for units in part] for part in layer.parts()] == [[20, 2], [20, 1]]
+
+
+# ---- files ----------------------------------------------------------------------------------------------
+
+
+@needs_compiler
+@pytest.mark.parametrize("precision", ["NSDE_DOUBLE", "NSDE_FLOAT"])
+def test_a_file_compiles_without_a_warning_and_calls_nothing_but_libm(
+    file: Path, tmp_path: Path, precision: str
+) -> None:
+    made = tmp_path / "controller.o"
+    words = [
+        str(c_file.compiler()),
+        *c_file.FLAGS,
+        *WARNINGS,
+        f"-D{precision}",
+        "-c",
+        str(file),
+        "-o",
+        str(made),
+    ]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    if shutil.which("nm"):
+        listed = subprocess.run(["nm", "-u", str(made)], capture_output=True, text=True, check=True).stdout
+        used = {line.split()[-1].partition("@")[0] for line in listed.splitlines()}
+        numbers = {name + end for name in ("sqrt", "acos", "exp", "sin", "cos") for end in ("", "f")}
+        assert used <= numbers | {"_GLOBAL_OFFSET_TABLE_", "memcpy", "memmove", "memset", "__stack_chk_fail"}
+
+
+@needs_compiler
+def test_the_header_is_for_cpp_too(file: Path, tmp_path: Path) -> None:
+    compiler = shutil.which("g++") or shutil.which("clang++")
+    if compiler is None:
+        pytest.skip("needs a C++ compiler")
+    (tmp_path / "node.cpp").write_text(
+        f'#include "{file.with_suffix(".h")}"\n'
+        "static nsde_pilot pilot{};\nstatic nsde_command command{};\n"
+        "static nsde_real state[NSDE_NX], reference[NSDE_STEPS][NSDE_NX];\n"
+        "int main() { nsde_reset(&pilot, state);\n"
+        "  return nsde_command_of(&pilot, state, true, reference, &command); }\n"
+    )
+    words = [compiler, "-std=c++17", "-Wall", "-Werror", "-fsyntax-only", str(tmp_path / "node.cpp")]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_file_compiles_for_a_cortex_m7(file: Path, tmp_path: Path) -> None:
+    cross = shutil.which("arm-none-eabi-gcc")
+    if cross is None:
+        pytest.skip("needs arm-none-eabi-gcc")
+    chip = ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard")
+    words = [
+        cross,
+        *c_file.FLAGS,
+        *WARNINGS,
+        *chip,
+        "-DNSDE_FLOAT",
+        "-c",
+        str(file),
+        "-o",
+        str(tmp_path / "c.o"),
+    ]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_header_says_what_a_user_has_to_know_and_the_same_controller_makes_the_same_bytes(
+    file: Path, declared: System, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    header = file.with_suffix(".h").read_text()
+    for part in (
+        "world ENU, body FLU, quaternion w x y z",
+        "p_x [m]",
+        "w_z",
+        "[rad/s]",
+        "u_6, within [0, 1]",
+        "body_moment, 3 axes [m/s2, rad/s2]",
+        " 0  converged",
+        f" {len(STATUS) - 1}  diverged, hover",
+        "#define NSDE_STEPS 6",
+        "for 0.5 s at most",
+    ):
+        assert part in header
+    record = c_file.read(file)
+    assert record["kind"] == "c"
+    assert record["model"]["weights_sha256"] in header
+    assert record["estimator"]["force_time"] == 0.3
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
+    again = tmp_path / "controller.c"
+    _written(declared, again)
+    assert again.read_bytes() == file.read_bytes()
+    assert again.with_suffix(".h").read_text() == header
+
+
+def test_files_that_were_changed_or_are_alone_are_refused(file: Path, tmp_path: Path) -> None:
+    other = tmp_path / "controller.c"
+    shutil.copy(file, other)
+    with pytest.raises(ExportError, match=r"no file .*controller\.h"):
+        ExportedController(other)
+    header = file.with_suffix(".h").read_text()
+    for old, new in (("typedef float", "typedef double"), ('"keep": 0.5', '"keep": 9.5')):
+        assert old in header
+        other.with_suffix(".h").write_text(header.replace(old, new))
+        with pytest.raises(ExportError, match="was changed after it was written"):
+            ExportedController(other)
+    other.with_suffix(".h").write_text("#define NSDE_NX 13\n")
+    with pytest.raises(ExportError, match="holds no record"):
+        ExportedController(other)
+    other.with_suffix(".h").write_text(header)
+    other.write_text(file.read_text().replace("R(0.005)", "R(0.5)"))
+    with pytest.raises(ExportError, match="was changed after it was written"):
+        ExportedController(other)
+
+
+def test_without_a_compiler_a_file_says_what_it_needs(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "no_such_compiler")
+    with pytest.raises(ExportError, match=r"needs a C compiler.*apt install gcc"):
+        ExportedController(file)
+
+
+def test_what_c_cannot_hold_is_refused(declared: System, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"particles=2\. Take mpc\.particles=1"):
+        _written(declared, tmp_path / "c.c", particles=2)
+    with pytest.raises(ConfigError, match=r"ends in \.c"):
+        _written(declared, tmp_path / "controller.ts")
+    with pytest.raises(ConfigError, match="named by letters"):
+        _written(declared, tmp_path / "my controller.c")
+    assert not list(tmp_path.iterdir())
+
+
+# ---- plans ----------------------------------------------------------------------------------------------
+
+
+@needs_compiler
+def test_sample_after_sample_c_does_what_the_controller_does(
+    file: Path, declared: System, path: Reference
+) -> None:
+    exported, words = ExportedController(file), set()
+    controller = controller_of(
+        declared,
+        problem=exported.options,
+        solver=exported.solver.options,
+        safety=exported.safety,
+        dtype=torch.float64,
+    )
+    for arguments, plan in flight(controller, path):
+        out = exported.step(*arguments)
+        words.add(word := STATUS[int(out[7])])
+        assert word == plan.status[0]
+        assert torch.allclose(out[0], plan.u[0], atol=1e-8)
+        assert torch.allclose(out[4], plan.x[0], atol=1e-8)
+        assert torch.equal(out[1], out[4][1, 10:13])
+        assert float(out[2]) == pytest.approx(float(plan.u[0, 0].mean()))
+        assert int(out[8]) == plan.iterations
+        assert math.isinf(float(plan.cost)) or float(out[5]) == pytest.approx(float(plan.cost))
+    assert {"bad_state:kept", "bad_state:hover", "bad_reference:kept", "state_jump:kept"} < words
+    assert words & {"converged", "improved"}
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"rate_weight": 3.0, "input_centre": 0.3},
+        {"speed_limit": 1.0, "tilt_limit": 10.0, "fence": ((-1, 1), (-1, 1), (0, 1.2))},
+        {"low": 0.3, "high": 0.5},
+    ],
+)
+def test_costs_and_limits_are_those_of_python(
+    declared: System, path: Reference, tmp_path: Path, options: dict[str, object]
+) -> None:
+    out = _compared(declared, tmp_path, path, 8, **options)
+    assert out.worst < 1e-8, (out.worst, out.words)
+    assert not out.differing
+
+
+@needs_compiler
+def test_networks_are_in_c_too(model: NeuralSDE, path: Reference, tmp_path: Path) -> None:
+    out = _compared(model, tmp_path, path, 6)
+    assert out.worst < 1e-8
+    source = (tmp_path / "controller.c").read_text()
+    assert source.count("static void network_") == 2  # one a port, and no third for the prediction
+
+
+@needs_compiler
+def test_effects_that_remember_are_in_c_too(path: Reference, tmp_path: Path) -> None:
+    lag = make_system("hexacopter", effects=["motor_lag", "linear_drag"], values=VALUES)
+    out = _compared(lag, tmp_path, path, 6)
+    assert out.worst < 1e-8
+    assert "#define NSDE_NZ 19" in (tmp_path / "controller.h").read_text()
+
+
+@needs_compiler
+@pytest.mark.slow
+def test_a_black_box_and_a_distance_are_in_c_too(path: Reference, tmp_path: Path) -> None:
+    for physics, weight in ((False, 0.0), (True, 5.0)):
+        spec = SDESpec("hexacopter", dt=0.05, horizon=20, step="milstein", physics=physics)
+        known = NeuralSDE(spec, generator=torch.Generator().manual_seed(1)).eval().requires_grad_(False)
+        out = _compared(known, tmp_path, path, 4, uncertainty_weight=weight)
+        assert out.worst < 1e-7, (physics, out.differing)
+
+
+@needs_compiler
+def test_single_precision_stays_near_python(declared: System, path: Reference, tmp_path: Path) -> None:
+    out = _compared(declared, tmp_path, path, 12, dtype=torch.float32)
+    assert out.worst < verify.SINGLE_TOLERANCE
+    assert not out.differing
+
+
+@needs_compiler
+def test_the_estimator_in_c_flies_as_the_one_in_python(file: Path, declared: System, path: Reference) -> None:
+    exported, out = ExportedController(file), verify.Verification()
+    controller = controller_of(
+        declared,
+        problem=exported.options,
+        solver=exported.solver.options,
+        safety=exported.safety,
+        dtype=torch.float64,
+    )
+    pilot = PredictivePilot(
+        controller, declared, path, period=0.02, sample=0.01, estimator=ESTIMATOR, state_latency=0.0
+    )
+    states = [x for x, _ in verify.along(path, 20, dt=0.05, steps=6, period=0.02)]
+    states[7] = states[7] * torch.nan
+    states[12] = states[12] + torch.tensor([5.0, *(0.0,) * 12])
+    verify.compare_estimators(exported, pilot, states, out)
+    assert out.estimated == 20
+    assert out.estimated_worst < 1e-8
+    assert not out.differing
+
+
+@needs_compiler
+def test_whatever_it_is_given_an_answer_is_finite_and_within_bounds(file: Path, path: Reference) -> None:
+    out = verify.Verification()
+    verify.attack(ExportedController(file), path, 400, out)
+    assert out.adversarial == 400
+    assert not out.unsafe
+
+
+@needs_compiler
+@pytest.mark.slow
+@pytest.mark.parametrize("which", ["declared", "model"])
+def test_200_states_of_the_whole_controller_are_those_of_python(
+    which: str, path: Reference, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    known = request.getfixturevalue(which)
+    out = _compared(known, tmp_path, path, 200, horizon=1.0, steps=20)
+    assert out.worst < 1e-5
+    assert out.cost_ratio < 1e-9
+    assert not out.differing
+
+
+@needs_compiler
+@pytest.mark.slow
+def test_the_process_around_it_is_small(
+    declared: System, path: Reference, tmp_path: Path, root: Path
+) -> None:
+    _written(declared, tmp_path / "controller.c", horizon=1.0, steps=20)
+    samples = verify.along(path, 50, dt=0.05, steps=20, period=0.02)
+    torch.cat([torch.cat((x[None], ref)).flatten() for x, ref in samples]).numpy().tofile(
+        tmp_path / "samples.bin"
+    )
+    driver = root / "benchmarks" / "bench_export_c.c"
+    words = [
+        str(c_file.compiler()),
+        "-std=c99",
+        "-O2",
+        f"-I{tmp_path}",
+        str(driver),
+        str(tmp_path / "controller.c"),
+    ]
+    subprocess.run([*words, "-o", str(tmp_path / "driver"), "-lm"], check=True)
+    ran = subprocess.run(
+        [str(tmp_path / "driver"), str(tmp_path / "samples.bin"), "50", "0.02"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert json.loads(ran.stdout)["memory_mb"] < 5.0

@@ -242,7 +242,9 @@ def _bent(shape: str) -> str:
 def _unshown(regression: Regression, name: str) -> str:
     """Why an effect whose sizes are all unknown is provisional: losses of six motors, inputs of four dimensions."""
     sizes = regression.vector.sizes(name)
-    return "" if not sizes or regression.estimable.known[sizes].any() else "these data show none of its values"
+    return (
+        "" if not sizes or regression.estimable.known[sizes].any() else "these data show none of its values"
+    )
 
 
 def guard_of(log: Log, outcome: Outcome) -> Guarded:

@@ -39,8 +39,9 @@ class Estimate:
     low: float | None
     high: float | None  # low, high: 90 % interval, inside the bounds; None where the data do not show it
     unit: str  # unit of all
-    # `below` or `above` where that end alone is what the data say: the other one is the bound of the search
-    bound: Literal["below", "above"] | None = None
+    # `below` or `above` where that end alone is what the data say: the other one is the bound of the search;
+    # `reference` of the smallest of sizes per input of which only differences can be shown
+    bound: Literal["below", "above", "reference"] | None = None
     widened: float = 0.0
     """What its half-width is larger by than chance makes it: by what more data do not show."""
 
@@ -60,24 +61,26 @@ def estimated(
     error = np.sqrt(np.clip(np.diag(basis @ sure.covariance @ basis.T), 0.0, None))
     half = stdtrit(sure.degrees(basis).clip(1.0), 0.5 * (1 + INTERVAL_LEVEL)) * error
     half = np.where(regression.estimable.known, half if doubt is None else half + doubt, np.nan)
-    return [_inside(v, j, float(regression.theta[j]), float(half[j]), _widened(doubt, j)) for j in columns]
+    return [_inside(v, j, float(regression.theta[j]), half, _widened(doubt, j)) for j in columns]
 
 
 def of_identification(found: Identification, labels: Sequence[str]) -> list[Estimate]:
     """Estimates with 90 % intervals of an identification."""
     v, half = found.vector, found.half_widths(INTERVAL_LEVEL)
     columns = [v.labels.index(label) for label in labels]
-    return [_inside(v, j, float(found.values[j]), float(half[j]), _widened(found.doubt, j)) for j in columns]
+    return [_inside(v, j, float(found.values[j]), half, _widened(found.doubt, j)) for j in columns]
 
 
 def _widened(doubt: Array | None, j: int) -> float:
     return 0.0 if doubt is None else float(doubt[j])
 
 
-def _inside(v: ParameterVector, j: int, value: float, half: float, widened: float) -> Estimate:
-    """A parameter with the interval of this half-width inside its bounds; without one where that is not finite."""
+def _inside(v: ParameterVector, j: int, value: float, halves: Array, widened: float) -> Estimate:
+    """A parameter with the interval of its half-width (k,) inside its bounds; without one where that is not finite."""
+    half = float(halves[j])
     if not np.isfinite(half):
-        return Estimate(v.labels[j], value, None, None, v.units[j])
+        relative = any(s.start <= j < s.stop and np.isfinite(halves[s]).any() for s in v.per_input)
+        return Estimate(v.labels[j], value, None, None, v.units[j], "reference" if relative else None)
     low, high = float(max(value - half, v.low[j])), float(min(value + half, v.high[j]))
     bound = _BOUNDS.get((low <= v.low[j], high >= v.high[j]))
     return Estimate(v.labels[j], value, low, high, v.units[j], bound, widened)

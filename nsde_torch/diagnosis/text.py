@@ -205,10 +205,13 @@ def chance(p: float) -> str:
     return f"{p:.1g}" if p >= 1e-4 else "< 0.0001"
 
 
+_NO_INTERVAL = {None: "not shown by the data", "reference": "the reference of the others"}
+
+
 def interval(ends: Sequence[float] | None, bound: str | None = None) -> str:
     """An interval in words; of one that ends at a bound of the search, the other end alone (`below`, `above`)."""
     if ends is None:
-        return bound or "not shown by the data"
+        return _NO_INTERVAL.get(bound, bound or "")
     if bound is not None:
         return f"{bound} {number(ends[1] if bound == 'below' else ends[0])}"
     return between_ends(ends)

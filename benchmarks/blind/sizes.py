@@ -106,7 +106,9 @@ def shapes(cls: type[Effect], system: str, rng: np.random.Generator) -> Values:
         "frequency": lambda: between(0.4, 5.0),
         "time_constant": lambda: between(*times),
         "delay": lambda: between(*times),
-        "level": lambda: command * rng.uniform(0.45, 0.97),
+        **dict.fromkeys(
+            ("level", "level_forward", "level_backward"), lambda: command * rng.uniform(0.45, 0.97)
+        ),
         "height": lambda: between(0.1, 0.3),
         "wind": lambda: _direction(rng, 2, between(1.0, 4.0)),
         "gap": lambda: between(0.05, 0.4) * command,
@@ -122,7 +124,7 @@ def shapes(cls: type[Effect], system: str, rng: np.random.Generator) -> Values:
     for name in cls.PARAMETERS:
         if name in cls.amplitudes:
             continue
-        if cls.name == "actuator_deadband":
+        if cls.name in ("actuator_deadband", "asymmetric_deadband"):
             out[name] = between(0.003, 0.4) * command
         elif cls.name in ("burst", "gust_burst") and name == "width":
             out[name] = between(0.1, 0.6)
@@ -149,6 +151,7 @@ def amplitudes(
             unit[name] = row if positive else [v * float(rng.choice((-1.0, 1.0))) for v in row]
         else:
             size = float(np.exp(rng.uniform(-0.7, 0.7))) if len(cls.amplitudes) > 1 else 1.0
+            size *= 0.1 if spec.high is not None else 1.0  # of a share: it is scaled below
             unit[name] = size if positive else size * float(rng.choice((-1.0, 1.0)))
     effect = cls({**shape, **unit}, n_inputs=n_inputs)
     if effect.n_memory:  # a memory of size 1: the term is as large as its amplitude
@@ -160,8 +163,8 @@ def amplitudes(
     out: Values = {}
     for name, value in unit.items():
         row = [float(v) * share / now for v in (value if isinstance(value, list) else [value])]
-        if cls.PARAMETERS[name].per_input:
-            row = [min(v, 0.5) for v in row]
+        if cls.PARAMETERS[name].high is not None:  # a share
+            row = [float(np.clip(v, -0.5, 0.5)) for v in row]
         out[name] = row if isinstance(value, list) else row[0]
     return out
 

@@ -33,16 +33,8 @@ class TestActuatorSaturation(EffectContract):
         torch.testing.assert_close(z[:, 4:], torch.tensor([[0.5]]))
 
 
-class BothSigns(EffectContract):
-    """The contract, with inputs of both signs."""
-
-    def rows(self, n: int, *, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        x, u, memory = super().rows(n, seed=seed)
-        return x, 2.0 * u - 1.0, memory
-
-
-class TestAsymmetricDeadband(BothSigns):
-    name, system = "asymmetric_deadband", "cartpole"
+class TestAsymmetricDeadband(EffectContract):
+    name, system, signed = "asymmetric_deadband", "cartpole", True
 
     def test_each_sign_has_a_width_of_its_own(self) -> None:
         effect = self.make({"width_forward": 0.2, "width_backward": 0.5})
@@ -57,8 +49,8 @@ class TestAsymmetricGain(EffectContract):
         torch.testing.assert_close(U + term(effect, X, U), torch.where(U > 0, 1.1, 0.9) * U)
 
 
-class TestAsymmetricSaturation(BothSigns):
-    name, system = "asymmetric_saturation", "cartpole"
+class TestAsymmetricSaturation(EffectContract):
+    name, system, signed = "asymmetric_saturation", "cartpole", True
 
     def test_each_sign_has_a_level_of_its_own(self) -> None:
         effect = self.make({"level_forward": 1.5, "level_backward": 0.2})

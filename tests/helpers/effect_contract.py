@@ -21,6 +21,7 @@ class EffectContract:
         system: System that it is tried on.
         memory: Extra states that it is to carry.
         size: Size of the states that it is tried on.
+        signed: Whether it is tried on inputs of both signs.
         values: Values with which every parameter matters, where the first ones are not such.
         time: Time at which it is tried [s].
     """
@@ -29,6 +30,7 @@ class EffectContract:
     system: str
     memory: int = 0
     size: float = 1.0
+    signed: bool = False
     values: Mapping[str, float | list[float]] | None = None
     time: float = 0.3
 
@@ -52,6 +54,7 @@ class EffectContract:
         if s.quaternion is not None:
             x[:, s.quaternion] /= x[:, s.quaternion].norm(dim=1, keepdim=True)
         u = torch.rand(n, self.columns(), generator=g, dtype=torch.float64)
+        u = 2.0 * u - 1.0 if self.signed else u
         return x, u, torch.rand(n, self.memory, generator=g, dtype=torch.float64)
 
     def columns(self) -> int:

@@ -35,10 +35,11 @@ def linear(x: Array, y: Array, blocks: NDArray[np.int64]) -> Regression:
             white=white,
             slopes=-x[None],
             theta=theta,
-            shown=what,
+            estimable=what,
             noises=[SimpleNamespace(std=1.0, parameters=0)],
             vector=SimpleNamespace(
                 scale=np.ones(k),
+                per_input=[],
                 low=np.full(k, -np.inf),
                 high=np.full(k, np.inf),
                 labels=[f"b_{j}" for j in range(k)],

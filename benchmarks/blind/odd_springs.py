@@ -92,6 +92,8 @@ def kinds(rng: np.random.Generator) -> dict[str, Kind]:
     rate, turn = float(rng.uniform(4.0, 7.0)), float(rng.uniform(12.0, 25.0))
     fast, part = float(rng.uniform(0.05, 0.1)), float(rng.uniform(0.3, 0.6))
     dry = ("coulomb_friction", "stribeck_friction")
+    back, ahead = float(rng.uniform(0.1, 0.3)), float(rng.uniform(0.3, 0.6))
+    floor, ceiling = float(rng.uniform(1.0, 1.4)), float(rng.uniform(1.5, 2.0))
     return {
         "nothing": Kind(),
         "sticks": Kind(dry=lambda s: 3.0 * size, may=dry),
@@ -104,7 +106,7 @@ def kinds(rng: np.random.Generator) -> dict[str, Kind]:
             may=(_STOP, _STOP.replace("max", "min")),
         ),
         "one stop": Kind(pulls=lambda u, s: -slope * max(s.q - stop, 0.0), may=(_STOP,)),
-        "one-sided motor": Kind(acts=lambda u, s: u if u > 0 else weaker * u),
+        "one-sided motor": Kind(acts=lambda u, s: u if u > 0 else weaker * u, may=("asymmetric_gain",)),
         "loses its load": Kind(pulls=lambda u, s: 0.0 if s.t < 15.0 else 0.5 * (GAIN * u - STIFFNESS * s.q)),
         "vibrates": Kind(
             pulls=lambda u, s: 0.5 * math.sin(turn * s.t), may=("periodic_force", "sinusoidal_force")
@@ -118,6 +120,8 @@ def kinds(rng: np.random.Generator) -> dict[str, Kind]:
         "coarse encoder": Kind(logs=lambda x: np.round(x / 0.01) * 0.01),
         "pull in the past": Kind(pulls=lambda u, s: _late(u, s, 0.25, part)),
         "wall of magnets": Kind(pulls=lambda u, s: 0.03 / (0.9 - min(s.q, 0.8)) ** 2),
+        "off-centre gap": Kind(acts=lambda u, s: u - min(max(u, -back), ahead), may=("asymmetric_deadband",)),
+        "cut by sign": Kind(acts=lambda u, s: min(max(u, -floor), ceiling), may=("asymmetric_saturation",)),
     }
 
 

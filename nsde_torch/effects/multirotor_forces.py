@@ -356,7 +356,7 @@ class MotorEfficiencyLoss(Effect):
     source = "actuator effectiveness factor; Zhang, Jiang, Annual Reviews in Control 32 (2008)"
     PARAMETERS = {
         "loss": Parameter(
-            0.01, "1", low=0.0, high=1.0, scale=0.1, help="share lost, one per motor", per_input=True
+            1e-3, "1", low=0.0, high=1.0, scale=0.1, help="share lost, one per motor", per_input=True
         )
     }
     null = {"loss": 0.0}

@@ -343,7 +343,7 @@ class Regression:
         low, high = v.inside(np.full(k, -np.inf)) - self.theta, v.inside(np.full(k, np.inf)) - self.theta
         flat = self.slopes.reshape(-1, k)
         step = bounded_step(
-            flat, self.white.reshape(-1), self.shown, low.clip(max=0), high.clip(min=0), v.scale
+            flat, self.white.reshape(-1), self.estimable, low.clip(max=0), high.clip(min=0), v.scale
         )
         before = float(np.square(self.white).sum())
         for _ in range(8):

@@ -208,3 +208,20 @@ def test_a_log_in_which_nothing_moves_is_refused_with_its_columns() -> None:
     run = Run("still", 0.01 * np.arange(300), rest, np.full((300, 1), 0.5))
     with pytest.raises(DataError, match=r"nothing moves: q, q_dot never change\. .* write what the sensors"):
         identify(make_system("mass_spring_damper"), [run])
+
+
+def test_losses_of_motors_count_from_the_motor_that_lost_least() -> None:
+    weak = {"motor_efficiency_loss": {"loss": [1e-6, 1e-6, 1e-6, 0.1, 1e-6, 1e-6]}}
+    paths = list(Pilot([10.0, 10.0], dt=0.01, seed=3).paths(Sticks()))
+    making = Making(effects=(weak,), process_noise=0.2, sensor_noise=0.2)
+    flown = fly("hexacopter", paths, generator=torch.Generator().manual_seed(1), making=making)
+    t = 0.01 * np.arange(len(flown.x))
+    runs = [Run(f"flight_{i}", t, flown.x[:, i], flown.u[:, i]) for i in range(2)]
+    names = [*MACHINES["hexacopter"].effects, "motor_efficiency_loss"]
+    found = identify(make_system("hexacopter", effects=names), runs)
+    losses = found.vector.of("motor_efficiency_loss")
+    known = found.shown.known[losses]
+    assert known.sum() == 5
+    assert known[3]
+    np.testing.assert_allclose(found.values[losses], [0.0, 0.0, 0.0, 0.1, 0.0, 0.0], atol=3e-3)
+    assert np.isfinite(found.half_widths(0.9)[losses][known]).all()

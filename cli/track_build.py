@@ -210,7 +210,7 @@ def autopilot(
 
 
 def estimator(config: DictConfig, *, latency: float, sample: float) -> EstimatorOptions:
-    """What the estimator is told: the latency, in whole samples, and how fast pushes are learned."""
+    """Options of the estimator: the latency, in whole samples, and how fast pushes are learned."""
     return EstimatorOptions(
         latency=round(latency / sample) * sample,
         force_time=config.force_time,

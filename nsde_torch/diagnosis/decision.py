@@ -242,15 +242,13 @@ def _bent(shape: str) -> str:
 def _unshown(regression: Regression, name: str) -> str:
     """Why an effect whose sizes are all unknown is provisional: losses of six motors, inputs of four dimensions."""
     sizes = regression.vector.sizes(name)
-    return (
-        "" if not sizes or regression.estimable.known[sizes].any() else "these data show none of its values"
-    )
+    return "" if not sizes or regression.shown.known[sizes].any() else "these data show none of its values"
 
 
 def guard_of(log: Log, outcome: Outcome) -> Guarded:
     """The final physics held against simple fits; the declared physics, where the columns are read in another way."""
     regression = outcome.final.regression
-    basis = regression.estimable.basis
+    basis = regression.shown.basis
     covariance = basis @ outcome.spread.covariance @ basis.T
     clock, declared = log.recorded.clock, ParameterVector(log.system)
     known = dict(zip(declared.labels, declared.start.tolist(), strict=True))

@@ -88,7 +88,7 @@ def declared(outcome: Outcome) -> dict[str, Estimate]:
 def warnings(outcome: Outcome, system: System) -> list[Warned]:
     """Declared parameters at a bound that the data pull beyond, and orders of magnitude from their first values."""
     r, decisions = outcome.final.regression, outcome.decisions
-    v, basis = r.vector, r.estimable.basis
+    v, basis = r.vector, r.shown.basis
     flat = r.slopes.reshape(-1, len(v))
     pull = basis @ np.linalg.lstsq(flat @ basis, r.white.reshape(-1), rcond=None)[0]
     error = np.sqrt(np.clip(np.diag(basis @ outcome.spread.covariance @ basis.T), 0.0, None))
@@ -117,7 +117,7 @@ def warnings(outcome: Outcome, system: System) -> list[Warned]:
                 break
         else:
             held = min(abs(value - v.low[j]), abs(value - v.high[j])) <= _AT_BOUND * v.scale[j]
-            known = bool(r.estimable.known[j])
+            known = bool(r.shown.known[j])
             # physics that explains all may be of any size
             if not held and (not known or outcome.verdict == "unexplained"):
                 out += _apart(
@@ -232,7 +232,7 @@ def between_runs(regression: Regression, names: Sequence[str], *, tie: float) ->
     places = [at for at in regression.vector.system.bound_coordinates() if at.position is not None]
     if len(owners) < 2 or not places:
         return None
-    known = regression.slopes @ regression.estimable.basis
+    known = regression.slopes @ regression.shown.basis
     found = [one for at in places if (one := _zeros(regression, known, at, owners, names)) is not None]
     sure = [one for one in found if one.p * len(places) < _CHANCE and one.values]
     if not sure:

@@ -57,10 +57,10 @@ def estimated(
         columns: Numbers of the parameters.
         doubt: What half-widths are widened by (k,), nan for anything; None for nothing.
     """
-    v, basis = regression.vector, regression.estimable.basis
+    v, basis = regression.vector, regression.shown.basis
     error = np.sqrt(np.clip(np.diag(basis @ sure.covariance @ basis.T), 0.0, None))
     half = stdtrit(sure.degrees(basis).clip(1.0), 0.5 * (1 + INTERVAL_LEVEL)) * error
-    half = np.where(regression.estimable.known, half if doubt is None else half + doubt, np.nan)
+    half = np.where(regression.shown.known, half if doubt is None else half + doubt, np.nan)
     return [_inside(v, j, float(regression.theta[j]), half, _widened(doubt, j)) for j in columns]
 
 

@@ -173,7 +173,7 @@ class CController:
         Args:
             state: The newest measured state (nx,).
             reference: States to track from the time on at which the command acts (steps, nx).
-            valid: Whether the state is to be believed.
+            valid: Whether the state may be used.
         """
         state, reference = self._given(state), self._given(reference)
         self._built.nsde_command_of(

@@ -157,7 +157,7 @@ def export(
         run: Run directory of the model, for its hashes; None: declared physics.
         sample: Step of `predict` [s].
         period, latency: For the record; see `record_of`.
-        estimator: What the estimator of a controller in C is told, for which it is part of the file; None: its
+        estimator: Options of the estimator of a controller in C, which is part of the file; None: its
             defaults, with the latency given here. Others leave it to their host.
         dtype: Precision of the arithmetic within.
         say: Called with a line when something takes long.

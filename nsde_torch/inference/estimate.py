@@ -77,7 +77,9 @@ _LAGS = 10  # of the autocorrelation of innovations
 _WHITE = 0.02  # largest share of their variance that the past of whitened innovations may predict
 _LARGE = 0.25  # by how much their mean square may differ from 1
 _AT_BOUND = 1e-5  # of a parameter's scale
-_SINGULAR = 1e-10  # of the largest eigenvalue of scaled information: below that a direction is not shown
+_SINGULAR = (
+    1e-10  # of the largest eigenvalue of scaled information: not shown below it (`sysid.regression.shown`)
+)
 T = TypeVar("T")
 
 

@@ -189,9 +189,9 @@ def guarded(
 
 def _recommended(found: Guarded, rough: Regression) -> Guarded:
     """The same with least squares, their 90 % intervals (nan where the data show none), and words of them."""
-    basis, sure = rough.estimable.basis, rough.spread()
+    basis, sure = rough.shown.basis, rough.spread()
     error = np.sqrt(np.clip(np.diag(basis @ sure.covariance @ basis.T), 0.0, None))
-    half = np.where(rough.estimable.known, stdtrit(sure.degrees(basis).clip(1.0), 0.95) * error, np.nan)
+    half = np.where(rough.shown.known, stdtrit(sure.degrees(basis).clip(1.0), 0.95) * error, np.nan)
     found = replace(found, half_90=tuple(half.tolist()), units=tuple(rough.vector.units))
     told = []
     for name, own in found.to_use.items():
@@ -318,7 +318,7 @@ def _apart(c: Compared) -> bool:
 
 def _chance(rough: Regression, theta: Array, covariance: Array | None) -> float:
     """Chance of so large a difference between a fit and least squares, in the directions that the data show."""
-    basis = rough.estimable.basis
+    basis = rough.shown.basis
     sure = rough.spread()
     if not basis.shape[1]:
         return 1.0

@@ -324,7 +324,7 @@ def identification(regression: Regression, method: str, *, standstill: float = 0
     weak = method == "weak"
     vector, physics, steps = regression.vector, regression.physics, regression.physics.steps
     sure, blocks = regression.spread(), regression.blocks
-    known = regression.estimable
+    known = regression.shown
     basis, window = known.basis, bump(steps.dt)
     left = physics.residual(regression.theta)[:, regression.rows]
     alone = explained(physics, left + regression.shift(sure.parts @ basis.T, blocks), regression.rows, window)

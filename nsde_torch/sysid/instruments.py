@@ -235,9 +235,9 @@ def instrumental(
     labels, start = tuple(usual.vector.labels), usual.theta
     refused = exogenous(regression, names)
     used = [n for n in names if n not in refused]
-    known = np.flatnonzero(regression.estimable.known & usual.estimable.known)
+    known = np.flatnonzero(regression.shown.known & usual.shown.known)
     sure = usual.spread()
-    basis = usual.estimable.basis
+    basis = usual.shown.basis
     plain = Instrumented(
         tuple(used), refused, labels, start, basis @ sure.covariance @ basis.T, sure.degrees(basis),
         np.full(len(labels), np.nan), np.zeros(len(labels), dtype=bool), start, np.ones(len(labels)), 1.0,

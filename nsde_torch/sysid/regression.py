@@ -191,9 +191,7 @@ class Regression:
         white, slopes: Whitened residuals (channels, N) and slopes (channels, N, k) at theta.
         memory: Rows after which noise forgets.
         held: Whether each parameter stays where it started (k,).
-        shown: What the data show of theta.
-        estimable: The same with sizes per input counted from the smallest (`ParameterVector.references`): values,
-            covariances and intervals are along its directions.
+        shown: What the data show of theta, sizes per input counted from the smallest (`ParameterVector.references`).
     """
 
     def __init__(
@@ -331,11 +329,11 @@ class Regression:
                 "or resample to a longer step (data.dt)."
             )
         slopes = self.slopes.reshape(-1, len(self.vector))
-        self.shown = self.estimable = shown(slopes, self.vector.scale)
+        self.shown: Shown = shown(slopes, self.vector.scale)
         if references := self.vector.references(self.theta, self.shown.known):
             slopes = slopes.copy()
             slopes[:, references] = 0.0
-            self.estimable = shown(slopes, self.vector.scale)
+            self.shown = shown(slopes, self.vector.scale)
 
     def _step(self) -> float:
         """One step of theta; returns its length in standard errors."""
@@ -343,7 +341,7 @@ class Regression:
         low, high = v.inside(np.full(k, -np.inf)) - self.theta, v.inside(np.full(k, np.inf)) - self.theta
         flat = self.slopes.reshape(-1, k)
         step = bounded_step(
-            flat, self.white.reshape(-1), self.estimable, low.clip(max=0), high.clip(min=0), v.scale
+            flat, self.white.reshape(-1), self.shown, low.clip(max=0), high.clip(min=0), v.scale
         )
         before = float(np.square(self.white).sum())
         for _ in range(8):
@@ -408,7 +406,7 @@ class Regression:
 
     def spread(self) -> Spread:
         """Covariance in the directions that are shown."""
-        purged, used = self._beside_laws(self.estimable.basis)
+        purged, used = self._beside_laws(self.shown.basis)
         return spread(purged, self.white, self.whitened_rows(self.blocks), used)
 
     def _beside_laws(self, basis: Array) -> tuple[Array, int]:
@@ -437,7 +435,7 @@ class Regression:
     def fitted_columns(self, row: int) -> Array:
         """Columns that the whitened residual of channel `row` of `rows` was fitted with: theta, its law, its past."""
         own = self.noises[row].own_slopes(self.residual[:, self.rows[row]], self.series)
-        parts = [self.slopes[row] @ self.estimable.basis, self._purged(own)]
+        parts = [self.slopes[row] @ self.shown.basis, self._purged(own)]
         return np.concatenate([*parts, self._past] if self._past.size else parts, 1)
 
     def own_noises(self, orders: int | None = None) -> list[Noise]:

@@ -91,8 +91,8 @@ def _differences(
     parts = {r: one for r, one in alone.items() if one is not None and r in answered}
     if len(parts) < 2:
         return {}
-    basis, tests = regression.estimable.basis, len(parts) * len(regression.vector)
-    gains = np.flatnonzero(regression.estimable.known & (regression.vector.low >= 0.0)).tolist()
+    basis, tests = regression.shown.basis, len(parts) * len(regression.vector)
+    gains = np.flatnonzero(regression.shown.known & (regression.vector.low >= 0.0)).tolist()
     out = {}
     for r, (own, variance, _) in parts.items():
         rest = [parts[s] for s in parts if s != r]
@@ -154,7 +154,7 @@ def unexplained_runs(rough: Regression, runs: Sequence[Run]) -> list[Objection]:
 
 def _left_alone(rough: Regression, rows: NDArray[np.bool_]) -> Array:
     """Whitened residuals (channels, n) of some rows at parameters of their own."""
-    slopes, white = rough.slopes[:, rows] @ rough.estimable.basis, rough.white[:, rows]
+    slopes, white = rough.slopes[:, rows] @ rough.shown.basis, rough.white[:, rows]
     flat = slopes.reshape(white.size, -1)
     return np.asarray(white - slopes @ np.linalg.lstsq(flat, white.reshape(-1), rcond=None)[0])
 
@@ -163,7 +163,7 @@ def _alone(
     regression: Regression, rows: NDArray[np.bool_], blocks: NDArray[np.int64]
 ) -> tuple[Array, Array, Array] | None:
     """How far one run moves the parameters, the covariance of that, and X' X; None where it shows too little."""
-    slopes = regression.slopes[:, rows] @ regression.estimable.basis
+    slopes = regression.slopes[:, rows] @ regression.shown.basis
     white = regression.white[:, rows]
     flat = slopes.reshape(white.size, -1)
     square = flat.T @ flat

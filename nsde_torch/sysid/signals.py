@@ -141,7 +141,7 @@ def input_slopes(regression: Regression, way: Array, size: float, some: torch.Te
 
 def row_weights(regression: Regression) -> list[Array]:
     """What each row of a channel weighs in the estimate of each parameter, channel by channel (N, k)."""
-    basis = regression.estimable.basis
+    basis = regression.shown.basis
     slopes = [own @ basis for own in regression.slopes]
     squares = [s.T @ s for s in slopes]
     back = basis @ np.linalg.pinv(sum(squares[1:], squares[0]))

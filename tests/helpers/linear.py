@@ -35,7 +35,7 @@ def linear(x: Array, y: Array, blocks: NDArray[np.int64]) -> Regression:
             white=white,
             slopes=-x[None],
             theta=theta,
-            estimable=what,
+            shown=what,
             noises=[SimpleNamespace(std=1.0, parameters=0)],
             vector=SimpleNamespace(
                 scale=np.ones(k),

@@ -14,7 +14,7 @@
 #include <stddef.h>
 
 #ifdef __FAST_MATH__
-#error "with -ffast-math, states that are no numbers would be believed: build without it"
+#error "with -ffast-math, states that are no numbers would be accepted: build without it"
 #endif
 
 #ifdef NSDE_FLOAT
@@ -368,17 +368,17 @@ int nsde_step(nsde_work *w, const nsde_real state[NSDE_NX], int valid, nsde_real
     copy(last && finite(last, NU) ? last : w->u[0], w->last, NU);
     for (int i = 0; i < ND; i++) w->d[i] = push && finite(push, ND) ? push[i] : 0;
 
-    /* what is believed of the state and the reference */
+    /* which states and references are accepted */
     const real *expected = w->z[0];
-    real gone[3], turned = 0;
-    for (int i = 0; i < 3; i++) gone[i] = state[i] - expected[i];
+    real away[3], turned = 0;
+    for (int i = 0; i < 3; i++) away[i] = state[i] - expected[i];
     for (int i = 6; i < 10; i++) turned += state[i] * expected[i];
     turned = 2 * F(acos)(SMALLER(F(fabs)(turned), 1));
     int whole = finite(state, NX), jumped = whole && known && age <= R(@keep@);
-    jumped = jumped && (length(gone, 3) > R(@jump@) || turned > R(@jump_attitude@));
+    jumped = jumped && (length(away, 3) > R(@jump@) || turned > R(@jump_attitude@));
     jumps = jumped ? jumps + 1 : 0;
-    int believed = whole && F(fabs)(length(state + 6, 4) - 1) <= R(@quaternion@) && valid;
-    int trouble = !believed                                     ? BAD_STATE
+    int accepted = whole && F(fabs)(length(state + 6, 4) - 1) <= R(@quaternion@) && valid;
+    int trouble = !accepted                                     ? BAD_STATE
                   : !finite(&reference[0][0], K * NX)           ? BAD_REFERENCE
                   : jumped && jumps < R(@jump_samples@)         ? JUMP
                                                                 : 0;

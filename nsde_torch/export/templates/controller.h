@@ -85,7 +85,7 @@ typedef struct {
 /* A plan from a measured state; returns its status.
 
    state      at the time from which the plan holds: predict over the latency first, or take nsde_command_of
-   valid      0: the state is not to be believed, whatever it says
+   valid      0: the state is rejected, whatever it says
    elapsed    time since the step that `plan` comes from [s]
    last       inputs that act now (NSDE_NU); NULL or not finite: those of the plan before
    push       disturbance (NSDE_ND); NULL or not finite: none

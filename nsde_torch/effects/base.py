@@ -55,7 +55,7 @@ def _copied(value: Any, memo: dict[int, Any]) -> Any:
         table.update((key, _copied(one, memo)) for key, one in value.items())
         return table
     if isinstance(value, dict) and not value:
-        memo[id(value)] = copy.copy(value)
+        memo[id(value)] = value.copy()  # `copy.copy` takes an ordered one apart, ten times as slow
         return memo[id(value)]
     return copy.deepcopy(value, memo)
 

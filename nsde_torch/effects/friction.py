@@ -7,7 +7,6 @@ control of machines with friction", Automatica 30, 1994.)
 
 from __future__ import annotations
 
-from math import exp
 from typing import final
 
 import torch
@@ -254,19 +253,12 @@ class Hysteresis(Law):
         return (v - 0.5 * (v.abs() * z + v * z.abs())) / self.value("reach")
 
     def followed(self, x: Tensor, dt: float) -> Tensor:
-        """See `Effect.followed`: while v keeps its sign, z is a line or an exponential of the way."""
+        """See `Effect.followed`."""
+        from nsde_torch.effects.recursions import bouc_wen
+
         v, reach = self.v(x)[:, 0], float(self.value("reach").detach())
         ways = torch.cat((0.5 * (v[1:] + v[:-1]), v[-1:])) * (dt / reach)
-        z = float(v[0].sign())
-        ends = [z]
-        for way in ways.tolist():
-            side = 1.0 if way > 0 else -1.0
-            z, left = side * z, abs(way)
-            straight = min(left, max(-z, 0.0))  # up to nothing
-            z, left = z + straight, left - straight
-            z = side * (1.0 - (1.0 - z) * exp(-left) if left > 0 else z)
-            ends.append(z)
-        along = torch.tensor(ends, dtype=x.dtype)[:, None]
+        along = torch.from_numpy(bouc_wen(ways.double().numpy(), float(v[0].sign())))[:, None].to(x.dtype)
         return 0.5 * (along[1:] + along[:-1])
 
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
@@ -314,15 +306,10 @@ class InputPlay(Effect):
         return (self._taken_up(u, memory) - memory) / (self.step or _QUICK_S)
 
     def held(self, u: Tensor, dt: float) -> Tensor:
-        own, gap = u[:, : self.n_inputs].numpy(), float(self.value("gap").detach())
-        out = torch.empty_like(u[:, : self.n_inputs])
-        for k in range(self.n_inputs):
-            acts, rows = float(own[0, k]), []
-            for command in own[:, k].tolist():
-                acts = min(max(acts, command - gap), command + gap)
-                rows.append(acts)
-            out[:, k] = torch.tensor(rows, dtype=u.dtype)
-        return out
+        from nsde_torch.effects.recursions import play
+
+        own = u[:, : self.n_inputs]
+        return torch.from_numpy(play(own.double().numpy(), float(self.value("gap").detach()))).to(own)
 
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
         """See `Effect.memory_start`: in the middle of the play."""

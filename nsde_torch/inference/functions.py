@@ -368,27 +368,29 @@ class _Choice:
             singles = [g for g in self._among if g.port == port and {*g.variables} <= known]
         nothing = {g for g in singles if not self._shows(g)}
         likely = sorted(singles, key=lambda g: self._chances.get(g, 0.0))
+        gains: dict[BasisGroup, tuple[float, float]] = {}
         while sum(g.port == port for g in chosen) < self._most:
             tried = [g for g in singles if g not in chosen and g not in nothing]
-            gains = self._gains(self._few, tried, chosen)
+            before, gains = gains, self._gains_again(tried, chosen, gains)
             ranked = sorted((g for g in gains if g.kind != "past"), key=lambda g: -gains[g][0])
             near = [v for g in chosen if g.port == port and g.kind != "past" for v in g.variables]
             near += [g.variables[0] for g in (*ranked, *likely) if g.kind != "past"]
             near = list(dict.fromkeys(near))[:_PAIRED]
             if self._among is None:
                 finer = [g for g in self._finer(port, near, chosen) if g not in nothing and self._shows(g)]
-                gains |= self._gains(self._few, finer, chosen)
+                gains |= self._gains_again(finer, chosen, before)
             # what explains nothing alone is not looked at again
             nothing |= {g for g, (nats, _) in gains.items() if nats <= 0.0}
             among = len(gains)
             gains = {g: won for g, won in gains.items() if g not in nothing}
+            judged = gains
             if self._few is not self._all:
                 best = sorted(gains, key=lambda g: -gains[g][0])[:_JUDGED]
-                gains = self._gains(self._all, best, chosen)
-            if not gains:
+                judged = self._gains(self._all, best, chosen)
+            if not judged:
                 break
-            best_of = max(gains, key=lambda g: gains[g][0])
-            nats, error = gains[best_of]
+            best_of = max(judged, key=lambda g: judged[g][0])
+            nats, error = judged[best_of]
             if not (nats > _CHANCE + log(among) and nats > _SURE * error):
                 break
             self._say(f"{best_of}: {nats:.1f} +- {error:.1f}")
@@ -421,6 +423,26 @@ class _Choice:
         for a, b in combinations(near, 2):
             out += [BasisGroup(port, (a, b), "varying"), BasisGroup(port, (b, a), "varying")]
         return [g for g in out if g not in chosen]
+
+    def _gains_again(
+        self,
+        groups: Sequence[BasisGroup],
+        chosen: Sequence[BasisGroup],
+        before: Mapping[BasisGroup, tuple[float, float]],
+    ) -> dict[BasisGroup, tuple[float, float]]:
+        """Held-out nats of each group, exact of the best: what a group brings falls where others are chosen.
+
+        So those that brought less before than the best bring now are left as they were.
+        """
+        out = self._gains(self._few, [g for g in groups if g not in before], chosen)
+        rest = sorted((g for g in groups if g in before), key=lambda g: -before[g][0])
+        while rest:
+            best = sorted((nats for nats, _ in out.values()), reverse=True)[:_JUDGED]
+            if len(best) == _JUDGED and before[rest[0]][0] < best[-1]:
+                break
+            out |= self._gains(self._few, rest[:_JUDGED], chosen)
+            rest = rest[_JUDGED:]
+        return out | {g: before[g] for g in rest}
 
     def _gains(
         self, view: _View, groups: Sequence[BasisGroup], chosen: Sequence[BasisGroup]

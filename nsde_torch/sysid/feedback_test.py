@@ -377,15 +377,18 @@ def _answers_of(
     rows = max(1, min(_ANSWERS, round(_ANSWER_S / regression.dt)))
     live = signals.late(series, max(rows, _OWN))
     nothing = np.zeros((int(live.sum()), 0))
+    of_channel = []
+    for i in range(len(regression.rows)):
+        columns = series.lagged(regression.white[i][:, None], range(1, rows + 1))[live]
+        scores = signals.score_tests(new[live], signals.binned(columns, _BINS), nothing)
+        size = np.square(columns.T @ new[live]) / np.maximum(np.square(columns).sum(0), 1e-300)[:, None]
+        of_channel.append((scores, size.cumsum(0)))
     found, own = [], []
     for j, way in enumerate(ways):
         known = signals.foreknown(new[live, j], driven[live, j], _FOREKNOWN)
-        for i, channel in enumerate(regression.rows):
-            columns = series.lagged(regression.white[i][:, None], range(1, rows + 1))[live]
-            score = signals.score_test(new[live, j], signals.binned(columns, _BINS), nothing)
-            chance, share = (1.0, 0.0) if known else score
-            size = np.square(columns.T @ new[live, j]) / np.maximum(np.square(columns).sum(0), 1e-300)
-            within = int(np.searchsorted(np.cumsum(size), _MOST_OF_IT * size.sum())) + 1  # rows
+        for channel, (scores, sizes) in zip(regression.rows, of_channel, strict=True):
+            chance, share = (1.0, 0.0) if known else scores[j]
+            within = int(np.searchsorted(sizes[:, j], _MOST_OF_IT * sizes[-1, j])) + 1  # rows
             name = regression.physics.names[channel]
             found.append(Answer(way.name, name, share, chance, regression.dt * within))
             own += [chance] if channel in way.channels else []
@@ -400,10 +403,9 @@ def _made_from_states(
     live, past = signals.late(series, _OWN), _past(among, series)
     new = signals.without(driven[live], past)
     columns = series.lagged(_states(regression), _STATES_BEFORE)[live]
-    found = []
-    for j in range(len(ways)):
-        known = signals.foreknown(new[:, j], driven[live, j], _FOREKNOWN)
-        found.append((1.0, 0.0) if known else signals.score_test(new[:, j], columns, past))
+    scores = signals.score_tests(new, columns, past)
+    known = [signals.foreknown(new[:, j], driven[live, j], _FOREKNOWN) for j in range(len(ways))]
+    found = [(1.0, 0.0) if k else score for k, score in zip(known, scores, strict=True)]
     chances = signals.holm([chance for chance, _ in found])
     return tuple(
         way.name
@@ -418,13 +420,14 @@ def _knowledge_of(
     """What inputs at and before a step predict of the innovations of each channel that they drive."""
     rows = max(2, min(_KNOWN, round(_KNOWN_S / regression.dt)))
     live = signals.late(series, rows + 1)
-    found = []
+    found, fitted = [], dict[int, Array]()
     for j, way in enumerate(ways):
         columns = series.lagged(driven[:, [j]], range(rows + 1))[live]
         for channel in way.channels:
             i = [*regression.rows].index(channel)
-            fitted = signals.basis_of(regression.fitted_columns(i)[live])
-            chance, share = signals.score_test(regression.white[i][live], columns, fitted)
+            if i not in fitted:
+                fitted[i] = signals.basis_of(regression.fitted_columns(i)[live])
+            chance, share = signals.score_test(regression.white[i][live], columns, fitted[i])
             found.append(Answer(way.name, regression.physics.names[channel], share, chance))
     n, count = max(int(live.sum()), 1), rows + 1
     return tuple(

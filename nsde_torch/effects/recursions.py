@@ -1,0 +1,41 @@
+"""Memory of effects along a run, row after row, compiled: loops that no array operation replaces.
+
+Imported where they are run: Numba takes half a second to import, and only identification needs them.
+"""
+
+from math import exp
+
+import numpy as np
+
+from nsde_torch.arrays import Array
+from nsde_torch.jit import compiled
+
+
+@compiled
+def play(u: Array, gap: float) -> Array:
+    """What acts of inputs (n, nu) through play of a width of twice the gap (n, nu)."""
+    out = np.empty_like(u)
+    for k in range(u.shape[1]):
+        acts = u[0, k]
+        for i in range(u.shape[0]):
+            acts = min(max(acts, u[i, k] - gap), u[i, k] + gap)
+            out[i, k] = acts
+    return out
+
+
+@compiled
+def bouc_wen(ways: Array, z: float) -> Array:
+    """Hysteresis z (n + 1,) along ways (n,), as multiples of its reach, from its value at the start.
+
+    While a way keeps its sign, z is a line up to nothing and an exponential beyond.
+    """
+    out = np.empty(len(ways) + 1)
+    out[0] = z
+    for i in range(len(ways)):
+        side = 1.0 if ways[i] > 0 else -1.0
+        z, left = side * z, abs(ways[i])
+        straight = min(left, max(-z, 0.0))
+        z, left = z + straight, left - straight
+        z = side * (1.0 - (1.0 - z) * exp(-left) if left > 0 else z)
+        out[i + 1] = z
+    return out

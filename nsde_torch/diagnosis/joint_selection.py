@@ -760,7 +760,9 @@ def _proposed(
             break
         # what runs out of its bounds stays where it started: that alone may explain much, of a delay
         free = (free[0], *(c for c, o in zip(free[1:], out, strict=True) if not o))
-    if not np.isfinite(blocks).all():
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = sum_error(blocks)
+    if not isfinite(error):  # the filter has diverged (a shaft that hardens, declared linear)
         return None
     values = entry.at.copy()
     values[inside] = there
@@ -779,7 +781,7 @@ def _proposed(
         system,
         entry.system,
         nats,
-        sum_error(blocks),
+        error,
         rank,
         bonferroni(p, among * starts_tried),
         free,

@@ -300,7 +300,7 @@ def without_standstill(
     speeds = _dry(outcome, log)
     if not speeds:
         std = outcome.final.regression.physics.sensor_std
-        candidates = [effect_class(name) for name in candidate_names(log.system, search.candidates)]
+        candidates = [log.system.effect_class(n) for n in candidate_names(log.system, search.candidates)]
         speeds = slowest(log.system, std, log.runs, candidates)
         stands = max((moving(log.runs, {j: v})[1] for j, v in speeds.items()), default=0.0)
         if stands < MUCH_STANDSTILL and (outcome.found or not outcome.structured):

@@ -79,7 +79,7 @@ class Ripple(Law):
     along = "position"
     null = {"sine": 0.0, "cosine": 0.0}
     amplitudes = ("sine", "cosine")
-    shapes = {"order": (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 24.0)}
+    shapes = {"order": tuple(map(float, range(1, 25)))}
     sentence = "A force on {it} repeats {order} times a turn (sine {sine}, cosine {cosine})."
     separate = "turn slowly through the whole range, to and fro"
 

@@ -95,10 +95,18 @@ class Compared:
     first_values: float  # what the first values leave
     less: bool = False
     """Whether what least squares predict of it is surely smaller (`LESS`) than what the fit predicts."""
+    noise: float = 0.0  # what the noise of the sensor leaves
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether physics explains next to nothing of what moves beyond the noise, or nothing does."""
+        moves = self.measured**2 - self.noise**2
+        left = self.least_squares**2 - self.noise**2
+        return moves < NOTHING * self.measured**2 or left > POOR**2 * moves
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
-        return {k: v for k, v in asdict(self).items() if k not in ("name", "less")}
+        return {k: v for k, v in asdict(self).items() if k not in ("name", "less", "noise")}
 
 
 @dataclass(frozen=True)
@@ -167,7 +175,14 @@ def guarded(
     fit, squares, begun = (left_at(rough, at) for at in (theta, rough.theta, vector.inside(first)))
     channels = tuple(
         Compared(
-            c.name, per_second(c.unit), c.measured, c.left, s.left, f.left, s.predicted < LESS * c.predicted
+            c.name,
+            per_second(c.unit),
+            c.measured,
+            c.left,
+            s.left,
+            f.left,
+            s.predicted < LESS * c.predicted,
+            s.noise,
         )
         for c, s, f in zip(fit, squares, begun, strict=True)
     )
@@ -262,7 +277,7 @@ def _disagreements(channels: Sequence[Compared], chance: float) -> list[Objectio
                 "the fit stopped elsewhere: give first values (system.parameters.NAME=...), or look at the columns",
             )
         )
-    poor = [c for c in channels if c.least_squares > POOR * c.measured and c not in cancelled]
+    poor = [c for c in channels if c.unexplained and c not in cancelled]
     if not out and channels and 2 * len(poor) > len(channels):
         told = ", ".join(f"{c.least_squares:.3g} of {c.measured:.3g} {c.unit} of {c.name}" for c in poor)
         out.append(

@@ -84,6 +84,8 @@ class Left:
     measured: float  # standard deviation of the measured rate
     left: float  # root mean square of its residual
     predicted: float  # root mean square of its prediction by the physics
+    noise: float
+    """Root mean square of what the noise of the sensor leaves: of one box it is in the next one with the other sign."""
 
     @property
     def share(self) -> float:
@@ -108,11 +110,13 @@ def left_at(rough: Regression, theta: Array, *, damped: bool = False) -> list[Le
     if damped:
         share = (residual * own).sum(0) / np.square(own).sum(0).clip(1e-300)
         residual = residual - share * own
-    out = []
+    out, same = [], rough.owners[1:] == rough.owners[:-1]
     for c in rough.rows:
         each = (measured[:, c], residual[:, c], measured[:, c] - residual[:, c])
-        sizes = (float(np.sqrt(np.square(values).mean())) for values in each)
-        out.append(Left(physics.names[c], physics.units[c], *sizes))
+        size, left, predicted = (float(np.sqrt(np.square(values).mean())) for values in each)
+        beside = residual[1:, c][same] * residual[:-1, c][same]
+        noise = float(np.sqrt(max(-2.0 * beside.sum() / max(len(residual), 1), 0.0)))
+        out.append(Left(physics.names[c], physics.units[c], size, left, predicted, noise))
     return out
 
 

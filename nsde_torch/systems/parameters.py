@@ -184,6 +184,8 @@ class ParameterVector:
                 continue
             size = 1.0 if kind is None else sizes[kind]
             least = size * grid.min() / _BEYOND
+            if kind is not None:  # a pendulum that turns fast now and then is slow in most rows
+                least = min(least, sizes.get(f"slow {kind}", least))
             self.raised[place.columns] = (self.low[place.columns] < least) & (kind is not None)
             self.low[place.columns] = np.maximum(self.low[place.columns], least)
             self.high[place.columns] = np.minimum(self.high[place.columns], size * grid.max() * _BEYOND)

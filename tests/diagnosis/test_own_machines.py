@@ -1,0 +1,141 @@
+"""Machines of a user's own: a motor with a pendulum that turns many times, a car of one state.
+
+Their simulators share no code with the package.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+import nsde_torch
+from nsde_torch.arrays import Array
+from nsde_torch.data import RawRun
+from nsde_torch.effects import Coordinate, Parameter, Port
+from nsde_torch.systems import Defaults, ResidualPort, System
+
+
+@final
+class TurningPendulum(System):
+    """A pendulum that a motor turns."""
+
+    name = "turning_pendulum"
+    state_names, state_units = ("phi", "phi_dot"), ("rad", "rad/s")
+    input_names, input_units = ("torque",), ("N m",)
+    position_derivatives = (("phi", "phi_dot", "world"),)
+    ports = {Port.TORQUE: 1}
+    residual_ports = {Port.TORQUE: ResidualPort(1, 1.0, "rad/s2")}
+    sensor_noise = True
+    defaults = Defaults(0.01, 25, (0.002, 0.1), 0.1, 1.0, "euler_maruyama")
+    PARAMETERS = {
+        "gravity": Parameter(10.0, "1/s2", low=0.0),
+        "damping": Parameter(0.3, "1/s", low=0.0),
+        "gain": Parameter(10.0, "1/(kg m2)", low=0.0),
+    }
+
+    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
+        q, v = x[:, :1], x[:, 1:]
+        turning = self.value("gain") * u - self.value("gravity") * torch.sin(q) - self.value("damping") * v
+        return torch.cat((v, turning + forces.get(Port.TORQUE, torch.zeros_like(v))), 1)
+
+
+@final
+class Car(System):
+    """The speed of a car, which has no position."""
+
+    name = "car"
+    state_names, state_units = ("v",), ("m/s",)
+    input_names, input_units = ("throttle",), ("1",)
+    ports = {Port.FORCE: 1}
+    coordinates = (Coordinate("road", "v", Port.FORCE),)
+    residual_ports = {Port.FORCE: ResidualPort(1, 1.0, "m/s2")}
+    sensor_noise = True
+    defaults = Defaults(0.05, 20, (0.05,), 0.1, 1.0, "euler_maruyama")
+    PARAMETERS = {
+        "engine": Parameter(3.0, "m/s2", low=0.0),
+        "rolling": Parameter(0.1, "m/s2", low=0.0),
+    }
+
+    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
+        pushed = self.value("engine") * u - self.value("rolling")
+        return pushed + forces.get(Port.FORCE, torch.zeros_like(x))
+
+
+def turned(
+    torque: Callable[[float, float], float], *, seconds: float, dt: float, size: float, rare: bool = False
+) -> list[RawRun]:
+    """Three runs in which torques of 0.3 to 1.2 s turn the pendulum; `torque` of angle and speed acts on it, too.
+
+    Where large torques are rare, it swings slowly or rests most of the time.
+    """
+    runs = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        rows, y, u, left = round(seconds / dt), np.array([rng.uniform(-1, 1), 0.0]), 0.0, 0.0
+        x, inputs = np.empty((rows, 2)), np.empty((rows, 1))
+
+        def rate(y: Array, u: float) -> Array:
+            return np.array([y[1], 12.0 * u - 9.0 * np.sin(y[0]) - 0.2 * y[1] + torque(y[0], y[1])])
+
+        for k in range(rows):
+            if left <= 0.0:
+                u, left = rng.uniform(-size, size), rng.uniform(0.3, 1.2)
+                if rare and rng.random() < 0.8:
+                    u *= 0.1
+            left -= dt
+            x[k], inputs[k] = y, u
+            h = dt / 10
+            for _ in range(10):
+                a = rate(y, u)
+                b = rate(y + 0.5 * h * a, u)
+                c = rate(y + 0.5 * h * b, u)
+                y = y + h / 6 * (a + 2 * b + 2 * c + rate(y + h * c, u))
+        x += rng.normal(size=x.shape) * (0.001, 0.005)
+        runs.append(RawRun(f"run_{seed}", dt * np.arange(rows), x, inputs))
+    return runs
+
+
+def test_cogging_of_an_order_between_those_of_usual_machines_is_named_over_many_turns() -> None:
+    runs = turned(lambda q, v: np.sin(7.0 * q), seconds=15.0, dt=0.005, size=1.5)
+    assert np.ptp(np.concatenate([run.x[:, 0] for run in runs])) > 20.0 * np.pi
+    found = nsde_torch.diagnose(
+        runs, system=TurningPendulum, candidates=["ripple", "coulomb_friction"], say=False
+    )
+    assert found.added == ["ripple"]
+    low, high = found.parameters["ripple.order"]["interval_90"]
+    assert low - 0.001 < 7.0 < high + 0.001
+    low, high = found.parameters["ripple.sine"]["interval_90"]
+    assert low - 0.005 < 1.0 < high + 0.005
+    assert high - low < 0.05
+
+
+def test_dry_friction_of_what_turns_fast_now_and_then_has_its_size() -> None:
+    runs = turned(lambda q, v: -0.6 * np.tanh(v / 0.01), seconds=40.0, dt=0.01, size=2.0, rare=True)
+    speeds = np.abs(np.concatenate([run.x[:, 1] for run in runs]))
+    assert np.quantile(speeds, 0.95) > 800.0 * 0.01
+    found = nsde_torch.diagnose(
+        runs, system=TurningPendulum, candidates=["coulomb_friction", "quadratic_damping"], say=False
+    )
+    assert found.added == ["coulomb_friction"]
+    low, high = found.parameters["coulomb_friction.size"]["interval_90"]
+    assert low - 0.001 < 0.6 < high + 0.001
+    assert high - low < 0.015
+    assert found.parameters["coulomb_friction.width"]["value"] < 0.02
+
+
+def test_a_sound_machine_without_a_position_is_sound_in_slow_and_noisy_rows() -> None:
+    runs = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.uniform(0.0, 0.1, 40), 45)[:, None]
+        v = 15.0 + np.cumsum(0.05 * (3.5 * u[:, 0] - 0.15))
+        v = np.concatenate(([15.0], v[:-1])) + 0.05 * rng.normal(size=len(u))
+        runs.append(RawRun(f"run_{seed}", 0.05 * np.arange(len(u)), v[:, None], u))
+    found = nsde_torch.diagnose(runs, system=Car, say=False)
+    assert found.verdict == "no_effect"
+    assert not found.not_done
+    assert not found.content()["guard"]["objections"]

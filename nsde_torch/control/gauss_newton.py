@@ -29,6 +29,8 @@ from nsde_torch.control.problem import Horizon, _repeat
 
 SHARES = (1.0, 0.5, 0.2, 0.05)
 """Shares of a step that are tried, beside none of it."""
+LEFT = 1e-3
+"""Share of the quadratic's saving that an iteration may leave to the next."""
 
 
 Function = Callable[[Sequence[Tensor]], Sequence[Tensor]]

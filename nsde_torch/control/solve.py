@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from nsde_torch.control.compiled import Function, NoCompiler, Stage, compile_ahead
-from nsde_torch.control.gauss_newton import AcceleratedGradient, GaussNewton
+from nsde_torch.control.gauss_newton import LEFT, AcceleratedGradient, GaussNewton
 from nsde_torch.control.options import SolverOptions
 from nsde_torch.control.problem import Horizon
 from nsde_torch.errors import ConfigError
@@ -121,7 +121,7 @@ class Solver:
         while True:
             begun = self._clock()
             arguments = (problem.z0, u, z, problem.ref, problem.last, problem.d)
-            step, memory = self._method.iterate(self._stages, arguments, memory, _LEFT)
+            step, memory = self._method.iterate(self._stages, arguments, memory, LEFT)
             u, z = step.u, step.z
             if not costs:
                 costs.append(step.before)
@@ -192,9 +192,6 @@ class Solver:
 def _eager(method: nn.Module, name: str) -> Function:
     return lambda arguments: list(getattr(method, name)(*arguments))
 
-
-_LEFT = 1e-3
-"""Share of the quadratic's saving that an iteration may leave to the next."""
 
 SOLVERS: dict[str, Callable[[Horizon], GaussNewton | AcceleratedGradient]] = {
     "gauss_newton": GaussNewton,

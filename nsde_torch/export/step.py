@@ -19,10 +19,9 @@ import torch
 from torch import Tensor, nn
 
 from nsde_torch.control.controller import Controller, Plan, _shift
-from nsde_torch.control.gauss_newton import GaussNewton
+from nsde_torch.control.gauss_newton import LEFT, GaussNewton
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import _repeat
-from nsde_torch.control.solve import _LEFT
 from nsde_torch.errors import ConfigError
 from nsde_torch.export.layout import AGE, COST, GAP, JUMPED, KNOWN, N_HEAD, TROUBLES, Sizes, step_inputs
 from nsde_torch.systems import Multirotor
@@ -86,7 +85,7 @@ class ExportedStep(nn.Module):
         p, o = self.predictor, self.options
         self.sizes = Sizes(p.nx, p.nu, p.nz, p.nd, o.steps, o.particles)
         self.iterations = controller.solver.options.iterations
-        self.tolerance, self.left = controller.solver.options.tolerance, _LEFT
+        self.tolerance, self.left = controller.solver.options.tolerance, LEFT
         self.changes = method.active_set_steps
         self.hover_u: Tensor
         self.hover_z: Tensor

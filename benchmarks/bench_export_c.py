@@ -24,13 +24,13 @@ from pathlib import Path
 import torch
 from bench_export import PERIOD, write
 
+from nsde_torch.control.codegen.library import compiler
 from nsde_torch.control.controller import SafetyOptions
 from nsde_torch.control.loop import DECLARED, knowledge
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.shapes import lemniscate
 from nsde_torch.control.solve import SolverOptions
-from nsde_torch.export import c_file
 from nsde_torch.export.verify import along
 from nsde_torch.export.write import export
 
@@ -64,7 +64,7 @@ def written(run: str, file: Path, kind: str, precision: str) -> Path:
 def driver(file: Path, flags: tuple[str, ...], samples: Path, count: int) -> Callable[[], Times]:
     """Runs a controller in C over the samples."""
     program = file.with_name("driver")
-    words = [str(c_file.compiler()), "-std=c99", *flags, f"-I{file.parent}", str(DRIVER), str(file), "-lm"]
+    words = [str(compiler()), "-std=c99", *flags, f"-I{file.parent}", str(DRIVER), str(file), "-lm"]
     subprocess.run([*words, "-o", str(program)], check=True)
 
     def run() -> Times:

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from nsde_torch.control.autopilots import EstimatorOptions, PredictivePilot
 from nsde_torch.control.codegen import scalar
+from nsde_torch.control.codegen.library import compiler
 from nsde_torch.control.controller import SafetyOptions
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import ProblemOptions
@@ -32,7 +33,7 @@ from nsde_torch.systems import Multirotor, System, make_system
 from tests.helpers.exported import flight
 from tests.helpers.hexacopters import VALUES
 
-needs_compiler = pytest.mark.skipif(c_file.compiler() is None, reason="needs a C compiler")
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Werror")
 SMALL = {"horizon": 0.3, "steps": 6}
 ESTIMATOR = EstimatorOptions(latency=0.04, force_time=0.3, moment_time=0.2)
@@ -187,7 +188,7 @@ def test_a_file_compiles_without_a_warning_and_calls_nothing_but_libm(
 ) -> None:
     made = tmp_path / "controller.o"
     words = [
-        str(c_file.compiler()),
+        str(compiler()),
         *c_file.FLAGS,
         *WARNINGS,
         f"-D{precision}",
@@ -440,7 +441,7 @@ def test_the_process_around_it_is_small(
     )
     driver = root / "benchmarks" / "bench_export_c.c"
     words = [
-        str(c_file.compiler()),
+        str(compiler()),
         "-std=c99",
         "-O2",
         f"-I{tmp_path}",

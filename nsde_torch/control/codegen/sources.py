@@ -20,7 +20,14 @@ from torch import Tensor
 from nsde_torch.control.codegen import scalar
 from nsde_torch.control.codegen.code import Matrix, Networks, function, number, products
 from nsde_torch.control.codegen.scalar import Number, Table
-from nsde_torch.control.gauss_newton import LEFT, SHARES, GaussNewton
+from nsde_torch.control.gauss_newton import (
+    FACTORS,
+    FIRST_STEP,
+    LEFT,
+    SHARES,
+    AcceleratedGradient,
+    GaussNewton,
+)
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.effects import Port
 
@@ -182,17 +189,19 @@ def _filled(files: Iterable[str], values: Mapping[str, object]) -> dict[str, str
     return {file.partition(".")[0].upper(): template(_TEMPLATES / file, values) for file in files}
 
 
-def solver_library(method: GaussNewton) -> str:
+def solver_library(method: GaussNewton | AcceleratedGradient) -> str:
     """Source of a library of `nsde_iterate`, see `templates/solver_rows.c`.
 
     Raises:
         ExportError: the model holds an operation that is not known in C.
     """
+    own, newton = ("gauss_newton.c", method) if isinstance(method, GaussNewton) else ("apg.c", method.newton)
     with scalar.of_their_own():
-        parts = solver(method, Networks())
-    rows = template(_TEMPLATES / "solver_rows.c", {})
+        parts = solver(newton, Networks())
+    values = {"factors": ", ".join(map(number, FACTORS)), "first_step": number(FIRST_STEP)}
+    rows = [template(_TEMPLATES / file, values) for file in (own, "solver_rows.c")]
     return "\n".join(
-        ("#define NSDE_DOUBLE", *(parts[k] for k in ("SIZES", "WORK", "COMMON", "SOLVER")), rows)
+        ("#define NSDE_DOUBLE", *(parts[k] for k in ("SIZES", "WORK", "COMMON", "SOLVER")), *rows)
     )
 
 

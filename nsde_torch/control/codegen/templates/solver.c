@@ -45,6 +45,17 @@ static real rolled(const nsde_work *w, real (*u)[NU], real (*z)[NZ])
     return sum + input_cost(u, w->last);
 }
 
+/* Slopes of all steps and of their costs, about u and z. */
+static void linearise(nsde_work *w)
+{
+    real after[NZ];
+    for (int k = 0; k < K; k++) {
+        step_slopes(w->z[k], w->u[k], w->d, w->a[k], w->b[k], after);
+        w->square[k] = cost_slopes(after, w->ref[k], w->q[k], w->g[k]);
+        for (int i = 0; i < NZ; i++) w->gap[k][i] = after[i] - w->z[k + 1][i];
+    }
+}
+
 static real change_at(const nsde_work *w, int k, int i) { return w->u[k][i] - (k ? w->u[k - 1][i] : w->last[i]); }
 
 /* Half the gradient of the quadratic at du (K, NU), by a pass forward and one back; returns |r + J e|^2 there. */
@@ -258,17 +269,13 @@ static real box_step(nsde_work *w)
    that z is where u leads, at that cost; what u cost is in `before` then. */
 static real iteration(nsde_work *w, real *cost, int known, real *before)
 {
-    real after[NZ], chosen = 0;
+    real chosen = 0;
     *before = *cost;
     for (int i = 0; i < NR; i++) { /* nothing is to go after the last step */
         w->pv[K][i] = 0;
         for (int j = 0; j < LD; j++) w->p[K][i][j] = 0;
     }
-    for (int k = 0; k < K; k++) {
-        step_slopes(w->z[k], w->u[k], w->d, w->a[k], w->b[k], after);
-        w->square[k] = cost_slopes(after, w->ref[k], w->q[k], w->g[k]);
-        for (int i = 0; i < NZ; i++) w->gap[k][i] = after[i] - w->z[k + 1][i];
-    }
+    linearise(w);
     real least = box_step(w);
     for (int s = 0; s < N_SHARES; s++) { /* the last share is none of the step */
         int again = s == N_SHARES - 1 && known;

@@ -1,7 +1,8 @@
 """Iterations of the solver and updates of the estimator as machine code, made of C that is written for the problem.
 
 They compute in double precision whatever that of the controller is, row by row of a batch: the numbers of the torch
-that they stand for, up to rounding.
+that they stand for, up to rounding. What writes the C is imported where a library is not kept yet: it takes most of a
+second to load.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ import torch
 from torch import Tensor
 
 from nsde_torch.control.codegen.library import NoCompiler, library
-from nsde_torch.control.codegen.sources import estimator_library, solver_library
 from nsde_torch.control.gauss_newton import AcceleratedGradient, GaussNewton, Iterate
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.errors import ExportError
@@ -53,7 +53,13 @@ class CompiledMethod:
     ) -> None:
         if method.horizon.particles > 1:
             raise NoCompiler("plans over several paths (particles) are not written in C")
-        built = _library(lambda: solver_library(method), name, folder, say)
+
+        def source() -> str:
+            from nsde_torch.control.codegen.sources import solver_library
+
+            return solver_library(method)
+
+        built = _library(source, method, name, folder, say)
         self._dtype = method.horizon.predictor.dtype
         pointer, count = ctypes.c_void_p, ctypes.c_int
         self._run = _function(built.nsde_iterate, pointer, count, count, *[pointer] * 10)
@@ -96,7 +102,13 @@ def compiled_estimator(
     Raises:
         NoCompiler: there is none for this model, or no compiler.
     """
-    built = _library(lambda: estimator_library(made, predictor), "estimator", folder, say)
+
+    def source() -> str:
+        from nsde_torch.control.codegen.sources import estimator_library
+
+        return estimator_library(made, predictor)
+
+    built = _library(source, made, "estimator", folder, say)
     run = _function(built.nsde_estimate, ctypes.c_int, *[ctypes.c_void_p] * 7)
 
     def update(x: Tensor, z: Tensor, d: Tensor, commands: Tensor) -> list[Tensor]:
@@ -108,9 +120,11 @@ def compiled_estimator(
     return update
 
 
-def _library(source: Callable[[], str], name: str, folder: str | None, say: Say) -> ctypes.CDLL:
+def _library(
+    source: Callable[[], str], made_of: object, name: str, folder: str | None, say: Say
+) -> ctypes.CDLL:
     try:
-        return library(source(), name, folder=folder, say=say)
+        return library(source, made_of, name, folder=folder, say=say)
     except ExportError as error:
         raise NoCompiler(str(error).removesuffix(".")) from error
 

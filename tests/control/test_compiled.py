@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,14 +12,16 @@ import torch
 from torch import Tensor
 
 from nsde_torch.control.autopilots import Estimator, EstimatorOptions, PredictivePilot
-from nsde_torch.control.codegen import scalar
+from nsde_torch.control.codegen import library, scalar
 from nsde_torch.control.codegen.library import compiler
 from nsde_torch.control.compiled import compiled_estimator
 from nsde_torch.control.controller import Controller
+from nsde_torch.control.gauss_newton import GaussNewton
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import Horizon, ProblemOptions
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.solve import Problem, Solution, Solver, SolverOptions
+from nsde_torch.effects import Effect
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import NeuralSDE
 from nsde_torch.sde import CompilationWarning
@@ -243,7 +248,9 @@ def test_a_library_is_made_once_for_a_problem_and_anew_for_another_or_a_damaged_
 
 
 @needs_compiler
-def test_other_weights_of_a_model_are_another_library(model: NeuralSDE, tmp_path: Path) -> None:
+def test_other_weights_are_another_library_and_the_same_ones_in_another_process_the_same(
+    model: NeuralSDE, tmp_path: Path
+) -> None:
     options = SolverOptions(compile="on", cache=str(tmp_path))
     h = horizon_of(model, **SMALL)
     Solver(h, options)
@@ -251,6 +258,31 @@ def test_other_weights_of_a_model_are_another_library(model: NeuralSDE, tmp_path
     h.predictor._residual.weight_1[0, 0] += 0.1
     Solver(h, options)
     assert len(list(tmp_path.iterdir())) == 2
+    code = (
+        "from nsde_torch.control.codegen.library import _content\n"
+        "from nsde_torch.control.gauss_newton import GaussNewton\n"
+        "from nsde_torch.systems import make_system\n"
+        "from tests.helpers.control_problems import horizon_of\n"
+        "print(_content(GaussNewton(horizon_of(make_system('hexacopter', effects=['motor_lag'])))).hex())"
+    )
+    words = [sys.executable, "-c", code]
+    made = {
+        subprocess.run(
+            words, capture_output=True, text=True, check=True, env={**os.environ, "PYTHONHASHSEED": seed}
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert len(made) == 1
+
+
+class _Slow(Effect):
+    """Of a module that is none of the package's."""
+
+
+def test_what_a_user_wrote_is_known_by_the_source_that_it_makes(declared: System) -> None:
+    method = GaussNewton(horizon_of(declared, **SMALL))
+    assert library._content(method) is not None
+    assert library._content([method, _Slow]) is None
 
 
 def test_without_a_compiler_the_solver_says_so_and_runs(

@@ -1,14 +1,19 @@
 """Libraries of C: compiled once, kept on disk, and loaded.
 
-The key of a library is a hash of its source and of how it is compiled. The source holds all that it computes with,
-weights too, and takes 0.1 to 0.3 s to write: whatever changes it makes another library.
+The key of a library is a hash of what its source is written from, weights and all, and of how it is compiled: of the
+objects and of this package, or, where they hold anything of other modules, of the source itself. To write that takes
+another second.
 """
 
 from __future__ import annotations
 
 import ctypes
+import functools
 import hashlib
+import inspect
+import io
 import os
+import pickle
 import shutil
 import subprocess
 import tempfile
@@ -16,8 +21,10 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import torch
+from torch import Tensor, nn
 
 from nsde_torch.cache import cache_folder
 
@@ -57,12 +64,18 @@ def compiled(source: Path, made: Path, flags: Sequence[str]) -> None:
 
 
 def library(
-    source: str, name: str, *, folder: str | Path | None = None, say: Callable[[str], None] | None = None
+    source: Callable[[], str],
+    made_of: object,
+    name: str,
+    *,
+    folder: str | Path | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> ctypes.CDLL:
-    """A library of this computer, compiled if it is not kept yet.
+    """A library for this computer, compiled if it is not kept yet.
 
     Args:
-        source: Its text.
+        source: Writes its text.
+        made_of: What the text follows from.
         name: What it is, for the file and for messages.
         folder: Where libraries are kept; default: the folder of the package's cache.
         say: Called with one line when it is compiled.
@@ -72,7 +85,8 @@ def library(
     """
     level = LEVELS.get(torch.backends.cpu.get_cpu_capability())
     flags = ("-std=c99", "-O3", *([f"-march={level}"] if level else []))
-    key = hashlib.sha256("\0".join((source, *flags)).encode()).hexdigest()[:32]
+    known = _content(made_of) or source().encode()
+    key = hashlib.sha256(b"\0".join((known, name.encode(), " ".join(flags).encode()))).hexdigest()[:32]
     path = cache_folder(folder) / f"{name}-{key}.so"
     if _is_whole(path):
         with suppress(OSError):  # of another system: made anew
@@ -82,7 +96,7 @@ def library(
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent) as work:
             text, made = Path(work) / f"{name}.c", Path(work) / path.name
-            text.write_text(source, encoding="utf-8")
+            text.write_text(source(), encoding="utf-8")
             compiled(text, made, flags)
             content = made.read_bytes()
             made.write_bytes(content + hashlib.sha256(content).digest())
@@ -99,3 +113,42 @@ def _is_whole(path: Path) -> bool:
     """Whether a library ends in its hash: to load one that was cut off ends the process."""
     content = path.read_bytes() if path.is_file() else b""
     return hashlib.sha256(content[:-32]).digest() == content[-32:]
+
+
+class _Digest(pickle.Pickler):
+    """Writes objects alike in every process, for their hash alone: tensors by their values and not by their place."""
+
+    def reducer_override(self, obj: Any) -> Any:
+        kind = obj if isinstance(obj, type) or inspect.isroutine(obj) else type(obj)
+        if (kind.__module__ or "").split(".")[0] not in _KNOWN:
+            raise pickle.PicklingError(f"{kind} may change without this package")
+        if isinstance(obj, Tensor):
+            values = obj.detach().cpu().contiguous().view(-1).view(torch.uint8).numpy()
+            return tuple, ((str(obj.dtype), tuple(obj.shape), values.tobytes()),)
+        if isinstance(obj, nn.Module):  # with its sets in one order
+            return kind, (), {k: sorted(v) if isinstance(v, set) else v for k, v in vars(obj).items()}
+        return NotImplemented
+
+
+_KNOWN = ("nsde_torch", "torch", "builtins", "collections", "enum", "functools", "numpy", "types", "pathlib")
+"""Modules that change with the version of this package or of torch alone, or not at all."""
+
+
+def _content(made_of: object) -> bytes | None:
+    """Hash of objects, of this package and of torch; None for objects that hold anything else."""
+    written = io.BytesIO()
+    try:
+        _Digest(written).dump(made_of)
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return None
+    return hashlib.sha256(written.getvalue() + _package()).digest()
+
+
+@functools.cache
+def _package() -> bytes:
+    """Hash of all code that a source may come from."""
+    digest = hashlib.sha256(torch.__version__.encode())
+    for path in sorted(Path(__file__).parents[2].rglob("*")):
+        if path.suffix in (".py", ".c", ".h"):
+            digest.update(path.read_bytes())
+    return digest.digest()

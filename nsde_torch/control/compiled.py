@@ -30,8 +30,8 @@ _DOUBLE = torch.float64
 class CompiledMethod:
     """Iterations of a method as machine code.
 
-    The memory between iterations is what one leaves, in double precision: u (N, K, nu), z (N, 1, K + 1, nz), the cost
-    (N,), and the method's own.
+    It works on tables of its own, one solve at a time: the memory between iterations says no more than that there was
+    one.
 
     Args:
         method: What it stands for.
@@ -60,11 +60,11 @@ class CompiledMethod:
             return solver_library(method)
 
         built = _library(source, method, name, folder, say)
-        self._dtype = method.horizon.predictor.dtype
         pointer, count = ctypes.c_void_p, ctypes.c_int
         self._run = _function(built.nsde_iterate, pointer, count, count, *[pointer] * 10)
         work, self._own = (ctypes.c_uint.in_dll(built, f"nsde_{k}_bytes").value for k in ("work", "memory"))
         self._work = torch.empty(work, dtype=torch.uint8)
+        self._tables: tuple[Tensor, ...] = ()
 
     def start(self, u: Tensor) -> tuple[Tensor, ...]:
         """Memory before the first iteration: there is none."""
@@ -73,19 +73,26 @@ class CompiledMethod:
     def iterate(
         self, arguments: Sequence[Tensor], memory: tuple[Tensor, ...]
     ) -> tuple[Iterate, tuple[Tensor, ...]]:
-        """Improve plans; see `GaussNewton.iterate`."""
-        (z0, u, z, ref, last, d), first = arguments, not memory
-        n = len(u)
-        if not memory:
-            own = torch.empty(n * self._own, dtype=torch.uint8)
-            memory = (_copied(u), _copied(z), torch.empty(n, dtype=_DOUBLE), own)
-        new_u, new_z, cost, own = memory
-        before, gap = torch.empty(2, n, dtype=_DOUBLE)
-        given = [_double(x) for x in (z0, ref, last, d)]
-        tables = (given[0], new_u, new_z, *given[1:], own, cost, before, gap)
-        self._run(self._work.data_ptr(), n, first, *(x.data_ptr() for x in tables))
-        u, z, cost, before, gap = (x.to(self._dtype, copy=True) for x in (new_u, new_z, cost, before, gap))
-        return Iterate(u, z, cost, before, gap, gap.max()), memory
+        """Improve plans; see `GaussNewton.iterate`. What it returns is in double precision, u and z until the next."""
+        first, n = not memory, len(arguments[0])
+        if first:
+            if not self._tables or len(self._tables[0]) != n:
+                self._tables = self._made(arguments)
+            for table, given in zip(self._tables, arguments, strict=False):
+                table.copy_(given)
+        self._run(self._work.data_ptr(), n, first, *(x.data_ptr() for x in self._tables))
+        cost, before, gap = (x.clone() for x in self._tables[-3:])
+        return Iterate(self._tables[1], self._tables[2], cost, before, gap, gap.max()), self._tables[-1:]
+
+    def _made(self, arguments: Sequence[Tensor]) -> tuple[Tensor, ...]:
+        """Tables that C works on: the arguments, what the method keeps, and the costs and gaps (N,)."""
+        n = len(arguments[0])
+        own = torch.empty(n * self._own, dtype=torch.uint8)
+        return (
+            *(torch.empty(x.shape, dtype=_DOUBLE) for x in arguments),
+            own,
+            *torch.empty(3, n, dtype=_DOUBLE),
+        )
 
 
 def compiled_estimator(
@@ -137,7 +144,3 @@ def _function(function: Any, *arguments: type[Any]) -> Callable[..., None]:
 
 def _double(x: Tensor) -> Tensor:
     return x.to(_DOUBLE).contiguous()
-
-
-def _copied(x: Tensor) -> Tensor:
-    return x.to(_DOUBLE, copy=True, memory_format=torch.contiguous_format)

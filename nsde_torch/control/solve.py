@@ -132,13 +132,13 @@ class Solver:
             late = o.deadline is not None and now - started + self._longest > o.deadline
             if len(costs) > o.iterations or late or converged:
                 break
-        seconds = now - started
+        seconds, dtype = now - started, self.horizon.predictor.dtype
         return Solution(
-            u=u,
-            z=z,
-            cost=step.cost,
-            gap=step.gap,
-            costs=tuple(costs),
+            u=u.to(dtype, copy=True),
+            z=z.to(dtype, copy=True),
+            cost=step.cost.to(dtype),
+            gap=step.gap.to(dtype),
+            costs=tuple(cost.to(dtype) for cost in costs),
             seconds=seconds,
             in_time=o.deadline is None or seconds <= o.deadline,
             converged=step.gap <= o.tolerance,

@@ -31,6 +31,9 @@ from nsde_torch.cache import cache_folder
 LEVELS = {"AVX512": "x86-64-v4", "AVX2": "x86-64-v3"}
 """What compilers call what torch finds of a processor; for others they take their default."""
 
+FLAGS = ("-std=c99", "-O3", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math")
+"""What changes no number beyond its rounding, and takes a tenth off a plan (measured)."""
+
 
 class NoCompiler(RuntimeError):
     """Machine code cannot be made here; the message says why."""
@@ -84,7 +87,7 @@ def library(
         NoCompiler: there is no C compiler, or it refuses, or what it makes cannot be kept.
     """
     level = LEVELS.get(torch.backends.cpu.get_cpu_capability())
-    flags = ("-std=c99", "-O3", *([f"-march={level}"] if level else []))
+    flags = (*FLAGS, *([f"-march={level}"] if level else []))
     known = _content(made_of) or source().encode()
     key = hashlib.sha256(b"\0".join((known, name.encode(), " ".join(flags).encode()))).hexdigest()[:32]
     path = cache_folder(folder) / f"{name}-{key}.so"

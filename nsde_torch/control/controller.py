@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from math import acos, dist, hypot, isfinite, nan
 from typing import NamedTuple, Protocol, final
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -259,8 +260,8 @@ class Controller:
             guess = self.horizon.rollout(z0, start.u, push) if before is None else start.z
             problem = Problem(z0.contiguous(), reference.contiguous(), last.contiguous(), push.contiguous())
             found = self.solver.solve(problem, start.u.contiguous(), guess.contiguous())
-        finite = (torch.isfinite(found.cost) & torch.isfinite(found.u).flatten(1).all(1)).tolist()
-        safe = [word is None and good for word, good in zip(trouble, finite, strict=True)]
+        finite = np.isfinite(found.cost.numpy()) & np.isfinite(found.u.numpy()).all((1, 2))
+        safe = [word is None and bool(good) for word, good in zip(trouble, finite, strict=True)]
         status = self._status(trouble, safe, found, start, known=before is not None)
         made = Plan(
             u=found.u,
@@ -317,7 +318,7 @@ class Controller:
     def _trouble(self, x: Tensor, reference: Tensor, start: Plan, *, known: bool) -> list[str | None]:
         """What is wrong with each row's state or reference, if anything."""
         s, nx = self.safety, self.predictor.nx
-        sane = torch.isfinite(reference).flatten(1).all(1).tolist()
+        sane = np.isfinite(reference.numpy()).all((1, 2))
         rows = zip(x.tolist(), start.z[:, 0, 0, :nx].tolist(), start.age.tolist(), strict=True)
         out: list[str | None] = []
         for row, (now, expected, age) in enumerate(rows):

@@ -17,7 +17,6 @@ from torch import Tensor
 from nsde_torch.control.codegen.library import NoCompiler, library
 from nsde_torch.control.gauss_newton import AcceleratedGradient, GaussNewton, Iterate
 from nsde_torch.control.predictor import Predictor
-from nsde_torch.errors import ExportError
 
 if TYPE_CHECKING:
     from nsde_torch.control.autopilots import Estimator
@@ -132,8 +131,11 @@ def _library(
 ) -> ctypes.CDLL:
     try:
         return library(source, made_of, name, folder=folder, say=say)
-    except ExportError as error:
-        raise NoCompiler(str(error).removesuffix(".")) from error
+    except NoCompiler:
+        raise
+    except Exception as error:  # whatever a model of the user does that numbers alone cannot
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+        raise NoCompiler(reason.removesuffix(".")) from error
 
 
 def _function(function: Any, *arguments: type[Any]) -> Callable[..., None]:

@@ -275,14 +275,14 @@ def test_other_weights_are_another_library_and_the_same_ones_in_another_process_
     assert len(made) == 1
 
 
-class _Slow(Effect):
+class _OfAUser(Effect):
     """Of a module that is none of the package's."""
 
 
 def test_what_a_user_wrote_is_known_by_the_source_that_it_makes(declared: System) -> None:
     method = GaussNewton(horizon_of(declared, **SMALL))
     assert library._content(method) is not None
-    assert library._content([method, _Slow]) is None
+    assert library._content([method, _OfAUser]) is None
 
 
 def test_without_a_compiler_the_solver_says_so_and_runs(
@@ -309,4 +309,10 @@ def test_what_c_does_not_hold_runs_in_torch_and_is_said(
     monkeypatch.delitem(scalar._RULES, "mul")  # type: ignore[arg-type]
     with pytest.warns(CompilationWarning, match=r"torch's mul, which cannot be written in C\.$"):
         assert not Solver(horizon_of(declared, **SMALL), options).compiled
+    monkeypatch.undo()
+    h = horizon_of(declared, **SMALL)
+    advance = h.advance
+    monkeypatch.setattr(h, "advance", lambda z, *given: advance(z if z.tolist()[0][0] > 0 else -z, *given))
+    with pytest.warns(CompilationWarning, match="without compilation"):
+        assert not Solver(h, options).compiled
     assert not list(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""A controller in C beside the same as TorchScript and as machine code for libtorch: times and memory, in one run.
+"""A controller in C, in Python, as TorchScript and as machine code for libtorch: times and memory, in one run.
 
     python benchmarks/bench_export_c.py declared RUN [--program build/flight_computer] [--package controller.pt2]
 
@@ -8,30 +8,37 @@ two iterations. C is compiled with -O2 (CC names the compiler) and with -O3 -mar
 nothing else; the others are run by examples/flight_computer, if it is given. The package is that of the last RUN, since
 to make one takes minutes. Forms take turns, and a row shows the lowest and the highest of the repeats. On a busy
 computer the tail is that of its other work; the time of the processor for this thread alone, which C tells too, is not.
+
+Of the controller in Python, which is C within, there are two rows: what `nsde track` calls a solve, and a plan with all
+that is around it. Last come the seconds from the start of `nsde track` to its first plan, with empty caches and again.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
 import subprocess
+import sys
 import tempfile
+import time
 from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import torch
 from bench_export import PERIOD, write
 
-from nsde_torch.control.controller import SafetyOptions
+from nsde_torch.control.codegen.library import compiler
+from nsde_torch.control.controller import Controller, Plan, SafetyOptions
 from nsde_torch.control.loop import DECLARED, knowledge
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.shapes import lemniscate
 from nsde_torch.control.solve import SolverOptions
-from nsde_torch.export import c_file
-from nsde_torch.export.verify import along
+from nsde_torch.export.verify import along, resident_mb
 from nsde_torch.export.write import export
 
 Times = dict[str, float]
@@ -64,7 +71,7 @@ def written(run: str, file: Path, kind: str, precision: str) -> Path:
 def driver(file: Path, flags: tuple[str, ...], samples: Path, count: int) -> Callable[[], Times]:
     """Runs a controller in C over the samples."""
     program = file.with_name("driver")
-    words = [str(c_file.compiler()), "-std=c99", *flags, f"-I{file.parent}", str(DRIVER), str(file), "-lm"]
+    words = [str(compiler()), "-std=c99", *flags, f"-I{file.parent}", str(DRIVER), str(file), "-lm"]
     subprocess.run([*words, "-o", str(program)], check=True)
 
     def run() -> Times:
@@ -89,6 +96,49 @@ def host(program: Path, file: Path, folder: Path) -> Callable[[], Times]:
         return {"p50_ms": p50, "p99_ms": p99, "max_ms": most, "memory_mb": float(memory[1])}
 
     return run
+
+
+def python(run: str, states: list[tuple[torch.Tensor, torch.Tensor]], *, whole: bool) -> Callable[[], Times]:
+    """Runs the controller in Python over the states; `whole`: with the checks and tables around a solve."""
+    known = knowledge(run, "hexacopter")
+    clocks = {"": time.perf_counter, "_cpu": time.thread_time}
+    controllers = {name: Controller(known, clock=clock) for name, clock in clocks.items()}
+
+    def measure() -> Times:
+        found = {"memory_mb": resident_mb()}
+        for name, controller in controllers.items():
+            before: Plan | None = None
+            took = []
+            for x, reference in states:
+                began = clocks[name]()
+                before = controller.plan(x[None], reference[None], before, elapsed=PERIOD)
+                took.append(1e3 * (clocks[name]() - began) if whole else before.solve_ms)
+            for key, value in zip(
+                ("p50", "p99", "max"), np.percentile(took[20:], (50, 99, 100)), strict=True
+            ):
+                found[f"{key}{name}_ms"] = float(value)
+        return found
+
+    return measure
+
+
+def first_plan(run: str, folder: Path) -> float:
+    """Seconds from the start of `nsde track` to its first plan, with what the cache in a folder holds."""
+    words = ["nsde", "track", "reference=lemniscate", f"out_dir={folder / 'out'}"]
+    words += (
+        ["run=declared", "plant.system=hexacopter"] if run == DECLARED else [f"run={Path(run).resolve()}"]
+    )
+    code = (
+        f"import os, sys; sys.argv = {words!r}\n"
+        "from nsde_torch.control.autopilots import PredictivePilot as Pilot\n"
+        "command = Pilot.command\n"
+        "Pilot.command = lambda *given: (command(*given), os._exit(0))\n"
+        "from nsde_torch.cli.main import entry; entry()"
+    )
+    own = {**os.environ, "NSDE_CACHE": str(folder), "OMP_NUM_THREADS": "1"}
+    began = time.perf_counter()
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, env=own)
+    return time.perf_counter() - began
 
 
 def main() -> None:
@@ -118,6 +168,8 @@ def main() -> None:
             for k, (form, (precision, flags)) in enumerate(FORMS.items()):
                 file = written(run, folder / f"c_{n}_{k}" / "controller.c", "c", precision)
                 forms[called, form] = driver(file, flags, samples, count)
+            forms[called, "Python, a solve"] = python(run, states, whole=False)
+            forms[called, "Python, a plan"] = python(run, states, whole=True)
             if given.program is not None:
                 file = written(run, folder / f"controller_{n}.ts", "torchscript", "float64")
                 forms[called, "TorchScript"] = host(given.program, file, folder)
@@ -141,6 +193,11 @@ def main() -> None:
         clock = " | ".join(span(rows, f"{c}_ms") for c in columns)
         own = ", ".join(span(rows, f"{c}_cpu_ms") for c in columns) if "p50_cpu_ms" in rows[0] else ""
         print(f"| {called} | {form} | {clock} | {own} | {max(r['memory_mb'] for r in rows):.1f} |")
+    for run in given.runs:
+        with tempfile.TemporaryDirectory() as name:
+            seconds = [first_plan(run, Path(name)) for _ in range(1 + given.repeats)]
+        again = f"{min(seconds[1:]):.1f} to {max(seconds[1:]):.1f}"
+        print(f"first plan of `nsde track run={run}`: {seconds[0]:.1f} s with an empty cache, then {again} s")
 
 
 if __name__ == "__main__":

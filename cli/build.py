@@ -1,4 +1,7 @@
-"""From a checked configuration to the objects of the library; the only file that knows both."""
+"""From a checked configuration to the objects of the library; the only file that knows both.
+
+What reads and checks data is imported where it is called: flights need none of it, and it takes half a second to load.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +10,11 @@ from typing import Any
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from nsde_torch.api.reading import columns_checked, split_runs
 from nsde_torch.data import DataSet, Split, SystemInfo
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.models import MODELS, ModelOptions
 from nsde_torch.models.kind import model_options as options_of_model
-from nsde_torch.recording import read
 from nsde_torch.sde import IntegratorOptions, TorchDiffEqOptions
-from nsde_torch.simulation import simulated
-from nsde_torch.sysid.smoothed_states import undone_at_own_rate
 from nsde_torch.systems import System, SystemOptions
 from nsde_torch.training import LossOptions, TrainerOptions
 
@@ -97,8 +96,13 @@ def dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
         DataError: The data cannot be used.
         ConfigError: An option is wrong.
     """
+    from nsde_torch.api.reading import columns_checked
+    from nsde_torch.recording import read
+
     given = options(config, *_NOT_FOR_DATA)
     if config.kind == "simulated":
+        from nsde_torch.simulation import simulated
+
         return simulated(machine, **given, **options(config.options))
     data = read(config.kind, machine, own_rate=True, **given, **_reader_options(config))
     return columns_checked(machine, _restored(config, data, machine))
@@ -110,6 +114,8 @@ def other_dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
     Raises:
         DataError: The data cannot be used.
     """
+    from nsde_torch.recording import read
+
     given = {**options(config, *_NOT_FOR_DATA), "path": config.test_path}
     try:
         data = read(config.kind, machine, own_rate=True, **given, **_reader_options(config))
@@ -120,6 +126,8 @@ def other_dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
 
 def _restored(config: DictConfig, data: DataSet, machine: SystemInfo) -> DataSet:
     """Data on the step that was asked for, without what the recording did, unless the user wants to keep it."""
+    from nsde_torch.sysid.smoothed_states import undone_at_own_rate
+
     return undone_at_own_rate(
         data,
         machine,
@@ -143,6 +151,8 @@ def split(config: DictConfig, data: DataSet, machine: SystemInfo) -> Split:
     Raises:
         DataError: There is no such run, no run is left on a side, or one is on both.
     """
+    from nsde_torch.api.reading import split_runs
+
     test = None if config.test is None else list(config.test)
     return split_runs(data, test, test_data=test_data(config, machine))
 

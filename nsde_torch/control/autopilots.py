@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, final
 
@@ -12,7 +12,8 @@ import torch
 from torch import Tensor, nn
 
 from nsde_torch.control.cascade import Cascade, Gains
-from nsde_torch.control.compiled import Function, NoCompiler, compile_ahead
+from nsde_torch.control.codegen.library import NoCompiler
+from nsde_torch.control.compiled import compiled_estimator
 from nsde_torch.control.controller import Plan, Planner
 from nsde_torch.control.options import EstimatorOptions
 from nsde_torch.control.predictor import Predictor
@@ -81,12 +82,6 @@ class Estimator(nn.Module):
                 "`force_time` and `moment_time` must be times of 0 s or more; got "
                 f"{options.force_time!r}, {options.moment_time!r}."
             )
-
-    @property
-    def structure(self) -> str:
-        """Every setting that is not a tensor, in words."""
-        assert isinstance(self.predictor, Predictor)
-        return f"{self.past} {self.ahead} {self.options} {self.predictor.structure}"
 
     def forward(self, x: Tensor, z: Tensor, d: Tensor, commands: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Take a measurement.
@@ -220,23 +215,12 @@ class PredictivePilot(Autopilot):
         self._ahead = options.latency - state_latency
         self._plan: Plan | None = None
         self._commands = self._z = self._d = torch.empty(0)
-        self._update: Function = lambda arguments: list(self._estimator(*arguments))
-        if controller.solver.compiled:
-            n, p = controller.batch, predictor
-            hover = controller.hover.expand(n, -1)
-            z = p.augment(controller.hovering().x[:, 0], hover).contiguous()
-            steps = self._estimator.past + self._estimator.ahead
-            example = (z[:, : p.nx].contiguous(), z, z.new_zeros(n, p.nd), hover[:, None].repeat(1, steps, 1))
+        self._update: Callable[..., Sequence[Tensor]] = self._estimator
+        if controller.solver.compiled and isinstance(predictor, Predictor):
+            folder = controller.solver.options.cache
             try:
-                self._update = compile_ahead(
-                    self._estimator,
-                    example,
-                    name="estimator",
-                    structure=self._estimator.structure,
-                    folder=controller.solver.options.cache,
-                    say=say,
-                )
-            except NoCompiler as error:  # the solver was compiled before, so there is a cache and no compiler
+                self._update = compiled_estimator(self._estimator, predictor, folder=folder, say=say)
+            except NoCompiler as error:
                 if say is not None:
                     say(f"the estimator runs without compilation: {error}")
 
@@ -259,7 +243,7 @@ class PredictivePilot(Autopilot):
         c, e = self.controller, self._estimator
         started = time.perf_counter()
         measured = x.to(self._dtype)
-        z, d, z0 = self._update((measured.contiguous(), self._z, self._d, self._commands))
+        z, d, z0 = self._update(measured, self._z, self._d, self._commands)
         good = torch.isfinite(measured).all(1, keepdim=True) & torch.isfinite(z0).all(1, keepdim=True)
         if bool(good.all()):
             self._z, self._d = z, d

@@ -1,236 +1,148 @@
-"""Machine code of a solver's iteration, made ahead of time and kept on disk.
+"""Iterations of the solver and updates of the estimator as machine code, made of C that is written for the problem.
 
-The iteration holds derivatives, which torch.export cannot trace by itself: `make_fx` writes down the operations first,
-the derivatives among them, and export and AOTInductor see plain arithmetic. What comes out is one package for each kind
-of problem. Its key is a hash of what determines the operations (source files, architecture, shapes, torch's version,
-processor); the weights of the model and of the cost are loaded into it, so that training anew compiles nothing.
+They compute in double precision whatever that of the controller is, row by row of a batch: the numbers of the torch
+that they stand for, up to rounding. What writes the C is imported where a library is not kept yet: it takes most of a
+second to load.
 """
 
 from __future__ import annotations
 
-import functools
-import hashlib
-import inspect
-import json
-import os
-import platform
-import shutil
-import tempfile
-import time
-import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from pathlib import Path
-from typing import Any, final
+import ctypes
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, final
 
-import sympy
 import torch
-from torch import Tensor, nn
-from torch._functorch.compile_utils import fx_graph_cse
-from torch.fx.experimental.proxy_tensor import make_fx
+from torch import Tensor
 
-from nsde_torch.cache import cache_folder
+from nsde_torch.control.codegen.library import NoCompiler, library
+from nsde_torch.control.gauss_newton import AcceleratedGradient, GaussNewton, Iterate
+from nsde_torch.control.predictor import Predictor
 
-Function = Callable[[Sequence[Tensor]], list[Tensor]]
-_SOURCES = (
-    *("control/compiled.py", "control/gauss_newton.py"),
-    *("control/problem.py", "control/predictor.py", "rotation.py", "columns.py", "sde/deterministic.py"),
-)
-_NAMES = "constants"
+if TYPE_CHECKING:
+    from nsde_torch.control.autopilots import Estimator
+
+Say = Callable[[str], None] | None
+_DOUBLE = torch.float64
 
 
 @final
-class Stage(nn.Module):
-    """A method of a module as a module of its own.
+class CompiledMethod:
+    """Iterations of a method as machine code.
+
+    It works on tables of its own, one solve at a time: the memory between iterations says no more than that there was
+    one.
 
     Args:
-        owner: The module.
-        name: The method.
-    """
-
-    def __init__(self, owner: nn.Module, name: str) -> None:
-        super().__init__()
-        self.owner, self.name = owner, name
-
-    def forward(self, *arguments: Tensor) -> tuple[Tensor, ...]:
-        """See the method."""
-        return tuple(getattr(self.owner, self.name)(*arguments))
-
-    def extra_repr(self) -> str:
-        """The method, by which stages of one module differ."""
-        return self.name
-
-
-class NoCompiler(RuntimeError):
-    """Machine code cannot be made here; the message says why."""
-
-
-def compile_ahead(
-    module: nn.Module,
-    example: Sequence[Tensor],
-    *,
-    name: str,
-    structure: str,
-    fused: bool = False,
-    folder: str | Path | None = None,
-    say: Callable[[str], None] | None = None,
-) -> Function:
-    """The module as machine code for tensors of the shapes of an example.
-
-    Args:
-        module: Takes tensors, returns tensors; without gradients, on the CPU.
-        example: Arguments.
-        name: What it is, for the file and for messages.
-        structure: Every setting of the module that is not one of its tensors.
-        fused: Put columns together in registers instead of in memory.
-        folder: Where packages are kept; default: the folder of the package's cache.
-        say: Called with one line when something takes long.
-
-    Returns:
-        A function of a list of tensors.
+        method: What it stands for.
+        name: Its name, for the file and for messages.
+        folder: Where machine code is kept; see `library`.
+        say: Called with one line when it is made.
 
     Raises:
-        NoCompiler: there is no C++ compiler, or it refuses.
+        NoCompiler: there is none for these paths or this model, or no compiler.
     """
-    path = cache_folder(folder) / f"{name}-{_key(module, example, structure)}.pt2"
-    with torch.no_grad(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        if not path.is_file():
-            _make(module, example, path, name=name, fused=fused, say=say or (lambda line: None))
-        return _load(module, path)
+
+    def __init__(
+        self,
+        method: GaussNewton | AcceleratedGradient,
+        name: str,
+        *,
+        folder: str | None = None,
+        say: Say = None,
+    ) -> None:
+        if method.horizon.particles > 1:
+            raise NoCompiler("plans over several paths (particles) are not written in C")
+
+        def source() -> str:
+            from nsde_torch.control.codegen.sources import solver_library
+
+            return solver_library(method)
+
+        built = _library(source, method, name, folder, say)
+        pointer, count = ctypes.c_void_p, ctypes.c_int
+        self._run = _function(built.nsde_iterate, pointer, count, count, *[pointer] * 10)
+        work, self._own = (ctypes.c_uint.in_dll(built, f"nsde_{k}_bytes").value for k in ("work", "memory"))
+        self._work = torch.empty(work, dtype=torch.uint8)
+        self._tables: tuple[Tensor, ...] = ()
+
+    def start(self, u: Tensor) -> tuple[Tensor, ...]:
+        """Memory before the first iteration: there is none."""
+        return ()
+
+    def iterate(
+        self, arguments: Sequence[Tensor], memory: tuple[Tensor, ...]
+    ) -> tuple[Iterate, tuple[Tensor, ...]]:
+        """Improve plans; see `GaussNewton.iterate`. What it returns is in double precision, u and z until the next."""
+        first, n = not memory, len(arguments[0])
+        if first:
+            if not self._tables or len(self._tables[0]) != n:
+                self._tables = self._made(arguments)
+            for table, given in zip(self._tables, arguments, strict=False):
+                table.copy_(given)
+        self._run(self._work.data_ptr(), n, first, *(x.data_ptr() for x in self._tables))
+        cost, before, gap = (x.clone() for x in self._tables[-3:])
+        return Iterate(self._tables[1], self._tables[2], cost, before, gap, gap.max()), self._tables[-1:]
+
+    def _made(self, arguments: Sequence[Tensor]) -> tuple[Tensor, ...]:
+        """Tables that C works on: the arguments, what the method keeps, and the costs and gaps (N,)."""
+        n = len(arguments[0])
+        own = torch.empty(n * self._own, dtype=torch.uint8)
+        return (
+            *(torch.empty(x.shape, dtype=_DOUBLE) for x in arguments),
+            own,
+            *torch.empty(3, n, dtype=_DOUBLE),
+        )
 
 
-def _make(
-    module: nn.Module,
-    example: Sequence[Tensor],
-    path: Path,
-    *,
-    name: str,
-    fused: bool,
-    say: Callable[[str], None],
-) -> None:
-    if not has_compiler():
-        raise NoCompiler("there is no C++ compiler (g++ or clang++; CXX names it)")
-    say(f"compiling {name}, about a minute; kept in {path.parent} for the next time")
-    started = time.perf_counter()
-    temporary: str | None = None
+def compiled_estimator(
+    made: Estimator, predictor: Predictor, *, folder: str | None = None, say: Say = None
+) -> Callable[..., list[Tensor]]:
+    """`Estimator.forward` as machine code.
+
+    Args:
+        made: The estimator.
+        predictor: What predicts its samples.
+        folder: Where machine code is kept; see `library`.
+        say: Called with one line when it is made.
+
+    Raises:
+        NoCompiler: there is none for this model, or no compiler.
+    """
+
+    def source() -> str:
+        from nsde_torch.control.codegen.sources import estimator_library
+
+        return estimator_library(made, predictor)
+
+    built = _library(source, made, "estimator", folder, say)
+    run = _function(built.nsde_estimate, ctypes.c_int, *[ctypes.c_void_p] * 7)
+
+    def update(x: Tensor, z: Tensor, d: Tensor, commands: Tensor) -> list[Tensor]:
+        tables = [_double(t) for t in (x, z, d, commands)]
+        out = [torch.empty(t.shape, dtype=_DOUBLE) for t in (z, d, z)]
+        run(len(x), *(t.data_ptr() for t in (*tables, *out)))
+        return [t.to(x.dtype) for t in out]
+
+    return update
+
+
+def _library(
+    source: Callable[[], str], made_of: object, name: str, folder: str | None, say: Say
+) -> ctypes.CDLL:
     try:
-        graph = make_fx(lambda *args: tuple(module(*args)), tracing_mode="real")(*example)
-        # steps repeat what follows from constants alone: once is enough
-        graph.graph = fx_graph_cse(graph.graph)
-        graph.graph.eliminate_dead_code()
-        graph.recompile()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".pt2")
-        os.close(handle)
-        program = torch.export.export(graph, tuple(example), strict=False)
-        with quick_indices():
-            torch._inductor.aoti_compile_and_package(
-                program,
-                package_path=temporary,
-                inductor_configs={
-                    # constants stay constants, however small: other weights can be loaded in their place
-                    "always_keep_tensor_constants": True,
-                    "force_pointwise_cat": fused,
-                    "aot_inductor.metadata": {_NAMES: json.dumps(_constants(graph, module))},
-                },
-            )
-        os.replace(temporary, path)
-    except Exception as error:
+        return library(source, made_of, name, folder=folder, say=say)
+    except NoCompiler:
+        raise
+    except Exception as error:  # whatever a model of the user does that numbers alone cannot
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
-        raise NoCompiler(f"the compiler gave up: {reason}") from error
-    finally:
-        if temporary is not None:
-            with suppress(OSError):
-                os.unlink(temporary)
-    say(f"compiled {name} in {time.perf_counter() - started:.0f} s")
+        raise NoCompiler(reason.removesuffix(".")) from error
 
 
-@contextmanager
-def quick_indices() -> Iterator[None]:
-    """While it lasts, sympy expands what is a polynomial where inductor asks it to simplify.
-
-    It asks so for the index of every access to memory, and of a long rollout that took two thirds of the compilation
-    (180 s, and 60 s with this; the code that comes out is as fast).
-    """
-    simplify = sympy.simplify
-
-    def quick(expression: Any, *arguments: Any, **options: Any) -> Any:
-        if isinstance(expression, sympy.Expr) and not arguments and not options:
-            # by `identity`, parts that inductor marked against it are expanded too
-            plain = sympy.expand(expression, identity=True)
-            if plain.is_number or plain.is_polynomial(*plain.free_symbols):
-                return plain
-        return simplify(expression, *arguments, **options)
-
-    sympy.simplify = quick
-    try:
-        yield
-    finally:
-        sympy.simplify = simplify
-
-
-def _load(module: nn.Module, path: Path) -> Function:
-    try:
-        loader: Any = torch._inductor.aoti_load_package(str(path)).loader
-        names: dict[str, str] = json.loads(loader.get_metadata()[_NAMES])
-        own = _tensors(module)
-        used = set(loader.get_constant_fqns())
-        values = {constant: own[name] for constant, name in names.items() if constant in used}
-        loader.load_constants(values, use_inactive=False, check_full_update=False)
-    except Exception as error:
-        with suppress(OSError):
-            path.unlink()  # damaged, or of another machine: made anew the next time
-        raise NoCompiler(f"{path} cannot be loaded ({error}); it was removed, try again") from error
-
-    def run(arguments: Sequence[Tensor]) -> list[Tensor]:
-        out: list[Tensor] = loader.run(list(arguments))
-        return out
-
+def _function(function: Any, *arguments: type[Any]) -> Callable[..., None]:
+    function.argtypes, function.restype = arguments, None
+    run: Callable[..., None] = function
     return run
 
 
-def _constants(graph: torch.fx.GraphModule, module: nn.Module) -> dict[str, str]:
-    """Names of constants of the graph that are tensors of the module -> their names there."""
-    own = {id(tensor): name for name, tensor in _tensors(module).items()}
-    held = {
-        str(node.target): getattr(graph, str(node.target))
-        for node in graph.graph.nodes
-        if node.op == "get_attr"
-    }
-    return {constant: own[id(tensor)] for constant, tensor in held.items() if id(tensor) in own}
-
-
-def _tensors(module: nn.Module) -> dict[str, Tensor]:
-    return {**dict(module.named_parameters()), **dict(module.named_buffers())}
-
-
-def _key(module: nn.Module, example: Sequence[Tensor], structure: str) -> str:
-    digest = hashlib.sha256()
-    where = (torch.__version__, platform.machine(), torch.backends.cpu.get_cpu_capability())
-    for part in (*where, str(torch.get_num_threads()), _source_hash(), structure, str(module)):
-        digest.update(str(part).encode() + b"\0")
-    classes = {kind for m in module.modules() for kind in type(m).__mro__ if kind.__module__ != "builtins"}
-    for own in sorted({inspect.getsourcefile(kind) or "" for kind in classes if _is_ours(kind)}):
-        digest.update(hashlib.sha256(Path(own).read_bytes()).digest())
-    for tensor in (*example, *(t for _, t in sorted(_tensors(module).items()))):
-        digest.update(f"{tuple(tensor.shape)} {tensor.stride()} {tensor.dtype}".encode())
-    return digest.hexdigest()[:32]
-
-
-@functools.cache
-def _source_hash() -> str:
-    """Hash of the source files of functions that an iteration runs through, beside those of its classes."""
-    package = Path(__file__).resolve().parents[1]
-    return hashlib.sha256(b"\0".join((package / part).read_bytes() for part in _SOURCES)).hexdigest()
-
-
-def _is_ours(kind: type) -> bool:
-    """Whether a class is one of the package or of the user; torch's own come with torch's version."""
-    return kind.__module__.split(".")[0] not in ("torch", "abc", "typing")
-
-
-def has_compiler() -> bool:
-    """Whether a C++ compiler is found."""
-    named = os.environ.get("CXX")
-    return any(shutil.which(c) for c in ([named] if named else []) + ["g++", "clang++"])
+def _double(x: Tensor) -> Tensor:
+    return x.to(_DOUBLE).contiguous()

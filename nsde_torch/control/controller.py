@@ -10,8 +10,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from math import acos, dist, hypot, isfinite, nan
 from typing import NamedTuple, Protocol, final
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -195,7 +197,7 @@ class Controller:
         self.hover = hover_input(self.predictor).clamp(low, high)
         if not bool(torch.isfinite(self.hover).all()):
             raise ConfigError("the model has no hovering input: its rates are not finite. Train it anew.")
-        self._jumped = torch.zeros(batch, dtype=torch.long)
+        self._jumped = [0] * batch
 
     @property
     def dtype(self) -> torch.dtype:
@@ -245,20 +247,21 @@ class Controller:
         last = start.u[:, 0] if last is None else last.to(self._dtype)
         push = x.new_zeros(n, self.predictor.nd) if push is None else push.to(self._dtype)
         trouble = self._trouble(x, reference, start, known=before is not None)
-        bad = torch.tensor([word is not None for word in trouble])
-        expected = start.z[:, 0, 0, :nx]
-        if any(word is not None for word in trouble):
-            x = torch.where(bad[:, None], expected, x)
+        if any(trouble):
+            bad = torch.tensor([word is not None for word in trouble])
+            x = torch.where(bad[:, None], start.z[:, 0, 0, :nx], x)
             reference = torch.where(bad[:, None, None], start.z[:, 0, 1:, :nx], reference)
-        x = torch.cat((x[:, :6], torch.nn.functional.normalize(x[:, 6:10], dim=1), x[:, 10:]), 1)
+        p, q, w = x.split((6, 4, nx - 10), 1)
+        x = torch.cat((p, q / torch.linalg.vector_norm(q, dim=1, keepdim=True).clamp_min(1e-12), w), 1)
         z0 = self.predictor.augment(x, last) if memory is None else torch.cat((x, memory.to(self._dtype)), 1)
-        if bool(bad.all()):  # there is nothing to plan from
+        if all(trouble):  # there is nothing to plan from
             found = self.solver.nothing(start.u, start.z)
         else:
             guess = self.horizon.rollout(z0, start.u, push) if before is None else start.z
             problem = Problem(z0.contiguous(), reference.contiguous(), last.contiguous(), push.contiguous())
             found = self.solver.solve(problem, start.u.contiguous(), guess.contiguous())
-        safe = (torch.isfinite(found.cost) & torch.isfinite(found.u).flatten(1).all(1) & ~bad).tolist()
+        finite = np.isfinite(found.cost.numpy()) & np.isfinite(found.u.numpy()).all((1, 2))
+        safe = [word is None and bool(good) for word, good in zip(trouble, finite, strict=True)]
         status = self._status(trouble, safe, found, start, known=before is not None)
         made = Plan(
             u=found.u,
@@ -315,38 +318,35 @@ class Controller:
     def _trouble(self, x: Tensor, reference: Tensor, start: Plan, *, known: bool) -> list[str | None]:
         """What is wrong with each row's state or reference, if anything."""
         s, nx = self.safety, self.predictor.nx
-        expected = start.z[:, 0, 0, :nx]
-        finite = torch.isfinite(x).all(1)
-        unit = (x[:, 6:10].norm(dim=1) - 1.0).abs() <= s.quaternion
-        sane = torch.isfinite(reference).flatten(1).all(1)
-        away = (x[:, :3] - expected[:, :3]).norm(dim=1)
-        turned = 2.0 * torch.arccos((x[:, 6:10] * expected[:, 6:10]).sum(1).abs().clamp_max(1.0))
-        fresh = start.age <= s.keep
-        jumped = finite & fresh & ((away > s.jump) | (turned > s.jump_attitude)) & known
-        self._jumped = torch.where(jumped, self._jumped + 1, torch.zeros_like(self._jumped))
+        sane = np.isfinite(reference.numpy()).all((1, 2))
+        rows = zip(x.tolist(), start.z[:, 0, 0, :nx].tolist(), start.age.tolist(), strict=True)
         out: list[str | None] = []
-        for row in range(self.batch):
-            word: str | None = None
-            if not (bool(finite[row]) and bool(unit[row])):
-                word = BAD_STATE
-            elif not bool(sane[row]):
-                word = BAD_REFERENCE
-            elif bool(jumped[row]) and int(self._jumped[row]) < s.jump_samples:
-                word = JUMP
-            out.append(word)
+        for row, (now, expected, age) in enumerate(rows):
+            finite, q = all(map(isfinite, now)), now[6:10]
+            turned = (
+                2.0 * acos(min(abs(sum(a * b for a, b in zip(q, expected[6:10], strict=True))), 1.0))
+                if finite
+                else nan
+            )
+            far = dist(now[:3], expected[:3]) > s.jump or turned > s.jump_attitude
+            self._jumped[row] = self._jumped[row] + 1 if known and finite and age <= s.keep and far else 0
+            if not finite or abs(hypot(*q) - 1.0) > s.quaternion:
+                out.append(BAD_STATE)
+            elif not sane[row]:
+                out.append(BAD_REFERENCE)
+            else:
+                out.append(JUMP if 0 < self._jumped[row] < s.jump_samples else None)
         return out
 
 
-def _shift(table: Tensor, steps: float | Tensor, *, axis: int = 1) -> Tensor:
+def _shift(table: Tensor, steps: float, *, axis: int = 1) -> Tensor:
     """Rows at times later by a number of steps, between two of them by interpolation; the end is held."""
     n = table.shape[axis]
-    at = (torch.arange(n, dtype=torch.float64) + steps).clamp(0.0, n - 1.0)
-    low = at.floor().long().clamp_max(max(n - 2, 0))
-    shape = [1] * table.ndim
-    shape[axis] = n
-    share = (at - low).to(table).view(shape)
-    high = (low + 1).clamp_max(n - 1)
-    return (1.0 - share) * table.index_select(axis, low) + share * table.index_select(axis, high)
+    steps = min(max(steps, 0.0), n - 1.0)
+    whole = int(steps)
+    end = table.narrow(axis, n - 1, 1)
+    rows = torch.cat((table.narrow(axis, whole, n - whole), *[end] * (whole + 1)), axis)
+    return torch.lerp(rows.narrow(axis, 0, n), rows.narrow(axis, 1, n), steps - whole)
 
 
 # Setpoints of a low-level controller of body rates, from a plan: desired rates and collective thrust.

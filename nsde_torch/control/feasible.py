@@ -41,14 +41,16 @@ def inputs_for(predictor: Predictor, x: Tensor, wanted: Tensor) -> Tensor:
         rate = predictor.drift(predictor.augment(x, u), u, push)
         return torch.cat((rate[:, 3:6], rate[:, 10:13]), 1)
 
-    def along(direction: Tensor, u: Tensor) -> Tensor:
-        return torch.func.jvp(rates, (u,), (direction.expand(n, nu),))[1]
-
     u = x.new_full((n, nu), 0.4)
     for _ in range(_STEPS):
-        slopes = torch.stack([along(e, u) for e in torch.eye(nu, dtype=x.dtype)], 2)
+        # backwards: torch loads its compiler before it differentiates forward, which takes 2 s
+        with torch.enable_grad():
+            at = u.requires_grad_()
+            found = rates(at)
+            rows = [torch.autograd.grad(r.sum(), at, retain_graph=True)[0] for r in found.unbind(1)]
+        slopes, u = torch.stack(rows, 1), u.detach()
         # directions that hardly turn or lift anything are not worth the inputs that they would take
-        u = u + (torch.linalg.pinv(slopes, rtol=1e-3) @ (wanted - rates(u))[..., None])[..., 0]
+        u = u + (torch.linalg.pinv(slopes, rtol=1e-3) @ (wanted - found.detach())[..., None])[..., 0]
     return u
 
 

@@ -19,7 +19,7 @@ shooting; Bock and Plitt, IFAC 1984), and no rollout comes before the linearisat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple, final
 
 import torch
@@ -29,9 +29,8 @@ from nsde_torch.control.problem import Horizon, _repeat
 
 SHARES = (1.0, 0.5, 0.2, 0.05)
 """Shares of a step that are tried, beside none of it."""
-
-
-Function = Callable[[Sequence[Tensor]], Sequence[Tensor]]
+LEFT = 1e-3
+"""Share of the quadratic's saving (and of a tenth of the cost) that an iteration may leave to the next."""
 
 
 class Iterate(NamedTuple):
@@ -61,15 +60,7 @@ class GaussNewton(nn.Module):
     Args:
         horizon: The problem.
         active_set_steps: Most changes of the active set in an iteration.
-
-    Attributes:
-        stages: Names of the stages.
-        fused: Those that compile best with columns put together in registers: a rollout, whose steps then are one
-            loop each (measured: 0.05 instead of 0.24 ms; it makes the linearisation slower).
     """
-
-    stages = ("prepare", "active_set", "finish")
-    fused = ("finish",)
 
     def __init__(self, horizon: Horizon, *, active_set_steps: int = 8) -> None:
         super().__init__()
@@ -87,11 +78,6 @@ class GaussNewton(nn.Module):
         self.register_buffer(
             "change", self.eye - torch.diag(torch.ones(n - horizon.nu, dtype=dtype), -horizon.nu)
         )
-
-    @property
-    def structure(self) -> str:
-        """Every setting that is not a tensor, in words."""
-        return f"{SHARES} {self.horizon.structure}"
 
     def start(self, u: Tensor) -> tuple[Tensor, ...]:
         """Memory before the first iteration: there is none."""
@@ -114,27 +100,21 @@ class GaussNewton(nn.Module):
         return Iterate(*self.finish(z0, u, ref, last, d, *state[2:]))
 
     def iterate(
-        self,
-        run: Mapping[str, Function],
-        arguments: Sequence[Tensor],
-        memory: tuple[Tensor, ...],
-        tolerance: float,
+        self, arguments: Sequence[Tensor], memory: tuple[Tensor, ...]
     ) -> tuple[Iterate, tuple[Tensor, ...]]:
         """Improve plans, with as many changes of the active set as are needed.
 
         Args:
-            run: The stages, compiled or not.
             arguments: Those of `forward`.
             memory: Not used.
-            tolerance: Share of the quadratic's saving (and of a tenth of the cost) that may be left.
         """
         z0, u, _, ref, last, d = arguments
-        quadratic, state = self._split(run["prepare"](arguments))
+        quadratic, state = self._split(self.prepare(*arguments))
         for _ in range(self.active_set_steps):
-            *state, left = run["active_set"]([*quadratic, *state])
-            if float(left) <= tolerance:
+            *state, left = self.active_set(*quadratic, *state)
+            if float(left) <= LEFT:
                 break
-        return Iterate(*run["finish"]([z0, u, ref, last, d, *state[2:]])), ()
+        return self.finish(z0, u, ref, last, d, *state[2:]), ()
 
     @staticmethod
     def _split(prepared: Sequence[Tensor]) -> tuple[list[Tensor], list[Tensor]]:
@@ -341,11 +321,12 @@ def _pick(table: Tensor, row: Tensor) -> Tensor:
 FACTORS = (4.0, 2.0, 1.0, 0.5, 0.25, 0.06)
 """Steps that are tried, as multiples of the step before."""
 FIRST_STEP = 1e-3
+"""The first step of a solve."""
 
 
 @final
 class AcceleratedGradient(nn.Module):
-    """An iteration in two stages, each from plain tensors to plain tensors.
+    """An iteration.
 
     The memory between iterations is the plan before (N, K, nu), the momentum's counter (N,) and the step (N,).
 
@@ -353,23 +334,15 @@ class AcceleratedGradient(nn.Module):
         horizon: The problem.
 
     Attributes:
-        stages, fused: See `GaussNewton`.
+        newton: Linearises it.
     """
-
-    stages = ("slope", "search")
-    fused = ("search",)
 
     def __init__(self, horizon: Horizon) -> None:
         super().__init__()
         self.horizon = horizon
-        self._newton = GaussNewton(horizon)  # for its linearisation
+        self.newton = GaussNewton(horizon)
         self.factors: Tensor
         self.register_buffer("factors", torch.tensor(FACTORS, dtype=horizon.predictor.dtype))
-
-    @property
-    def structure(self) -> str:
-        """Every setting that is not a tensor, in words."""
-        return f"{FACTORS} {self.horizon.structure}"
 
     def start(self, u: Tensor) -> tuple[Tensor, ...]:
         """Memory before the first iteration."""
@@ -377,17 +350,13 @@ class AcceleratedGradient(nn.Module):
         return u.clone(), one, FIRST_STEP * one
 
     def iterate(
-        self,
-        run: Mapping[str, Function],
-        arguments: Sequence[Tensor],
-        memory: tuple[Tensor, ...],
-        tolerance: float,
+        self, arguments: Sequence[Tensor], memory: tuple[Tensor, ...]
     ) -> tuple[Iterate, tuple[Tensor, ...]]:
         """Improve plans; see `GaussNewton.iterate`."""
         z0, u, _, ref, last, d = arguments
         before, counter, size = memory
-        y, gradient, later = run["slope"]([z0, u, ref, last, d, before, counter])
-        out = run["search"]([z0, u, ref, last, d, y, gradient, later, size])
+        y, gradient, later = self.slope(z0, u, ref, last, d, before, counter)
+        out = self.search(z0, u, ref, last, d, y, gradient, later, size)
         return Iterate(*out[:6]), tuple(out[6:])
 
     def slope(
@@ -443,11 +412,11 @@ class AcceleratedGradient(nn.Module):
         """Gradient of the costs (N, K, nu): slopes of all steps in one batch, put together backwards in time."""
         h = self.horizon
         n, p = len(u), h.particles
-        _, r, a, b, c, e = self._newton.linearise(u, h.rollout(z0, u, d), ref, d)
+        _, r, a, b, c, e = self.newton.linearise(u, h.rollout(z0, u, d), ref, d)
         back, parts = r.new_zeros(n * p, 1, h.nz), []
         for k in reversed(range(h.steps)):
             row = r[:, k, None]
             parts.append(row @ e[:, k] + back @ b[:, k])
             back = row @ c[:, k] + back @ a[:, k]
         along = torch.cat(parts[::-1], 1).view(n, p, h.steps, h.nu).mean(1)
-        return 2.0 * (along + self._newton.input_gradient(u, last).view(n, h.steps, h.nu))
+        return 2.0 * (along + self.newton.input_gradient(u, last).view(n, h.steps, h.nu))

@@ -66,7 +66,8 @@ class SolverOptions:
     )
     compile: str = key(
         "auto",
-        "machine code of the solver, made once in some minutes (auto: where one machine is flown at a time)",
+        "machine code of the solver, made once for a model and its settings by a C compiler, in some seconds (auto: "
+        "where one machine is flown at a time)",
         choices=("auto", "on", "off"),
     )
     deadline: float | None = key(

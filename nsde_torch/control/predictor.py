@@ -257,13 +257,6 @@ class Predictor(nn.Module):
         assert self._learned is not None
         return self._learned.h(self.eta(x))[:, : self.nx]
 
-    @property
-    def structure(self) -> str:
-        """Every setting that is not a tensor, in words."""
-        spec = "" if self._learned is None else self._learned.spec.as_dict()
-        s = self.system
-        return f"{type(s).__qualname__} {s.effect_names} {self.dt} {self.dtype} {spec} {self._step}"
-
     def augment(self, x: Tensor, u: Tensor) -> Tensor:
         """States (N, nx) with the memory that is stationary under inputs (N, nu): (N, nz)."""
         return self.system.augment(x, u)

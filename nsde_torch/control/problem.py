@@ -14,7 +14,6 @@ vector part is that of the short way round.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import cos, inf, radians
 from typing import final
 
@@ -142,14 +141,6 @@ class Horizon(nn.Module):
         self.rate_weight: Tensor
         for name in ("input_weight", "input_centre", "rate_weight"):
             self.register_buffer(name, torch.tensor(getattr(options, name), dtype=predictor.dtype))
-
-    @property
-    def structure(self) -> str:
-        """Every setting that is not a tensor, in words."""
-        blank = replace(
-            self.options, state_weights=(1.0,), input_weight=1.0, input_centre=0.0, rate_weight=0.0, seed=0
-        )
-        return f"{blank} {self.predictor.structure}"
 
     def advance(self, z: Tensor, u: Tensor, d: Tensor, noise: Tensor | None = None) -> Tensor:
         """States after a step (N, nz); `noise` (N, nx) are Brownian increments."""

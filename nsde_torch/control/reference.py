@@ -96,13 +96,15 @@ class Reference:
 
     def at(self, t: Tensor) -> Tensor:
         """States (..., 13) at times (...) [s], by interpolation."""
-        s = (t.to(torch.float64) / self.dt).clamp(0.0, len(self.states) - 1.0)
-        low = s.floor().long().clamp_max(len(self.states) - 2)
-        share = (s - low)[..., None]
-        x = (1.0 - share) * self.states[low] + share * self.states[low + 1]
-        x[..., 6:10] = torch.nn.functional.normalize(x[..., 6:10], dim=-1)
-        x = torch.where((t < 0.0)[..., None], self._rest[0], x)
-        return torch.where((t > self.duration)[..., None], self._rest[1], x)
+        when, table = t.numpy()[..., None], self.states.numpy()
+        s = np.clip(when.astype(np.float64) / self.dt, 0.0, len(table) - 1.0)
+        low = np.minimum(s.astype(np.int64), len(table) - 2)
+        share, low = s - low, low[..., 0]
+        x = (1.0 - share) * table[low] + share * table[low + 1]
+        q = x[..., 6:10]
+        q /= np.sqrt((q * q).sum(-1, keepdims=True))
+        x = np.where(when < 0.0, self._rest[0].numpy(), x)
+        return torch.from_numpy(np.where(when > self.duration, self._rest[1].numpy(), x))
 
     def window(self, t: float, *, dt: float, steps: int) -> Tensor:
         """States (steps, 13) at t + dt, ..., t + steps dt: what a plan made at t is to track."""

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple, final
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from nsde_torch.control.compiled import Function, NoCompiler, Stage, compile_ahead
+from nsde_torch.control.codegen.library import NoCompiler
+from nsde_torch.control.compiled import CompiledMethod
 from nsde_torch.control.gauss_newton import AcceleratedGradient, GaussNewton
 from nsde_torch.control.options import SolverOptions
 from nsde_torch.control.problem import Horizon
@@ -89,13 +90,12 @@ class Solver:
         if options.name not in SOLVERS:
             raise ConfigError(f"`solver` must be one of {', '.join(SOLVERS)}; got {options.name!r}.")
         self.horizon, self.options, self._clock = horizon, options, clock
-        self._method = SOLVERS[options.name](horizon)
-        self._stages: dict[str, Function] = {name: _eager(self._method, name) for name in self._method.stages}
+        self._method: GaussNewton | AcceleratedGradient | CompiledMethod = SOLVERS[options.name](horizon)
         self.compiled = False
         self._longest = 0.0
         if options.compile == "on" or (options.compile == "auto" and batch == 1):
             try:
-                self._stages = self._compiled(batch, say)
+                self._method = CompiledMethod(self._method, options.name, folder=options.cache, say=say)
                 self.compiled = True
             except NoCompiler as error:
                 if options.compile == "on":
@@ -121,7 +121,7 @@ class Solver:
         while True:
             begun = self._clock()
             arguments = (problem.z0, u, z, problem.ref, problem.last, problem.d)
-            step, memory = self._method.iterate(self._stages, arguments, memory, _LEFT)
+            step, memory = self._method.iterate(arguments, memory)
             u, z = step.u, step.z
             if not costs:
                 costs.append(step.before)
@@ -132,13 +132,13 @@ class Solver:
             late = o.deadline is not None and now - started + self._longest > o.deadline
             if len(costs) > o.iterations or late or converged:
                 break
-        seconds = now - started
+        seconds, dtype = now - started, self.horizon.predictor.dtype
         return Solution(
-            u=u,
-            z=z,
-            cost=step.cost,
-            gap=step.gap,
-            costs=tuple(costs),
+            u=u.to(dtype, copy=True),
+            z=z.to(dtype, copy=True),
+            cost=step.cost.to(dtype),
+            gap=step.gap.to(dtype),
+            costs=tuple(cost.to(dtype) for cost in costs),
             seconds=seconds,
             in_time=o.deadline is None or seconds <= o.deadline,
             converged=step.gap <= o.tolerance,
@@ -149,52 +149,6 @@ class Solver:
         nothing = u.new_full((len(u),), torch.inf)
         return Solution(u, z, nothing, nothing, (nothing,), 0.0, True, torch.zeros(len(u), dtype=torch.bool))
 
-    def _compiled(self, batch: int, say: Callable[[str], None] | None) -> dict[str, Function]:
-        """The stages as machine code."""
-        seen: dict[str, list[Tensor]] = {}
-
-        def watched(name: str) -> Function:
-            def run(arguments: Sequence[Tensor]) -> list[Tensor]:
-                seen.setdefault(name, [a.contiguous() for a in arguments])
-                return self._stages[name](arguments)
-
-            return run
-
-        example = self._example(batch)
-        with torch.no_grad():
-            self._method.iterate({n: watched(n) for n in self._stages}, example[:6], example[6:], 0.0)
-        return {
-            name: compile_ahead(
-                Stage(self._method, name),
-                seen[name],
-                name=f"{self.options.name}-{name}",
-                structure=self._method.structure,
-                fused=name in self._method.fused,
-                folder=self.options.cache,
-                say=say,
-            )
-            for name in self._stages
-        }
-
-    def _example(self, batch: int) -> tuple[Tensor, ...]:
-        h = self.horizon
-        o, dtype = h.options, h.predictor.dtype
-        u = torch.full((batch, h.steps, h.nu), 0.5 * (o.low + o.high), dtype=dtype)
-        x = torch.zeros(batch, h.nx, dtype=dtype)
-        if h.predictor.system.quaternion is not None:
-            x[:, h.predictor.system.quaternion.start] = 1.0
-        z0 = h.predictor.augment(x, u[:, 0]).contiguous()
-        z = z0[:, None, None].repeat(1, h.particles, h.steps + 1, 1)
-        ref = x[:, None].repeat(1, h.steps, 1)
-        return (z0, u, z, ref, u[:, 0].clone(), torch.zeros(batch, h.nd, dtype=dtype), *self._method.start(u))
-
-
-def _eager(method: nn.Module, name: str) -> Function:
-    return lambda arguments: list(getattr(method, name)(*arguments))
-
-
-_LEFT = 1e-3
-"""Share of the quadratic's saving that an iteration may leave to the next."""
 
 SOLVERS: dict[str, Callable[[Horizon], GaussNewton | AcceleratedGradient]] = {
     "gauss_newton": GaussNewton,

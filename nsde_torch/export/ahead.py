@@ -14,6 +14,7 @@ from __future__ import annotations
 import functools
 import logging
 import os
+import shutil
 import tempfile
 import time
 import warnings
@@ -22,19 +23,48 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import sympy
 import torch
 from torch import Tensor
 
-from nsde_torch.control.compiled import has_compiler, quick_indices
+from nsde_torch.control.codegen.library import LEVELS
 from nsde_torch.errors import ExportError
 from nsde_torch.export import container
 from nsde_torch.export.graph import graph_of
 from nsde_torch.export.step import WHOLE, ExportedStep, Loops, Stage, run
 
-_LEVELS = {"AVX512": "x86-64-v4", "AVX2": "x86-64-v3"}
-"""What the compiler calls what torch finds of a processor; for others it takes the one that it runs on."""
 _FUSED = ("finish",)
-"""Stages that compile best with columns put together in registers; see `GaussNewton.fused`."""
+"""Stages that compile best with columns put together in registers: a rollout, whose steps then are one loop each."""
+
+
+def has_compiler() -> bool:
+    """Whether a C++ compiler is found."""
+    named = os.environ.get("CXX")
+    return any(shutil.which(c) for c in ([named] if named else []) + ["g++", "clang++"])
+
+
+@contextmanager
+def quick_indices() -> Iterator[None]:
+    """While it lasts, sympy expands what is a polynomial where inductor asks it to simplify.
+
+    It asks so for the index of every access to memory, and of a long rollout that took two thirds of the compilation
+    (180 s, and 60 s with this; the code that comes out is as fast).
+    """
+    simplify = sympy.simplify
+
+    def quick(expression: Any, *arguments: Any, **options: Any) -> Any:
+        if isinstance(expression, sympy.Expr) and not arguments and not options:
+            # by `identity`, parts that inductor marked against it are expanded too
+            plain = sympy.expand(expression, identity=True)
+            if plain.is_number or plain.is_polynomial(*plain.free_symbols):
+                return plain
+        return simplify(expression, *arguments, **options)
+
+    sympy.simplify = quick
+    try:
+        yield
+    finally:
+        sympy.simplify = simplify
 
 
 def compiled(step: ExportedStep, *, say: Callable[[str], None]) -> dict[str, bytes]:
@@ -84,7 +114,7 @@ def _machine_code(step: ExportedStep, stage: str, example: Sequence[Tensor]) -> 
         "aot_inductor.package": True,
         "aot_inductor.enable_line_tables": False,
         "force_pointwise_cat": stage in _FUSED,
-        "cpp.march": _LEVELS.get(torch.backends.cpu.get_cpu_capability()),
+        "cpp.march": LEVELS.get(torch.backends.cpu.get_cpu_capability()),
     }
     with quick_indices():
         return torch._inductor.aot_compile(program.module(), tuple(example), options=options)

@@ -8,9 +8,6 @@ from __future__ import annotations
 
 import ctypes
 import json
-import os
-import shutil
-import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from nsde_torch.control.codegen.library import NoCompiler, compiled
 from nsde_torch.errors import ExportError
 from nsde_torch.export import container
 from nsde_torch.export.layout import Sizes
@@ -78,12 +76,6 @@ def read(path: Path) -> dict[str, Any]:
     return container.checked(path, {**members, container.RECORD: text.encode()})
 
 
-def compiler() -> str | None:
-    """A C compiler: what CC names, or cc, gcc or clang."""
-    named = os.environ.get("CC")
-    return next((c for c in ([named] if named else ["cc", "gcc", "clang"]) if shutil.which(c)), None)
-
-
 def library(path: Path, *, flags: Sequence[str] = ()) -> ctypes.CDLL:
     """The controller, compiled for this computer and loaded; it is machine code, and runs when called.
 
@@ -94,19 +86,15 @@ def library(path: Path, *, flags: Sequence[str] = ()) -> ctypes.CDLL:
     Raises:
         ExportError: there is no C compiler, or it refuses.
     """
-    cc = compiler()
-    if cc is None:
-        raise ExportError(
-            "to run a controller in C here needs a C compiler, and there is none (cc, gcc or clang; CC names it). "
-            "Install one (apt install gcc), or verify it where there is one."
-        )
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "controller.so"
-        words = [cc, *FLAGS, *flags, "-shared", "-fPIC", "-o", str(made), str(path.resolve()), "-lm"]
-        done = subprocess.run(words, capture_output=True, text=True, check=False)
-        if done.returncode != 0:
-            said = (done.stderr.strip().splitlines() or ["no word"])[0]
-            raise ExportError(f"{cc} does not compile it: {said}. Export anew.")
+        try:
+            compiled(path.resolve(), made, (*FLAGS, *flags))
+        except NoCompiler as error:
+            raise ExportError(
+                f"to run a controller in C here needs a C compiler: {error}. Install one (apt install gcc), or verify "
+                "it where there is one."
+            ) from error
         return ctypes.CDLL(str(made))
 
 

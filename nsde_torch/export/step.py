@@ -18,11 +18,10 @@ from typing import final
 import torch
 from torch import Tensor, nn
 
-from nsde_torch.control.controller import Controller, Plan, _shift
-from nsde_torch.control.gauss_newton import GaussNewton
+from nsde_torch.control.controller import Controller, Plan
+from nsde_torch.control.gauss_newton import LEFT, GaussNewton
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import _repeat
-from nsde_torch.control.solve import _LEFT
 from nsde_torch.errors import ConfigError
 from nsde_torch.export.layout import AGE, COST, GAP, JUMPED, KNOWN, N_HEAD, TROUBLES, Sizes, step_inputs
 from nsde_torch.systems import Multirotor
@@ -86,7 +85,7 @@ class ExportedStep(nn.Module):
         p, o = self.predictor, self.options
         self.sizes = Sizes(p.nx, p.nu, p.nz, p.nd, o.steps, o.particles)
         self.iterations = controller.solver.options.iterations
-        self.tolerance, self.left = controller.solver.options.tolerance, _LEFT
+        self.tolerance, self.left = controller.solver.options.tolerance, LEFT
         self.changes = method.active_set_steps
         self.hover_u: Tensor
         self.hover_z: Tensor
@@ -379,3 +378,15 @@ def packed(plan: Plan, jumped: float) -> Tensor:
     """
     head = torch.stack((torch.ones(()), plan.age[0], torch.tensor(jumped), plan.cost[0], plan.gap[0]))
     return torch.cat([part.double().flatten() for part in (head, plan.u, plan.z)])
+
+
+def _shift(table: Tensor, steps: Tensor, *, axis: int = 1) -> Tensor:
+    """Rows at times later by a number of steps, between two of them by interpolation; the end is held."""
+    n = table.shape[axis]
+    at = (torch.arange(n, dtype=torch.float64) + steps).clamp(0.0, n - 1.0)
+    low = at.floor().long().clamp_max(max(n - 2, 0))
+    shape = [1] * table.ndim
+    shape[axis] = n
+    share = (at - low).to(table).view(shape)
+    high = (low + 1).clamp_max(n - 1)
+    return (1.0 - share) * table.index_select(axis, low) + share * table.index_select(axis, high)

@@ -140,7 +140,7 @@ def compare(
             before = None
         if k % _EVERY == _EVERY - 1:  # troubles in turn, each in the middle of a flight
             x, ref = _troubled(k // _EVERY, x, ref)
-        exported._jumped = float(controller._jumped)
+        exported._jumped = float(controller._jumped[0])
         started, cpu = time.perf_counter(), time.thread_time()
         ours = exported.plan(x, ref, before, elapsed=elapsed)
         out.cpu_ms.append(1e3 * (time.thread_time() - cpu))

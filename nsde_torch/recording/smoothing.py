@@ -18,7 +18,6 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 from scipy.ndimage import convolve1d
-from scipy.signal import welch
 from scipy.sparse.linalg import splu
 
 from nsde_torch.arrays import Array
@@ -68,6 +67,8 @@ def smoothing_width(runs: Sequence[Run], n_inputs: int) -> float:
 
 def _power(runs: Sequence[Run], n_inputs: int, dt: float) -> tuple[Array, Array] | None:
     """Mean log power of the changes of all inputs; of short runs that of as many parts as there are."""
+    from scipy.signal import welch  # half a second, which those who read no data do not pay
+
     parts = [np.diff(run.u[a:b, :n_inputs], axis=0) for run in runs for a, b in run.segments]
     longest = max((len(part) for part in parts), default=0)
     rows = min(1024, max(256, longest // 3)) if longest >= 2 * 256 else max(longest, _SHORT)

@@ -8,7 +8,6 @@ import inspect
 from typing import Any, final
 
 import torch
-import torchdiffeq
 from torch import Tensor, nn
 
 from nsde_torch.errors import ConfigError
@@ -52,6 +51,8 @@ class TorchDiffEq(Step):
         self.method, self.rtol, self.atol, self.adjoint = method, rtol, atol, adjoint
 
     def advance(self, sde: SDE, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
+        import torchdiffeq  # half a second, which those who integrate otherwise do not pay
+
         ends = torch.stack((torch.zeros_like(z[0, 0]), torch.ones_like(z[0, 0]) * dt)).detach()
         options: dict[str, Any] = {"method": self.method, "rtol": self.rtol, "atol": self.atol}
         if not self.adjoint:

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from nsde_torch.cli.main import main
-from nsde_torch.export import c_file
+from nsde_torch.control.codegen.library import compiler
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
@@ -71,7 +71,7 @@ def test_a_file_flies_as_the_controller_that_it_was_made_of(
     )
 
 
-@pytest.mark.skipif(c_file.compiler() is None, reason="needs a C compiler")
+@pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 def test_a_controller_in_c_is_written_and_verified(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -92,7 +92,7 @@ def test_a_controller_in_c_is_written_and_verified(
     assert "needs a C compiler" in capsys.readouterr().err
 
 
-@pytest.mark.skipif(c_file.compiler() is None, reason="needs a C compiler")
+@pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 @pytest.mark.slow
 def test_a_controller_in_c_flies_as_the_one_that_it_was_made_of() -> None:
     words = ["duration=0.8", "mpc.period=0.04", "mpc.compile=off", "out_dir=out", *MPC]

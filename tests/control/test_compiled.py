@@ -1,81 +1,298 @@
-"""Machine code of iterations: the eager numbers, one package for all weights, and life without a compiler."""
+"""The compiled solver and estimator: torch's numbers, kept libraries, and life without them."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
-import sympy
 import torch
+from torch import Tensor
 
-from nsde_torch.control import compiled
-from nsde_torch.control.autopilots import Estimator, EstimatorOptions
-from nsde_torch.control.compiled import NoCompiler, Stage, compile_ahead, quick_indices
+from nsde_torch.control.autopilots import Estimator, EstimatorOptions, PredictivePilot
+from nsde_torch.control.codegen import library, scalar
+from nsde_torch.control.codegen.library import compiler
+from nsde_torch.control.compiled import compiled_estimator
+from nsde_torch.control.controller import Controller
 from nsde_torch.control.gauss_newton import GaussNewton
 from nsde_torch.control.predictor import Predictor
+from nsde_torch.control.problem import Horizon, ProblemOptions
 from nsde_torch.control.reference import Reference
-from nsde_torch.control.solve import Solver, SolverOptions
+from nsde_torch.control.solve import Problem, Solution, Solver, SolverOptions
+from nsde_torch.effects import Effect
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import NeuralSDE
 from nsde_torch.sde import CompilationWarning
-from nsde_torch.systems import System
+from nsde_torch.systems import System, make_system
 from tests.helpers.control_problems import horizon_of, problem_of
+from tests.helpers.hexacopters import VALUES
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
+SMALL = {"horizon": 0.3, "steps": 6}
 
 
-def _estimator(model: NeuralSDE) -> tuple[Estimator, list[torch.Tensor]]:
-    predictor = Predictor(model, dt=0.02)
-    made = Estimator(predictor, EstimatorOptions(latency=0.0, force_time=0.3), period=0.02)
+def _solved(h: Horizon, p: Problem, **options: object) -> Solution:
+    solver = Solver(h, SolverOptions(**options), batch=len(p.z0))  # type: ignore[arg-type]
+    assert solver.compiled == (options["compile"] == "on")
+    u = p.last[:, None].repeat(1, h.steps, 1)
+    return solver.solve(p, u, h.rollout(p.z0, u, p.d))
+
+
+def _near(one: Tensor, other: Tensor, most: float) -> bool:
+    return one.dtype == other.dtype and torch.allclose(one, other, rtol=most, atol=most)
+
+
+def _both(h: Horizon, p: Problem, most: float, **options: object) -> None:
+    """Both solve problems alike, in every field of their solutions that is no time."""
+    fast, plain = (_solved(h, p, compile=how, **options) for how in ("on", "off"))
+    assert len(fast.costs) == len(plain.costs)
+    assert fast.in_time == plain.in_time
+    assert torch.equal(fast.converged, plain.converged)
+    for ours, theirs in zip(
+        (fast.u, fast.z, fast.cost, *fast.costs), (plain.u, plain.z, plain.cost, *plain.costs), strict=True
+    ):
+        assert _near(ours, theirs, most)
+    assert torch.allclose(fast.gap, plain.gap, atol=max(1e-9, most))
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"rate_weight": 3.0, "input_centre": 0.3},
+        {"speed_limit": 1.0, "tilt_limit": 10.0, "fence": ((-1, 1), (-1, 1), (0, 1.2))},
+        {"low": 0.3, "high": 0.5},
+    ],
+)
+def test_solutions_are_those_of_torch_whatever_a_plan_pays_for(
+    declared: System, path: Reference, options: dict[str, object]
+) -> None:
+    h = horizon_of(declared, **SMALL, **options)
+    # off by so much that several changes of the active set and several iterations are needed
+    _both(h, problem_of(h, path, rows=1, off=3.0), 1e-8, iterations=6, tolerance=1e-4)
+
+
+@needs_compiler
+def test_each_row_of_a_batch_is_solved_as_torch_solves_it_alone(declared: System, path: Reference) -> None:
+    h = horizon_of(declared, **SMALL)
+    p = problem_of(h, path, rows=3, off=3.0)
+    together = _solved(h, p, compile="on", iterations=4, tolerance=0.0)
+    for row in range(3):
+        own = Problem(*(t[row : row + 1] for t in p))
+        alone = _solved(h, own, compile="off", iterations=4, tolerance=0.0)
+        assert _near(together.u[row], alone.u[0], 1e-8)
+        assert _near(together.cost[row], alone.cost[0], 1e-8)
+
+
+@needs_compiler
+@pytest.mark.parametrize("options", [{}, {"rate_weight": 3.0, "low": 0.3, "high": 0.5}])
+def test_accelerated_gradients_are_those_of_torch(
+    declared: System, path: Reference, options: dict[str, object]
+) -> None:
+    h = horizon_of(declared, **SMALL, **options)
+    for iterations, tolerance in ((25, 0.0), (40, 2.0)):
+        p = problem_of(h, path, rows=2, off=2.0)
+        _both(h, p, 1e-7, name="apg", iterations=iterations, tolerance=tolerance)
+
+
+@needs_compiler
+def test_networks_memory_and_pushes_are_in_them(model: NeuralSDE, path: Reference) -> None:
+    lag = make_system("hexacopter", effects=["motor_lag", "linear_drag"], values=VALUES)
+    for known in (model, lag):
+        h = horizon_of(known, **SMALL)
+        p = problem_of(h, path, rows=1)
+        pushed = p._replace(d=torch.linspace(-1.0, 1.0, h.nd, dtype=torch.float64)[None])
+        _both(h, pushed, 1e-8, iterations=4, tolerance=1e-3)
+
+
+@needs_compiler
+def test_a_solver_of_single_precision_gets_and_gives_it(model: NeuralSDE, path: Reference) -> None:
+    given = ProblemOptions(**SMALL)  # type: ignore[arg-type]
+    h = Horizon(Predictor(model, dt=given.dt), given)
+    p = problem_of(h, path, rows=1)
+    fast, plain = (_solved(h, p, compile=how, iterations=3, tolerance=0.0) for how in ("on", "off"))
+    for ours, theirs in ((fast.u, plain.u), (fast.z, plain.z), (fast.cost, plain.cost)):
+        assert _near(ours, theirs, 5e-3)
+    exact = horizon_of(model, **SMALL)
+    double = _solved(exact, Problem(*(t.double() for t in p)), compile="off", iterations=3, tolerance=0.0)
+    assert torch.allclose(fast.u.double(), double.u, atol=1e-5)
+
+
+@needs_compiler
+@pytest.mark.parametrize("deadline", [3.0, 10.0])
+def test_deadlines_end_a_solve_after_the_same_iteration(
+    declared: System, path: Reference, deadline: float
+) -> None:
+    h = horizon_of(declared, **SMALL)
+    p = problem_of(h, path, rows=1)
+    u = p.last[:, None].repeat(1, h.steps, 1)
+    found = []
+    for how in ("on", "off"):
+        now = iter(range(1000))
+        options = SolverOptions(compile=how, iterations=50, tolerance=0.0, deadline=deadline)
+        found.append(
+            Solver(h, options, clock=lambda now=now: next(now)).solve(p, u, h.rollout(p.z0, u, p.d))  # type: ignore[misc]
+        )
+    fast, plain = found
+    assert (len(fast.costs), fast.seconds, fast.in_time) == (len(plain.costs), plain.seconds, plain.in_time)
+    assert _near(fast.u, plain.u, 1e-8)
+
+
+@needs_compiler
+def test_a_problem_that_is_no_number_leaves_none_in_the_next(declared: System, path: Reference) -> None:
+    h = horizon_of(declared, **SMALL)
+    p = problem_of(h, path, rows=1)
+    u = p.last[:, None].repeat(1, h.steps, 1)
+    z = h.rollout(p.z0, u, p.d)
+    solver = Solver(h, SolverOptions(compile="on"))
+    first = solver.solve(p, u, z)
+    for bad in (p._replace(z0=p.z0 * torch.nan), p._replace(ref=p.ref * torch.inf)):
+        found = solver.solve(bad, u, z)
+        assert not bool(torch.isfinite(found.cost).any())
+        assert not bool(found.converged.any())
+    again = solver.solve(p, u, z)
+    assert torch.equal(again.u, first.u)
+
+
+@needs_compiler
+@pytest.mark.parametrize("rows", [1, 2])
+@pytest.mark.parametrize("times", [(0.0, 0.3, 0.0), (0.04, 0.3, 0.2), (0.06, 0.0, 0.0)])
+def test_the_estimator_updates_as_that_of_torch(
+    model: NeuralSDE, rows: int, times: tuple[float, float, float]
+) -> None:
+    latency, force, moment = times
+    predictor = Predictor(model, dt=0.02, dtype=torch.float64)
+    options = EstimatorOptions(latency=latency, force_time=force, moment_time=moment)
+    made = Estimator(predictor, options, period=0.04)
     g = torch.Generator().manual_seed(0)
-    x = torch.randn(1, 13, generator=g)
+
+    def draw(*shape: int) -> Tensor:
+        return torch.randn(rows, *shape, generator=g, dtype=torch.float64)
+
+    x = draw(13)
     x[:, 6:10] = torch.nn.functional.normalize(x[:, 6:10], dim=1)
-    return made, [x, x.clone(), torch.zeros(1, 6), torch.rand(1, 1, 6, generator=g)]
+    given = (x, x + 0.1 * draw(13), draw(6), draw(made.past + made.ahead, 6).sigmoid())
+    for fast, plain in zip(compiled_estimator(made, predictor)(*given), made(*given), strict=True):
+        assert torch.allclose(fast, plain, atol=1e-12)
+    missed = (x * torch.nan, *given[1:])
+    for fast, plain in zip(compiled_estimator(made, predictor)(*missed), made(*missed), strict=True):
+        assert torch.equal(torch.isfinite(fast), torch.isfinite(plain))
 
 
-@pytest.mark.slow
-def test_one_package_serves_models_of_one_architecture_with_the_eager_numbers(
-    model: NeuralSDE, tmp_path: Path, compiler: None
+@needs_compiler
+def test_a_flight_of_a_compiled_controller_is_that_of_torch(declared: System, path: Reference) -> None:
+    words = []
+    for how in ("on", "off"):
+        controller = Controller(
+            declared,
+            problem=ProblemOptions(**SMALL),  # type: ignore[arg-type]
+            solver=SolverOptions(compile=how, iterations=3),
+            dtype=torch.float64,
+        )
+        pilot = PredictivePilot(
+            controller,
+            declared,
+            path,
+            period=0.02,
+            sample=0.01,
+            estimator=EstimatorOptions(latency=0.04, force_time=0.3),
+        )
+        x = path.at(torch.tensor(2.0))[None].double()
+        pilot.reset(x)
+        made = []
+        for k in range(25):
+            seen = path.at(torch.tensor(2.0 + 0.02 * k))[None].double()
+            seen[0, 2] += 0.05
+            if k == 9:
+                seen = seen * torch.nan
+            if k in (14, 15):
+                seen[0, 0] += 5.0
+            made.append(pilot.command(2.0 + 0.02 * k, seen))
+        words.append(made)
+    assert {"bad_state:kept", "state_jump:kept", "converged"} <= {d.status[0] for d in words[0]}
+    for fast, plain in zip(*words, strict=True):
+        assert fast.status == plain.status
+        assert fast.iterations == plain.iterations
+        assert torch.allclose(fast.u, plain.u, atol=1e-8)
+
+
+# ---- libraries ------------------------------------------------------------------------------------------
+
+
+@needs_compiler
+def test_a_library_is_made_once_for_a_problem_and_anew_for_another_or_a_damaged_one(
+    declared: System, tmp_path: Path
 ) -> None:
     said: list[str] = []
-    for k in range(2):
-        if k:
-            model.system.set_value("thrust_gain", torch.tensor([5.5]))
-        try:
-            estimator, arguments = _estimator(model)
-        finally:
-            model.system.set_value("thrust_gain", torch.tensor([4.6]))
-        run = compile_ahead(
-            estimator, arguments, name="e", structure=estimator.structure, folder=tmp_path, say=said.append
-        )
-        for fast, plain in zip(run(arguments), estimator(*arguments), strict=True):
-            assert torch.allclose(fast, plain, atol=1e-5)
-    assert len(list(tmp_path.glob("*.pt2"))) == 1
-    assert len(said) == 2  # before and after the one compilation
+
+    def make(**options: object) -> None:
+        h = horizon_of(declared, **SMALL, **options)
+        Solver(h, SolverOptions(compile="on", cache=str(tmp_path)), say=said.append)
+
+    make()
+    make()
+    (kept,) = tmp_path.iterdir()
+    assert len(said) == 1
+    assert "compiled gauss_newton" in said[0]
+    make(input_weight=2.0)
+    assert len(list(tmp_path.iterdir())) == 2
+    whole = kept.read_bytes()
+    kept.unlink()  # what is loaded is mapped
+    kept.write_bytes(whole[: len(whole) // 2])
+    make()
+    assert len(said) == 3
+    assert len(list(tmp_path.iterdir())) == 2
 
 
-@pytest.mark.slow
-def test_a_compiled_stage_gives_the_numbers_of_the_eager_one(
-    declared: System, path: Reference, tmp_path: Path, compiler: None
+@needs_compiler
+def test_other_weights_are_another_library_and_the_same_ones_in_another_process_the_same(
+    model: NeuralSDE, tmp_path: Path
 ) -> None:
-    h = horizon_of(declared, steps=4, horizon=0.2)
-    p = problem_of(h, path, rows=1, off=3.0)
-    u = p.last[:, None].repeat(1, 4, 1)
-    method = GaussNewton(h)
-    quadratic, state = method._split(method.prepare(p.z0, u, h.rollout(p.z0, u, p.d), p.ref, p.last, p.d))
-    arguments = [a.contiguous() for a in (*quadratic, *state)]
-    run = compile_ahead(
-        Stage(method, "active_set"), arguments, name="s", structure=method.structure, folder=tmp_path
+    options = SolverOptions(compile="on", cache=str(tmp_path))
+    h = horizon_of(model, **SMALL)
+    Solver(h, options)
+    assert h.predictor._residual is not None
+    h.predictor._residual.weight_1[0, 0] += 0.1
+    Solver(h, options)
+    assert len(list(tmp_path.iterdir())) == 2
+    code = (
+        "from nsde_torch.control.codegen.library import _content\n"
+        "from nsde_torch.control.gauss_newton import GaussNewton\n"
+        "from nsde_torch.systems import make_system\n"
+        "from tests.helpers.control_problems import horizon_of\n"
+        "print(_content(GaussNewton(horizon_of(make_system('hexacopter', effects=['motor_lag'])))).hex())"
     )
-    for fast, plain in zip(run(arguments), method.active_set(*arguments), strict=True):
-        assert torch.allclose(fast, plain, atol=1e-8)
+    words = [sys.executable, "-c", code]
+    made = {
+        subprocess.run(
+            words, capture_output=True, text=True, check=True, env={**os.environ, "PYTHONHASHSEED": seed}
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert len(made) == 1
+
+
+class _OfAUser(Effect):
+    """Of a module that is none of the package's."""
+
+
+def test_what_a_user_wrote_is_known_by_the_source_that_it_makes(declared: System) -> None:
+    method = GaussNewton(horizon_of(declared, **SMALL))
+    assert library._content(method) is not None
+    assert library._content([method, _OfAUser]) is None
 
 
 def test_without_a_compiler_the_solver_says_so_and_runs(
     declared: System, path: Reference, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(compiled, "has_compiler", lambda: False)
+    monkeypatch.setenv("CC", "no_such_compiler")
     h = horizon_of(declared, steps=2, horizon=0.1)
-    with pytest.warns(CompilationWarning, match="no C\\+\\+ compiler"):
+    with pytest.warns(CompilationWarning, match="no C compiler"):
         solver = Solver(h, SolverOptions(cache=str(tmp_path)))
+    assert not solver.compiled
     p = problem_of(h, path, rows=1)
     u = p.last[:, None].repeat(1, 2, 1)
     assert bool(torch.isfinite(solver.solve(p, u, h.rollout(p.z0, u, p.d)).cost).all())
@@ -83,30 +300,19 @@ def test_without_a_compiler_the_solver_says_so_and_runs(
         Solver(h, SolverOptions(compile="on", cache=str(tmp_path)))
 
 
-def test_a_damaged_package_is_removed_and_said(
-    model: NeuralSDE, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_what_c_does_not_hold_runs_in_torch_and_is_said(
+    declared: System, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    estimator, arguments = _estimator(model)
-    monkeypatch.setattr(compiled, "_key", lambda *_: "key")
-    (tmp_path / "e-key.pt2").write_bytes(b"no package")
-    with pytest.raises(NoCompiler, match="cannot be loaded"):
-        compile_ahead(estimator, arguments, name="e", structure="", folder=tmp_path)
+    options = SolverOptions(cache=str(tmp_path))
+    with pytest.warns(CompilationWarning, match=r"several paths \(particles\)"):
+        assert not Solver(horizon_of(declared, **SMALL, particles=2), options).compiled
+    monkeypatch.delitem(scalar._RULES, "mul")  # type: ignore[arg-type]
+    with pytest.warns(CompilationWarning, match=r"torch's mul, which cannot be written in C\.$"):
+        assert not Solver(horizon_of(declared, **SMALL), options).compiled
+    monkeypatch.undo()
+    h = horizon_of(declared, **SMALL)
+    advance = h.advance
+    monkeypatch.setattr(h, "advance", lambda z, *given: advance(z if z.tolist()[0][0] > 0 else -z, *given))
+    with pytest.warns(CompilationWarning, match="without compilation"):
+        assert not Solver(h, options).compiled
     assert not list(tmp_path.iterdir())
-
-
-def test_the_key_follows_the_structure_and_not_the_weights(model: NeuralSDE) -> None:
-    estimator, arguments = _estimator(model)
-    key = compiled._key(estimator, arguments, "a")
-    estimator.predictor.system.get_buffer("frozen_thrust_gain").fill_(7.0)
-    assert compiled._key(estimator, arguments, "a") == key
-    assert compiled._key(estimator, arguments, "b") != key
-    wide = [a.repeat(2, *(1,) * (a.ndim - 1)) for a in arguments]
-    assert compiled._key(estimator, wide, "a") != key
-
-
-def test_indices_are_expanded_quickly_and_sympy_is_itself_again_afterwards() -> None:
-    before, i = sympy.simplify, sympy.Symbol("i", integer=True)
-    with quick_indices():
-        assert sympy.simplify(3 * (i + 1) + 2 - 3 * i) == 5
-        assert sympy.simplify(sympy.sin(i) ** 2 + sympy.cos(i) ** 2) == 1  # not a polynomial: as ever
-    assert sympy.simplify is before

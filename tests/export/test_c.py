@@ -15,6 +15,8 @@ import torch
 from torch import Tensor
 
 from nsde_torch.control.autopilots import EstimatorOptions, PredictivePilot
+from nsde_torch.control.codegen import scalar
+from nsde_torch.control.codegen.library import compiler
 from nsde_torch.control.controller import SafetyOptions
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import ProblemOptions
@@ -22,9 +24,8 @@ from nsde_torch.control.reference import Reference
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.effects.registry import effects_of
 from nsde_torch.errors import ConfigError, ExportError
-from nsde_torch.export import c_file, scalar, verify
+from nsde_torch.export import c_file, verify
 from nsde_torch.export.exported import ExportedController
-from nsde_torch.export.graph import graph_of
 from nsde_torch.export.layout import STATUS
 from nsde_torch.export.write import controller_of, export
 from nsde_torch.models import NeuralSDE, SDESpec
@@ -32,7 +33,7 @@ from nsde_torch.systems import Multirotor, System, make_system
 from tests.helpers.exported import flight
 from tests.helpers.hexacopters import VALUES
 
-needs_compiler = pytest.mark.skipif(c_file.compiler() is None, reason="needs a C compiler")
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Werror")
 SMALL = {"horizon": 0.3, "steps": 6}
 ESTIMATOR = EstimatorOptions(latency=0.04, force_time=0.3, moment_time=0.2)
@@ -114,9 +115,8 @@ def test_a_step_and_its_slopes_are_those_of_torch_whatever_the_effect(effect: st
 
     tables = {"z": draw(p.nz), "u": draw(p.nu), "d": draw(p.nd)}
     tables["z"][:, 6:10] /= tables["z"][:, 6:10].norm()
-    graph = graph_of(lambda z, u, d: (p(z, u, d),), list(tables.values()))
     given = [scalar.inputs(name, *t.shape) for name, t in tables.items()]
-    (after,) = scalar.run(graph, given)
+    (after,) = scalar.run(lambda z, u, d: (p(z, u, d),), given)
     rows = scalar.jacobian(list(after[0]), [*given[0][0], *given[1][0]])
     found = _valued(list(after[0]), tables)
     assert found == pytest.approx(p(*tables.values())[0].tolist(), abs=1e-12)
@@ -132,9 +132,16 @@ def test_a_step_and_its_slopes_are_those_of_torch_whatever_the_effect(effect: st
 
 
 def test_an_operation_that_c_does_not_have_is_named() -> None:
-    graph = graph_of(lambda x: (torch.special.bessel_j0(x),), [torch.ones(1, 2)])
-    with pytest.raises(ExportError, match=r"special_bessel_j0.*format=torchscript"):
-        scalar.run(graph, [scalar.inputs("x", 1, 2)])
+    with pytest.raises(ExportError, match="special_bessel_j0"):
+        scalar.run(lambda x: (torch.special.bessel_j0(x),), [scalar.inputs("x", 1, 2)])
+
+
+def test_a_model_with_such_an_operation_is_refused_with_the_form_that_takes_it(
+    declared: System, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delitem(scalar._RULES, "mul")  # type: ignore[arg-type]
+    with pytest.raises(ExportError, match=r"torch's mul, .*format=torchscript"):
+        _written(declared, tmp_path / "controller.c")
 
 
 def _with_branches(x: Tensor) -> tuple[Tensor, ...]:
@@ -148,7 +155,7 @@ def _with_branches(x: Tensor) -> tuple[Tensor, ...]:
 def test_branches_have_the_slopes_that_torch_gives_them(row: list[float]) -> None:
     x = torch.tensor([row], dtype=torch.float64)
     given = scalar.inputs("x", 1, 3)
-    (made,) = scalar.run(graph_of(_with_branches, [x]), [given])
+    (made,) = scalar.run(_with_branches, [given])
     assert _valued(list(made[0]), {"x": x}) == pytest.approx(_with_branches(x)[0][0].tolist())
     exact = torch.func.jacfwd(lambda v: _with_branches(v[None])[0][0])(x[0])
     rows = scalar.jacobian(list(made[0]), list(given[0]))
@@ -162,11 +169,10 @@ def test_networks_side_by_side_are_taken_apart_and_what_learned_nothing_is_left_
     first = torch.randn(40, 3, generator=g, dtype=torch.float64)
     last = torch.zeros(5, 40, dtype=torch.float64)
     last[:2, :20], last[2, 20:] = 1.0, 2.0
-    graph = graph_of(
+    (made,) = scalar.run(
         lambda x: (torch.tanh(x @ first.T) @ last.T + torch.arange(5.0, dtype=torch.float64),),
-        [torch.ones(1, 3, dtype=torch.float64)],
+        [scalar.inputs("x", 1, 3)],
     )
-    (made,) = scalar.run(graph, [scalar.inputs("x", 1, 3)])
     assert made[0, 3:].tolist() == [3.0, 4.0]
     layer = made[0, 0].data[0]
     assert [[len(units) for units in part] for part in layer.parts()] == [[20, 2], [20, 1]]
@@ -182,7 +188,7 @@ def test_a_file_compiles_without_a_warning_and_calls_nothing_but_libm(
 ) -> None:
     made = tmp_path / "controller.o"
     words = [
-        str(c_file.compiler()),
+        str(compiler()),
         *c_file.FLAGS,
         *WARNINGS,
         f"-D{precision}",
@@ -435,7 +441,7 @@ def test_the_process_around_it_is_small(
     )
     driver = root / "benchmarks" / "bench_export_c.c"
     words = [
-        str(c_file.compiler()),
+        str(compiler()),
         "-std=c99",
         "-O2",
         f"-I{tmp_path}",

@@ -34,7 +34,7 @@ def test_sample_after_sample_graphs_of_the_step_do_what_the_controller_does(
         assert torch.equal(out[1], out[4][1, 10:13])
         assert float(out[2]) == pytest.approx(float(plan.u[0, 0].mean()))
         assert int(out[8]) == plan.iterations
-        assert torch.allclose(out[9], packed(plan, float(controller._jumped)), atol=1e-8, equal_nan=True)
+        assert torch.allclose(out[9], packed(plan, float(controller._jumped[0])), atol=1e-8, equal_nan=True)
     assert {"bad_state:kept", "bad_state:hover", "bad_reference:kept", "state_jump:kept"} < words
     assert words & {"converged", "improved"}
 

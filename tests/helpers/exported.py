@@ -81,10 +81,10 @@ def flight(controller: Controller, path: Reference) -> Iterator[tuple[list[Tenso
         old = (
             torch.zeros(n, dtype=torch.float64)
             if before is None
-            else packed(before, float(controller._jumped))
+            else packed(before, float(controller._jumped[0]))
         )
         if before is None:
-            old[2] = float(controller._jumped)
+            old[2] = float(controller._jumped[0])
         unknown = torch.full((p.nu,), torch.nan, dtype=torch.float64)
         arguments = [
             *(x[0].double(), torch.ones((), dtype=torch.float64), torch.tensor(elapsed, dtype=torch.float64)),

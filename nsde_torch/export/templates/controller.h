@@ -27,11 +27,7 @@ extern "C" {
 
 #define NSDE_MODEL_SHA256 "@model_sha256@" /* weights of the model, for the flight's log */
 
-#define NSDE_NX @nx@ /* states */
-#define NSDE_NU @nu@ /* inputs */
-#define NSDE_NZ @nz@ /* states with the memory of effects */
-#define NSDE_ND @nd@ /* pushes */
-#define NSDE_STEPS @steps@
+@SIZES@
 #define NSDE_STEP_S @step_s@     /* step of a plan [s] */
 #define NSDE_PERIOD_S @period_s@ /* time between commands that it was tuned for [s] */
 #define NSDE_SAMPLE_S @sample_s@ /* step of nsde_predict [s] */
@@ -39,15 +35,7 @@ extern "C" {
 #define NSDE_PAST @past@  /* samples in a period */
 #define NSDE_AHEAD @ahead@ /* samples in the latency */
 
-#if !defined(NSDE_FLOAT) && !defined(NSDE_DOUBLE)
-#define @PRECISION@
-#endif
-#ifdef NSDE_FLOAT
-typedef float nsde_real;
-#else
-typedef double nsde_real;
-#endif
-
+@WORK@
 /* A plan, to start the next from and to fall back on; {0}: there is none. */
 typedef struct {
     nsde_real known, age, jumped, cost, gap; /* whether there is one; s; samples that jumped; see nsde_command */
@@ -63,24 +51,6 @@ typedef struct {
     nsde_real cost, gap; /* what the plan costs; estimated share of that which a better plan would save */
     int iterations, status;
 } nsde_command;
-
-/* What a step works with; needs no beginning, and holds nothing from call to call. */
-#define NSDE_ROWS @rows@
-#define NSDE_STRIDE @stride@
-typedef struct {
-    nsde_real a[NSDE_STEPS][@na@], b[NSDE_STEPS][@nb@], q[NSDE_STEPS][@nq@], g[NSDE_STEPS][NSDE_NX], square[NSDE_STEPS];
-    nsde_real gap[NSDE_STEPS][NSDE_NZ], s[NSDE_STEPS][NSDE_NX];
-    nsde_real p[NSDE_STEPS + 1][NSDE_ROWS][NSDE_STRIDE], pv[NSDE_STEPS + 1][NSDE_ROWS];
-    nsde_real gain[NSDE_STEPS][NSDE_NU][NSDE_STRIDE], feed[NSDE_STEPS][NSDE_NU];
-    nsde_real u[NSDE_STEPS][NSDE_NU], start_u[NSDE_STEPS][NSDE_NU], tried[NSDE_STEPS][NSDE_NU];
-    nsde_real found[NSDE_STEPS][NSDE_NU], best[NSDE_STEPS][NSDE_NU], step[NSDE_STEPS][NSDE_NU];
-    nsde_real inside[NSDE_STEPS][NSDE_NU], slope[NSDE_STEPS][NSDE_NU], tangent[NSDE_STEPS][NSDE_NU];
-    nsde_real gradient[NSDE_STEPS][NSDE_NU], scale[NSDE_STEPS][NSDE_NU];
-    nsde_real z[NSDE_STEPS + 1][NSDE_NZ], start_z[NSDE_STEPS + 1][NSDE_NZ];
-    nsde_real rolled[NSDE_STEPS + 1][NSDE_NZ], path[NSDE_STEPS + 1][NSDE_NZ];
-    nsde_real ref[NSDE_STEPS][NSDE_NX], z0[NSDE_NZ], last[NSDE_NU], d[NSDE_ND + 1];
-    signed char held[NSDE_STEPS][NSDE_NU];
-} nsde_work;
 
 /* A plan from a measured state; returns its status.
 

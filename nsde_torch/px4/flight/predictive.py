@@ -437,7 +437,7 @@ class PredictiveMaker:
             raise ConfigError(
                 f"one plan in {1.0 / TAIL:.0f} takes {took:.0f} ms or longer, half of them {median:.0f} ms (solver "
                 f"{how}); at most {1e3 * SLOWEST:.0f} ms can be flown on. Stop what else runs here, install a "
-                "C++ compiler (g++), or make plans shorter: mpc.steps, mpc.iterations."
+                "C compiler (gcc), or make plans shorter: mpc.steps, mpc.iterations."
             )
         say(
             f"the controller plans in {median:.1f} ms, one time in {1.0 / TAIL:.0f} in {took:.1f} ms or longer ({how})"

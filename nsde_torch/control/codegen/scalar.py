@@ -1,8 +1,8 @@
-"""Graphs of torch's operations as expressions of single numbers, and their derivatives.
+"""Functions of tensors as expressions of single numbers, and their derivatives.
 
-A graph of fixed shapes is run with numpy arrays of `Scalar` in the place of tensors. What is constant is worked out,
-what repeats is kept once, and products with 0 or 1 vanish, so that the sparsity of a Jacobian shows by itself. The
-derivative follows rule by rule, forward from the inputs,
+A function is run with numpy arrays of `Scalar` in the place of tensors. What is constant is worked out, what repeats
+is kept once, and products with 0 or 1 vanish, so that the sparsity of a Jacobian shows by itself. The derivative
+follows rule by rule, forward from the inputs,
 
     d f(a, b) = f_a da + f_b db,       d max(a, b) = da or db, and their mean where a = b (torch's rule)
 
@@ -13,16 +13,20 @@ with loops, `Network`, whose Jacobian goes backwards from its few outputs.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, ClassVar, final
 
 import numpy as np
+import torch
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from torch import Tensor, fx
+from torch import Tensor
+from torch.utils._pytree import tree_leaves, tree_map
 
+from nsde_torch.columns import few_operations
 from nsde_torch.errors import ExportError
 
 Number = Any
@@ -85,9 +89,14 @@ class Scalar:
         return neg(self)
 
 
-def forget() -> None:
-    """Let go of all scalars that were made."""
+@contextmanager
+def of_their_own() -> Iterator[None]:
+    """Scalars that are made while it lasts are let go of after it."""
     Scalar._known.clear()
+    try:
+        yield
+    finally:
+        Scalar._known.clear()
 
 
 def _plain(x: Number) -> Number:
@@ -353,9 +362,7 @@ def _layer(weight: Table, bias: Table, inputs: Sequence[Number]) -> Table:
         below, base = leaves[0].data[0], leaves[0].args
         forms = {id(f): f for f in (_at_place(x, leaf) for (_, x), leaf in zip(varying, leaves, strict=True))}
         if len(forms) != 1 or any(leaf.data[0] is not below for leaf in leaves):
-            raise ExportError(
-                "a network whose layers are not one after another cannot be written in C. Take format=torchscript."
-            )
+            raise ExportError("a network whose layers are not one after another cannot be written in C.")
         full = np.zeros((len(bias), len(below.bias)))
         for j, leaf in zip(columns, leaves, strict=True):
             full[:, leaf.data[1]] += weight[:, j]
@@ -397,7 +404,7 @@ def _at_place(x: Number, leaf: Scalar | None) -> Number:
     return made[id(x)]
 
 
-# ---- graphs ---------------------------------------------------------------------------------------------
+# ---- functions of tensors -------------------------------------------------------------------------------
 
 
 def inputs(name: str, *shape: int) -> Table:
@@ -406,39 +413,61 @@ def inputs(name: str, *shape: int) -> Table:
     return np.array([Scalar.of("input", data=(name, k)) for k in range(n)], object).reshape(shape)
 
 
-def run(graph: fx.GraphModule, arguments: Sequence[Table]) -> list[Table]:
-    """What a graph makes of tables of scalars.
+def run(
+    function: Callable[..., Sequence[Tensor]],
+    arguments: Sequence[Table],
+    *,
+    dtype: torch.dtype = torch.float64,
+) -> list[Table]:
+    """What a function of tensors makes of tables of scalars.
 
     Args:
-        graph: Of operations of torch that change nothing in place.
-        arguments: Of the shapes that the graph was made for.
+        function: Of operations that change nothing in place, without branches on values.
+        arguments: Tables of the shapes of its arguments.
+        dtype: Type of the tensors in whose place they stand.
 
     Raises:
         ExportError: it holds an operation that is not known here.
     """
-    values: dict[fx.Node, Any] = {}
-    given = iter(arguments)
-    for node in graph.graph.nodes:
-        if node.op == "placeholder":
-            values[node] = next(given)
-        elif node.op == "get_attr":
-            values[node] = _table(getattr(graph, str(node.target)))
-        elif node.op == "output":
-            return list(fx.map_arg(node.args[0], values.__getitem__))
-        else:
-            name = getattr(node.target, "_opname", getattr(node.target, "__name__", str(node.target)))
-            rule = _RULES.get(name)
-            if rule is None:
-                raise ExportError(
-                    f"the model holds torch's {name}, which cannot be written in C. Take format=torchscript."
-                )
-            args, named = (fx.map_arg(a, values.__getitem__) for a in (node.args, node.kwargs))
-            values[node] = rule(*args, **named)
-    raise AssertionError("a graph without output")
+    with torch.no_grad(), few_operations():
+        made = function(*(_Symbolic(table, dtype) for table in arguments))
+    return [_table(x) for x in made]
+
+
+class _Symbolic(Tensor):
+    """A table of scalars where a tensor is expected: torch hands each operation on it to its rule."""
+
+    table: Table
+    __torch_function__ = torch._C._disabled_torch_function_impl  # type: ignore[assignment]
+
+    @staticmethod
+    def __new__(cls, table: Table, dtype: torch.dtype) -> _Symbolic:
+        made: _Symbolic = Tensor._make_wrapper_subclass(cls, table.shape, dtype=dtype)
+        made.table = table
+        return made
+
+    @classmethod
+    def __torch_dispatch__(cls, op: Any, types: Any, args: Any, kwargs: Any) -> Any:  # type: ignore[override]
+        name, named = op._opname, kwargs or {}
+        rule = _RULES.get(name)
+        if rule is None:
+            raise ExportError(f"the model holds torch's {name}, which cannot be written in C.")
+        own = next(x.dtype for x in tree_leaves((args, named)) if isinstance(x, _Symbolic))
+        dtype = torch.bool if name in _ASKED else named.get("dtype") or own
+        if name == "where":
+            dtype = next((x.dtype for x in args[1:] if isinstance(x, Tensor) and x.ndim), dtype)
+
+        def given(x: Any) -> Any:
+            return _table(x) if isinstance(x, Tensor) else x
+
+        made = rule(*(tree_map(given, a) for a in args), **{k: tree_map(given, v) for k, v in named.items()})
+        if isinstance(made, list):
+            return [_Symbolic(part, dtype) for part in made]
+        return _Symbolic(np.asarray(made, object), dtype)
 
 
 def _table(x: Tensor) -> Table:
-    return np.asarray(x.detach().cpu().double().numpy()).astype(object)
+    return x.table if isinstance(x, _Symbolic) else np.asarray(x.detach().double().numpy()).astype(object)
 
 
 def _each(op: str) -> Callable[..., Table]:
@@ -497,7 +526,7 @@ def _sum(x: Table, dim: Any = None, keepdim: bool = False, **_: Any) -> Table:
 
 def _norm(x: Table, order: float = 2, dim: Any = None, keepdim: bool = False, **_: Any) -> Table:
     if order != 2:
-        raise ExportError("a norm other than the Euclidean cannot be written in C. Take format=torchscript.")
+        raise ExportError("a norm other than the Euclidean cannot be written in C.")
     return _each("sqrt")(_sum(x * x, dim, keepdim))
 
 
@@ -518,6 +547,10 @@ def _filled(x: Table, value: float) -> Table:
     return np.full(x.shape, value, object)
 
 
+_ASKED = {"lt", "le", "gt", "ge", "eq", "ne"} | {
+    f"{a}_{b}" for a in ("logical", "bitwise") for b in ("and", "or", "not")
+}
+"""Operations whose results are true or false."""
 _RULES: Mapping[str, Callable[..., Any]] = {
     **{
         n: _each(n)
@@ -567,7 +600,6 @@ _RULES: Mapping[str, Callable[..., Any]] = {
     "slice": _slice,
     "split_with_sizes": _split,
     "unbind": lambda x, dim=0: [np.take(x, k, axis=dim) for k in range(x.shape[dim])],
-    "getitem": lambda parts, k: parts[k],
     "cat": lambda parts, dim=0: np.concatenate(parts, dim),
     "stack": lambda parts, dim=0: np.stack(parts, dim),
     "roll": lambda x, by, dim: np.roll(x, by[0], dim[0]),
@@ -578,6 +610,9 @@ _RULES: Mapping[str, Callable[..., Any]] = {
     "linalg_cross": _cross,
     "zeros_like": lambda x, **_: _filled(x, 0.0),
     "ones_like": lambda x, **_: _filled(x, 1.0),
+    "new_zeros": lambda x, shape, **_: np.full(shape, 0.0, object),
+    "new_ones": lambda x, shape, **_: np.full(shape, 1.0, object),
+    "new_full": lambda x, shape, value, **_: np.full(shape, float(value), object),
     "full_like": lambda x, value, **_: _filled(x, float(value)),
     "scalar_tensor": lambda x, **_: np.array(float(x), object),
 }

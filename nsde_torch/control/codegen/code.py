@@ -1,0 +1,279 @@
+"""Scalars as functions in C: statements, networks with loops, and products with sparse matrices."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+from nsde_torch.control.codegen import scalar
+from nsde_torch.control.codegen.scalar import PLACE, Layer, Number, Scalar
+
+_LONG = 90
+"""Characters of an expression from which on it becomes a statement of its own."""
+_CALLS = {
+    **{n: f"F({n})({{0}})" for n in ("sin", "cos", "tan", "exp", "expm1", "log", "log1p", "sqrt", "atan")},
+    **{n: f"F({n})({{0}})" for n in ("acos", "asin", "asinh", "floor")},
+    # right to rounding beside 1, and twice as fast as libm's
+    "tanh": "(1 - 2 / (F(exp)(2 * {0}) + 1))",
+    **{"atan2": "F(atan2)({0}, {1})", "pow": "F(pow)({0}, {1})", "abs": "F(fabs)({0})"},
+    **{"add": "({0} + {1})", "sub": "({0} - {1})", "mul": "{0} * {1}", "div": "{0} / {1}", "neg": "-{0}"},
+    **{"max": "LARGER({0}, {1})", "min": "SMALLER({0}, {1})", "clamped": "clamped({0}, {1}, {2})"},
+    **{"lt": "R({0} < {1})", "le": "R({0} <= {1})", "eq": "R({0} == {1})"},
+    **{"where": "({0} != 0 ? {1} : {2})", "sign": "R(({0} > 0) - ({0} < 0))"},
+}
+
+
+def number(x: float) -> str:
+    """A constant, of the type that the file is compiled for."""
+    if x in (float("inf"), -float("inf")):
+        return "R(INFINITY)" if x > 0 else "R(-INFINITY)"
+    if x != x:
+        return "R(NAN)"
+    text = repr(float(x))
+    if text.endswith(".0") and len(text) < 8:
+        text = text[:-2]
+        return text if x >= 0 else f"({text})"
+    return f"R({text})"
+
+
+class Networks:
+    """The networks of a file, each a function of its own."""
+
+    def __init__(self) -> None:
+        self._places: dict[Layer, dict[int, tuple[int, int]]] = {}
+        self._numbers: dict[str, int] = {}
+        self._told = 0
+        self.widths: list[tuple[int, int]] = []
+
+    def code(self) -> list[str]:
+        """The functions that were not asked for before."""
+        new = list(self._numbers.items())[self._told :]
+        self._told = len(self._numbers)
+        return [code.replace("network_#", f"network_{k}") for code, k in new]
+
+    def places(self, layer: Layer) -> dict[int, tuple[int, int]]:
+        """Output -> number of the network that makes it, and its place there."""
+        if layer not in self._places:
+            found: dict[int, tuple[int, int]] = {}
+            for units in layer.parts():
+                rows = [list(range(layer.chain[0].weight.shape[1])), *units]
+                code = self._written(layer.chain, rows)
+                if code not in self._numbers:
+                    self.widths.append((len(rows[0]), len(rows[-1])))
+                k = self._numbers.setdefault(code, len(self._numbers))
+                found |= {unit: (k, place) for place, unit in enumerate(units[-1])}
+            self._places[layer] = found
+        return self._places[layer]
+
+    def _written(self, chain: Sequence[Layer], rows: Sequence[Sequence[int]]) -> str:
+        """Outputs y and, if asked for, their slopes, backwards from each output."""
+        n, last, tables, body = [len(r) for r in rows], len(chain) - 1, [], []
+        for k, (layer, (above, below)) in enumerate(zip(chain, pairwise(rows), strict=True)):
+            weight = ",\n    ".join(
+                f"{{{', '.join(map(number, row))}}}" for row in layer.weight[below][:, above].T
+            )
+            bias = ", ".join(map(number, layer.bias[below]))
+            tables.append(f"static const real network_#_w{k}[{n[k]}][{n[k + 1]}] = {{\n    {weight}}};")
+            tables.append(f"static const real network_#_b{k}[{n[k + 1]}] = {{{bias}}};")
+            source, target = f"h{k}" if k else "x", f"h{k + 1}" if k < last else "y"
+            if k < last:
+                body.append(f"    real {target}[{n[k + 1]}], s{k + 1}[{n[k + 1]}];")
+            body.append(
+                f"    copy(network_#_b{k}, {target}, {n[k + 1]});\n    for (int j = 0; j < {n[k]}; j++)"
+            )
+            body.append(
+                f"        for (int i = 0; i < {n[k + 1]}; i++) {target}[i] += network_#_w{k}[j][i] * {source}[j];"
+            )
+            if k < last:
+                activation = chain[k + 1].activation
+                slope = scalar.jacobian([activation], [PLACE])[0].get(0, 0.0)
+                code = _Body(self, "        ", given={id(PLACE): "a"})
+                code.count([activation, slope])
+                value, derivative = code.text(activation), code.text(slope)
+                body.append(
+                    f"    for (int i = 0; i < {n[k + 1]}; i++) {{\n        const real a = {target}[i];"
+                )
+                body.append("".join(code.lines) + f"        {target}[i] = {value};")
+                body.append(f"        s{k + 1}[i] = {derivative};\n    }}")
+        body.append(f"    for (int o = 0; slope && o < {n[-1]}; o++) {{")
+        for k in range(last, -1, -1):
+            target, weights = (f"g{k}" if k else "slope[o]"), f"network_#_w{k}[j]"
+            if k:
+                body.append(f"        real g{k}[{n[k]}];")
+            body.append(f"        for (int j = 0; j < {n[k]}; j++) {{")
+            if k == last:
+                body.append(f"            {target}[j] = {weights}[o];")
+            else:
+                body.append(f"            {target}[j] = 0;\n            for (int i = 0; i < {n[k + 1]}; i++)")
+                body.append(f"                {target}[j] += {weights}[i] * g{k + 1}[i];")
+            body.append(f"            {target}[j] *= s{k}[j];\n        }}" if k else "        }")
+        head = f"static void network_#(const real *x, real *y, real (*slope)[{n[0]}])\n{{"
+        return "\n".join((*tables, head, *body, "    }", "}\n"))
+
+
+class _Body:
+    """Statements that work out scalars; what is used more than once, or is long, has a name."""
+
+    def __init__(
+        self,
+        networks: Networks,
+        indent: str = "    ",
+        *,
+        given: Mapping[int, str] | None = None,
+        slopes: bool = False,
+    ) -> None:
+        self._networks, self._indent, self._slopes = networks, indent, slopes
+        self._uses: dict[int, int] = {}
+        self._names = dict(given or {})
+        self._called: dict[tuple[Any, ...], str] = {}
+        self.lines: list[str] = []
+
+    def count(self, outputs: Iterable[Number]) -> None:
+        """Look at how often each scalar is used."""
+        outputs = list(outputs)
+        for x in scalar.in_order(outputs):
+            for a in x.args:
+                if isinstance(a, Scalar):
+                    self._uses[id(a)] = self._uses.get(id(a), 0) + 1
+        for x in outputs:
+            if isinstance(x, Scalar):
+                self._uses[id(x)] = self._uses.get(id(x), 0) + 1
+
+    def text(self, output: Number) -> str:
+        """An expression, after the statements that it needs; `count` comes first."""
+        for x in scalar.in_order([output]):
+            if id(x) not in self._names:
+                self._names[id(x)] = self._expression(x)
+        return self._name(output)
+
+    def _name(self, x: Number) -> str:
+        return number(x) if isinstance(x, float) else self._names[id(x)]
+
+    def _expression(self, x: Scalar) -> str:
+        if x.op == "input":
+            return f"{x.data[0]}[{x.data[1]}]"
+        if x.op in ("layer", "slope"):
+            network, place = self._networks.places(x.data[0])[x.data[1]]
+            at = self._call(network, x.args)
+            return f"y{at}[{place}]" if x.op == "layer" else f"j{at}[{place}][{x.data[2]}]"
+        args = [self._name(a) for a in x.args]
+        # of those without brackets, what follows a division or a sign needs them
+        if x.op in ("div", "mul", "neg"):
+            args[-1] = f"({args[-1]})" if re.search(r"^-|[*/]", args[-1]) else args[-1]
+        made = _CALLS[x.op].format(*args)
+        if self._uses.get(id(x), 0) <= 1 and len(made) < _LONG:
+            return made
+        name = f"t{len(self.lines)}"
+        self.lines.append(f"{self._indent}const real {name} = {made};\n")
+        return name
+
+    def _call(self, network: int, args: tuple[Number, ...]) -> str:
+        key = (network, *(a if isinstance(a, float) else id(a) for a in args))
+        if key not in self._called:
+            n_in, n_out = self._networks.widths[network]
+            at = f"{network}_{len(self._called)}"
+            slope = f", j{at}[{n_out}][{n_in}]" if self._slopes else ""
+            self.lines.append(
+                f"{self._indent}const real x{at}[] = {{{', '.join(map(self._name, args))}}};\n"
+                f"{self._indent}real y{at}[{n_out}]{slope};\n"
+                f"{self._indent}network_{network}(x{at}, y{at}, {f'j{at}' if self._slopes else 'NULL'});\n"
+            )
+            self._called[key] = at
+        return self._called[key]
+
+
+def function(
+    head: str, outputs: Sequence[tuple[str, Number]], networks: Networks, *, slopes: bool = False
+) -> str:
+    """A function of what its head says; outputs are places and what is put there, the place "" what it returns."""
+    body = _Body(networks, slopes=slopes)
+    body.count(x for _, x in outputs)
+    ends = []
+    for place, x in outputs:
+        text = body.text(x)
+        ends.append(f"    {place} = {text};\n" if place else f"    return {text};\n")
+    code = "".join((*body.lines, *ends))
+    given = re.findall(r"const real \*(?:restrict )?(\w+)", head)
+    unused = "".join(f"    (void){name};\n" for name in given if not re.search(rf"\b{name}\[", code))
+    return f"{head}\n{{\n{unused}{code}}}\n"
+
+
+class Matrix:
+    """A sparse matrix whose entries that are no constants lie in an array of a step, one after another."""
+
+    def __init__(self, name: str, rows: Sequence[Mapping[int, Number]], width: int) -> None:
+        self.height, self.width = len(rows), width
+        self.entries: list[tuple[str, Number]] = []
+        self.terms: dict[tuple[int, int], str] = {}
+        for i, row in enumerate(rows):
+            for j, x in sorted(row.items()):
+                self.terms[i, j] = number(x) if isinstance(x, float) else f"{name}[{len(self.entries)}]"
+                if isinstance(x, Scalar):
+                    self.entries.append((self.terms[i, j], x))
+
+    def column(self, j: int, other: str) -> str:
+        """Sum over the rows i of entry times `other`, a pattern of the row."""
+        return self._sum(((i, j), other.format(i)) for i in range(self.height))
+
+    def row(self, i: int, other: str) -> str:
+        """Sum over the columns j of entry times `other`, a pattern of the column."""
+        return self._sum(((i, j), other.format(j)) for j in range(self.width))
+
+    def _sum(self, places: Iterable[tuple[tuple[int, int], str]]) -> str:
+        terms = [(self.terms[place], x) for place, x in places if place in self.terms]
+        return " + ".join(x if t == "1" else f"{t} * {x}" for t, x in terms) or "0"
+
+
+def _void(head: str, lines: Iterable[str]) -> str:
+    return f"static void {head}\n{{\n" + "".join(f"    {line}\n" for line in lines) + "}\n\n"
+
+
+def products(a: Matrix, b: Matrix, q: Matrix, nz: int) -> str:
+    """Products with the Jacobians of a step: A, B, and Q = J^T J of the roots of the cost; and m - h^T h."""
+    vector, square = "const real *restrict", "real (*restrict m)[LD], "
+
+    def over(count: str, x: Matrix, left: str, right: str, start: str = "0") -> list[str]:
+        head = f"for (int c = {start}; c < {count}; c++)"
+        return [f"{head} {left} = {x.column(j, right)};".replace("<j>", str(j)) for j in range(x.width)]
+
+    to = "real (*restrict out)[LD]"
+    terms = " + ".join(f"h[{i}][r] * h[{i}][c]" for i in range(b.width))
+    return "".join(
+        (
+            _void(f"a_times({vector} a, {square}{to})", over("LD", a, "out[<j>][c]", "m[{}][c]")),
+            _void(f"b_times({vector} b, {square}{to})", over("LD", b, "out[<j>][c]", "m[{}][c]")),
+            # of what is symmetric, one half
+            _void(f"times_a({square}{vector} a, {to})", over("NR", a, "out[c][<j>]", "m[c][{}]", "<j>")),
+            _void(f"inputs_times_a({square}{vector} a, {to})", over("NU", a, "out[c][<j>]", "m[c][{}]")),
+            _void(
+                f"times_b({square}{vector} b, real (*restrict out)[NU])",
+                over("NU", b, "out[c][<j>]", "m[c][{}]"),
+            ),
+            _void(
+                f"forward({vector} a, {vector} b, {vector} dz, {vector} du, real *restrict out)",
+                (f"out[{i}] = {a.row(i, 'dz[{}]')} + {b.row(i, 'du[{}]')};" for i in range(nz)),
+            ),
+            _void(
+                f"back_a({vector} a, {vector} l, real *restrict out)",
+                (f"out[{j}] = {a.column(j, 'l[{}]')};" for j in range(nz)),
+            ),
+            _void(
+                f"back_b({vector} b, {vector} l, real *restrict out)",
+                (f"out[{j}] = {b.column(j, 'l[{}]')};" for j in range(b.width)),
+            ),
+            # a sum in one go: a row that is stored and loaded again for each term takes twice as long
+            _void(
+                f"less_square(real (*restrict h)[LD], {to})",
+                (
+                    f"for (int r = 0; r < NR; r++)\n        for (int c = 0; c < LD; c++) out[r][c] -= {terms};",
+                ),
+            ),
+            _void(f"add_q({vector} q, {to})", (f"out[{i}][{j}] += {t};" for (i, j), t in q.terms.items())),
+            _void(
+                f"times_q({vector} q, {vector} e, real *restrict out)",
+                (f"out[{i}] = {q.row(i, 'e[{}]')};" for i in range(q.height)),
+            ),
+        )
+    )

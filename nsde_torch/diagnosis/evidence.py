@@ -185,6 +185,8 @@ class NotShown:
     usual: float  # size that it usually has
     unit: str  # unit of both
     experiment: str  # the experiment that would show it
+    declared: bool = False
+    """Whether it is not seen because declared parameters do the same in these data."""
 
 
 def not_shown(
@@ -221,5 +223,7 @@ def not_shown(
         if level or least <= decisions.detectable_share * usual:
             continue
         size = least if isfinite(error) and least < never else None
-        out.append(NotShown(name, label, size, usual, spec.unit, cls.separate))
+        alone = decisions.detectable_errors * joint.alone.get(name, {}).get(label, inf)
+        declared = size is None and alone <= decisions.detectable_share * usual
+        out.append(NotShown(name, label, size, usual, spec.unit, cls.separate, declared))
     return sorted(out, key=lambda n: -(n.smallest / n.usual if n.smallest is not None else inf))

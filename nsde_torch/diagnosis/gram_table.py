@@ -67,6 +67,10 @@ class GramTable:
         inverse = np.linalg.pinv(left, rcond=_ROUNDING, hermitian=True)
         return np.where(moves, np.sqrt(np.diag(inverse).clip(1e-300)), np.inf)
 
+    def errors_alone(self, own: Labels) -> Array:
+        """Standard errors of the parameters of a candidate (q,) if all others were known."""
+        return np.asarray(1.0 / np.sqrt(self._held.total[own, own].clip(1e-300)))
+
     def _reduced(self, keep: Labels, shift: int) -> Array:
         """Blocks (B, 1 + q, 1 + q) of the innovations, less the shift of a start, and of some columns."""
         index = np.concatenate(([0], [shift] if shift else [], keep)).astype(np.int64)

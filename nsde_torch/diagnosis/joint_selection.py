@@ -17,7 +17,7 @@ how inputs are held between samples decides. Left out, it makes other effects lo
 
 import copy
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from math import inf, isfinite, log
 from typing import final
@@ -65,6 +65,8 @@ class Explained:
     blocks: Array  # `nats` by block of time (B,)
     errors: dict[str, float]
     """Standard errors of parameters that need it, by label; infinite where no row shows it."""
+    alone: dict[str, float]
+    """The same if all other parameters were known."""
 
 
 @dataclass(frozen=True)
@@ -145,6 +147,8 @@ class JointSelection:
     """Functions that explain more beside the physics, as far as they were looked for."""
     suspected: tuple[str, ...] = ()
     """Effects that were no candidates behind a smoother and would explain more (`feedback_bias`)."""
+    alone: dict[str, dict[str, float]] = field(default_factory=dict)
+    """The same as `errors` if all other parameters were known."""
 
     def evidence(self, search: Search, name: str) -> Evidence:
         """How sure an effect is."""
@@ -269,10 +273,12 @@ class JointSearch:
         rounds = tuple(self._rounds) or (Round(self.look(self._first), ""),)
         # what is missing passes for noise in the first look
         errors: dict[str, dict[str, float]] = {}
+        alone: dict[str, dict[str, float]] = {}
         for p in (p for look in self._looks.values() for p in look.proposals):
-            own = errors.setdefault(p.name, {})
-            own |= {label: min(error, own.get(label, error)) for label, error in p.errors.items()}
-        return JointSelection(self._first, place, selected, rounds, errors, tuple(self._aside))
+            for table, found in ((errors, p.errors), (alone, p.alone)):
+                own = table.setdefault(p.name, {})
+                own |= {label: min(error, own.get(label, error)) for label, error in found.items()}
+        return JointSelection(self._first, place, selected, rounds, errors, tuple(self._aside), alone=alone)
 
     def _extended(
         self, place: FittedPhysics, known: Callable[[FittedPhysics, FittedPhysics], None]
@@ -774,7 +780,10 @@ def _proposed(
     sizes = effect_class(entry.name).size_names()
     shown = [c for c, label in zip(entry.columns[1:], entry.labels, strict=True) if own_name(label) in sizes]
     labels = [label for label in entry.labels if own_name(label) in sizes]
-    errors = dict(zip(labels, table.errors(np.array(shown, dtype=np.int64)).tolist(), strict=True))
+    own = np.array(shown, dtype=np.int64)
+    errors, alone = (
+        dict(zip(labels, each.tolist(), strict=True)) for each in (table.errors(own), table.errors_alone(own))
+    )
     rank = nats - table.price(len(place) - len(entry.dropped))
     return Explained(
         entry.name,
@@ -787,6 +796,7 @@ def _proposed(
         free,
         blocks,
         errors,
+        alone,
     )
 
 

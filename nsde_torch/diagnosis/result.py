@@ -345,7 +345,9 @@ def summary(
         "added": added,
         "names": named([*faults, *shown.few], shown),
         "hidden": outcome.test.hidden,
-        "blind": list(dict.fromkeys(n.effect for n in _not_shown(outcome) if n.smallest is None)),
+        "blind": list(
+            dict.fromkeys(n.effect for n in _not_shown(outcome) if n.smallest is None and not n.declared)
+        ),
         "leads": [name for name in added if name in provisional],
         "found": outcome.found,
         "rest": rest,
@@ -585,7 +587,10 @@ def ceiling_content(found: Ceiling, outcome: Outcome) -> dict[str, Any]:
         "left": bool(rows),
         "rows": rows,
     }
-    said = rendered("ceiling.txt", out, found=bool(outcome.found), functions=_functions_of(rows)).splitlines()
+    left = outcome.structured[0].variable if outcome.structured else ""
+    said = rendered(
+        "ceiling.txt", out, found=bool(outcome.found), functions=_functions_of(rows), structured=left
+    ).splitlines()
     return out | {"sentence": said[0], "remedy": said[1] if rows else None}
 
 

@@ -173,7 +173,9 @@ def unseen(entries: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     by_effect: dict[str, list[str]] = {n["effect"]: [] for n in entries}
     for n in sorted(entries, key=lambda n: str(n["parameter"])):
         least = n["smallest"]
-        size = "at any size" if least is None else f"below {number(least)}{with_space(n['unit'])}"
+        size = f"below {number(least)}{with_space(n['unit'])}" if least is not None else "at any size"
+        if n.get("declared"):  # files of earlier versions lack it
+            size = "at any size, as declared parameters do the same here"
         by_effect[n["effect"]].append(f"{n['parameter'].partition('.')[2]} {size}")
     return {effect: ", ".join(parts) for effect, parts in by_effect.items()}
 

@@ -16,6 +16,7 @@ from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Options
 from nsde_torch.diagnosis.evidence import nats_by_channel
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.report import page, pictures
+from nsde_torch.diagnosis.residual_tests import Dependence
 from nsde_torch.diagnosis.result import Diagnosis, ceiling_content, summary
 from nsde_torch.diagnosis.text import lines
 from tests.helpers.diagnosed import diagnosed
@@ -41,6 +42,16 @@ def test_where_nothing_is_missing_functions_explain_nothing(
     assert own["sentence"] == "Functions of what was measured explain nothing of blocks of time left out."
     assert f"ceiling: {own['sentence']}" in lines(nothing[1])
     assert "flexible" not in pictures(*nothing)
+
+
+def test_functions_that_explain_no_more_are_not_said_to_explain_all_where_structure_is_left(
+    nothing: tuple[Diagnosis, dict[str, Any]],
+) -> None:
+    left = Dependence("q_dot", "q", 1e-6, 0.05, 0.5, 40.0, 4)
+    outcome = replace(nothing[0].outcome, structured=[left])
+    sentence = ceiling_content(nothing[0].explanation.ceiling, outcome)["sentence"]
+    assert sentence.startswith("Functions of what was measured explain no more of blocks of time left out,")
+    assert "still depends on q:" in sentence
 
 
 @pytest.fixture(scope="module")

@@ -11,11 +11,11 @@ from nsde_torch.diagnosis.evidence import not_shown
 from nsde_torch.diagnosis.joint_selection import JointSelection, Look, Round
 
 
-def _selected(*errors: float) -> JointSelection:
-    """A selection whose looks gave a constant force these standard errors."""
-    look = Look((), ())
-    smallest = {"constant_force": {"constant_force.acceleration": min(errors)}}
-    return JointSelection(cast(Any, None), cast(Any, None), {}, (Round(look, ""),), smallest)
+def _selected(*errors: float, alone: float = np.inf) -> JointSelection:
+    """A selection whose looks gave a constant force these standard errors, and `alone` if all else were known."""
+    look, label = Look((), ()), "constant_force.acceleration"
+    smallest, known = ({"constant_force": {label: error}} for error in (min(errors), alone))
+    return JointSelection(cast(Any, None), cast(Any, None), {}, (Round(look, ""),), smallest, alone=known)
 
 
 def test_an_effect_is_listed_when_four_standard_errors_exceed_a_quarter_of_its_usual_size() -> None:
@@ -25,6 +25,14 @@ def test_an_effect_is_listed_when_four_standard_errors_exceed_a_quarter_of_its_u
     assert (listed.effect, listed.smallest, listed.usual) == ("constant_force", pytest.approx(0.028), 0.1)
     assert listed.experiment
     assert not_shown(_selected(np.inf), found=(), alpha=0.01)[0].smallest is None
+
+
+def test_what_declared_parameters_do_as_well_is_told_from_what_moves_nothing() -> None:
+    (listed,) = not_shown(_selected(np.inf, alone=0.001), found=(), alpha=0.01)
+    assert listed.smallest is None
+    assert listed.declared
+    (listed,) = not_shown(_selected(np.inf, alone=1.0), found=(), alpha=0.01)
+    assert not listed.declared
 
 
 def test_what_was_found_and_what_a_later_look_would_show_is_not_listed() -> None:

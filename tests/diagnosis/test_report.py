@@ -52,6 +52,7 @@ def _with_a_blind_spot(case: tuple[Diagnosis, dict[str, Any]]) -> tuple[Diagnosi
         "usual": 0.05,
         "unit": "s",
         "experiment": "inputs that change within some milliseconds",
+        "declared": False,
     }
     return case[0], {**case[1], "not_shown": [unseen]}
 

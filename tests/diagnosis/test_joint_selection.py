@@ -109,7 +109,7 @@ def test_few_rows_that_are_asked_first_change_no_answer(monkeypatch: pytest.Monk
 def test_friction_is_selected_in_states_without_what_lies_above_a_frequency() -> None:
     band = 8.0
     runs = []
-    for run in small_runs(rubbing(0.2), 4, 8.0, seed=2):
+    for run in small_runs(rubbing(0.2), 4, 16.0, seed=2):
         x = np.column_stack([sosfiltfilt(butter(8, band, fs=1.0 / run.dt, output="sos"), c) for c in run.x.T])
         runs.append(replace(run, x=x, low_pass={"q": band, "q_dot": band}, segments=((50, len(x) - 50),)))
     found = selected(runs)

@@ -79,6 +79,7 @@ class Ripple(Law):
     along = "position"
     null = {"sine": 0.0, "cosine": 0.0}
     amplitudes = ("sine", "cosine")
+    # over many turns an order is not reached from the next one (tests/diagnosis/test_own_machines.py)
     shapes = {"order": tuple(map(float, range(1, 25)))}
     sentence = "A force on {it} repeats {order} times a turn (sine {sine}, cosine {cosine})."
     separate = "turn slowly through the whole range, to and fro"

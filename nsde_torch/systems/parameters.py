@@ -184,7 +184,9 @@ class ParameterVector:
                 continue
             size = 1.0 if kind is None else sizes[kind]
             least = size * grid.min() / _BEYOND
-            if kind is not None:  # a pendulum that turns fast now and then is slow in most rows
+            # a pendulum that turns fast now and then is slow in most rows: without it its dry friction was surely 2 %
+            # too large (tests/diagnosis/test_own_machines.py)
+            if kind is not None:
                 least = min(least, sizes.get(f"slow {kind}", least))
             self.raised[place.columns] = (self.low[place.columns] < least) & (kind is not None)
             self.low[place.columns] = np.maximum(self.low[place.columns], least)

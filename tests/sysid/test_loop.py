@@ -14,7 +14,7 @@ from nsde_torch.sysid.feedback_test import feedback_summary
 from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.sysid.instruments import adopted
 from nsde_torch.sysid.result import Identification
-from nsde_torch.sysid.signals import holm, score_test
+from nsde_torch.sysid.signals import basis_of, holm, score_test
 from tests.helpers.rate_loops import CONTROLLERS, GAIN, RateLoop, fly
 
 SEEDS = range(4)
@@ -187,3 +187,13 @@ def test_instruments_show_the_gain_of_inputs_that_are_a_function_of_the_state() 
     found = identify_in_loop(RateLoop(), runs, instruments=["stick"])
     assert found.half_widths(0.9)[0] < 20
     assert holds(found)
+
+
+def test_a_basis_is_orthonormal_and_spans_columns_that_are_nearly_alike() -> None:
+    rng = np.random.default_rng(3)
+    first = rng.standard_normal((400, 5)) * (1.0, 1e-6, 1e4, 1.0, 1.0)
+    columns = np.column_stack((first, first[:, 0] + 1e-3 * first[:, 3], first[:, 2], np.zeros(400)))
+    basis = basis_of(columns)
+    np.testing.assert_allclose(basis.T @ basis, np.eye(5), atol=1e-12)
+    spanned = np.linalg.svd(first / np.linalg.norm(first, axis=0), full_matrices=False)[0]
+    np.testing.assert_allclose(basis @ (basis.T @ spanned), spanned, atol=1e-8)

@@ -381,7 +381,7 @@ def packed(plan: Plan, jumped: float) -> Tensor:
 
 
 def _shift(table: Tensor, steps: Tensor, *, axis: int = 1) -> Tensor:
-    """Rows at times later by a number of steps, between two of them by interpolation; the end is held."""
+    """As in `control.controller`, of a number of steps that is not known while the graph is made."""
     n = table.shape[axis]
     at = (torch.arange(n, dtype=torch.float64) + steps).clamp(0.0, n - 1.0)
     low = at.floor().long().clamp_max(max(n - 2, 0))

@@ -195,13 +195,16 @@ def exogenous(regression: Regression, names: Sequence[str]) -> dict[str, str]:
     new = own_innovations(z, z, series)
     live = signals.late(series, _BINS[-1])
     nothing = np.ones((int(live.sum()), 1)) / np.sqrt(max(int(live.sum()), 1))
+    scores = []
+    for white in regression.white:
+        late = series.lagged(white[:, None], range(1, _BINS[-1]))
+        scores.append(signals.score_tests(new[live], signals.binned(late[live], _BINS), nothing))
     found = []
     for j, name in enumerate(names):
         if signals.foreknown(new[live, j], z[live, j], _FOREKNOWN):
             continue
-        for i, channel in enumerate(regression.rows):
-            late = series.lagged(regression.white[i][:, None], range(1, _BINS[-1]))
-            chance, share = signals.score_test(new[live, j], signals.binned(late[live], _BINS), nothing)
+        for of_channel, channel in zip(scores, regression.rows, strict=True):
+            chance, share = of_channel[j]
             found.append((name, regression.physics.names[channel], chance, share))
     out: dict[str, str] = {}
     for (name, channel, _, share), chance in zip(found, signals.holm([f[2] for f in found]), strict=True):

@@ -26,7 +26,7 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.models import NeuralSDE
 from nsde_torch.sde import CompilationWarning
 from nsde_torch.systems import System, make_system
-from tests.helpers.control_problems import horizon_of, problem_of
+from tests.helpers.control_problems import PAID, horizon_of, problem_of
 from tests.helpers.hexacopters import VALUES
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
@@ -58,15 +58,7 @@ def _both(h: Horizon, p: Problem, most: float, **options: object) -> None:
 
 
 @needs_compiler
-@pytest.mark.parametrize(
-    "options",
-    [
-        {},
-        {"rate_weight": 3.0, "input_centre": 0.3},
-        {"speed_limit": 1.0, "tilt_limit": 10.0, "fence": ((-1, 1), (-1, 1), (0, 1.2))},
-        {"low": 0.3, "high": 0.5},
-    ],
-)
+@pytest.mark.parametrize("options", [{}, *PAID])
 def test_solutions_are_those_of_torch_whatever_a_plan_pays_for(
     declared: System, path: Reference, options: dict[str, object]
 ) -> None:
@@ -262,7 +254,7 @@ def test_other_weights_are_another_library_and_the_same_ones_in_another_process_
         "from nsde_torch.control.codegen.library import _content\n"
         "from nsde_torch.control.gauss_newton import GaussNewton\n"
         "from nsde_torch.systems import make_system\n"
-        "from tests.helpers.control_problems import horizon_of\n"
+        "from tests.helpers.control_problems import PAID, horizon_of\n"
         "print(_content(GaussNewton(horizon_of(make_system('hexacopter', effects=['motor_lag'])))).hex())"
     )
     words = [sys.executable, "-c", code]

@@ -6,9 +6,11 @@ Their simulators share no code with the package.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import final
 
 import numpy as np
+import pytest
 import torch
 from torch import Tensor
 
@@ -18,29 +20,12 @@ from nsde_torch.data import RawRun
 from nsde_torch.effects import Coordinate, Parameter, Port
 from nsde_torch.systems import Defaults, ResidualPort, System
 
+PENDULUM = "pendulum:Pendulum"
 
-@final
-class TurningPendulum(System):
-    """A pendulum that a motor turns."""
 
-    name = "turning_pendulum"
-    state_names, state_units = ("phi", "phi_dot"), ("rad", "rad/s")
-    input_names, input_units = ("torque",), ("N m",)
-    position_derivatives = (("phi", "phi_dot", "world"),)
-    ports = {Port.TORQUE: 1}
-    residual_ports = {Port.TORQUE: ResidualPort(1, 1.0, "rad/s2")}
-    sensor_noise = True
-    defaults = Defaults(0.01, 25, (0.002, 0.1), 0.1, 1.0, "euler_maruyama")
-    PARAMETERS = {
-        "gravity": Parameter(10.0, "1/s2", low=0.0),
-        "damping": Parameter(0.3, "1/s", low=0.0),
-        "gain": Parameter(10.0, "1/(kg m2)", low=0.0),
-    }
-
-    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
-        q, v = x[:, :1], x[:, 1:]
-        turning = self.value("gain") * u - self.value("gravity") * torch.sin(q) - self.value("damping") * v
-        return torch.cat((v, turning + forces.get(Port.TORQUE, torch.zeros_like(v))), 1)
+@pytest.fixture(autouse=True)
+def _importable(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(root / "examples" / "pendulum")
 
 
 @final
@@ -102,9 +87,7 @@ def turned(
 def test_cogging_of_an_order_between_those_of_usual_machines_is_named_over_many_turns() -> None:
     runs = turned(lambda q, v: np.sin(7.0 * q), seconds=15.0, dt=0.005, size=1.5)
     assert np.ptp(np.concatenate([run.x[:, 0] for run in runs])) > 20.0 * np.pi
-    found = nsde_torch.diagnose(
-        runs, system=TurningPendulum, candidates=["ripple", "coulomb_friction"], say=False
-    )
+    found = nsde_torch.diagnose(runs, system=PENDULUM, candidates=["ripple", "coulomb_friction"], say=False)
     assert found.added == ["ripple"]
     low, high = found.parameters["ripple.order"]["interval_90"]
     assert low - 0.001 < 7.0 < high + 0.001
@@ -118,7 +101,7 @@ def test_dry_friction_of_what_turns_fast_now_and_then_has_its_size() -> None:
     speeds = np.abs(np.concatenate([run.x[:, 1] for run in runs]))
     assert np.quantile(speeds, 0.95) > 800.0 * 0.01
     found = nsde_torch.diagnose(
-        runs, system=TurningPendulum, candidates=["coulomb_friction", "quadratic_damping"], say=False
+        runs, system=PENDULUM, candidates=["coulomb_friction", "quadratic_damping"], say=False
     )
     assert found.added == ["coulomb_friction"]
     low, high = found.parameters["coulomb_friction.size"]["interval_90"]

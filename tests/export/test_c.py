@@ -30,6 +30,7 @@ from nsde_torch.export.layout import STATUS
 from nsde_torch.export.write import controller_of, export
 from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.systems import Multirotor, System, make_system
+from tests.helpers.control_problems import PAID
 from tests.helpers.exported import flight
 from tests.helpers.hexacopters import VALUES
 
@@ -337,14 +338,7 @@ def test_sample_after_sample_c_does_what_the_controller_does(
 
 
 @needs_compiler
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"rate_weight": 3.0, "input_centre": 0.3},
-        {"speed_limit": 1.0, "tilt_limit": 10.0, "fence": ((-1, 1), (-1, 1), (0, 1.2))},
-        {"low": 0.3, "high": 0.5},
-    ],
-)
+@pytest.mark.parametrize("options", PAID)
 def test_costs_and_limits_are_those_of_python(
     declared: System, path: Reference, tmp_path: Path, options: dict[str, object]
 ) -> None:

@@ -14,6 +14,13 @@ from nsde_torch.models import NeuralSDE
 from nsde_torch.rotation import turned
 from nsde_torch.systems import System
 
+PAID: tuple[dict[str, object], ...] = (
+    {"rate_weight": 3.0, "input_centre": 0.3},
+    {"speed_limit": 1.0, "tilt_limit": 10.0, "fence": ((-1, 1), (-1, 1), (0, 1.2))},
+    {"low": 0.3, "high": 0.5},
+)
+"""What plans may pay for beside the supplement's cost, and limits of inputs."""
+
 
 def horizon_of(knowledge: NeuralSDE | System, **options: object) -> Horizon:
     """A horizon in double precision."""

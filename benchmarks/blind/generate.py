@@ -35,13 +35,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))  # `outside:Cogging` is
 from outside import OUTSIDE
 from sizes import Values, amplitudes, shapes
 
+from nsde_torch.diagnosis.candidates import why_not
 from nsde_torch.effects import Effect, effect_class, effects_of
 from nsde_torch.effects.law import split_name
 from nsde_torch.errors import ConfigError, NsdeError
 from nsde_torch.recording import Recording
 from nsde_torch.simulation import simulate
 from nsde_torch.simulation import write as write_data
-from nsde_torch.systems import make_system, system_class
+from nsde_torch.systems import make_system
 
 SYSTEMS = ("mass_spring_damper", "cartpole", "hexacopter")
 KINDS = ("single", "pair", "recording", "outside", "null")
@@ -102,11 +103,9 @@ class Case:
 
 def holdable(system: str) -> list[str]:
     """Effects of the catalogue that a plant can hold, beyond those declared, and that are no fault of the log."""
-    declared = make_system(system).effect_names
-    cls = system_class(system)
-    found = effects_of(system, cls.ports, cls.bound_coordinates())
-    beside = {*declared, *_OF_THE_LOG}
-    return [name for name, cls in found.items() if not cls.no_candidate(system) and name not in beside]
+    machine = make_system(system)
+    found = effects_of(system, machine.ports, machine.bound_coordinates())
+    return [name for name in found if not why_not(machine, name) and name not in _OF_THE_LOG]
 
 
 def _tied(a: str, b: str) -> bool:

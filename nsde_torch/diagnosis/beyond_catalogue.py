@@ -152,8 +152,8 @@ class _LawSearch:
         best: FittedPhysics | None = None
         fitted: list[Term] = []
         chosen: Term | None = None
-        for term, size in self._promising(place, library, levels):
-            there = search.fitted(joined(place.system, term.law, {**term.start, "c1": size}), place)
+        for term, sizes in self._promising(place, library, levels):
+            there = search.fitted(joined(place.system, term.law, {**term.start, **sizes}), place)
             fitted.append(term)
             search.chosen(term.law, fitted, library)
             if search.needed(term.law, there, place) and (best is None or _value(there) > _value(best)):
@@ -166,26 +166,24 @@ class _LawSearch:
 
     def _promising(
         self, place: FittedPhysics, library: Sequence[Term], levels: Levels | None
-    ) -> list[tuple[Term, float]]:
-        """Terms that explain most of folds left out, each law once, with their sizes after one linearised step."""
+    ) -> list[tuple[Term, dict[str, float]]]:
+        """Laws that explain most of folds left out, each once, with their sizes after one linearised step."""
         search, space = self._search.search, place.at.of.space
         folds = folds_of(search.decisions, *space.chunks.places())
-        found: list[tuple[float, Term, float]] = []
+        found: list[tuple[float, Term, dict[str, float]]] = []
         for some, held in tables(place.system, place.at, library, levels):
-            first = 1 + len(place.best.vector)
             table = GramTable(held, 1 + place.best.free, folds)
-            for column, term in enumerate(some, start=first):
-                if table.is_new(column):
-                    blocks, _, step = table.gain((0, column))
-                    found.append(
-                        (float(blocks.sum()) - table.price(1 + len(term.start)), term, float(step[0]))
-                    )
-        best: dict[str, tuple[Term, float]] = {}
+            for term, own in ((one.term, one.numbers) for one in some):
+                if all(map(table.is_new, own)):
+                    blocks, _, step = table.gain((0, *own))
+                    nats = float(blocks.sum()) - table.price(len(own) + len(term.start))
+                    found.append((nats, term, dict(zip(term.sizes, step.tolist(), strict=True))))
+        best: dict[str, tuple[Term, dict[str, float]]] = {}
         ranked = sorted(found, key=lambda one: -one[0])
-        for nats, term, size in ranked:
+        for nats, term, sizes in ranked:
             if len(best) >= search.budgets.laws_fitted or nats < max(_CLOSE * ranked[0][0], 0.0):
                 break
-            best.setdefault(term.law, (term, size))
+            best.setdefault(term.law, (term, sizes))
         return list(best.values())
 
     def named_by_the_catalogue(self, found: JointSelection) -> JointSelection:

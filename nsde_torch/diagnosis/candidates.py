@@ -34,11 +34,12 @@ def why_not(system: System, name: str) -> str:
     if name in system.effect_names:
         return "it is declared already"
     around = [e.name for e in system.effects if isinstance(e, Effect) and name in e.includes]
-    return (
-        f"it is part of {around[0]}, which is declared"
-        if around
-        else effect_class(name).no_candidate(system.name)
-    )
+    if around:
+        return f"it is part of {around[0]}, which is declared"
+    cls = effect_class(name)
+    if system.nu == 1 and any(cls.PARAMETERS[own].per_input for own in cls.amplitudes):
+        return "it compares inputs, and the machine has one"
+    return cls.no_candidate(system.name)
 
 
 def check_candidates(system: System, names: Sequence[str], also: Sequence[str] = ()) -> list[str]:

@@ -523,7 +523,9 @@ class JointSearch:
         alike: list[str] = []
         best: tuple[float, FittedPhysics] | None = None
         there_too = {name, *without.system.effect_names}
-        laws = [t for t in self._instead.get(name, ()) if t.law not in there_too]
+        beside = self._instead.get(name, ())
+        around = {t.law for t in beside for own in beside if own.law == name and t.contains(own)}
+        laws = [t for t in beside if t.law not in there_too | around]
         least = self._as_likely(place, without)
         for rival, system in (
             *((r.name, r.system) for r in rivals[:_RIVALS]),
@@ -588,10 +590,10 @@ class JointSearch:
         rivals: list[tuple[float, Term]] = []
         for some, held in tables(without.system, without.at, terms):
             table = GramTable(held, 1 + without.best.free, folds)
-            for j, term in enumerate(some):
-                column = 1 + len(without.best.vector) + j
-                nats = float(table.gain((0, column))[0].sum()) if table.is_new(column) else -np.inf
-                rivals += [(nats, term)] if nats > own else []
+            for one in some:
+                if all(map(table.is_new, one.numbers)):
+                    nats = float(table.gain((0, *one.numbers))[0].sum())
+                    rivals += [(nats, one.term)] if nats > own else []
         least = self._as_likely(place, without)
         for _, term in sorted(rivals, key=lambda r: -r[0])[:_LAWS]:
             system = joined(without.system, term.law, term.start)

@@ -1,8 +1,9 @@
 """The library of terms that laws are built from, and what each would explain beside physics.
 
     v^2, v^3, v^4, v^5, v, |v|, |v| v, sign v,   max(v - k, 0), min(v - k, 0) for zero and some k in the range of v,
-    sin n v, cos n v of an angle,   a b, a^2 b, a b^2, |a| b, a |b|, max(a, 0) b, min(a, 0) b,
-    sin a b, cos a b, sin a b^2, cos a b^2 with an angle a
+    2 v k / (v^2 + k^2), which is largest at k,   exp(k v) - 1,   sin n v, cos n v of an angle,
+    a b, a^2 b, a b^2, |a| b, a |b|, max(a, 0) b, min(a, 0) b,
+    sin a b, cos a b, sin a b^2, cos a b^2 with an angle a,   and planes c1 a + c2 b
 
 Each is written in the grammar of `effects.expression_grammar`; k and the width of a sign are fitted with the size. As a
 column of the joint likelihood a term moves a step as its value times the slope of the step in a force on its row of a
@@ -31,13 +32,16 @@ from nsde_torch.systems.vocabulary import seen_by, vocabulary
 _KNOTS = (0.05, 0.2, 0.5, 0.8, 0.95)  # quantiles that hinges start from
 _WIDTH = 0.05  # of a sign, of the 90 % quantile of the variable
 _TURNS = (1, 2, 3)  # times an angle
+# an eddy brake, largest at 8 rad/s, was five laws of the speed beside one another; a spring of rubber had no form
+_PEAKS = (0.2, 0.6)  # where a peak lies, of the same quantile
+_EXPONENTS = (-2.0, -0.7, 0.7, 2.0)  # at the same quantile
 
 
 @dataclass(frozen=True)
 class LawTerm:
-    """A term of a law, without its size."""
+    """What a law consists of, without its sizes."""
 
-    text: str  # as the grammar has it
+    parts: tuple[str, ...]  # what each size multiplies, as the grammar has it
     start: tuple[tuple[str, float], ...] = ()  # first values of its shapes
 
 
@@ -54,27 +58,33 @@ def terms_of(names: Sequence[str], values: Mapping[str, Array], angles: Sequence
         out += _of_one(name, values[name], name in angles)
     for i, first in enumerate(names):
         for second in names[i + 1 :]:
-            out += map(LawTerm, _of_two(first, second))
+            out += [LawTerm((text,)) for text in _of_two(first, second)]
+            # two propellers that push a boat aside: the product of both was named, which explained three quarters
+            out.append(LawTerm((first, second)))
             for a, b in ((first, second), (second, first)):
                 if a in angles:
-                    out += [LawTerm(f"{f}({a}) {p}") for f in ("sin", "cos") for p in (b, f"{b}^2")]
+                    out += [LawTerm((f"{f}({a}) {p}",)) for f in ("sin", "cos") for p in (b, f"{b}^2")]
     return out
 
 
 def _of_one(name: str, v: Array, angle: bool) -> Iterator[LawTerm]:
     for text in (name, *(f"{name}^{n}" for n in (2, 3, 4, 5)), f"abs({name})", f"abs({name}) {name}"):
-        yield LawTerm(text)
+        yield LawTerm((text,))
     size = max(float(np.quantile(np.abs(v), 0.9)), 1e-12)
-    yield LawTerm(f"sign({name}, k1)", (("k1", _WIDTH * size),))
+    yield LawTerm((f"sign({name}, k1)",), (("k1", _WIDTH * size),))
+    for share in _PEAKS:
+        yield LawTerm((f"peak({name}, k1)",), (("k1", share * size),))
+    for exponent in _EXPONENTS:
+        yield LawTerm((f"expm1(k1 {name})",), (("k1", exponent / size),))
     for side in ("max", "min"):
         if v.min() < 0 < v.max():
-            yield LawTerm(f"{side}({name}, 0)")
-            yield LawTerm(f"{side}({name}, 0)^2")
+            yield LawTerm((f"{side}({name}, 0)",))
+            yield LawTerm((f"{side}({name}, 0)^2",))
         for knot in np.quantile(v, _KNOTS):
-            yield LawTerm(f"{side}({name} - k1, 0)", (("k1", float(knot)),))
+            yield LawTerm((f"{side}({name} - k1, 0)",), (("k1", float(knot)),))
     for turns in _TURNS if angle else ():
         inner = name if turns == 1 else f"{turns} {name}"
-        yield from (LawTerm(f"sin({inner})"), LawTerm(f"cos({inner})"))
+        yield from (LawTerm((f"sin({inner})",)), LawTerm((f"cos({inner})",)))
 
 
 def _of_two(a: str, b: str) -> Iterator[str]:
@@ -85,17 +95,31 @@ def _of_two(a: str, b: str) -> Iterator[str]:
 
 # ---- columns of the likelihood -------------------------------------------------------------------------
 
-_AT_ONCE = 96  # columns of one recursion
+_AT_ONCE = 64  # laws of one recursion
 _MOST_VALUES = 20_000  # rows that the first values of shapes are taken from
 
 
 @dataclass(frozen=True)
 class Term:
-    """A law of one term."""
+    """A law of the library."""
 
-    law: str  # its text, with the size `c1`
+    law: str  # its text, with the sizes `c1`, `c2`
+    parts: tuple[str, ...]  # what each size multiplies
     start: Start  # first values of its shapes
     port: int  # number of the disturbance that acts where it does
+
+    @property
+    def sizes(self) -> tuple[str, ...]:
+        """Names of its sizes."""
+        return _sizes(self.parts)
+
+    def contains(self, other: Term) -> bool:
+        """Whether another law is this one with a size of 0."""
+        return self.port == other.port and set(other.parts) < set(self.parts)
+
+
+def _sizes(parts: Sequence[str]) -> tuple[str, ...]:
+    return tuple(f"c{n + 1}" for n in range(len(parts)))
 
 
 def with_places(system: System, names: Sequence[str]) -> list[str]:
@@ -139,20 +163,33 @@ def terms_on(system: System, at: Optimum, port: int, names: Sequence[str]) -> li
         {text[name]: table[name].numpy() for name in there},
         [text[name] for name in there if units.get(name) == "rad"],
     )
-    out = [Term(system.effect_key(f"{on} = c1 {t.text}"), dict(t.start), port) for t in terms]
-    return [term for term in out if term.law not in system.effect_names]
+    out: list[Term] = []
+    for term in terms:
+        summed = " + ".join(f"{c} {part}" for c, part in zip(_sizes(term.parts), term.parts, strict=True))
+        law = system.effect_key(f"{on} = {summed}")
+        if law not in system.effect_names:
+            out.append(Term(law, term.parts, dict(term.start), port))
+    return out
+
+
+@dataclass(frozen=True)
+class LawColumns:
+    """A law of the library and its columns of a table of Gram matrices, one for each of its sizes."""
+
+    term: Term
+    numbers: tuple[int, ...]
 
 
 @torch.no_grad()
 def tables(
     system: System, at: Optimum, terms: Sequence[Term], levels: Levels | None = None
-) -> Iterator[tuple[Sequence[Term], Grams]]:
-    """Gram matrices of physics at its optimum and some terms, its parameters first; some terms at a time.
+) -> Iterator[tuple[Sequence[LawColumns], Grams]]:
+    """Gram matrices of physics at its optimum and some laws, its parameters first; some laws at a time.
 
     Args:
         system: The machine.
         at: Its optimum.
-        terms: The terms.
+        terms: The laws.
         levels: Noise levels; None takes those of the optimum.
     """
     space, about = at.of.space, at.about
@@ -163,16 +200,21 @@ def tables(
     else:
         here = filtered(space, levels, about, at.of.start, space.chunks.counted)
     for first in range(0, len(terms), _AT_ONCE):
-        some = terms[first : first + _AT_ONCE]
-        columns = torch.stack([_column(system, at, term) for term in some], -1)
-        yield some, grams(space, levels, about, here, torch.cat((base, columns), -1))
+        some, columns, moved = list[LawColumns](), 1 + base.shape[-1], [base]
+        for term in terms[first : first + _AT_ONCE]:
+            some.append(LawColumns(term, tuple(range(columns, columns + len(term.sizes)))))
+            columns += len(term.sizes)
+            moved += [_column(system, at, term, size)[..., None] for size in term.sizes]
+        yield some, grams(space, levels, about, here, torch.cat(moved, -1))
 
 
 @torch.no_grad()
-def _column(system: System, at: Optimum, term: Term) -> Tensor:
-    """What a term of size 1 does to the steps (T, C, ne)."""
+def _column(system: System, at: Optimum, term: Term, size: str) -> Tensor:
+    """What a law does to the steps (T, C, ne) where one size is 1 and the others are 0."""
     space, x = at.of.space, at.of.space.midway(at.x)
-    effect = system.make_effect(term.law, {"c1": 1.0, **term.start}).double()
+    effect = system.make_effect(
+        term.law, {**dict.fromkeys(term.sizes, 0.0), size: 1.0, **term.start}
+    ).double()
     flat, u, t = (part.flatten(0, 1) for part in (x, space.chunks.u, space.chunks.t[..., None]))
     seen = seen_by(system, effect, t[:, 0], torch.cat((flat, space.memory.flatten(0, 1)), 1), u)
     force = effect(t[:, 0], flat, seen, flat[:, :0]).sum(1).view(x.shape[:2])

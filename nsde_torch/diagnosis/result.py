@@ -634,6 +634,8 @@ def looks_like(written: Written, values: dict[str, float], system: System) -> st
         return "a gain of the input that depends on the place"
     if names and names <= positions:
         return _of_place(every, names, written.sizes, values)
+    if names and names <= speeds and _calls(every, "peak") and values[written.sizes[0]] < 0:
+        return "a brake that is strongest at that speed, as eddy currents and what slips are"
     if len(names) > 1 and names <= speeds:
         return "a coupling of motions, as Coriolis and gyroscopic forces are, or drag across the motion"
     if len(names & speeds) == 1 and names <= positions | speeds and names & positions:
@@ -648,9 +650,18 @@ def _of_place(
     """What a force that depends on places alone may be."""
     if len(names) > 1:
         return "a spring between coordinates"
-    hinge = next((n for n in every if isinstance(n, Call) and n.function in ("max", "min")), None)
+    hinge = _calls(every, "max", "min")
     if hinge is None:
+        if _calls(every, "expm1"):
+            return (
+                "a spring that stiffens by the same factor over the same distance, as rubber and tendons do"
+            )
         return None if any(isinstance(n, Call) for n in every) else "a spring that is not straight"
     # of a bare hinge: max(q - k, 0) is positive, min(q - k, 0) negative, and a spring pushes against either
     where = "above" if hinge.function == "max" else "below"
     return f"a stop or a spring that is met {where} that place" if values[sizes[0]] < 0 else None
+
+
+def _calls(every: list[Node], *functions: str) -> Call | None:
+    """The first call of some functions."""
+    return next((n for n in every if isinstance(n, Call) and n.function in functions), None)

@@ -182,6 +182,49 @@ class ActuatorGainDrift(Effect):
         return (self.value("rate") * elapsed(t, x)).to(u.dtype) * u
 
 
+class _EfficiencyLoss(Effect):
+    """Single inputs give less than the others."""
+
+    port = Port.INPUT
+    formula = "u_eff,i = u_i (1 - l_i)"
+    source = "actuator effectiveness factor; Zhang, Jiang, Annual Reviews in Control 32 (2008)"
+    null = {"loss": 0.0}
+    amplitudes = ("loss",)
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return -self.value("loss") * u
+
+
+@final
+class MotorEfficiencyLoss(_EfficiencyLoss):
+    """Single motors give less than the others: a chipped propeller, a worn bearing."""
+
+    name = "motor_efficiency_loss"
+    needs = (Port.BODY_MOMENT,)
+    PARAMETERS = {
+        "loss": Parameter(
+            1e-3, "1", low=0.0, high=1.0, scale=0.1, help="share lost, one per motor", per_input=True
+        )
+    }
+    sentence = "Motors have lost {loss} of their strength (one number per motor, in their order)."
+    separate = "climb, sink and yaw: a weak motor shows in the moments about all axes at once"
+
+
+@final
+class ActuatorEfficiencyLoss(_EfficiencyLoss):
+    """Single actuators give less than the others: a worn propeller, a slipping wheel, a weak motor of an arm."""
+
+    name = "actuator_efficiency_loss"
+    excludes = (Port.BODY_MOMENT,)  # there it is motor_efficiency_loss
+    PARAMETERS = {
+        "loss": Parameter(
+            1e-3, "1", low=0.0, high=1.0, scale=0.1, help="share lost, one per input", per_input=True
+        )
+    }
+    sentence = "Actuators have lost {loss} of their strength (one number per input, in their order)."
+    separate = "drive each input by itself, and all of them together"
+
+
 # A pure delay of the inputs, as a rational approximation with two states a, b per input.
 #
 #     exp(-s T)  ~  (1 - s T / 3) / (1 + 2 s T / 3 + (s T)^2 / 6)                          (Pade, order [1/2])

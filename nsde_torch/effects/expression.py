@@ -44,6 +44,10 @@ from nsde_torch.lookup import did_you_mean
 #
 # Angles of `sin` and `cos` are in rad. A variable of unknown unit leaves the units that hang on it unknown.
 
+_OF_NUMBERS: Mapping[str, tuple[units.Powers, str]] = {
+    **dict.fromkeys(("sin", "cos"), ({"rad": 1}, "an angle [rad]")),
+    "expm1": ({}, "a number without unit"),
+}
 UNKNOWN = "SI"
 """Unit of a coefficient that hangs on a variable of unknown unit."""
 
@@ -91,7 +95,7 @@ class _Settling:
             return None if base is None else {u: node.power * p for u, p in base.items()}
         if isinstance(node, Product):
             return _times([self.unit(part) for part in node.parts])
-        if isinstance(node, Call) and node.function in ("sin", "cos", "sign"):
+        if isinstance(node, Call) and node.function in ("sin", "cos", "sign", "peak", "expm1"):
             return {}
         parts = [part for _, part in node.parts] if isinstance(node, Sum) else list(node.arguments)
         return self._same(parts)
@@ -111,13 +115,14 @@ class _Settling:
             rest = _times([self.unit(part) for part in node.parts if part not in open_])
             if len(open_) == 1 and want is not None and rest is not None:
                 self.settle(open_[0], units.divided(want, rest))
-        elif isinstance(node, Call) and node.function in ("sin", "cos"):
-            self.settle(node.arguments[0], {"rad": 1})
-            angle = self.unit(node.arguments[0])
-            if angle not in (None, {}, {"rad": 1}):
+        elif isinstance(node, Call) and node.function in _OF_NUMBERS:
+            want, what = _OF_NUMBERS[node.function]
+            self.settle(node.arguments[0], want)
+            given = self.unit(node.arguments[0])
+            if given not in (None, {}, want):
                 raise ConfigError(
-                    f"law {self.text!r}: {in_text(node)} takes an angle [rad]; {in_text(node.arguments[0])} is in "
-                    f"{units.written(angle or {})}. Write {node.function}(k1 {in_text(node.arguments[0])})."
+                    f"law {self.text!r}: {in_text(node)} takes {what}; {in_text(node.arguments[0])} is in "
+                    f"{units.written(given or {})}. Write {node.function}(k1 {in_text(node.arguments[0])})."
                 )
         elif isinstance(node, Sum | Call):
             parts = [part for _, part in node.parts] if isinstance(node, Sum) else list(node.arguments)
@@ -280,7 +285,10 @@ _CALLED: dict[str, Callable[..., Tensor]] = {
     "max": torch.maximum,
     "min": torch.minimum,
     "sign": lambda value, width: torch.tanh(value / width),
+    "peak": lambda value, at: 2.0 * value * at / (value * value + at * at),
+    "expm1": lambda value: torch.expm1(value.clamp_max(_LARGEST_EXPONENT)),
 }
+_LARGEST_EXPONENT = 30.0  # a rollout that has run off stays finite
 
 
 def unplaced_expression(name: str) -> type[Expression]:
@@ -369,7 +377,9 @@ def _made(law: Written, own_units: Mapping[str, str], own: dict[str, Any]) -> ty
     widths = {
         node.arguments[1].name
         for node in nodes(law.right)
-        if isinstance(node, Call) and node.function == "sign" and isinstance(node.arguments[1], Coefficient)
+        if isinstance(node, Call)
+        and node.function in ("sign", "peak")
+        and isinstance(node.arguments[1], Coefficient)
     }
     parameters = {name: Parameter(0.0, own_units[name], help="size of a term") for name in law.sizes}
     for name in law.shapes:

@@ -6,9 +6,10 @@
     power    = atom [ "^" whole number ]
     atom     = variable | coefficient | whole number | function "(" sum { "," sum } ")" | "(" sum ")"
 
-Functions are `abs(a)`, `sin(a)`, `cos(a)`, `max(a, b)`, `min(a, b)`, `sign(a, width)`, which is tanh(a / width), and
-`logged(name)`, a column of the log. A coefficient is `c` or `k` with a number or `_word` behind it: `c1`, `k_width`.
-Every term of the outer sum has exactly one coefficient as a factor, which is its size; all others are shapes.
+Functions are `abs(a)`, `sin(a)`, `cos(a)`, `max(a, b)`, `min(a, b)`, `sign(a, width)`, which is tanh(a / width),
+`peak(a, at)`, which is 2 a at / (a^2 + at^2), `expm1(a)`, which is exp(a) - 1, and `logged(name)`, a column of the log.
+A coefficient is `c` or `k` with a number or `_word` behind it: `c1`, `k_width`. Every term of the outer sum has exactly
+one coefficient as a factor, which is its size; all others are shapes.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from dataclasses import dataclass
 
 from nsde_torch.errors import ConfigError
 
-FUNCTIONS = {"abs": 1, "sin": 1, "cos": 1, "max": 2, "min": 2, "sign": 2, "logged": 1}
+FUNCTIONS = {"abs": 1, "sin": 1, "cos": 1, "max": 2, "min": 2, "sign": 2, "peak": 2, "expm1": 1, "logged": 1}
 """Functions and the number of their arguments."""
 
 _TOKEN = re.compile(r"\s*(?:(?P<name>[^\W\d]\w*)|(?P<number>\d+(?:\.\d*)?)|(?P<sign>[-+*^(),=\[\]]))")
@@ -436,7 +437,8 @@ class _Form:
 
     def call(self, node: Call) -> str:
         """A function."""
-        return f"{node.function}({', '.join(map(self.text, node.arguments))})"
+        arguments = ", ".join(map(self.text, node.arguments))
+        return f"(exp({arguments}) - 1)" if node.function == "expm1" else f"{node.function}({arguments})"
 
     def number(self, value: float) -> str:
         """A value of a coefficient."""
@@ -461,6 +463,10 @@ class _Sympy(_Form):
         arguments = [self.text(a) for a in node.arguments]
         if node.function == "sign":
             return f"tanh(({arguments[0]})/({arguments[1]}))"
+        if node.function == "peak":
+            return "2*({0})*({1})/(({0})**2 + ({1})**2)".format(*arguments)
+        if node.function == "expm1":
+            return f"(exp({arguments[0]}) - 1)"
         return f"{_SYMPY.get(node.function, node.function)}({', '.join(arguments)})"
 
     def number(self, value: float) -> str:
@@ -484,6 +490,10 @@ class _Latex(_Form):
             return rf"\left|{arguments[0]}\right|"
         if node.function == "sign":
             return rf"\tanh\left({arguments[0]} / {arguments[1]}\right)"
+        if node.function == "peak":
+            return r"\frac{{2\,({0})\,{1}}}{{({0})^2 + {1}^2}}".format(*arguments)
+        if node.function == "expm1":
+            return rf"\left(e^{{{arguments[0]}}} - 1\right)"
         return rf"{_LATEX[node.function]}\left({', '.join(arguments)}\right)"
 
     def number(self, value: float) -> str:

@@ -346,29 +346,6 @@ _MULTIROTOR = (Port.BODY_MOMENT,)
 
 
 @final
-class MotorEfficiencyLoss(Effect):
-    """Single motors give less than the others: a chipped propeller, a worn bearing."""
-
-    name = "motor_efficiency_loss"
-    port = Port.INPUT
-    needs = _MULTIROTOR
-    formula = "u_eff,i = u_i (1 - l_i)"
-    source = "actuator effectiveness factor; Zhang, Jiang, Annual Reviews in Control 32 (2008)"
-    PARAMETERS = {
-        "loss": Parameter(
-            1e-3, "1", low=0.0, high=1.0, scale=0.1, help="share lost, one per motor", per_input=True
-        )
-    }
-    null = {"loss": 0.0}
-    amplitudes = ("loss",)
-    sentence = "Motors have lost {loss} of their strength (one number per motor, in their order)."
-    separate = "climb, sink and yaw: a weak motor shows in the moments about all axes at once"
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -self.value("loss") * u
-
-
-@final
 class ThrustSag(Effect):
     """Thrust per command falls with time, as a battery empties."""
 

@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 from nsde_torch.effects.actuators import (
     ActuatorDeadband,
+    ActuatorEfficiencyLoss,
     ActuatorGainDrift,
     ActuatorLag,
     ActuatorSaturation,
@@ -14,6 +15,7 @@ from nsde_torch.effects.actuators import (
     AsymmetricGain,
     AsymmetricSaturation,
     InputDelay,
+    MotorEfficiencyLoss,
     MotorLag,
 )
 from nsde_torch.effects.base import Effect, Port
@@ -46,7 +48,6 @@ from nsde_torch.effects.multirotor_forces import (
     GyroscopicMoment,
     InertiaCoupling,
     LinearDrag,
-    MotorEfficiencyLoss,
     QuadraticDrag,
     ThrustCurve,
     ThrustMisalignment,
@@ -81,6 +82,7 @@ EFFECTS: dict[str, type[Effect]] = {
         ActuatorSaturation,
         AsymmetricSaturation,
         InputPlay,
+        ActuatorEfficiencyLoss,
         ActuatorGainDrift,
         # cart and pole
         TrackTilt,

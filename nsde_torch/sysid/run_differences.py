@@ -14,10 +14,11 @@ so that a run in which little is asked for seems weaker. A difference is reporte
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtr
+from scipy.special import chdtrc, stdtr
 
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run
@@ -32,6 +33,8 @@ SHARE = 0.1
 CHANCE, EITHER = 0.02, 0.3
 """Chance of so large a difference beyond what runs differ by, over all runs and parameters: the geometric mean of that
 by the whitened rows and that by plain least squares; and the largest of either."""
+ALIKE = 0.05
+"""Chance of gains so far from one common multiple of the others', above which they have it."""
 WHOLE, TIMES = 0.6, 2.5
 """Share of the measured that an unexplained run leaves as residual; and the ratio to that of each other run."""
 
@@ -41,29 +44,61 @@ def odd_run(regression: Regression, rough: Regression, runs: Sequence[Run]) -> O
     answered = _answered(rough)
     sure, beside = _differences(regression, answered), _differences(rough, answered)
     found = [
-        (chance, r, j, own, others)
-        for (r, j), (first, own, others) in sure.items()
-        if (chance := _joint(first, beside.get((r, j)), own > others)) < CHANCE
+        (chance, r, j, one.own, one.others)
+        for (r, j), one in sure.items()
+        if (chance := _joint(one, beside.get((r, j)))) < CHANCE
     ]
     if not found:
         return None
     _, r, j, own, others = min(found)
-    label, unit = regression.vector.labels[j], regression.vector.units[j]
+    vector = regression.vector
+    label, unit = vector.labels[j], vector.units[j]
     unit = "" if unit == "1" else f" {unit}"
+    shapes = {k for name in vector.system.effect_names for k in {*vector.of(name)} - {*vector.sizes(name)}}
+    times = _all_alike([one for (run, k), one in sure.items() if run == r and k not in shapes])
+    mass = (
+        f", and all its gains are {times:.3g} times those of the others, as with {1.0 / times:.3g} times the mass or "
+        "inertia"
+        if times
+        else ""
+    )
     return Objection(
         "odd_run",
         f"{runs[r].name!r} differs from the other runs: {label} is {own:.3g}{unit} in it and {others:.3g}{unit} in the "
-        "others",
-        "if it is of another machine, or after a repair, leave it out (one machine to a data set); otherwise look "
-        "whether one of its columns is of another run",
+        f"others{mass}",
+        "if it is of another machine, with a load, or after a repair, leave it out (one machine to a data set); "
+        "otherwise look whether one of its columns is of another run",
     )
 
 
-def _joint(chance: float, other: tuple[float, float, float] | None, larger: bool) -> float:
+@dataclass(frozen=True)
+class _Difference:
+    """A parameter in one run and in the others."""
+
+    chance: float  # of its difference beyond what runs differ by
+    own: float
+    others: float
+    error: float  # of own - others
+
+
+def _joint(one: _Difference, other: _Difference | None) -> float:
     """Chance of a difference by both fits; one where they do not agree."""
-    if other is None or (other[1] > other[2]) != larger or max(chance, other[0]) > EITHER:
+    if other is None or (other.own > other.others) != (one.own > one.others):
         return 1.0
-    return float(np.sqrt(chance * other[0]))
+    if max(one.chance, other.chance) > EITHER:
+        return 1.0
+    return float(np.sqrt(one.chance * other.chance))
+
+
+def _all_alike(gains: Sequence[_Difference]) -> float | None:
+    """What all gains of a run are, as a multiple of the others', if they have one; None otherwise, and for one gain."""
+    ratios = np.array([one.own / one.others for one in gains])
+    errors = np.array([one.error / abs(one.others) for one in gains])
+    if len(ratios) < 2 or not (np.isfinite(ratios).all() and (errors > 0).all()):
+        return None
+    mean = float(np.average(ratios, weights=errors**-2.0))
+    apart = float((np.square(ratios - mean) / np.square(errors)).sum())
+    return mean if mean > 0 and chdtrc(len(ratios) - 1, apart) > ALIKE else None
 
 
 def _answered(rough: Regression) -> dict[int, Array]:
@@ -80,10 +115,8 @@ def _answered(rough: Regression) -> dict[int, Array]:
     return out
 
 
-def _differences(
-    regression: Regression, answered: Mapping[int, Array]
-) -> dict[tuple[int, int], tuple[float, float, float]]:
-    """By run and parameter: chance of its difference beyond what runs differ by, its value in it and in the others."""
+def _differences(regression: Regression, answered: Mapping[int, Array]) -> dict[tuple[int, int], _Difference]:
+    """Differences by run and gain."""
     owner, blocks = regression.whitened_rows(regression.owners), regression.whitened_rows(regression.blocks)
     numbers = [int(r) for r in np.unique(owner)]
     alone = {r: _alone(regression, owner == r, blocks[owner == r]) for r in numbers}
@@ -112,9 +145,9 @@ def _differences(
             error = float(np.sqrt(max(between[j, j], 0.0)))
             size = max(abs(others[j]), 0.5 * abs(others[j] + moved[j]))
             beyond = float(abs(moved[j]) - (SHARE + bias[j]) * size)
-            if beyond > 0 and error > 0:
-                chance = 2.0 * float(stdtr(_DEGREES, -beyond / error)) * tests
-                out[r, j] = (chance, float(others[j] + moved[j]), float(others[j]))
+            if error > 0 and others[j] != 0.0:
+                chance = 2.0 * float(stdtr(_DEGREES, -beyond / error)) * tests if beyond > 0 else np.inf
+                out[r, j] = _Difference(chance, float(others[j] + moved[j]), float(others[j]), error)
     return out
 
 

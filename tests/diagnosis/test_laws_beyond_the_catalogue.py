@@ -158,20 +158,32 @@ def test_every_term_of_the_library_is_of_the_grammar_and_has_one_spelling() -> N
     rng = np.random.default_rng(0)
     names = ["theta", "theta_dot", "x_dot"]
     terms = terms_of(names, {n: rng.normal(size=200) for n in names}, ["theta"])
-    texts = [f"torque = c1 {term.text}" for term in terms]
+    texts = [
+        "torque = " + " + ".join(f"c{n} {part}" for n, part in enumerate(term.parts, 1)) for term in terms
+    ]
     assert all(parse(text).text == text for text in texts)
+    assert len(set(texts)) == len({(term.parts, *dict(term.start)) for term in terms})
     system = make_system("cartpole")
     for term, text in zip(terms, texts, strict=True):
-        assert set(system.make_effect(text).declared_parameters()) == {"c1", *dict(term.start)}
-    assert {"torque = c1 theta_dot x_dot", "torque = c1 sin(theta) x_dot", "torque = c1 sin(3 theta)"} <= set(
-        texts
-    )
+        sizes = {"c1", "c2"} if len(term.parts) > 1 else {"c1"}
+        assert set(system.make_effect(text).declared_parameters()) == {*sizes, *dict(term.start)}
+    assert {
+        "torque = c1 theta_dot x_dot",
+        "torque = c1 sin(theta) x_dot",
+        "torque = c1 sin(3 theta)",
+        "torque = c1 theta + c2 x_dot",
+        "torque = c1 expm1(k1 theta)",
+        "torque = c1 peak(x_dot, k1)",
+    } <= set(texts)
 
 
 @pytest.mark.parametrize(
     ("system", "law", "c1", "words"),
     [
         ("mass_spring_damper", "force = c1 q^2", 1.0, "a spring that is not straight"),
+        ("mass_spring_damper", "force = c1 expm1(k1 q)", -1.0, "rubber"),
+        ("mass_spring_damper", "force = c1 peak(q_dot, k1)", -1.0, "eddy currents"),
+        ("mass_spring_damper", "force = c1 peak(q_dot, k1)", 1.0, None),
         ("mass_spring_damper", "force = c1 q force", 1.0, "a gain of the input"),
         ("mass_spring_damper", "force = c1 min(q, 0)", -1.0, "met below"),
         ("mass_spring_damper", "force = c1 max(q, 0)", 1.0, None),

@@ -1,4 +1,4 @@
-"""Machines of a user's own: a motor with a pendulum that turns many times, a car of one state.
+"""Machines of a user's own: a motor with a pendulum that turns many times, a car of one state, a boat.
 
 Their simulators share no code with the package.
 """
@@ -48,6 +48,55 @@ class Car(System):
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         pushed = self.value("engine") * u - self.value("rolling")
         return pushed + forces.get(Port.FORCE, torch.zeros_like(x))
+
+
+@final
+class Boat(System):
+    """Surge, sway and turn of a boat with two propellers."""
+
+    name = "boat"
+    state_names, state_units = ("surge", "sway", "turn"), ("m/s", "m/s", "rad/s")
+    input_names, input_units = ("port_side", "starboard"), ("N", "N")
+    ports = {Port.FORCE: 2, Port.TORQUE: 1}
+    coordinates = (
+        Coordinate("surge", "surge", Port.FORCE, row=0),
+        Coordinate("sway", "sway", Port.FORCE, row=1),
+        Coordinate("turn", "turn", Port.TORQUE),
+    )
+    residual_ports = {
+        Port.FORCE: ResidualPort(2, 0.1, "m/s2"),
+        Port.TORQUE: ResidualPort(1, 0.1, "rad/s2"),
+    }
+    sensor_noise = True
+    defaults = Defaults(0.05, 20, (0.01, 0.01, 0.01), 0.1, 1.0, "euler_maruyama")
+    PARAMETERS = {
+        "thrust": Parameter(0.05, "1/kg", low=0.0),
+        "lever": Parameter(0.03, "rad/(s2 N)", low=0.0),
+        "drag": Parameter(0.4, "1/s", low=0.0),
+    }
+
+    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
+        left, right = u[:, :1], u[:, 1:2]
+        thrust, turn = self.value("thrust") * (left + right), self.value("lever") * (right - left)
+        rates = torch.cat((thrust, torch.zeros_like(thrust), turn), 1) - self.value("drag") * x
+        force, torque = forces.get(Port.FORCE, 0.0 * x[:, :2]), forces.get(Port.TORQUE, 0.0 * x[:, :1])
+        return rates + torch.cat((force, torque), 1)
+
+
+def sailed(strength: tuple[float, float], aside: float) -> list[RawRun]:
+    """Three runs of the boat: what each propeller gives, and their force to the side [1/kg]."""
+    runs = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.uniform(5.0, 40.0, (40, 2)), 15, axis=0)
+        left, right = (u * strength).T
+        pushed = np.stack((0.055 * (left + right), aside * (left + right), 0.028 * (right - left)), 1)
+        x, stays = np.zeros((len(u), 3)), np.exp(-0.45 * 0.05)
+        for k in range(len(u) - 1):  # exact for inputs that are held
+            x[k + 1] = stays * x[k] + (1.0 - stays) / 0.45 * pushed[k]
+        x += 0.01 * rng.normal(size=x.shape)
+        runs.append(RawRun(f"run_{seed}", 0.05 * np.arange(len(u)), x, u))
+    return runs
 
 
 def turned(
@@ -122,3 +171,20 @@ def test_a_sound_machine_without_a_position_is_sound_in_slow_and_noisy_rows() ->
     assert found.verdict == "no_effect"
     assert not found.not_done
     assert not found.content()["guard"]["objections"]
+
+
+def test_the_weaker_of_two_propellers_is_named() -> None:
+    found = nsde_torch.diagnose(sailed((0.92, 1.0), 0.0), system=Boat, say=False)
+    assert found.added == ["actuator_efficiency_loss"]
+    low, high = found.parameters["actuator_efficiency_loss.loss[0]"]["interval_90"]
+    assert low - 0.002 < 0.08 < high + 0.002
+    assert high - low < 0.02
+
+
+def test_a_force_that_two_inputs_make_is_a_law_of_both() -> None:
+    found = nsde_torch.diagnose(sailed((1.0, 1.0), 0.012), system=Boat, say=False)
+    assert found.added == ["force[sway] = c1 port_side + c2 starboard"]
+    for size in ("c1", "c2"):
+        low, high = found.parameters[f"{found.added[0]}.{size}"]["interval_90"]
+        assert low - 1e-4 < 0.012 < high + 1e-4
+        assert high - low < 0.002

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import torch
 
+from nsde_torch.diagnosis.candidates import why_not
+from nsde_torch.effects import EFFECTS
 from nsde_torch.systems import make_system
 from tests.helpers.effect_contract import EffectContract
 from tests.helpers.effect_rows import term
@@ -55,6 +57,18 @@ class TestAsymmetricSaturation(EffectContract):
     def test_each_sign_has_a_level_of_its_own(self) -> None:
         effect = self.make({"level_forward": 1.5, "level_backward": 0.2})
         torch.testing.assert_close(U + term(effect, X, U), torch.tensor([[0.05], [-0.2], [1.5], [-0.2]]))
+
+
+class TestActuatorEfficiencyLoss(EffectContract):
+    name, system = "actuator_efficiency_loss", "cartpole"
+
+    def test_each_input_has_a_loss_of_its_own(self) -> None:
+        effect = EFFECTS[self.name]({"loss": [0.1, 0.4]}, n_inputs=2)
+        u = torch.tensor([[2.0, -1.0]])
+        torch.testing.assert_close(u + term(effect, X[:1], u), torch.tensor([[1.8, -0.6]]))
+
+    def test_it_is_no_candidate_where_nothing_can_be_compared(self) -> None:
+        assert why_not(make_system("cartpole"), self.name) == "it compares inputs, and the machine has one"
 
 
 class TestActuatorGainDrift(EffectContract):

@@ -90,6 +90,7 @@ def test_what_is_not_of_the_grammar_is_refused_with_its_place(text: str, says: s
         ),
         ("mass_spring_damper", "force[y] = c1 q", "is written force = "),
         ("mass_spring_damper", "force = c1 max(q - q_dot, 0)", "q is in m and q_dot in m/s"),
+        ("mass_spring_damper", "force = c1 expm1(q)", "takes a number without unit; q is in m"),
         ("mass_spring_damper", "force = c1 sin(q)", r"takes an angle \[rad\]; q is in m. Write sin\(k1 q\)"),
         (
             "hexacopter",
@@ -154,3 +155,10 @@ def test_a_law_with_its_values_reads_in_text_in_latex_and_for_sympy() -> None:
     assert sympy_text(law, values) == (
         "-0.298*v_body_x**2 + 1e-05*Max(q_dot + 0.4, 0)*Abs(theta) + 2.0*tanh((q_dot)/(0.01))"
     )
+    law = parse("force = c1 peak(q_dot, k1) + c2 expm1(k2 q)")
+    values = {"c1": -30.0, "c2": 0.5, "k1": 8.0, "k2": 2.0}
+    assert valued(law, values) == "force = -30 peak(q_dot, 8) + 0.5 (exp(2 q) - 1)"
+    assert latex(law, values) == (
+        r"\mathrm{force} = -30\,\frac{2\,(\dot{q})\,8}{(\dot{q})^2 + 8^2} + 0.5\,\left(e^{2\,q} - 1\right)"
+    )
+    assert sympy_text(law, values) == ("-30.0*2*(q_dot)*(8.0)/((q_dot)**2 + (8.0)**2) + 0.5*(exp(2.0*q) - 1)")

@@ -191,7 +191,19 @@ def test_a_run_of_another_machine_is_named() -> None:
     assert objection.kind == "odd_run"
     assert "'run_9'" in objection.sentence
     assert "stiffness" in objection.sentence
+    assert "times the mass" not in objection.sentence
     assert "another machine" in objection.remedy
+
+
+def test_a_run_with_a_load_is_told_as_a_multiple_of_the_mass() -> None:
+    loaded = {"force_gain": 0.6, "linear_spring.stiffness": 0.6, "viscous_friction.damping": 0.3}
+    other = nsde_torch.simulate("mass_spring_damper", durations=[10.0], seed=9, parameters=loaded).runs[0]
+    runs = [*LOGS["mass_spring_damper"][:2], RawRun("run_9", other.t + 40.0, other.x, other.u)]
+    (objection,) = guard_of("mass_spring_damper", runs=runs).objections
+    assert objection.kind == "odd_run"
+    found = re.search(r"'run_9' .* as with (\S+) times the mass", objection.sentence)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(1.0 / 0.6, abs=0.05)
 
 
 def test_an_input_of_another_run_names_the_run() -> None:

@@ -375,9 +375,12 @@ def _axis(seen: Rates, d: Dependence) -> tuple[str, str, Array]:
         return d.variable, seen.value_units.get(d.variable, ""), seen.values[d.variable]
     if not d.pair:
         return "number of the run", "", seen.run.astype(np.float64)
-    first, _, second = d.pair.partition(" * ")
-    units = [u for u in (seen.value_units.get(v, "1") for v in (first, second)) if u not in ("", "1")]
-    return d.pair, " ".join(units), seen.values[first] * seen.values[second]
+    values, units = np.ones(len(seen.run)), []
+    for factor in d.pair.split(" * "):
+        name = factor.removeprefix("abs(").removesuffix(")")
+        values = values * (seen.values[name] if name == factor else np.abs(seen.values[name]))
+        units.append(seen.value_units.get(name, "1"))
+    return d.pair, " ".join(u for u in units if u not in ("", "1")), values
 
 
 def _cloud(x: Array, y: Array, block: NDArray[np.int64]) -> Cloud:

@@ -47,6 +47,7 @@ from nsde_torch.diagnosis.regressors import (
     BEFORE,
     BY_RUN,
     OTHERS,
+    PRODUCTS,
     RUN,
     SMOOTH,
     Functions,
@@ -289,7 +290,8 @@ def _product(left: PhysicsResiduals, name: str, scores: FunctionScores) -> str:
     """The product with another variable that brings most by itself."""
     first, names = name.removesuffix(OTHERS), list(left.columns)
     pull = np.square(scores.total) / np.maximum(np.diag(scores.information), 1e-300)
-    return f"{first} * {names[names.index(first) + 1 + int(pull.argmax())]}"
+    other, kind = divmod(int(pull.argmax()), len(PRODUCTS))
+    return PRODUCTS[kind].format(first, names[names.index(first) + 1 + other])
 
 
 def _repeated(left: PhysicsResiduals, port: int, name: str) -> Dependence | None:

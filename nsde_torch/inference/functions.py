@@ -414,7 +414,9 @@ class _Choice:
     def _finer(self, port: int, near: Sequence[str], chosen: Sequence[BasisGroup]) -> list[BasisGroup]:
         """Products of all variables, and fine functions of one and smooth ones of two of some of them."""
         out = [BasisGroup(port, (name,), "fine") for name in near]
-        out += [BasisGroup(port, pair, "product") for pair in combinations(self._scaled, 2)]
+        # a drag |w| v shows in no product of both (tests/diagnosis/test_own_machines.py)
+        products: tuple[Kind, ...] = ("product", "signed")
+        out += [BasisGroup(port, pair, kind) for pair in combinations(self._scaled, 2) for kind in products]
         out += [BasisGroup(port, pair, "polynomial") for pair in combinations(near, 2)]
         # a ridge across a plane: 0.33 of an oracle's nats without these (flexible_cases.py, odd_spring, seed 8601)
         pairs = {tuple(sorted(g.variables)) for g in chosen if g.port == port and len(g.variables) == 2}

@@ -45,8 +45,8 @@ def functions(
 
     Args:
         of: Its variables: one or two.
-        kind: `polynomial`, `signed` (sign of one, size, and square with its sign), `product` of both, `smooth`,
-            `fine`, or `varying`: waves of the first one times the second.
+        kind: `polynomial`, `signed` (sign of one, size, and square with its sign; of two, each times the size of the
+            other), `product` of both, `smooth`, `fine`, or `varying`: waves of the first one times the second.
         values: Values of the variables (n,).
         scaled: Their scales.
     """
@@ -54,6 +54,8 @@ def functions(
         plain = [values[name] / scaled[name].size for name in of]
         if kind == "product":
             return np.prod(plain, 0)[:, None]
+        if kind == "signed" and len(plain) == 2:
+            return np.stack((np.abs(plain[0]) * plain[1], plain[0] * np.abs(plain[1])), 1)
         if kind == "signed":
             size = np.abs(plain[0])
             return np.stack((np.tanh(plain[0] / _SIGN), size, plain[0] * size), 1)

@@ -83,17 +83,20 @@ class Boat(System):
         return rates + torch.cat((force, torque), 1)
 
 
-def sailed(strength: tuple[float, float], aside: float) -> list[RawRun]:
-    """Three runs of the boat: what each propeller gives, and their force to the side [1/kg]."""
+def sailed(strength: tuple[float, float], aside: float, slip: float = 0.0) -> list[RawRun]:
+    """Three runs of the boat: what each propeller gives, their force to the side [1/kg], drag of a turn [1/rad]."""
     runs = []
     for seed in range(3):
         rng = np.random.default_rng(seed)
         u = np.repeat(rng.uniform(5.0, 40.0, (40, 2)), 15, axis=0)
         left, right = (u * strength).T
         pushed = np.stack((0.055 * (left + right), aside * (left + right), 0.028 * (right - left)), 1)
-        x, stays = np.zeros((len(u), 3)), np.exp(-0.45 * 0.05)
-        for k in range(len(u) - 1):  # exact for inputs that are held
-            x[k + 1] = stays * x[k] + (1.0 - stays) / 0.45 * pushed[k]
+        x = np.zeros((len(u), 3))
+        for k in range(len(u) - 1):
+            y = x[k]
+            for _ in range(50):
+                y = y + 0.001 * (pushed[k] - 0.45 * y - np.array([slip * np.abs(y[2]) * y[0], 0.0, 0.0]))
+            x[k + 1] = y
         x += 0.01 * rng.normal(size=x.shape)
         runs.append(RawRun(f"run_{seed}", 0.05 * np.arange(len(u)), x, u))
     return runs
@@ -188,3 +191,11 @@ def test_a_force_that_two_inputs_make_is_a_law_of_both() -> None:
         low, high = found.parameters[f"{found.added[0]}.{size}"]["interval_90"]
         assert low - 1e-4 < 0.012 < high + 1e-4
         assert high - low < 0.002
+
+
+def test_a_drag_that_grows_with_turns_to_both_sides_is_found() -> None:
+    found = nsde_torch.diagnose(sailed((1.0, 1.0), 0.0, 0.3), system=Boat, say=False)
+    assert found.added == ["force[surge] = c1 surge abs(turn)"]
+    low, high = found.parameters[f"{found.added[0]}.c1"]["interval_90"]
+    assert low - 0.01 < -0.3 < high + 0.01
+    assert high - low < 0.1

@@ -68,3 +68,20 @@ def test_what_physics_does_beside_others_is_the_first_column(space: StateSpace) 
     assert float((columns[..., 0] - differences).norm()) < 3e-3 * float(differences.norm())
     # a drag is linear in its size
     assert float((0.3 * columns[..., 1] - columns[..., 0]).norm()) < 1e-3 * float(columns[..., 0].norm())
+
+
+def test_what_moves_nothing_has_no_information_by_rounding() -> None:
+    """More of all gains and as much less of all motors: what is left of it has to be far below 1e-10 of information."""
+    made = nsde_torch.simulate("hexacopter", durations=[2.0], seed=3)
+    system = make_system("hexacopter", effects=["motor_efficiency_loss"])
+    space = LogLikelihood(system, nsde_torch.read(made, system=system).runs).space
+    v, x = space.vector, space.chunks.y
+    theta = v.start.copy()
+    theta[v.of("motor_efficiency_loss")] = [0.003, 0.003, 0.12, 0.001, 0.002, 0.05]
+    space.use(theta)
+    lost = [theta[j] if "gain" in v.labels[j] else 0.0 for j in range(len(v))]
+    for j in v.of("motor_efficiency_loss"):
+        lost[j] = 1.0 - theta[j]
+    slopes, after = space.linearised(x)
+    moved_by = space.columns(x, slopes, range(len(v)), after) * torch.tensor(lost, dtype=x.dtype)
+    assert float(moved_by.sum(-1).norm()) < 3e-6 * float(moved_by.norm())

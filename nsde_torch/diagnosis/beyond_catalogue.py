@@ -16,7 +16,7 @@ variables are an approximation of it, and no laws; and beside much that nobody k
 
 A law that is the same function as an effect of the catalogue takes that effect's name: `force = c1 x^3` is a cubic
 stiffness. The law may have been the likelier of the two by its spelling alone, as the same evidence is judged run by
-run there. At the states and inputs of the data both are worked out; where one is a multiple of the other, the effect is
+run there. At the states and inputs of the data both are worked out; where sizes of the effect make it the law, it is
 fitted in its place.
 """
 
@@ -25,6 +25,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations
+from math import log
 
 import numpy as np
 import torch
@@ -40,12 +41,14 @@ from nsde_torch.diagnosis.ceiling import functions_beside
 from nsde_torch.diagnosis.evidence import folds_of
 from nsde_torch.diagnosis.gram_table import GramTable
 from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSearch, JointSelection, coordinate_of
-from nsde_torch.diagnosis.laws import Term, tables, terms_on, with_places
+from nsde_torch.diagnosis.laws import Term, tables, terms_on, wave_on, with_places
 from nsde_torch.diagnosis.outcome import Outcome
+from nsde_torch.diagnosis.periodicity import COUNTS, best_repeat
 from nsde_torch.effects import Effect, Law, Parameter, Port, effect_class
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import AND, split_name
 from nsde_torch.errors import ConfigError
+from nsde_torch.inference.force_scores import force_scores
 from nsde_torch.inference.functions import Functions
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.steps import Steps
@@ -86,7 +89,8 @@ def with_laws(
             return conclude(other)
     settings.say("functions of what was measured", 0, 1)
     joint = replace(joint, functions=laws.functions(joint.final))
-    more = laws.selected(joint, ()) if joint.functions is not None and joint.functions.nats else None
+    left = joint.functions is not None and joint.functions.nats
+    more = laws.selected(joint, ()) if left or laws.waves(joint.final) else None
     if more is not None:
         return conclude(more)
     kept = outcome.joint  # without what feedback may have made
@@ -101,6 +105,7 @@ class _LawSearch:
     def __init__(self, search: JointSearch) -> None:
         self._search = search
         self._functions: dict[frozenset[str], Functions | None] = {}
+        self._waves: dict[frozenset[str], list[Term]] = {}
 
     def functions(self, place: FittedPhysics) -> Functions | None:
         """Functions beside some physics; None where they would say nothing."""
@@ -109,8 +114,26 @@ class _LawSearch:
             self._functions[names] = functions_beside(place.at, self._search.search.budgets.function_groups)
         return self._functions[names]
 
+    def waves(self, place: FittedPhysics) -> list[Term]:
+        """Forces on a coordinate that repeat along its position beside some physics, finer than functions see."""
+        names = frozenset(place.system.effect_names)
+        if names in self._waves:
+            return self._waves[names]
+        system, space, found = place.system, place.at.of.space, list[Term]()
+        along = [
+            (space.disturbances.index((at.port, at.row)), at.position)
+            for at in system.bound_coordinates()
+            if at.position is not None and (at.port, at.row) in space.disturbances
+        ]
+        least = log(len(COUNTS) * max(len(along), 1) / self._search.search.level("effects"))
+        for port, position in along:
+            again = best_repeat(force_scores(place.at), port, space.steps.x0[:, position].numpy())
+            if again is not None and again.scores.nats > least:
+                found.append(wave_on(system, place.at, port, system.state_names[position], again.period))
+        return self._waves.setdefault(names, found)
+
     def selected(self, joint: JointSelection, replaced: Sequence[str]) -> JointSelection | None:
-        """A selection with laws, also in the place of some effects; None where no law is kept."""
+        """A selection with laws, also in the place of some effects; None where it is the same."""
         search = self._search
         place = joint.final
         of_effects = {n: e for n in replaced if isinstance(e := effect_of(place.system, n), Law)}
@@ -125,7 +148,7 @@ class _LawSearch:
         if not added:
             return None
         found = self.named_by_the_catalogue(search.concluded(place))
-        if not any(map(is_law, found.selected)):
+        if found.selected.keys() == joint.selected.keys():
             return None
         return replace(found, functions=self.functions(found.final))
 
@@ -149,6 +172,8 @@ class _LawSearch:
         library = tuple(
             t for port, names in wanted.items() for t in terms_on(place.system, place.at, port, names)
         )
+        # cogging of order 30 of an arm's shoulder, and teeth along a rail, had a period and no name
+        library += tuple(t for t in self.waves(place) if t.law not in place.system.effect_names)
         best: FittedPhysics | None = None
         fitted: list[Term] = []
         chosen: Term | None = None
@@ -218,12 +243,12 @@ def _value(place: FittedPhysics) -> float:
     return place.best.likelihood - 0.5 * len(place.best.free) * float(np.log(len(place.at.blocks)))
 
 
-_SAME = 1e-6  # of its length: what a multiple may be away; both are worked out in double precision
+_SAME = 1e-5  # of its length: what a law may be away; values are kept in single precision, also that of a phase
 _ROWS = 5000  # of the data, evenly chosen
 
 
 def same_effect(steps: Steps, system: System, law: str) -> tuple[str, Start] | None:
-    """An effect of the catalogue that is a multiple of a law at the states of the data: its name, and its shapes."""
+    """An effect of the catalogue that is a law at the states of the data, by its sizes: its name, and its shapes."""
     own = effect_of(system, law)
     if own.port is Port.INPUT:
         return None
@@ -231,23 +256,23 @@ def same_effect(steps: Steps, system: System, law: str) -> tuple[str, Start] | N
     found: list[tuple[str, Start]] = []  # a friction of two sizes is one too, where both are alike
     shapes = [value for name, value in values_of(own).items() if name.startswith("k")]
     for name in candidate_names(system):
-        cls = effect_class(name)
+        cls = effect_class(name, system.bound_coordinates())
         if cls.port is not own.port or cls.exogenous:
             continue
         # a sign of the speed with its width is a dry friction (tests/diagnosis/test_law_names.py)
         shaped = dict(zip(cls.shapes, shapes, strict=True)) if len(cls.shapes) == len(shapes) else {}
+        sizes = {k: _size(cls.PARAMETERS[k]) for k in cls.amplitudes}
         try:
-            sizes = {k: _size(cls.PARAMETERS[k]) for k in cls.amplitudes}
             other = system.make_effect(name, {**sizes, **shaped})
+            more = [system.make_effect(name, {**sizes, **shaped, k: 1.5 * v}) for k, v in sizes.items()]
         except ConfigError:  # beyond the bounds of its shapes
             continue
-        if other.n_memory:
-            continue
         theirs = _pushes(steps, system, other)
-        if theirs.shape != mine.shape or not (theirs @ theirs > 0 and mine @ mine > 0):
+        if other.n_memory or theirs.shape != mine.shape or not mine @ mine > 0:
             continue
-        off = theirs - mine * float(theirs @ mine) / float(mine @ mine)
-        if float(off @ off) <= _SAME**2 * float(theirs @ theirs):
+        parts = np.stack([_pushes(steps, system, one) - theirs for one in more], 1)
+        off = mine - parts @ np.linalg.lstsq(parts, mine, rcond=1e-12)[0]
+        if float(off @ off) <= _SAME**2 * float(mine @ mine):
             found.append((name, shaped))
     return min(found, key=lambda one: len(effect_class(one[0]).PARAMETERS), default=None)
 

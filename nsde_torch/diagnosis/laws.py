@@ -1,6 +1,6 @@
 """The library of terms that laws are built from, and what each would explain beside physics.
 
-    v^2, v^3, v^4, v^5, v, |v|, |v| v, sign v,   max(v - k, 0), min(v - k, 0) for zero and some k in the range of v,
+    1, v^2, v^3, v^4, v^5, v, |v|, |v| v, sign v,   max(v - k, 0), min(v - k, 0) for zero and some k in the range of v,
     2 v k / (v^2 + k^2), which is largest at k,   exp(k v) - 1,   sin n v, cos n v of an angle,
     a b, a^2 b, a b^2, |a| b, a |b|, max(a, 0) b, min(a, 0) b,
     sin a b, cos a b, sin a b^2, cos a b^2 with an angle a,   and planes c1 a + c2 b
@@ -147,8 +147,6 @@ def terms_on(system: System, at: Optimum, port: int, names: Sequence[str]) -> li
         names: The variables; what a law cannot speak of is left out.
     """
     space, words = at.of.space, vocabulary(type(system))
-    where, column = space.disturbances[port]
-    on = dict(words.ports)[where.value].written(where.value)[column]
     counted = space.chunks.counted
     some = slice(None, None, max(1, int(counted.sum()) // _MOST_VALUES))
     x, u = at.x[counted][some], space.chunks.u[counted][some]
@@ -158,18 +156,36 @@ def terms_on(system: System, at: Optimum, port: int, names: Sequence[str]) -> li
     there = [name for name in known if name in names and name in table]
     text = {name: f"logged({name})" if name in system.exogenous else name for name in there}
     units = {name: unit for name, unit, _ in words.variables}
-    terms = terms_of(
+    terms = [LawTerm(("",))] if there else []
+    terms += terms_of(
         list(text.values()),
         {text[name]: table[name].numpy() for name in there},
         [text[name] for name in there if units.get(name) == "rad"],
     )
-    out: list[Term] = []
-    for term in terms:
-        summed = " + ".join(f"{c} {part}" for c, part in zip(_sizes(term.parts), term.parts, strict=True))
-        law = system.effect_key(f"{on} = {summed}")
-        if law not in system.effect_names:
-            out.append(Term(law, term.parts, dict(term.start), port))
-    return out
+    out = [_on(system, at, port, term) for term in terms]
+    return [term for term in out if term.law not in system.effect_names]
+
+
+def wave_on(system: System, at: Optimum, port: int, name: str, period: float) -> Term:
+    """A wave along a variable on one row of a port.
+
+    Args:
+        system: The machine.
+        at: Its optimum.
+        port: Number of the row among the disturbances of the likelihood.
+        name: The variable.
+        period: Of the wave, in its unit.
+    """
+    wave = LawTerm((f"sin(k1 {name})", f"cos(k1 {name})"), (("k1", 2.0 * np.pi / period),))
+    return _on(system, at, port, wave)
+
+
+def _on(system: System, at: Optimum, port: int, term: LawTerm) -> Term:
+    """A law on one row of a port."""
+    where, column = at.of.space.disturbances[port]
+    on = dict(vocabulary(type(system)).ports)[where.value].written(where.value)[column]
+    summed = " + ".join(f"{c} {part}".strip() for c, part in zip(_sizes(term.parts), term.parts, strict=True))
+    return Term(system.effect_key(f"{on} = {summed}"), term.parts, dict(term.start), port)
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,7 @@ DURATIONS: dict[str, list[float]] = {
     "hexacopter": [45.0] * 4,
 }
 _TURNED = ("frame_misalignment",)
-_OF_THE_LOG = (*_TURNED, "angle_bias")
+_OF_THE_LOG = (*_TURNED, "position_bias[pole]")
 TIES = (
     {"input_delay", "actuator_lag", "motor_lag"},
     {"thrust_sag", "battery_voltage"},

@@ -116,7 +116,7 @@ def judge(truth: dict[str, Any], answer: dict[str, Any]) -> dict[str, Any]:
     ]
     added = answer["added"]
     if "theta" in truth.get("recording", {}).get("sensor_bias", {}):  # of a state that is no rate: an effect
-        added = ["sensor_bias" if name == "angle_bias" else name for name in added]
+        added = ["sensor_bias" if name == "position_bias[pole]" else name for name in added]
     out: dict[str, Any] = {
         "kind": case["kind"],
         "system": truth["system"],

@@ -243,7 +243,9 @@ def _value(place: FittedPhysics) -> float:
     return place.best.likelihood - 0.5 * len(place.best.free) * float(np.log(len(place.at.blocks)))
 
 
-_SAME = 1e-5  # of its length: what a law may be away; values are kept in single precision, also that of a phase
+_SAME = (
+    1e-5  # of its length: what a law may be away; values are kept in single precision, also that of a phase
+)
 _ROWS = 5000  # of the data, evenly chosen
 
 

@@ -64,8 +64,9 @@ class Port(str, Enum):
     """Where a term enters a system.
 
     A system of the user's own may have a port of its own: `Port("tail_force")` is the same object everywhere. On
-    `input` and `rate` an effect can act whatever the system: `rate` adds to the rate of the whole state, (N, nx) in
-    the units of the states per second; leave the columns of the kinematics at zero.
+    `input`, `rate` and `position` an effect can act whatever the system: `rate` adds to the rate of the whole state,
+    (N, nx) in the units of the states per second; leave the columns of the kinematics at zero. `position` adds to the
+    state (N, nx) at which all physics is worked out: what a sensor reads too much, with the other sign.
     """
 
     FORCE = "force"
@@ -75,7 +76,7 @@ class Port(str, Enum):
     BODY_MOMENT = "body_moment"
     BODY_WRENCH = "body_wrench"
     MOTOR_THRUST = "motor_thrust"
-    ANGLE = "angle"
+    POSITION = "position"
     INPUT = "input"
     RATE = "rate"
 
@@ -298,7 +299,7 @@ class Effect(Parametrised, ABC):
     def fits(cls, system: str, ports: Collection[Port]) -> bool:
         """Whether the effect is meant for a system of this name and these ports."""
         named = not cls.systems or system in cls.systems
-        has = {*ports, Port.INPUT, Port.RATE}
+        has = {*ports, Port.INPUT, Port.RATE, Port.POSITION}
         return named and {cls.port, *cls.needs} <= has and not set(cls.excludes) & set(ports)
 
     @classmethod

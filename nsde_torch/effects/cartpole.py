@@ -1,9 +1,8 @@
-"""Effects of the cart and pole that are no law of one of its two coordinates: a track in tilt, a turned sensor.
+"""Effects of the cart and pole that are no law of one of its two coordinates: a track in tilt, another gravity.
 
 Equations are those of Florian, "Correct equations for the dynamics of the cart-pole system" (2007), which corrects
 Barto, Sutton, Anderson (1983). A track at a slope of sin(angle) = s pulls cart and pole alike along it: x'' loses g s,
-the pole does not notice, and its angle counts from the normal of the track. A sensor of the angle that reads b too
-much puts all of the pole's physics at theta - b.
+the pole does not notice, and its angle counts from the normal of the track.
 """
 
 from typing import final
@@ -34,26 +33,6 @@ class TrackTilt(Effect):
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         return (-GRAVITY * self.value("slope")).expand(x.shape[0], 1)
-
-
-@final
-class AngleBias(Effect):
-    """The sensor of the pole's angle reads too much, by the same at every angle."""
-
-    name = "angle_bias"
-    port = Port.ANGLE
-    systems = ("cartpole",)
-    formula = "theta - b"
-    source = "zero of a rotary encoder, in the equations of " + FLORIAN
-    PARAMETERS = {
-        "bias": Parameter(0.0, "rad", scale=0.02, help="angle that is read where the pole is upright")
-    }
-    null = {"bias": 0.0}
-    sentence = "The sensor of the pole's angle reads {bias} too much."
-    separate = "let the pole hang at rest, the cart free: its angle is then half a turn and the bias"
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return (-self.value("bias")).expand(x.shape[0], 1)
 
 
 @final

@@ -6,7 +6,7 @@ from typing import final
 import torch
 from torch import Tensor
 
-from nsde_torch.effects.base import Parameter, elapsed
+from nsde_torch.effects.base import Parameter, Port, elapsed
 from nsde_torch.effects.law import Law
 
 
@@ -134,3 +134,30 @@ class CubicStiffness(Law):
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         q = self.q(x)
         return -self.value("stiffness") * q * q * q
+
+
+@final
+class PositionBias(Law):
+    """The sensor of a position reads too much, by the same everywhere: all physics is at the position that is."""
+
+    name = "position_bias"
+    port = Port.POSITION
+    kinds = ("joint", "axis")
+    reads_position = True
+    formula = "q - b, for all that depends on q"
+    source = "zero of a rotary encoder; Craig, Introduction to Robotics (2005), on kinematic parameters"
+    PARAMETERS = {
+        "bias": Parameter(0.0, "position", scale=0.02, help="what is read where the position is zero")
+    }
+    null = {"bias": 0.0}
+    sentence = "The sensor of the position of {it} reads {bias} too much."
+    separate = "let it hang at rest: what is read there is the bias"
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return -self.value("bias").expand(x.shape[0], 1)
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """What is to be added to the state (N, nx)."""
+        k = self.at.position
+        assert k is not None
+        return torch.nn.functional.pad(self.term(t, x, u, memory), (k, x.shape[1] - k - 1))

@@ -141,7 +141,7 @@ def _made(law: type[Law], at: Bound) -> type[Law]:
         "name": name,
         "law": law,
         "at": at,
-        "port": at.port,
+        "port": at.port if law.port is Port.FORCE else law.port,
         "PARAMETERS": _in_units(law._declared, at),
         "sentence": law._sentence.replace("{it}", at.words),
         "includes": tuple(joined_name(simple, at.name) for simple in law.includes),

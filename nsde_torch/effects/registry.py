@@ -19,11 +19,18 @@ from nsde_torch.effects.actuators import (
     MotorLag,
 )
 from nsde_torch.effects.base import Effect, Port
-from nsde_torch.effects.cartpole import AngleBias, PoleGravity, TrackTilt
+from nsde_torch.effects.cartpole import PoleGravity, TrackTilt
 from nsde_torch.effects.coordinates import Bound
 from nsde_torch.effects.expression import Expression, unplaced_expression
 from nsde_torch.effects.expression_grammar import is_law
-from nsde_torch.effects.forces import ConstantForce, CubicStiffness, LinearSpring, PeriodicForce, Ripple
+from nsde_torch.effects.forces import (
+    ConstantForce,
+    CubicStiffness,
+    LinearSpring,
+    PeriodicForce,
+    PositionBias,
+    Ripple,
+)
 from nsde_torch.effects.friction import (
     AsymmetricFriction,
     CoulombFriction,
@@ -73,6 +80,7 @@ EFFECTS: dict[str, type[Effect]] = {
         CubicStiffness,
         Hysteresis,
         Ripple,
+        PositionBias,
         # the input of any system
         InputDelay,
         ActuatorLag,
@@ -86,7 +94,6 @@ EFFECTS: dict[str, type[Effect]] = {
         ActuatorGainDrift,
         # cart and pole
         TrackTilt,
-        AngleBias,
         PoleGravity,
         # multirotors
         LinearDrag,

@@ -138,7 +138,8 @@ class System(Parametrised, ABC):
         self._parts = (self.nx, *(effect.n_memory for effect in effects))
         on_input = [k for k, effect in enumerate(effects) if effect.port is Port.INPUT]
         self._on_input = tuple(sorted(on_input, key=lambda k: (effects[k].stage, k)))
-        self._on_force = tuple(k for k in range(len(effects)) if k not in on_input)
+        self._on_position = tuple(k for k, effect in enumerate(effects) if effect.port is Port.POSITION)
+        self._on_force = tuple(k for k in range(len(effects)) if k not in (*on_input, *self._on_position))
         columns = {name: self.nu + k for k, name in enumerate(self.exogenous)}
         self._read = tuple(tuple(columns[name] for name in effect.exogenous) for effect in effects)
 
@@ -293,6 +294,7 @@ class System(Parametrised, ABC):
             residual: Learned contributions by port.
         """
         x, *memories = split_columns(z, *self._parts)
+        x = self._as_it_is(t, x, u)
         forces: dict[Port, Tensor] = dict(residual or {})
         rates: dict[int, Tensor] = {}
         command = self._applied(t, x, u, memories, rates)
@@ -310,6 +312,7 @@ class System(Parametrised, ABC):
     def memory_rate(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:
         """Rate of the memory of the effects alone (N, nz - nx), as `drift` has it."""
         x, *memories = split_columns(z, *self._parts)
+        x = self._as_it_is(t, x, u)
         rates: dict[int, Tensor] = {}
         command = self._applied(t, x, u, memories, rates)
         for k in self._on_force:
@@ -391,6 +394,12 @@ class System(Parametrised, ABC):
                 rates[k] = effect.memory_rate(t, x, own, memories[k])
             command = command + effect(t, x, own, memories[k])
         return command
+
+    def _as_it_is(self, t: float | Tensor, x: Tensor, u: Tensor) -> Tensor:
+        """The state (N, nx) of which `x` is read."""
+        for k in self._on_position:
+            x = x + self._own[k](t, x, self._seen(k, x, u[:, : self.nu], u), x[:, :0])
+        return x
 
     def _seen(self, k: int, x: Tensor, command: Tensor, u: Tensor) -> Tensor:
         """What effect k is given as its input: the command so far, its logged columns, its quantities."""

@@ -76,8 +76,7 @@ class MassSpringDamper(OneDegreeOfFreedom):
 # Only 1/M, m/M and l can be identified from motion; these are the parameters. Forces on the port `force` add to a
 # [m/s2]; on `torque`, a torque about the pivot over the pole's inertia about it, 4/3 m l^2, to g sin theta /
 # (4/3 l) [rad/s2], so that a cart that is free to move gives way to it; on `world_force` (what pulls cart and
-# pole alike, so that the pole does not turn) to x'' [m/s2]; what adds to `angle` is the angle at which all
-# this is meant [rad].
+# pole alike, so that the pole does not turn) to x'' [m/s2].
 
 GRAVITY = 9.8
 _FRICTION = ("coulomb_friction", "viscous_friction")
@@ -102,7 +101,7 @@ class Cartpole(System):
     state_units = ("m", "m/s", "rad", "rad/s")
     input_names = ("force",)
     input_units = ("N",)
-    ports = {Port.FORCE: 1, Port.TORQUE: 1, Port.WORLD_FORCE: 1, Port.ANGLE: 1}
+    ports = {Port.FORCE: 1, Port.TORQUE: 1, Port.WORLD_FORCE: 1}
     residual_ports = {Port.FORCE: ResidualPort(1, 0.5, "m/s2"), Port.TORQUE: ResidualPort(1, 1.0, "rad/s2")}
     defaults = Defaults(0.02, 30, (0.001, 0.01, 0.005, 0.01), 0.05, 1.0, "euler_maruyama")
     error_names = state_names
@@ -124,6 +123,7 @@ class Cartpole(System):
     older_names = {
         **{f"{body}_{law}": f"{law}[{body}]" for body in ("cart", "pole") for law in _FRICTION},
         **{law: f"{law}[cart]" for law in _OF_THE_CART},
+        "angle_bias": "position_bias[pole]",
     }
     PARAMETERS = {
         "force_gain": Parameter(0.9, "1/kg", low=0.0, help="1 / total mass"),
@@ -133,8 +133,6 @@ class Cartpole(System):
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         x_dot, theta, theta_dot = x[:, 1:2], x[:, 2:3], x[:, 3:4]
-        if Port.ANGLE in forces:
-            theta = theta + forces[Port.ANGLE]
         share, length = self.value("pole_share"), self.value("half_length")
         sin, cos = torch.sin(theta), torch.cos(theta)
         a = self.value("force_gain") * u + share * length * theta_dot * theta_dot * sin

@@ -140,6 +140,6 @@ def test_an_angle_that_reads_too_much_is_named_where_no_kinematics_can_show_it()
     _, content = diagnosed(
         "cartpole", recording=Recording(sensor_bias={"theta": 0.03}), durations=(4.0,) * 6, seed=4
     )
-    assert (content["verdict"], content["added"]) == ("effect_found", ["angle_bias"])
-    low, high = content["parameters"]["angle_bias.bias"]["interval_90"]
+    assert (content["verdict"], content["added"]) == ("effect_found", ["position_bias[pole]"])
+    low, high = content["parameters"]["position_bias[pole].bias"]["interval_90"]
     assert low < 0.03 < high

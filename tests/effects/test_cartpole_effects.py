@@ -64,15 +64,17 @@ class TestTrackTilt(EffectContract):
         assert float(pushed.drift(0.0, x, u)[0, 3].detach()) > 0.1
 
 
-class TestAngleBias(EffectContract):
-    name, system = "angle_bias", "cartpole"
+class TestPositionBias(EffectContract):
+    name, system = "position_bias[pole]", "cartpole"
 
     @pytest.mark.parametrize("angle", [0.0, 0.7, math.pi])
     def test_the_pole_moves_as_at_the_angle_that_it_has(self, angle: float) -> None:
         u = torch.full((1, 1), 3.0)
         true, read = (torch.tensor([[0.1, 0.3, a, 0.5]]) for a in (angle, angle + 0.05))
         sound = make_system("cartpole").drift(0.0, true, u)
-        biased = make_system("cartpole", effects=["angle_bias"], values={"angle_bias.bias": 0.05})
+        biased = make_system(
+            "cartpole", effects=["angle_bias"], values={"angle_bias.bias": 0.05}
+        )  # its older name
         torch.testing.assert_close(biased.drift(0.0, read, u).detach(), sound.detach())
 
 

@@ -66,7 +66,7 @@ class EffectContract:
         """Columns of the effect's port."""
         s = self.machine()
         port = self.effect.port
-        return {Port.INPUT: s.nu, Port.RATE: s.nx}.get(port) or s.ports[port]
+        return {Port.INPUT: s.nu, Port.RATE: s.nx, Port.POSITION: s.nx}.get(port) or s.ports[port]
 
     def specs(self) -> Iterator[tuple[str, Parameter]]:
         yield from self.effect.PARAMETERS.items()

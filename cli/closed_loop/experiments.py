@@ -33,6 +33,7 @@ from nsde_torch.design.experiment import PLAN, RESULT, read_design
 from nsde_torch.diagnosis.files import RESULT as DIAGNOSED
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.progress import Stages
+from nsde_torch.whole_files import json_text
 
 from ..known_machine import KnownMachine
 from .limits import plan_limits
@@ -230,7 +231,7 @@ def _flown(loop: ExperimentLoop, place: Path, number: int) -> StoppedLoop | None
         )
     if not (place / FLIGHT).is_file():
         found = loop.fly(place / PLAN, loop.logs / f"{name}.csv", number)
-        (place / FLIGHT).write_text(json.dumps(found, allow_nan=False), encoding="utf-8")
+        (place / FLIGHT).write_text(json_text(found, indent=None), encoding="utf-8")
     return None
 
 
@@ -266,7 +267,7 @@ def _read(
         expected=plan["expected"],
         trusted=True,  # whether it is of this machine the diagnosis of all runs says
     ).content()
-    file.write_text(json.dumps(told, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    file.write_text(json_text(told) + "\n", encoding="utf-8")
     return told
 
 

@@ -15,6 +15,7 @@ from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.control.shapes import from_csv
 from nsde_torch.errors import DataError
 from nsde_torch.px4.link.transport import LinkError
+from nsde_torch.whole_files import json_text
 
 from .. import track_build
 from ..exit_status import FLIGHT_ENDED, EndedError
@@ -172,7 +173,7 @@ class ClosedLoop:
         found = self._fly(f"{stage} {number + 1}", self.reference.path, effects, seed, log)
         file.parent.mkdir(parents=True, exist_ok=True)
         content = {**found, "seed": seed, "told": effects}
-        file.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
+        file.write_text(json_text(content, indent=None), encoding="utf-8")
 
     def _fly(self, name: str, path: FlightPath, effects: list[Any], seed: int, log: Path) -> dict[str, Any]:
         """Fly once, and put the log into its place.

@@ -107,7 +107,9 @@ def run(config: DictConfig, job: Job) -> float | None:
     if stop is None or stop.kind != "waiting":
         loop.compare()
     content = record(loop, experiments, stop)
-    (job.run_dir / RESULT).write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
+    from nsde_torch.whole_files import json_text
+
+    (job.run_dir / RESULT).write_text(json_text(content), encoding="utf-8")
     drawn = picture(loop, job.run_dir)
     print()
     print(text(content))

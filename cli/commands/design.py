@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -157,7 +156,9 @@ def _read(config: DictConfig, job: Job, known: Any, options: DesignOptions) -> N
         values=known.values,
         expected=expected,
     )
-    text = json.dumps(found.content(), indent=1, allow_nan=False)
+    from nsde_torch.whole_files import json_text
+
+    text = json_text(found.content())
     (job.run_dir / OBTAINED).write_text(text + "\n", encoding="utf-8")
     print(found.report)
     print(

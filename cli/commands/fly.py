@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -205,7 +204,9 @@ def _line(report: FlightReport) -> str:
 
 def _write(folder: Path, content: dict[str, Any]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / RESULT).write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
+    from nsde_torch.whole_files import json_text
+
+    (folder / RESULT).write_text(json_text(content), encoding="utf-8")
 
 
 def _verdict(reports: list[FlightReport]) -> float | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -125,7 +124,9 @@ def run(config: DictConfig, job: Job) -> float | None:
         flights[label] = _fly(config, name, known.get(name, first), first, path)
         content["controllers"][label] = {"run": name, **summarise(flights[label])}
         print(_line(label, content["controllers"][label]), flush=True)
-    (job.run_dir / RESULT).write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
+    from nsde_torch.whole_files import json_text
+
+    (job.run_dir / RESULT).write_text(json_text(content), encoding="utf-8")
     own = flights[track_build.label(config.run)]
     write_log(own, track_build.system_of(first), job.run_dir / LOG)
     wrote = [RESULT, f"{LOG}/", *_pictures(config, job, flights, path)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -141,7 +140,9 @@ def run(config: DictConfig, job: Job) -> None:
     if config.out is not None:
         file = Path(config.out)
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps(out.as_dict(), indent=1, allow_nan=False), encoding="utf-8")
+        from nsde_torch.whole_files import json_text
+
+        file.write_text(json_text(out.as_dict()), encoding="utf-8")
     took = f"took {time.perf_counter() - started:.0f} s"
     if not out.passed:
         worst = max(out.worst, out.estimated_worst)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, final
 
 from nsde_torch.effects import files as effects_files
-from nsde_torch.whole_files import write_whole
+from nsde_torch.whole_files import json_text, write_whole
 
 if TYPE_CHECKING:
     from nsde_torch.diagnosis.result import Content, Diagnosis
@@ -26,7 +25,7 @@ def picture_file(name: str) -> str:
 
 def write_content(content: Content, folder: Path) -> None:
     """Write `diagnosis.json`."""
-    write_whole(folder / RESULT, json.dumps(content, indent=1, allow_nan=False))
+    write_whole(folder / RESULT, json_text(content))
 
 
 def write_effects(found: Diagnosis, folder: Path, *, system: str, note: str) -> None:

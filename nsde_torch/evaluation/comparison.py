@@ -29,7 +29,6 @@ is not defined is null:
 A model's own figures leave out the starts at which it diverged; a difference is taken where both are finite.
 """
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,6 +58,7 @@ from nsde_torch.evaluation.scores import LEVELS, PARTICLES, Scores, baseline_squ
 from nsde_torch.evaluation.seen import BY_NAME, NAMESAKE, PART, WHOLE, trained_on
 from nsde_torch.shown import data_frame, preformatted
 from nsde_torch.systems import System
+from nsde_torch.whole_files import json_text
 
 RESULT = "evaluation.json"
 _LEVEL = 0.95
@@ -128,7 +128,7 @@ class Comparison:
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         file = folder / RESULT
-        file.write_text(json.dumps(self.content, indent=1, allow_nan=False), encoding="utf-8")
+        file.write_text(json_text(self.content), encoding="utf-8")
         return [file, *write_figures(folder / "plots", self)]
 
 

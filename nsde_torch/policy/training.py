@@ -23,6 +23,7 @@ from nsde_torch.policy.actor import Actor, load_policy
 from nsde_torch.policy.environment import BatchEnvironment, Box, CartpoleSwingUp, Dynamics
 from nsde_torch.policy.options import PolicyOptions
 from nsde_torch.progress import no_bar
+from nsde_torch.whole_files import json_text
 
 if TYPE_CHECKING:
     from nsde_torch.policy.ppo import Learner
@@ -172,7 +173,7 @@ class PolicyTraining:
         with bar:
             learner.learn(between_updates, at_every_step=lambda done: _advance(bar, done))
         result = self._conclude(learner.actor())
-        (self.folder / REPORT).write_text(json.dumps(result, indent=1, allow_nan=False))
+        (self.folder / REPORT).write_text(json_text(result))
         self._draw(result)
         self._tell(result)
         return result

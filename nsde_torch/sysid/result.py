@@ -147,16 +147,19 @@ class Identification:
         """Declared parameters as `metrics.json` holds them."""
         half = _finite(self.half_widths(0.9))
         why = "something speaks against the fit" if self.converged else "the fit had not settled"
-        note = {} if self.believed else {"note": f"no interval: {why}"}
-        return {
-            p.name: {
+        unknown = np.zeros(len(self.values), dtype=bool) if self.doubt is None else np.isnan(self.doubt)
+        out: dict[str, dict[str, object]] = {}
+        for p in self.vector.places:
+            out[p.name] = {
                 "value": self.values[p.columns].tolist(),
                 "half_width_90": half[p.columns],
                 "unit": p.unit,
-                **note,
             }
-            for p in self.vector.places
-        }
+            if not self.believed:
+                out[p.name]["note"] = f"no interval: {why}"
+            elif unknown[p.columns].any():
+                out[p.name]["note"] = "no interval: in a closed loop whose inputs add little to the states"
+        return out
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""

@@ -1,7 +1,6 @@
 """One training from data to run directory: fit, calibrate, score on held-out runs, write what was learned."""
 
 import copy
-import json
 import math
 import struct
 import time
@@ -39,6 +38,7 @@ from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.training.options import LossOptions, TrainerOptions
 from nsde_torch.training.prepare import sensor_std
 from nsde_torch.training.task import Fitted, Progress, Task
+from nsde_torch.whole_files import json_text
 
 _LEFT_OUT = 3  # training runs that calibration leaves out in turn, at most
 _AUXILIARY_SHARE = 0.5  # of the gradient steps
@@ -161,7 +161,7 @@ class Training:
             metrics["test"] = self._test(model)
         self._write(model, metrics, p)
         metrics["seconds"]["total"] = time.perf_counter() - started
-        (self.folder / METRICS).write_text(json.dumps(metrics, indent=1, allow_nan=False))
+        (self.folder / METRICS).write_text(json_text(metrics))
         self._conclude(metrics)
         return metrics
 

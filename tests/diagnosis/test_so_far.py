@@ -25,7 +25,7 @@ from nsde_torch.effects import files as effects_files
 from nsde_torch.errors import CheckpointError, ConfigError, DataError
 from nsde_torch.progress import Stages, no_bar
 from nsde_torch.simulation.generate import Simulation
-from nsde_torch.whole_files import write_whole
+from nsde_torch.whole_files import json_text, write_whole
 
 SPRING, FRICTION = "mass_spring_damper", "coulomb_friction"
 
@@ -274,3 +274,8 @@ def test_an_interrupt_leaves_no_half_a_file(tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(KeyboardInterrupt):
         write_whole(path, "other")
     assert path.read_text() == "whole"
+
+
+def test_a_result_is_written_whatever_it_holds() -> None:
+    text = json_text({"errors": [0.1, float("inf"), float("nan")], "of": {"rate": (float("-inf"), True, None)}})
+    assert json.loads(text) == {"errors": [0.1, None, None], "of": {"rate": [None, True, None]}}

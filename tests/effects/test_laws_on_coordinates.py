@@ -253,7 +253,8 @@ def test_pushing_a_coordinate_of_the_package_speeds_up_its_own_velocity() -> Non
             assert float(change[0, at.velocity].detach()) > 0
 
 
-def test_an_effect_that_says_no_sentence_is_reported_by_its_formula() -> None:
+def test_an_effect_that_says_no_sentence_is_reported_by_its_formula(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nsde_torch.effects.registry._OWN", {})
     register(f"{__name__}:Wide")
     estimate = Estimate("wide.size", 0.25, None, None, "N m")
     assert meaning(TwoJoints(), "wide", [estimate]) == "What is added is size for all, size = 0.25 N m."

@@ -340,7 +340,8 @@ def shape(left: PhysicsResiduals, dependence: Dependence, seen: Rates, runs: Seq
         name = dependence.pair or name
     for end, said in _ENDS.items():
         if name.endswith(end):
-            note = said
+            alone = _other_run(left, dependence) if end == BY_RUN else None
+            note = said if alone is None else f"otherwise in {called(runs[alone])} than in the others"
             name = name.removesuffix(end)
             said = f"The rate of {dependence.channel} depends on {name} {note}."
             return Shape(dependence.channel, dependence.variable, "", "", None, None, None, said, note)
@@ -478,6 +479,21 @@ def _only_run(left: PhysicsResiduals, port: int, variable: str) -> int | None:
     # what is only strongest in one run holds in the others too, as far as they can show
     others = scores.of(left.owners != runs[most])
     return None if _holds(_weights(parts[most]), others, wording) else int(runs[most])
+
+
+def _other_run(left: PhysicsResiduals, dependence: Dependence) -> int | None:
+    """Number of the run in which a variable acts otherwise than in all others, which are alike; None where none is."""
+    runs = np.unique(left.owners)
+    if len(runs) < left.decisions.fewest_runs:
+        return None
+    scores = left.forces.of(left.functions[dependence.variable]()[0], dependence.port)
+    weights = _weights(scores)
+    apart = np.abs(weights - np.median(weights))
+    most = int(np.argmax(apart))
+    # sizes of the others lie as close together as their errors, or closer than a third of that one's distance
+    errors = np.diag(scores.information).clip(1e-300) ** -0.5
+    others = np.delete(apart, most) <= np.maximum(2.0 * np.delete(errors, most), apart[most] / 3.0)
+    return int(runs[most]) if others.all() else None
 
 
 def _weights(scores: FunctionScores) -> Array:

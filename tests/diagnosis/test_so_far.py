@@ -277,5 +277,7 @@ def test_an_interrupt_leaves_no_half_a_file(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_a_result_is_written_whatever_it_holds() -> None:
-    text = json_text({"errors": [0.1, float("inf"), float("nan")], "of": {"rate": (float("-inf"), True, None)}})
+    text = json_text(
+        {"errors": [0.1, float("inf"), float("nan")], "of": {"rate": (float("-inf"), True, None)}}
+    )
     assert json.loads(text) == {"errors": [0.1, None, None], "of": {"rate": [None, True, None]}}

@@ -358,8 +358,9 @@ def summary(
 
 
 def named(first: Sequence[str], shown: ShownEffects) -> str:
-    """Names of the findings, small effects by their number."""
-    return ", ".join(first) + (f" and {small(len(shown.rest))}" if shown.rest else "")
+    """Names of the findings; of several small effects their number."""
+    rest = f"{shown.rest[0]}, a small one" if len(shown.rest) == 1 else small(len(shown.rest))
+    return ", ".join(first) + (f" and {rest}" if shown.rest else "")
 
 
 def _warnings(found: Diagnosis) -> list[dict[str, Any]]:

@@ -340,8 +340,8 @@ def shape(left: PhysicsResiduals, dependence: Dependence, seen: Rates, runs: Seq
         name = dependence.pair or name
     for end, said in _ENDS.items():
         if name.endswith(end):
-            alone = _other_run(left, dependence) if end == BY_RUN else None
-            note = said if alone is None else f"otherwise in {called(runs[alone])} than in the others"
+            other = _other_run(left, dependence) if end == BY_RUN else None
+            note = said if other is None else f"otherwise in {called(runs[other])} than in the others"
             name = name.removesuffix(end)
             said = f"The rate of {dependence.channel} depends on {name} {note}."
             return Shape(dependence.channel, dependence.variable, "", "", None, None, None, said, note)

@@ -103,11 +103,16 @@ def least_squares(content: Content, name: str | None = None) -> list[str]:
     return ["-", "-"] if one is None else [valued(one), interval(one["interval_90"])]
 
 
-def in_order(content: Content) -> list[Mapping[str, Any]]:
-    """Findings that are listed one by one: effects that matter, the most important first, then the recording."""
+def in_order(content: Content, *, all_of_them: bool = False) -> list[Mapping[str, Any]]:
+    """Findings that are listed one by one: effects that matter, the most important first, then the recording.
+
+    Those that matter little come last, if asked for.
+    """
     by_name = {f["name"]: f for f in content["findings"] if f["kind"] != "recording"}
     recording = [f for f in content["findings"] if f["kind"] == "recording"]
-    return [*(by_name[name] for name in content["told"]["few"]), *recording]
+    told = content["told"]
+    rest = [by_name[r["effect"]] for r in told["rest"]] if all_of_them else []
+    return [*(by_name[name] for name in told["few"]), *recording, *rest]
 
 
 def without_it(finding: Mapping[str, Any], content: Content) -> str:

@@ -41,6 +41,8 @@ SURE = 0.02
 IMPLAUSIBLE = (0.5, 2.0)
 """Slopes outside cannot be a clock: the columns hold other units, signs or frames."""
 
+_CHANCE = 0.001  # of a scale in one run that the others do not have, over all runs and axes
+
 _CAUSES = (
     (57.29578, "degrees where radians are expected (the angle)", 0.15),
     (1 / 57.29578, "degrees where radians are expected (the rate)", 0.15),
@@ -71,6 +73,29 @@ def check_units(slopes: Sequence[Slope], names: tuple[str, ...]) -> None:
                 f"cause: {causes[0]}. All columns are SI, ENU world, FLU body, radians: "
                 f"{', '.join(names)}."
             )
+
+
+def check_scales(system: SystemInfo, slopes: Sequence[Slope], report: Report) -> None:
+    """Reports a position or a rate that is larger in one run than in the others, by how the two go together."""
+    pairs = {g: dict(zip(*both, strict=True)) for g, both in pairs_of(system).items() if g != ATTITUDE}
+    for one in slopes:
+        others = [s for s in slopes if (s.group, s.axis) == (one.group, one.axis) and s.run != one.run]
+        if not others:
+            continue
+        pooled = pool(others)
+        apart = Uncertain(one.value - pooled.value, float(np.hypot(one.error, pooled.error)), FOLDS - 1)
+        # of two runs nobody knows which is the odd one; of more, the others must be alike
+        alike = max(abs(s.value - pooled.value) for s in others) < 0.5 * abs(apart.value)
+        if abs(apart.value) < MIN_DEPARTURE or apart.p * len(slopes) > _CHANCE or not alike:
+            continue
+        rate = pairs.get(one.group, {}).get(one.axis, "the rate of " + one.axis)
+        message = (
+            f"{one.axis} changes {one.value:.4f} +- {one.error:.4f} times as fast as {rate} says, and "
+            f"{pooled.value:.4f} times in the other runs: one of the two columns is off by {abs(apart.value):.1%} "
+            f"{'there' if len(others) > 1 else 'in one of them'}"
+        )
+        values = {"here": one.value, "others": pooled.value, "standard_error": apart.error}
+        report(Finding("odd_scale", one.run, 1, message, "reported", values))
 
 
 def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:

@@ -254,6 +254,7 @@ def assemble(
     columns.check_conventions(system, runs)
     columns.check_runs(system, runs)
     clock_and_biases.check_units(slopes, tuple(system.state_names))
+    clock_and_biases.check_scales(system, slopes, report)
     scale = clock_and_biases.decide(slopes, policy=clock, report=report)
     runs = unmeasured_rates.inferred(whole, runs, rates, scale)
     for fault, values in _asked(faults):

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import nsde_torch
 from nsde_torch.data import DataSet, RawRun
 from nsde_torch.data.quaternion import rotation_vector, slerp
 from nsde_torch.errors import DataError
@@ -230,6 +231,21 @@ def test_a_velocity_that_alone_disagrees_is_reported_and_not_scaled() -> None:
     data = one(t, x, u, clock="refuse")
     assert kinds(data) == ["kinematic_mismatch"]
     assert data.clock_scale == 1.0
+
+
+def test_a_velocity_of_another_scale_in_one_run_is_named_and_sound_runs_are_not() -> None:
+    made = nsde_torch.simulate("hexacopter", durations=[22.0] * 3, seed=4).runs
+    sound = nsde_torch.read([RawRun(r.name, r.t, r.x.copy(), r.u) for r in made], system="hexacopter")
+    assert not [f for f in sound.summary.findings if f.kind == "odd_scale"]
+    scaled = [
+        RawRun(r.name, r.t, r.x * np.where((k == 1) & (np.arange(13) == 4), 1.05, 1.0), r.u)
+        for k, r in enumerate(made)
+    ]
+    data = nsde_torch.read(scaled, system="hexacopter")
+    (found,) = [f for f in data.summary.findings if f.kind == "odd_scale"]
+    assert found.run == made[1].name
+    assert found.message.startswith("p_y changes 0.95")
+    assert "v_y" in found.message
 
 
 @pytest.mark.parametrize(

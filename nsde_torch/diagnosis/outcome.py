@@ -40,7 +40,7 @@ class Estimate:
     high: float | None  # low, high: 90 % interval, inside the bounds; None where the data do not show it
     unit: str  # unit of all
     # `below` or `above` where that end alone is what the data say: the other one is the bound of the search;
-    # `reference` of the smallest of sizes per input of which only differences can be shown
+    # `reference` of the median of sizes per input of which only differences can be shown
     bound: Literal["below", "above", "reference"] | None = None
     widened: float = 0.0
     """What its half-width is larger by than chance makes it: by what more data do not show."""

@@ -203,7 +203,7 @@ class MotorEfficiencyLoss(_EfficiencyLoss):
     needs = (Port.BODY_MOMENT,)
     PARAMETERS = {
         "loss": Parameter(
-            1e-3, "1", low=0.0, high=1.0, scale=0.1, help="share lost, one per motor", per_input=True
+            1e-3, "1", low=-0.3, high=1.0, scale=0.1, help="share lost, one per motor", per_input=True
         )
     }
     sentence = "Motors have lost {loss} of their strength (one number per motor, in their order)."
@@ -218,7 +218,7 @@ class ActuatorEfficiencyLoss(_EfficiencyLoss):
     excludes = (Port.BODY_MOMENT,)  # there it is motor_efficiency_loss
     PARAMETERS = {
         "loss": Parameter(
-            1e-3, "1", low=0.0, high=1.0, scale=0.1, help="share lost, one per input", per_input=True
+            1e-3, "1", low=-0.3, high=1.0, scale=0.1, help="share lost, one per input", per_input=True
         )
     }
     sentence = "Actuators have lost {loss} of their strength (one number per input, in their order)."

@@ -585,7 +585,9 @@ def maximised(
         )
         beside = level_columns(space, levels, about, start)
     final = grams(space, levels, about, at, columns, beside)
-    free = np.setdiff1d(_free(vector, theta, final), _references(vector, theta, final))
+    references, theta = _from_references(vector, theta, final)
+    space.use(theta)
+    free = np.setdiff1d(_free(vector, theta, final), references)
     square, predictable = _whiteness(at.white, space)
     best = MaximumLikelihood(
         vector,
@@ -665,15 +667,23 @@ def _free(vector: ParameterVector, theta: Array, held: Grams) -> Labels:
     return np.flatnonzero(shown & ~pressed)
 
 
-def _references(vector: ParameterVector, theta: Array, held: Grams) -> list[int]:
-    """Columns that are held by convention (`ParameterVector.references`)."""
+def _from_references(vector: ParameterVector, theta: Array, held: Grams) -> tuple[list[int], Array]:
+    """Columns that are held by convention (`ParameterVector.references`), and theta with nothing there.
+
+    It goes there along what the data do not show, where the likelihood is the same.
+    """
     if not vector.per_input:
-        return []
+        return [], theta
     gram = held.total[1 : 1 + held.parameters, 1 : 1 + held.parameters]
     size = 1.0 / np.sqrt(np.diag(gram).clip(1e-300))
     values, directions = np.linalg.eigh(gram * size * size[:, None])
     lost = values < _SINGULAR * values[-1]
-    return vector.references(theta, np.square(directions[:, lost]).sum(1) < 1e-6)
+    references = vector.references(theta, np.square(directions[:, lost]).sum(1) < 1e-6)
+    free = size[:, None] * directions[:, lost]
+    for j in references:
+        theta = vector.inside(theta - theta[j] * free @ free[j] / max(float(free[j] @ free[j]), 1e-300))
+    theta[references] = 0.0
+    return references, theta
 
 
 def _driven(at: Pass, levels: Levels, space: StateSpace) -> Array:

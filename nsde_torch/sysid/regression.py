@@ -191,7 +191,7 @@ class Regression:
         white, slopes: Whitened residuals (channels, N) and slopes (channels, N, k) at theta.
         memory: Rows after which noise forgets.
         held: Whether each parameter stays where it started (k,).
-        shown: What the data show of theta, sizes per input counted from the smallest (`ParameterVector.references`).
+        shown: What the data show of theta, sizes per input counted from the median (`ParameterVector.references`).
     """
 
     def __init__(

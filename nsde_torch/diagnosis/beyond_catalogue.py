@@ -23,6 +23,7 @@ fitted in its place.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from itertools import combinations
 from math import log
@@ -41,9 +42,10 @@ from nsde_torch.diagnosis.ceiling import functions_beside
 from nsde_torch.diagnosis.evidence import folds_of
 from nsde_torch.diagnosis.gram_table import GramTable
 from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSearch, JointSelection, coordinate_of
-from nsde_torch.diagnosis.laws import Term, tables, terms_on, wave_on, with_places
+from nsde_torch.diagnosis.laws import Term, drift_on, tables, terms_on, wave_on, with_places
 from nsde_torch.diagnosis.outcome import Outcome
-from nsde_torch.diagnosis.periodicity import COUNTS, best_repeat
+from nsde_torch.diagnosis.periodicity import COUNTS, PARTS, best_repeat
+from nsde_torch.diagnosis.regressors import machine_variables
 from nsde_torch.effects import Effect, Law, Parameter, Port, effect_class
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import AND, split_name
@@ -53,7 +55,7 @@ from nsde_torch.inference.functions import Functions
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.steps import Steps
 from nsde_torch.systems import System
-from nsde_torch.systems.vocabulary import seen_by
+from nsde_torch.systems.vocabulary import seen_by, vocabulary
 
 _CLOSE = 0.3  # share of the nats of the best term below which no further one is fitted
 
@@ -90,7 +92,7 @@ def with_laws(
     settings.say("functions of what was measured", 0, 1)
     joint = replace(joint, functions=laws.functions(joint.final))
     left = joint.functions is not None and joint.functions.nats
-    more = laws.selected(joint, ()) if left or laws.waves(joint.final) else None
+    more = laws.selected(joint, ()) if left or laws.unseen(joint.final) else None
     if more is not None:
         return conclude(more)
     kept = outcome.joint  # without what feedback may have made
@@ -105,7 +107,7 @@ class _LawSearch:
     def __init__(self, search: JointSearch) -> None:
         self._search = search
         self._functions: dict[frozenset[str], Functions | None] = {}
-        self._waves: dict[frozenset[str], list[Term]] = {}
+        self._unseen: dict[frozenset[str], list[Term]] = {}
 
     def functions(self, place: FittedPhysics) -> Functions | None:
         """Functions beside some physics; None where they would say nothing."""
@@ -114,11 +116,15 @@ class _LawSearch:
             self._functions[names] = functions_beside(place.at, self._search.search.budgets.function_groups)
         return self._functions[names]
 
-    def waves(self, place: FittedPhysics) -> list[Term]:
-        """Forces on a coordinate that repeat along its position beside some physics, finer than functions see."""
+    def unseen(self, place: FittedPhysics) -> list[Term]:
+        """Laws beside some physics that functions of what was measured do not see."""
         names = frozenset(place.system.effect_names)
-        if names in self._waves:
-            return self._waves[names]
+        if names not in self._unseen:
+            self._unseen[names] = [*self._waves(place), *self._drifts(place)]
+        return self._unseen[names]
+
+    def _waves(self, place: FittedPhysics) -> list[Term]:
+        """Forces on a coordinate that repeat along its position, finer than functions are."""
         system, space, found = place.system, place.at.of.space, list[Term]()
         along = [
             (space.disturbances.index((at.port, at.row)), at.position)
@@ -127,10 +133,33 @@ class _LawSearch:
         ]
         least = log(len(COUNTS) * max(len(along), 1) / self._search.search.level("effects"))
         for port, position in along:
-            again = best_repeat(force_scores(place.at), port, space.steps.x0[:, position].numpy())
+            v = space.steps.x0[:, position].numpy()
+            # over many turns a period is a part of one: 31 teeth of what turns ten times are 310 periods
+            turns = system.state_units[position] == "rad" and np.ptp(v) > 2.0 * np.pi
+            again = best_repeat(force_scores(place.at), port, v, PARTS if turns else None)
             if again is not None and again.scores.nats > least:
                 found.append(wave_on(system, place.at, port, system.state_names[position], again.period))
-        return self._waves.setdefault(names, found)
+        return found
+
+    def _drifts(self, place: FittedPhysics) -> list[Term]:
+        """Forces that grow with the time and a variable: a spring that tires, a friction that warms up."""
+        system, steps, found = place.system, place.at.of.space.steps, list[Term]()
+        values = machine_variables(system, steps.x0[:, : system.nx], steps.u, inputs=True)
+        known = {name for name, _, _ in vocabulary(type(system)).variables}
+        columns = {"time": np.ones(len(steps))} | {k: v.numpy() for k, v in values.items() if k in known}
+        ports = [
+            k for k, (port, _) in enumerate(place.at.of.space.disturbances) if port in system.residual_ports
+        ]
+        least = log(len(columns) * max(len(ports), 1) / self._search.search.level("effects"))
+        for port in ports:
+            nats = {
+                name: force_scores(place.at).of(steps.t.numpy()[:, None] * v[:, None], port).nats
+                for name, v in columns.items()
+            }
+            best = max(nats, key=lambda name: nats[name])
+            if nats[best] > least:
+                found.append(drift_on(system, place.at, port, best))
+        return found
 
     def selected(self, joint: JointSelection, replaced: Sequence[str]) -> JointSelection | None:
         """A selection with laws, also in the place of some effects; None where it is the same."""
@@ -172,8 +201,9 @@ class _LawSearch:
         library = tuple(
             t for port, names in wanted.items() for t in terms_on(place.system, place.at, port, names)
         )
-        # cogging of order 30 of an arm's shoulder, and teeth along a rail, had a period and no name
-        library += tuple(t for t in self.waves(place) if t.law not in place.system.effect_names)
+        # cogging of order 30 of an arm's shoulder and teeth along a rail had a period and no name, a spring that tires
+        # none either
+        library += tuple(t for t in self.unseen(place) if t.law not in place.system.effect_names)
         best: FittedPhysics | None = None
         fitted: list[Term] = []
         chosen: Term | None = None
@@ -243,15 +273,13 @@ def _value(place: FittedPhysics) -> float:
     return place.best.likelihood - 0.5 * len(place.best.free) * float(np.log(len(place.at.blocks)))
 
 
-_SAME = (
-    1e-5  # of its length: what a law may be away; values are kept in single precision, also that of a phase
-)
+_SAME = 1e-6  # of its length: what a law may be away; both are in double precision
 _ROWS = 5000  # of the data, evenly chosen
 
 
 def same_effect(steps: Steps, system: System, law: str) -> tuple[str, Start] | None:
     """An effect of the catalogue that is a law at the states of the data, by its sizes: its name, and its shapes."""
-    own = effect_of(system, law)
+    own = deepcopy(effect_of(system, law)).double()
     if own.port is Port.INPUT:
         return None
     mine = _pushes(steps, system, own)
@@ -265,8 +293,8 @@ def same_effect(steps: Steps, system: System, law: str) -> tuple[str, Start] | N
         shaped = dict(zip(cls.shapes, shapes, strict=True)) if len(cls.shapes) == len(shapes) else {}
         sizes = {k: _size(cls.PARAMETERS[k]) for k in cls.amplitudes}
         try:
-            other = system.make_effect(name, {**sizes, **shaped})
-            more = [system.make_effect(name, {**sizes, **shaped, k: 1.5 * v}) for k, v in sizes.items()]
+            other = _made(system, name, {**sizes, **shaped})
+            more = [_made(system, name, {**sizes, **shaped, k: 1.5 * v}) for k, v in sizes.items()]
         except ConfigError:  # beyond the bounds of its shapes
             continue
         theirs = _pushes(steps, system, other)
@@ -277,6 +305,14 @@ def same_effect(steps: Steps, system: System, law: str) -> tuple[str, Start] | N
         if float(off @ off) <= _SAME**2 * float(mine @ mine):
             found.append((name, shaped))
     return min(found, key=lambda one: len(effect_class(one[0]).PARAMETERS), default=None)
+
+
+def _made(system: System, name: str, values: Start) -> Effect:
+    """An effect with values in double precision: a phase of many turns asks for it."""
+    effect = system.make_effect(name).double()
+    for own, value in values.items():
+        effect.set_value(own, value)
+    return effect
 
 
 def _size(parameter: Parameter) -> float:

@@ -180,6 +180,11 @@ def wave_on(system: System, at: Optimum, port: int, name: str, period: float) ->
     return _on(system, at, port, wave)
 
 
+def drift_on(system: System, at: Optimum, port: int, name: str) -> Term:
+    """A force in proportion to the time, and to a variable of that name unless it is the time."""
+    return _on(system, at, port, LawTerm(("time" if name == "time" else f"time {name}",)))
+
+
 def _on(system: System, at: Optimum, port: int, term: LawTerm) -> Term:
     """A law on one row of a port."""
     where, column = at.of.space.disturbances[port]

@@ -129,6 +129,8 @@ def waves_of(regression: Regression, frequency: float) -> Array:
 
 COUNTS: Array = np.arange(1.5, 40.5, 0.5)
 """Periods over the range that are tried."""
+PARTS: Array = 2.0 * np.pi / np.arange(1, 129)
+"""Parts of a turn that are tried of what turns many times."""
 _NEAR: Array = np.linspace(-0.45, 0.45, 10)
 
 
@@ -141,13 +143,14 @@ class Repeat:
     scores: FunctionScores  # of these
 
 
-def best_repeat(forces: ForceScores, port: int, v: Array) -> Repeat | None:
+def best_repeat(forces: ForceScores, port: int, v: Array, periods: Array | None = None) -> Repeat | None:
     """The best period of a variable, or None where it does not move.
 
     Args:
         forces: Scores of forces on the ports.
         port: Number of the port.
         v: The variable (M,).
+        periods: Those that are tried, in its unit; None: `COUNTS` over its range.
     """
     low, high = np.quantile(v, [0.005, 0.995])
     span = float(high - low)
@@ -167,7 +170,7 @@ def best_repeat(forces: ForceScores, port: int, v: Array) -> Repeat | None:
         brought = np.einsum("ki,kij,kj->k", total, np.linalg.pinv(grams, rcond=1e-12), total)
         return float(counts[brought.argmax()])
 
-    coarse = best_of(COUNTS)
+    coarse = best_of(COUNTS if periods is None else span / periods)
     best = best_of(np.append(coarse, coarse + _NEAR))
     own = waves(np.array([best]))
     return Repeat(span / best, own, forces.of(own, port))

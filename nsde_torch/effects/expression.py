@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.effects import units
-from nsde_torch.effects.base import Effect, Parameter, Port
+from nsde_torch.effects.base import Effect, Parameter, Port, elapsed
 from nsde_torch.effects.expression_grammar import (
     Call,
     Coefficient,
@@ -153,7 +153,7 @@ def _times(parts: list[units.Powers | None]) -> units.Powers | None:
     return out
 
 
-FEATURES, UP = "system.features", "system.up"
+FEATURES, UP, TIME = "system.features", "system.up", "time"
 """Quantities of any system: its features, and the direction of world's up in the body where it has an attitude."""
 
 
@@ -162,7 +162,7 @@ class Source:
     """Where a variable comes from.
 
     Args:
-        kind: `state`, `input`, `mixed` (a sum of inputs), or a quantity.
+        kind: `state`, `input`, `mixed` (a sum of inputs), `time`, or a quantity.
         column: Its column there.
         weights: Of the inputs, of a mixed one.
     """
@@ -243,32 +243,34 @@ class Expression(Effect):
         """The law in its row of the port, nothing in the others."""
         if not self.width:
             raise ConfigError(f"law {self.name!r} is of no machine; make it by `System.make_effect`.")
-        term = self._worked_out(self.law.right, x, u).expand(len(x), 1)
+        term = self._worked_out(self.law.right, t, x, u).expand(len(x), 1)
         above, below = self.row, self.width - self.row - 1
         return torch.nn.functional.pad(term, (above, below)) if above or below else term
 
-    def _worked_out(self, node: Node, x: Tensor, u: Tensor) -> Tensor:
+    def _worked_out(self, node: Node, t: float | Tensor, x: Tensor, u: Tensor) -> Tensor:
         """Value of a node (N, 1), or (1,)."""
         if isinstance(node, Whole):
             return x.new_full((1,), float(node.value))
         if isinstance(node, Coefficient):
             return self.value(node.name)
         if isinstance(node, Variable):
-            return self._variable(node, x, u)
+            return self._variable(node, t, x, u)
         if isinstance(node, Power):
-            return reduce(mul, [self._worked_out(node.base, x, u)] * node.power)
+            return reduce(mul, [self._worked_out(node.base, t, x, u)] * node.power)
         if isinstance(node, Product):
-            return reduce(mul, (self._worked_out(part, x, u) for part in node.parts))
+            return reduce(mul, (self._worked_out(part, t, x, u) for part in node.parts))
         if isinstance(node, Sum):
-            worked = [(sign, self._worked_out(part, x, u)) for sign, part in node.parts]
+            worked = [(sign, self._worked_out(part, t, x, u)) for sign, part in node.parts]
             return reduce(add, (value if sign > 0 else -value for sign, value in worked))
-        values = [self._worked_out(part, x, u) for part in node.arguments]
+        values = [self._worked_out(part, t, x, u) for part in node.arguments]
         return _CALLED[node.function](*values)
 
-    def _variable(self, node: Variable, x: Tensor, u: Tensor) -> Tensor:
+    def _variable(self, node: Variable, t: float | Tensor, x: Tensor, u: Tensor) -> Tensor:
         if node.logged:
             return self.channel(node.name, u)
         source = self.sources[node.name]
+        if source.kind == TIME:
+            return torch.as_tensor(elapsed(t, x)).to(x).reshape(-1, 1)
         if source.kind == "state":
             return x[:, source.column : source.column + 1]
         if source.kind == "input":

@@ -132,8 +132,8 @@ class ParameterVector:
         """Columns that are held by convention: the median size per input, where the data show none of them.
 
         A loss of all motors is one of all gains: only differences of losses can be shown. Of an even number the smaller
-        of both in the middle, as most motors are sound. From the smallest all others were too large: of twelve motors of
-        three flights, four sound ones had intervals without 0 and two weak ones without the truth.
+        of both in the middle, as most motors are sound. From the smallest all others were too large: of twelve motors
+        of three flights, four sound ones had intervals without 0 and two weak ones without the truth.
         """
         unknown = [s for s in self.per_input if not known[s].any()]
         return [s.start + int(np.argsort(theta[s])[(s.stop - s.start - 1) // 2]) for s in unknown]

@@ -11,7 +11,7 @@ from torch import Tensor
 from nsde_torch.columns import join_columns
 from nsde_torch.effects import units
 from nsde_torch.effects.base import Effect, Port
-from nsde_torch.effects.expression import FEATURES, UP, Rows, Source, Vocabulary
+from nsde_torch.effects.expression import FEATURES, TIME, UP, Rows, Source, Vocabulary
 from nsde_torch.rotation import gravity_direction
 from nsde_torch.systems.names import MIXED
 
@@ -23,7 +23,7 @@ _AXES = ("x", "y", "z")
 
 @cache
 def vocabulary(cls: type[System]) -> Vocabulary:
-    """Variables and ports of a system: states, features, inputs, and inputs mixed as its motors are."""
+    """Variables and ports of a system: states, features, inputs, inputs mixed as its motors are, and the time."""
     out: dict[str, tuple[str, Source]] = {}
     for k, (name, unit) in enumerate(zip(cls.state_names, cls.state_units, strict=True)):
         out[name] = (unit, Source("state", k))
@@ -36,6 +36,7 @@ def vocabulary(cls: type[System]) -> Vocabulary:
         out.setdefault(name, (unit, Source("input", k)))
     for name, weights in zip(MIXED, getattr(cls, "mixing", ()), strict=False):
         out.setdefault(name, ("1", Source("mixed", 0, tuple(weights))))
+    out.setdefault("time", ("s", Source(TIME)))
     return Vocabulary(
         cls.name,
         tuple((name, unit, source) for name, (unit, source) in out.items()),

@@ -199,3 +199,34 @@ def test_a_drag_that_grows_with_turns_to_both_sides_is_found() -> None:
     low, high = found.parameters[f"{found.added[0]}.c1"]["interval_90"]
     assert low - 0.01 < -0.3 < high + 0.01
     assert high - low < 0.1
+
+
+def test_teeth_of_any_number_have_a_name() -> None:
+    runs = turned(lambda q, v: 0.8 * np.sin(31.0 * q), seconds=15.0, dt=0.005, size=1.0)
+    found = nsde_torch.diagnose(runs, system=PENDULUM, say=False)
+    assert found.added == ["ripple"]
+    low, high = found.parameters["ripple.order"]["interval_90"]
+    assert low - 0.01 < 31.0 < high + 0.01
+    assert high - low < 0.1
+
+
+def test_an_encoder_whose_zero_is_off_is_named_and_no_ripple() -> None:
+    runs = turned(lambda q, v: 0.0, seconds=15.0, dt=0.005, size=1.0)
+    biased = [RawRun(run.name, run.t, run.x + np.array([0.04, 0.0]), run.u) for run in runs]
+    found = nsde_torch.diagnose(biased, system=PENDULUM, say=False)
+    assert found.added == ["position_bias"]
+    low, high = found.parameters["position_bias.bias"]["interval_90"]
+    assert low - 0.0003 < 0.04 < high + 0.0003
+    assert high - low < 0.003
+
+
+def test_what_tires_with_the_time_is_a_law_of_it() -> None:
+    runs = turned(lambda q, v: 0.0, seconds=20.0, dt=0.01, size=0.6)
+    tired = []
+    for run in runs:
+        # less torque acts than is logged, by a share that grows with the time
+        tired.append(RawRun(run.name, run.t, run.x, run.u / (1.0 - 0.01 * run.t[:, None])))
+    found = nsde_torch.diagnose(tired, system=PENDULUM, say=False)
+    assert found.added == ["actuator_gain_drift"]
+    low, high = found.parameters["actuator_gain_drift.rate"]["interval_90"]
+    assert low - 0.0002 < -0.01 < high + 0.0002

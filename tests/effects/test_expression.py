@@ -60,7 +60,8 @@ def test_a_law_as_text_is_the_effect_that_a_class_of_ten_lines_would_be() -> Non
 
 
 def test_a_law_reads_states_inputs_and_columns_of_the_log_and_has_derivatives() -> None:
-    law = "force = c1 sign(q_dot, k1) logged(load) - c2 min(q, 0)^2 cos(k2 q) force + c3 peak(q_dot, k3) expm1(k4 q)"
+    law = "force = c1 sign(q_dot, k1) logged(load) - c2 min(q, 0)^2 cos(k2 q) force"
+    law += " + c3 peak(q_dot, k3) expm1(k4 q) time"
     values = {"c1": 0.5, "c2": 0.2, "c3": 0.3, "k1": 0.1, "k2": 3.0, "k3": 0.7, "k4": 0.9}
     system = make_system("mass_spring_damper", effects=[law]).double()
     for name, value in values.items():
@@ -70,12 +71,12 @@ def test_a_law_reads_states_inputs_and_columns_of_the_log_and_has_derivatives() 
     u = torch.cat((u, torch.linspace(0.0, 2.0, len(u), dtype=torch.float64)[:, None]), 1)
     q, v = x[:, 0], x[:, 1]
     expected = 0.5 * torch.tanh(v / 0.1) * u[:, 1] - 0.2 * q.clamp(max=0) ** 2 * torch.cos(3.0 * q) * u[:, 0]
-    expected = expected + 0.3 * 1.4 * v / (v**2 + 0.49) * (torch.exp(0.9 * q) - 1.0)
+    expected = expected + 1.5 * 0.3 * 1.4 * v / (v**2 + 0.49) * (torch.exp(0.9 * q) - 1.0)
     effect = system.effects[-1]
     assert isinstance(effect, Effect)
-    found = effect(0.0, x, seen_by(system, effect, 0.0, x, u), x[:, :0])[:, 0]
+    found = effect(1.5, x, seen_by(system, effect, 1.5, x, u), x[:, :0])[:, 0]
     assert torch.allclose(found, expected, rtol=1e-6, atol=1e-7)
-    system.drift(0.0, x, u).square().sum().backward()  # type: ignore[no-untyped-call]
+    system.drift(1.5, x, u).square().sum().backward()  # type: ignore[no-untyped-call]
     assert all(p.grad is not None and bool(p.grad.abs() > 0) for p in effect.parameters())
 
 

@@ -101,7 +101,7 @@ def test_a_loss_of_single_motors_may_be_written_with_zeros() -> None:
     assert made.truth["effects"]["motor_efficiency_loss"]["parameters"]["loss"] == pytest.approx(
         loss, abs=1e-5
     )
-    with pytest.raises(ConfigError, match="above -0.3 and below 1"):
+    with pytest.raises(ConfigError, match=r"above -0\.3 and below 1"):
         short("hexacopter", effects=[{"motor_efficiency_loss": {"loss": [-0.4, 0, 0, 0, 0, 0]}}])
 
 

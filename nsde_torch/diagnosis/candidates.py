@@ -3,6 +3,8 @@
 from collections.abc import Collection, Mapping, Sequence
 from math import prod
 
+import torch
+
 from nsde_torch.effects import EFFECTS, Effect, Law, Port, effect_class, effects_of, register
 from nsde_torch.effects.law import joined_name, split_name
 from nsde_torch.errors import ConfigError
@@ -39,7 +41,20 @@ def why_not(system: System, name: str) -> str:
     cls = effect_class(name)
     if system.nu == 1 and any(cls.PARAMETERS[own].per_input for own in cls.amplitudes):
         return "it compares inputs, and the machine has one"
+    if cls.port is Port.POSITION and not _depends(system, name):
+        return "nothing that is declared depends on that position"
     return cls.no_candidate(system.name)
+
+
+@torch.no_grad()
+def _depends(system: System, name: str) -> bool:
+    """Whether an error of a position changes any rate, at some states: of a heading in the open it does not."""
+    like = next(system.parameters(), torch.zeros(()))
+    x = torch.linspace(-1.0, 1.0, 7 * system.nx, dtype=like.dtype).reshape(7, -1)
+    u = x.new_ones(7, system.nu + len(system.exogenous))
+    biased = system.with_effects(system.make_effect(name, dict.fromkeys(effect_class(name).null, 0.1)))
+    z = system.augment(x, u)
+    return not torch.equal(system.drift(0.0, z, u), biased.drift(0.0, z, u))
 
 
 def check_candidates(system: System, names: Sequence[str], also: Sequence[str] = ()) -> list[str]:

@@ -17,8 +17,10 @@ from torch import Tensor
 import nsde_torch
 from nsde_torch.arrays import Array
 from nsde_torch.data import RawRun
+from nsde_torch.diagnosis.candidates import why_not
 from nsde_torch.effects import Coordinate, Parameter, Port
-from nsde_torch.systems import Defaults, ResidualPort, System
+from nsde_torch.systems import Defaults, ResidualPort, System, make_system
+from tests.helpers.two_joints import TwoJoints
 
 PENDULUM = "pendulum:Pendulum"
 
@@ -182,6 +184,13 @@ def test_the_weaker_of_two_propellers_is_named() -> None:
     low, high = found.parameters["actuator_efficiency_loss.loss[0]"]["interval_90"]
     assert low - 0.002 < 0.08 < high + 0.002
     assert high - low < 0.02
+
+
+def test_the_zero_of_a_position_is_a_candidate_where_something_depends_on_it() -> None:
+    assert not why_not(make_system("cartpole"), "position_bias[pole]")
+    assert "nothing that is declared depends" in why_not(TwoJoints(), "position_bias[q1]")
+    sprung = TwoJoints(effects=["linear_spring[q1]"])
+    assert not why_not(sprung, "position_bias[q1]")
 
 
 def test_a_force_that_two_inputs_make_is_a_law_of_both() -> None:

@@ -42,7 +42,7 @@ from nsde_torch.diagnosis.ceiling import functions_beside
 from nsde_torch.diagnosis.evidence import folds_of
 from nsde_torch.diagnosis.gram_table import GramTable
 from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSearch, JointSelection, coordinate_of
-from nsde_torch.diagnosis.laws import Term, drift_on, tables, terms_on, wave_on, with_places
+from nsde_torch.diagnosis.laws import Term, law_on, tables, terms_on, with_places
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.periodicity import COUNTS, PARTS, best_repeat
 from nsde_torch.diagnosis.regressors import machine_variables
@@ -138,27 +138,30 @@ class _LawSearch:
             turns = system.state_units[position] == "rad" and np.ptp(v) > 2.0 * np.pi
             again = best_repeat(force_scores(place.at), port, v, PARTS if turns else None)
             if again is not None and again.scores.nats > least:
-                found.append(wave_on(system, place.at, port, system.state_names[position], again.period))
+                name = system.state_names[position]
+                parts = f"sin(k1 {name})", f"cos(k1 {name})"
+                found.append(law_on(system, place.at, port, parts, {"k1": 2.0 * np.pi / again.period}))
         return found
 
     def _drifts(self, place: FittedPhysics) -> list[Term]:
-        """Forces that grow with the time and a variable: a spring that tires, a friction that warms up."""
-        system, steps, found = place.system, place.at.of.space.steps, list[Term]()
-        values = machine_variables(system, steps.x0[:, : system.nx], steps.u, inputs=True)
-        known = {name for name, _, _ in vocabulary(type(system)).variables}
-        columns = {"time": np.ones(len(steps))} | {k: v.numpy() for k, v in values.items() if k in known}
-        ports = [
-            k for k, (port, _) in enumerate(place.at.of.space.disturbances) if port in system.residual_ports
-        ]
+        """Forces that grow with the time and a variable, as a spring that tires; constants where no effect is one."""
+        system, space, found = place.system, place.at.of.space, list[Term]()
+        t, known = space.steps.t.numpy(), {name for name, _, _ in vocabulary(type(system)).variables}
+        values = machine_variables(system, space.steps.x0[:, : system.nx], space.steps.u, inputs=True)
+        columns = {"": np.ones_like(t), "time": t}
+        columns |= {f"time {name}": t * v.numpy() for name, v in values.items() if name in known}
+        constant = {(at.port, at.row) for at in system.bound_coordinates()}
+        ports = [k for k, (port, _) in enumerate(space.disturbances) if port in system.residual_ports]
         least = log(len(columns) * max(len(ports), 1) / self._search.search.level("effects"))
-        for port in ports:
+        for k in ports:
             nats = {
-                name: force_scores(place.at).of(steps.t.numpy()[:, None] * v[:, None], port).nats
-                for name, v in columns.items()
+                part: force_scores(place.at).of(column[:, None], k).nats
+                for part, column in columns.items()
+                if part or space.disturbances[k] not in constant
             }
-            best = max(nats, key=lambda name: nats[name])
+            best = max(nats, key=lambda part: nats[part])
             if nats[best] > least:
-                found.append(drift_on(system, place.at, port, best))
+                found.append(law_on(system, place.at, k, (best,), {}))
         return found
 
     def selected(self, joint: JointSelection, replaced: Sequence[str]) -> JointSelection | None:

@@ -162,35 +162,24 @@ def terms_on(system: System, at: Optimum, port: int, names: Sequence[str]) -> li
         {text[name]: table[name].numpy() for name in there},
         [text[name] for name in there if units.get(name) == "rad"],
     )
-    out = [_on(system, at, port, term) for term in terms]
+    out = [law_on(system, at, port, term.parts, dict(term.start)) for term in terms]
     return [term for term in out if term.law not in system.effect_names]
 
 
-def wave_on(system: System, at: Optimum, port: int, name: str, period: float) -> Term:
-    """A wave along a variable on one row of a port.
+def law_on(system: System, at: Optimum, port: int, parts: tuple[str, ...], start: Start) -> Term:
+    """A law on one row of a port.
 
     Args:
         system: The machine.
         at: Its optimum.
         port: Number of the row among the disturbances of the likelihood.
-        name: The variable.
-        period: Of the wave, in its unit.
+        parts: What each of its sizes multiplies, as the grammar has it; empty for a constant.
+        start: First values of its shapes.
     """
-    wave = LawTerm((f"sin(k1 {name})", f"cos(k1 {name})"), (("k1", 2.0 * np.pi / period),))
-    return _on(system, at, port, wave)
-
-
-def drift_on(system: System, at: Optimum, port: int, name: str) -> Term:
-    """A force in proportion to the time, and to a variable of that name unless it is the time."""
-    return _on(system, at, port, LawTerm(("time" if name == "time" else f"time {name}",)))
-
-
-def _on(system: System, at: Optimum, port: int, term: LawTerm) -> Term:
-    """A law on one row of a port."""
     where, column = at.of.space.disturbances[port]
     on = dict(vocabulary(type(system)).ports)[where.value].written(where.value)[column]
-    summed = " + ".join(f"{c} {part}".strip() for c, part in zip(_sizes(term.parts), term.parts, strict=True))
-    return Term(system.effect_key(f"{on} = {summed}"), term.parts, dict(term.start), port)
+    summed = " + ".join(f"{c} {part}".strip() for c, part in zip(_sizes(parts), parts, strict=True))
+    return Term(system.effect_key(f"{on} = {summed}"), parts, start, port)
 
 
 @dataclass(frozen=True)

@@ -625,6 +625,8 @@ def looks_like(written: Written, values: dict[str, float], system: System) -> st
         return None
     every = list(nodes(written.right))
     names = {n.name for n in every if isinstance(n, Variable) and not n.logged}
+    if not names:
+        return "what is always there: a load, a leak, a bias of an actuator"
     if "time" in names:
         return "a drift: what wears, warms up or empties"
     positions = {p for p, _, _ in system.position_derivatives}

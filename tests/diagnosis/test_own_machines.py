@@ -53,6 +53,27 @@ class Car(System):
 
 
 @final
+class Tank(System):
+    """The level of a tank, with no coordinate."""
+
+    name = "tank"
+    state_names, state_units = ("level",), ("m",)
+    input_names, input_units = ("valve",), ("1",)
+    ports = {Port.FORCE: 1}
+    residual_ports = {Port.FORCE: ResidualPort(1, 0.01, "m/s")}
+    sensor_noise = True
+    defaults = Defaults(0.2, 20, (0.002,), 0.1, 1.0, "euler_maruyama")
+    PARAMETERS = {
+        "inflow": Parameter(0.05, "m/s", low=0.0),
+        "outflow": Parameter(0.04, "m^0.5/s", low=0.0),
+    }
+
+    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
+        flow = self.value("inflow") * u - self.value("outflow") * x.clamp_min(1e-6).sqrt()
+        return flow + forces.get(Port.FORCE, torch.zeros_like(x))
+
+
+@final
 class Boat(System):
     """Surge, sway and turn of a boat with two propellers."""
 
@@ -239,3 +260,23 @@ def test_what_tires_with_the_time_is_a_law_of_it() -> None:
     assert found.added == ["actuator_gain_drift"]
     low, high = found.parameters["actuator_gain_drift.rate"]["interval_90"]
     assert low - 0.0002 < -0.01 < high + 0.0002
+
+
+def test_a_leak_is_a_constant_of_a_machine_without_coordinates() -> None:
+    runs = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.uniform(0.3, 0.9, 40) * (rng.random(40) < 0.7), 25)[:, None]
+        level = np.full(len(u), 1.0)
+        for k in range(len(u) - 1):
+            y = level[k]
+            for _ in range(20):
+                y += 0.01 * (0.05 * u[k, 0] - 0.03 * np.sqrt(y) - 0.006)
+            level[k + 1] = y
+        x = level[:, None] + 0.002 * rng.normal(size=(len(u), 1))
+        runs.append(RawRun(f"run_{seed}", 0.2 * np.arange(len(u)), x, u))
+    found = nsde_torch.diagnose(runs, system=Tank, say=False)
+    assert found.added == ["force = c1"]
+    low, high = found.parameters["force = c1.c1"]["interval_90"]
+    assert low - 2e-4 < -0.006 < high + 2e-4
+    assert high - low < 0.002

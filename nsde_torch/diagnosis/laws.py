@@ -1,7 +1,7 @@
 """The library of terms that laws are built from, and what each would explain beside physics.
 
     1, v^2, v^3, v^4, v^5, v, |v|, |v| v, sign v,   max(v - k, 0), min(v - k, 0) for zero and some k in the range of v,
-    2 v k / (v^2 + k^2), which is largest at k,   exp(k v) - 1,   sin n v, cos n v of an angle,
+    2 v k / (v^2 + k^2), which is largest at k,   exp(k v) - 1 of no speed,   sin n v, cos n v of an angle,
     a b, a^2 b, a b^2, |a| b, a |b|, max(a, 0) b, min(a, 0) b,
     sin a b, cos a b, sin a b^2, cos a b^2 with an angle a,   and planes c1 a + c2 b
 
@@ -12,7 +12,7 @@ port, which the filter's linearisation holds already. A whole library costs one 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,17 +45,20 @@ class LawTerm:
     start: tuple[tuple[str, float], ...] = ()  # first values of its shapes
 
 
-def terms_of(names: Sequence[str], values: Mapping[str, Array], angles: Sequence[str]) -> list[LawTerm]:
+def terms_of(
+    names: Sequence[str], values: Mapping[str, Array], angles: Sequence[str], speeds: Collection[str] = ()
+) -> list[LawTerm]:
     """Terms of some variables.
 
     Args:
         names: The variables, as the grammar has them.
         values: Their values (M,).
         angles: Those of them that are angles.
+        speeds: Those of them that are velocities: nothing brakes exponentially.
     """
     out: list[LawTerm] = []
     for name in names:
-        out += _of_one(name, values[name], name in angles)
+        out += _of_one(name, values[name], name in angles, name in speeds)
     for i, first in enumerate(names):
         for second in names[i + 1 :]:
             out += [LawTerm((text,)) for text in _of_two(first, second)]
@@ -67,14 +70,15 @@ def terms_of(names: Sequence[str], values: Mapping[str, Array], angles: Sequence
     return out
 
 
-def _of_one(name: str, v: Array, angle: bool) -> Iterator[LawTerm]:
+def _of_one(name: str, v: Array, angle: bool, speed: bool) -> Iterator[LawTerm]:
     for text in (name, *(f"{name}^{n}" for n in (2, 3, 4, 5)), f"abs({name})", f"abs({name}) {name}"):
         yield LawTerm((text,))
     size = max(float(np.quantile(np.abs(v), 0.9)), 1e-12)
     yield LawTerm((f"sign({name}, k1)",), (("k1", _WIDTH * size),))
     for share in _PEAKS:
         yield LawTerm((f"peak({name}, k1)",), (("k1", share * size),))
-    for exponent in _EXPONENTS:
+    # of speeds the public drive EMPS had four laws in the place of a dry friction and a steady force
+    for exponent in () if speed else _EXPONENTS:
         yield LawTerm((f"expm1(k1 {name})",), (("k1", exponent / size),))
     for side in ("max", "min"):
         if v.min() < 0 < v.max():
@@ -161,6 +165,7 @@ def terms_on(system: System, at: Optimum, port: int, names: Sequence[str]) -> li
         list(text.values()),
         {text[name]: table[name].numpy() for name in there},
         [text[name] for name in there if units.get(name) == "rad"],
+        [text[name] for name in there if units.get(name) in ("m/s", "rad/s")],
     )
     out = [law_on(system, at, port, term.parts, dict(term.start)) for term in terms]
     return [term for term in out if term.law not in system.effect_names]

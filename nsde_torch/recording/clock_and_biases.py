@@ -41,6 +41,7 @@ SURE = 0.02
 IMPLAUSIBLE = (0.5, 2.0)
 """Slopes outside cannot be a clock: the columns hold other units, signs or frames."""
 
+# without the test `v_x` times 1.05 in one flight went unnoticed (tests/recording/test_checks.py)
 _CHANCE = 0.001  # of a scale in one run that the others do not have, over all runs and axes
 
 _CAUSES = (

@@ -131,13 +131,13 @@ class _LawSearch:
             for at in system.bound_coordinates()
             if at.position is not None and (at.port, at.row) in space.disturbances
         ]
-        least = log(len(COUNTS) * max(len(along), 1) / self._search.search.level("effects"))
         for port, position in along:
             v = space.steps.x0[:, position].numpy()
             # over many turns a period is a part of one: 31 teeth of what turns ten times are 310 periods
             turns = system.state_units[position] == "rad" and np.ptp(v) > 2.0 * np.pi
             again = best_repeat(force_scores(place.at), port, v, PARTS if turns else None)
-            if again is not None and again.scores.nats > least:
+            tried = len(PARTS if turns else COUNTS) * len(along)
+            if again is not None and again.scores.nats > log(tried / self._search.search.level("effects")):
                 name = system.state_names[position]
                 parts = f"sin(k1 {name})", f"cos(k1 {name})"
                 found.append(law_on(system, place.at, port, parts, {"k1": 2.0 * np.pi / again.period}))

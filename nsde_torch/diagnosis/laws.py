@@ -62,7 +62,7 @@ def terms_of(
     for i, first in enumerate(names):
         for second in names[i + 1 :]:
             out += [LawTerm((text,)) for text in _of_two(first, second)]
-            # two propellers that push a boat aside: the product of both was named, which explained three quarters
+            # two propellers that push a boat sideways: the product of both was named, which explained three quarters
             out.append(LawTerm((first, second)))
             for a, b in ((first, second), (second, first)):
                 if a in angles:

@@ -625,7 +625,7 @@ def looks_like(written: Written, values: dict[str, float], system: System) -> st
         return None
     every = list(nodes(written.right))
     names = {n.name for n in every if isinstance(n, Variable) and not n.logged}
-    if not names:
+    if not any(isinstance(n, Variable) for n in every):
         return "what is always there: a load, a leak, a bias of an actuator"
     if "time" in names:
         return "a drift: what wears, warms up or empties"

@@ -188,6 +188,11 @@ class _EfficiencyLoss(Effect):
     port = Port.INPUT
     formula = "u_eff,i = u_i (1 - l_i)"
     source = "actuator effectiveness factor; Zhang, Jiang, Annual Reviews in Control 32 (2008)"
+    PARAMETERS = {
+        "loss": Parameter(
+            1e-3, "1", low=-0.3, high=1.0, scale=0.1, help="share lost, one per input", per_input=True
+        )
+    }
     null = {"loss": 0.0}
     amplitudes = ("loss",)
 
@@ -201,11 +206,6 @@ class MotorEfficiencyLoss(_EfficiencyLoss):
 
     name = "motor_efficiency_loss"
     needs = (Port.BODY_MOMENT,)
-    PARAMETERS = {
-        "loss": Parameter(
-            1e-3, "1", low=-0.3, high=1.0, scale=0.1, help="share lost, one per motor", per_input=True
-        )
-    }
     sentence = "Motors have lost {loss} of their strength (one number per motor, in their order)."
     separate = "climb, sink and yaw: a weak motor shows in the moments about all axes at once"
 
@@ -216,11 +216,6 @@ class ActuatorEfficiencyLoss(_EfficiencyLoss):
 
     name = "actuator_efficiency_loss"
     excludes = (Port.BODY_MOMENT,)  # there it is motor_efficiency_loss
-    PARAMETERS = {
-        "loss": Parameter(
-            1e-3, "1", low=-0.3, high=1.0, scale=0.1, help="share lost, one per input", per_input=True
-        )
-    }
     sentence = "Actuators have lost {loss} of their strength (one number per input, in their order)."
     separate = "drive each input by itself, and all of them together"
 

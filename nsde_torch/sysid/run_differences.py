@@ -34,8 +34,8 @@ CHANCE, EITHER = 0.02, 0.3
 """Chance of so large a difference beyond what runs differ by, over all runs and parameters: the geometric mean of that
 by the whitened rows and that by plain least squares; and the largest of either."""
 ALIKE = 0.05
-"""Chance of gains so far from one common multiple of the others', above which they have it: a run with a load was told
-by one of its gains (tests/sysid/test_guard.py)."""
+"""Chance of gains so far from one common multiple of the others', above which they have it: a run with a load was
+reported by one of its gains (tests/sysid/test_guard.py)."""
 WHOLE, TIMES = 0.6, 2.5
 """Share of the measured that an unexplained run leaves as residual; and the ratio to that of each other run."""
 

@@ -184,6 +184,7 @@ def test_every_term_of_the_library_is_of_the_grammar_and_has_one_spelling() -> N
         ("mass_spring_damper", "force = c1 expm1(k1 q)", -1.0, "rubber"),
         ("mass_spring_damper", "force = c1 time q", 0.1, "a drift"),
         ("mass_spring_damper", "force = c1", 0.1, "always there"),
+        ("mass_spring_damper", "force = c1 logged(load)", 0.1, None),
         ("mass_spring_damper", "force = c1 peak(q_dot, k1)", -1.0, "eddy currents"),
         ("mass_spring_damper", "force = c1 peak(q_dot, k1)", 1.0, None),
         ("mass_spring_damper", "force = c1 q force", 1.0, "a gain of the input"),

@@ -106,14 +106,14 @@ class Boat(System):
         return rates + torch.cat((force, torque), 1)
 
 
-def sailed(strength: tuple[float, float], aside: float, slip: float = 0.0) -> list[RawRun]:
+def sailed(strength: tuple[float, float], sideways: float, slip: float = 0.0) -> list[RawRun]:
     """Three runs of the boat: what each propeller gives, their force to the side [1/kg], drag of a turn [1/rad]."""
     runs = []
     for seed in range(3):
         rng = np.random.default_rng(seed)
         u = np.repeat(rng.uniform(5.0, 40.0, (40, 2)), 15, axis=0)
         left, right = (u * strength).T
-        pushed = np.stack((0.055 * (left + right), aside * (left + right), 0.028 * (right - left)), 1)
+        pushed = np.stack((0.055 * (left + right), sideways * (left + right), 0.028 * (right - left)), 1)
         x = np.zeros((len(u), 3))
         for k in range(len(u) - 1):
             y = x[k]

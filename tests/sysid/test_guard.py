@@ -195,7 +195,7 @@ def test_a_run_of_another_machine_is_named() -> None:
     assert "another machine" in objection.remedy
 
 
-def test_a_run_with_a_load_is_told_as_a_multiple_of_the_mass() -> None:
+def test_a_run_with_a_load_is_reported_as_a_multiple_of_the_mass() -> None:
     loaded = {"force_gain": 0.6, "linear_spring.stiffness": 0.6, "viscous_friction.damping": 0.3}
     other = nsde_torch.simulate("mass_spring_damper", durations=[10.0], seed=9, parameters=loaded).runs[0]
     runs = [*LOGS["mass_spring_damper"][:2], RawRun("run_9", other.t + 40.0, other.x, other.u)]

@@ -38,7 +38,6 @@ from nsde_torch.errors import NsdeError
 from nsde_torch.inference import LogLikelihood, MaximumLikelihood, Optimum, nearly_maximised
 from nsde_torch.inference.functions import Functions, held_out_density
 from nsde_torch.inference.sensitivity import grams
-from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector, own_name
 from nsde_torch.time_limit import check_time
@@ -55,8 +54,8 @@ class Explained:
     """What a candidate would explain."""
 
     name: str  # of the effect
-    system: System  # physics with it, at the values of one linearised step
-    begun: System  # the same, at the values that the step begins at
+    begun: System  # physics with it, at the values that a linearised step begins at
+    values: dict[str, float]  # those of its parameters after the step, by label
     nats: float  # log likelihood of blocks left out, beyond that of the physics without it [nats]
     error: float  # its standard error, from the scatter over blocks [nats]
     rank: float  # `nats` less the price of its parameters
@@ -67,6 +66,13 @@ class Explained:
     """Standard errors of parameters that need it, by label; infinite where no row shows it."""
     alone: dict[str, float]
     """The same if all other parameters were known."""
+
+    @cached_property
+    def system(self) -> System:
+        """The physics with it, at the values of the step."""
+        out = self.begun.with_effects()
+        _set(out, self.values)
+        return out
 
 
 @dataclass(frozen=True)
@@ -680,11 +686,10 @@ def _catalogue(search: Search, place: FittedPhysics, frequencies: Sequence[float
     base = space.columns(about.x, about.slopes, everything, about.after)
     tables, entries, rates = [base.float()], [], space.rates(space.midway(about.x, about.after))
     at = 1 + base.shape[-1]
-    scales = data_sizes(place.system, space.steps)
     names = candidate_names(place.system, search.candidates)
     for name in names:
         check_time()
-        for start in starts(place.system, name, scales, frequencies):
+        for start in starts(place.system, name, place.at.of.sizes, frequencies):
             try:
                 entry, columns = _columns(place, name, joined(place.system, name, start), rates, at)
             except (NsdeError, np.linalg.LinAlgError):
@@ -697,14 +702,15 @@ def _catalogue(search: Search, place: FittedPhysics, frequencies: Sequence[float
     apart = [slice(entry.columns[0], entry.columns[-1] + 1) for entry in entries]
     held = grams(space, place.at.levels, about, place.at.at, _side_by_side(tables), apart=apart)
     table = GramTable(held, 1 + place.best.free, folds_of(search.decisions, *space.chunks.places()))
-    best: dict[str, Explained] = {}
-    longest = max(b - a for a, b in space.steps.segments)
+    best: dict[str, _Step] = {}
     for entry in entries:
         for choice in _choices(entry):
-            proposal = _proposed(search, table, entry, choice, len(names), longest)
-            if proposal is not None and (entry.name not in best or proposal.rank > best[entry.name].rank):
-                best[entry.name] = proposal
-    return sorted(best.values(), key=lambda p: -p.rank)
+            step = _stepped(table, entry, choice)
+            if step is not None and (entry.name not in best or step.rank > best[entry.name].rank):
+                best[entry.name] = step
+    longest = max(b - a for a, b in space.steps.segments)
+    proposals = (_proposed(table, step, len(names), longest) for step in best.values())
+    return sorted(proposals, key=lambda p: -p.rank)
 
 
 def _side_by_side(tables: list[torch.Tensor]) -> torch.Tensor:
@@ -725,7 +731,7 @@ def _columns(
     space, vector, about = own.space, own.vector, place.at.about
     known = dict(zip(place.best.vector.labels, place.best.theta.tolist(), strict=True))
     first = vector.first_values(known)
-    vector.limit(data_sizes(system, space.steps))
+    vector.limit(own.sizes)
     theta = vector.inside(first)
     space.use(theta)
     mine = vector.of(name)
@@ -753,12 +759,22 @@ def _choices(entry: _Entry) -> list[tuple[int, ...]]:
     return out
 
 
-def _proposed(
-    search: Search, table: GramTable, entry: _Entry, columns: tuple[int, ...], among: int, longest: int
-) -> Explained | None:
-    """What a candidate explains, its parameters inside their bounds."""
-    place = [entry.columns.index(c) - 1 for c in columns[1:]]
-    free = columns
+@dataclass(frozen=True)
+class _Step:
+    """A linearised step of some parameters of a candidate from one of its starts."""
+
+    entry: _Entry
+    columns: tuple[int, ...]  # the shift of its start, then the parameters that it moves
+    values: Array  # of all its parameters, after it
+    blocks: Array  # nats of blocks left out (B,)
+    fitted: float  # nats of all rows
+    error: float  # standard error of the nats left out
+    rank: float  # these nats less the price of the parameters
+
+
+def _stepped(table: GramTable, entry: _Entry, columns: tuple[int, ...]) -> _Step | None:
+    """A step of the parameters of a candidate in these columns, inside their bounds."""
+    asked, free = len(columns) - 1, columns
     for _ in range(len(columns)):
         blocks, fitted, step = table.gain(free, entry.dropped)
         inside = [entry.columns.index(c) - 1 for c in free[1:]]
@@ -774,39 +790,39 @@ def _proposed(
         return None
     values = entry.at.copy()
     values[inside] = there
-    nats, count = float(blocks.sum()), len(free) - 1
-    p = float(chdtrc(max(count, 1), max(2.0 * fitted, 0.0)))
-    starts_tried = starts_of(entry.name, entry.labels, longest)
-    system = entry.system.with_effects()
-    _set(system, entry.labels, values)
-    sizes = effect_class(entry.name).size_names()
-    shown = [c for c, label in zip(entry.columns[1:], entry.labels, strict=True) if own_name(label) in sizes]
+    rank = float(blocks.sum()) - table.price(asked - len(entry.dropped))
+    return _Step(entry, free, values, blocks, fitted, error, rank)
+
+
+def _proposed(table: GramTable, step: _Step, among: int, longest: int) -> Explained:
+    """What a candidate explains by the best of its steps, of which there is one per start and choice."""
+    entry, sizes = step.entry, effect_class(step.entry.name).size_names()
+    p = float(chdtrc(max(len(step.columns) - 1, 1), max(2.0 * step.fitted, 0.0)))
     labels = [label for label in entry.labels if own_name(label) in sizes]
-    own = np.array(shown, dtype=np.int64)
+    own = np.array([entry.columns[1 + entry.labels.index(label)] for label in labels], dtype=np.int64)
     errors, alone = (
         dict(zip(labels, each.tolist(), strict=True)) for each in (table.errors(own), table.errors_alone(own))
     )
-    rank = nats - table.price(len(place) - len(entry.dropped))
     return Explained(
         entry.name,
-        system,
         entry.system,
-        nats,
-        error,
-        rank,
-        bonferroni(p, among * starts_tried),
-        free,
-        blocks,
+        dict(zip(entry.labels, step.values.tolist(), strict=True)),
+        float(step.blocks.sum()),
+        step.error,
+        step.rank,
+        bonferroni(p, among * starts_of(entry.name, entry.labels, longest)),
+        step.columns,
+        step.blocks,
         errors,
         alone,
     )
 
 
-def _set(system: System, labels: Sequence[str], values: Array) -> None:
-    """Give parameters of an effect these values."""
+def _set(system: System, values: Mapping[str, float]) -> None:
+    """Give parameters of an effect these values, by label."""
     effects = {str(e.name): e for e in system.effects if isinstance(e, Effect)}
     of: dict[tuple[str, str], list[float]] = {}
-    for label, value in zip(labels, values.tolist(), strict=True):
+    for label, value in values.items():
         of.setdefault((label.partition(".")[0], own_name(label)), []).append(value)
     for (effect, own), column in of.items():
         effects[effect].set_value(own, torch.tensor(column, dtype=torch.float64))

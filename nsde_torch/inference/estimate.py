@@ -244,6 +244,7 @@ class LogLikelihood:
         self._band = band_of(runs)
         self.apart_s = apart
         self._least = max(1, round(apart / steps.dt))
+        self.sizes = data_sizes(system, steps)
         slowest = max((rows_between(self._band, name, steps.dt) for name in self._band), default=1)
         slowest = max(slowest, self._least)
         chunks = Chunks(steps, late=_LATE if self._unknown else 0, every=slowest)
@@ -288,7 +289,7 @@ class LogLikelihood:
         unknown = self._unknown
         self.vector = vector = ParameterVector(system)
         vector.follow(steps.dt)
-        vector.limit(data_sizes(vector.system, steps))
+        vector.limit(self.sizes)
         further = vector.raised & (vector.start < vector.low)  # a fit that has come there goes on
         vector.low = np.where(further, 0.5 * vector.start, vector.low)
         inner = self.vector.system

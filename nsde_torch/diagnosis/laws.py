@@ -209,7 +209,7 @@ def tables(
     """
     space, about = at.of.space, at.about
     base = space.columns(about.x, about.slopes, range(len(space.vector)), about.after)
-    here = at.at
+    middle, here = space.midway(about.x, about.after), at.at
     if levels is None:
         levels = at.levels
     else:
@@ -219,14 +219,14 @@ def tables(
         for term in terms[first : first + _AT_ONCE]:
             some.append(LawColumns(term, tuple(range(columns, columns + len(term.sizes)))))
             columns += len(term.sizes)
-            moved += [_column(system, at, term, size)[..., None] for size in term.sizes]
+            moved += [_column(system, at, middle, term, size)[..., None] for size in term.sizes]
         yield some, grams(space, levels, about, here, torch.cat(moved, -1))
 
 
 @torch.no_grad()
-def _column(system: System, at: Optimum, term: Term, size: str) -> Tensor:
-    """What a law does to the steps (T, C, ne) where one size is 1 and the others are 0."""
-    space, x = at.of.space, at.of.space.midway(at.x)
+def _column(system: System, at: Optimum, x: Tensor, term: Term, size: str) -> Tensor:
+    """What a law does to the steps (T, C, ne), by states in their middle, where one size is 1 and the others are 0."""
+    space = at.of.space
     effect = system.make_effect(
         term.law, {**dict.fromkeys(term.sizes, 0.0), size: 1.0, **term.start}
     ).double()

@@ -130,6 +130,8 @@ class Outcome:
     decisions: Decisions = DECISIONS  # what was decided by
     doubted: bool = False
     """Whether the guard speaks against the final physics, so that nothing that was found is sure."""
+    doubted_channels: frozenset[str] = frozenset()
+    """Channels that it speaks of, where that is not all: what moves them is not sure."""
     optimum: Optimum | None = None
     """Where the likelihood of the final physics is largest; None where it was not computed."""
 

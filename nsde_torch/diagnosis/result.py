@@ -27,6 +27,7 @@ from nsde_torch.diagnosis.evidence import NotShown, bonferroni, not_shown
 from nsde_torch.diagnosis.explanation import Explanation, declared
 from nsde_torch.diagnosis.outcome import Estimate, Found, Outcome
 from nsde_torch.diagnosis.residual_tests import Dependence
+from nsde_torch.diagnosis.search import channels_of
 from nsde_torch.diagnosis.shape import Shape, called, rates_width, symmetry
 from nsde_torch.diagnosis.stages import NotDone, SoFar, StoppedError, declared_model
 from nsde_torch.diagnosis.text import lines, rendered, short_lines, small, with_space
@@ -262,7 +263,7 @@ def content(found: Diagnosis) -> Content:
         "summary": summary(found.verdict, faults, shown, o, left.shapes, _functions_of(functions["rows"])),
         "warnings": _warnings(found),
         "not_done": [asdict(one) for one in found.not_done],
-        "guard": left.guard.as_dict(),
+        "guard": {**left.guard.as_dict(), "rejected": o.doubted},
         "findings": _findings(found),
         "told": {
             "by": BY_STEPS if errors.inputs else BY_RESIDUAL,
@@ -353,6 +354,7 @@ def summary(
         "rest": rest,
         "elsewhere": bool(left) and left[0].channel not in moved,
         "functions": functions,
+        "not_believed": sorted(outcome.doubted_channels),
     }
     return rendered("summary.txt", values).strip()
 
@@ -364,7 +366,10 @@ def named(first: Sequence[str], shown: ShownEffects) -> str:
 
 
 def _warnings(found: Diagnosis) -> list[dict[str, Any]]:
-    guards = [one.as_dict() for one in found.explanation.guard.objections]
+    guards = [
+        {"kind": one.kind, "sentence": one.sentence, "remedy": one.remedy}
+        for one in found.explanation.guard.objections
+    ]
     general = [{"parameter": None, **one} for one in (*guards, *outlier_warnings(found))]
     return [*general, *map(asdict, found.explanation.warned)]
 
@@ -491,7 +496,8 @@ def parameters(found: Diagnosis) -> dict[str, Any]:
 
 
 def _interval(found: Diagnosis, e: Estimate) -> dict[str, Any]:
-    if found.explanation.guard.objections:
+    regression = found.outcome.final.regression
+    if found.explanation.guard.doubts(channels_of(regression, [regression.vector.labels.index(e.name)])):
         return {"interval_90": None, "bound": "not believed"}
     if e.low is None and found.outcome.unsettled:
         return {"interval_90": None, "bound": "not settled"}

@@ -43,7 +43,12 @@ def dynamic_rows(system: System) -> NDArray[np.int64]:
 
 def moved_channels(regression: Regression, effect: str) -> tuple[str, ...]:
     """Names of the channels that the parameters of an effect move: whose whitened slopes are not zero."""
-    size = np.linalg.norm(regression.slopes[:, :, regression.vector.of(effect)], axis=1)
+    return channels_of(regression, regression.vector.of(effect))
+
+
+def channels_of(regression: Regression, columns: Sequence[int]) -> tuple[str, ...]:
+    """Names of the channels that some parameters move, by number."""
+    size = np.linalg.norm(regression.slopes[:, :, columns], axis=1)
     moves = (size > _MOVES * np.maximum(size.max(0), 1e-300)).any(1)
     names = [regression.physics.names[c] for c in regression.rows]
     return tuple(name for name, m in zip(names, moves, strict=True) if m)

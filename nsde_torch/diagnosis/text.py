@@ -12,7 +12,6 @@ from nsde_torch.diagnosis.effect_importance import BY_STEPS
 from nsde_torch.diagnosis.stages import ERRORS, NO_TIME, NOT_YET, STOPPED
 from nsde_torch.evaluation import report
 from nsde_torch.evaluation.report import between_ends, number
-from nsde_torch.sysid.guard import doubts_the_fit
 from nsde_torch.sysid.standstill import in_words
 
 if TYPE_CHECKING:
@@ -71,8 +70,7 @@ def rehearsed(own: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 def heading(content: Content) -> str:
     """The verdict in a few words; that the fit is rejected comes before it."""
-    doubted = doubts_the_fit(o["kind"] for o in content["guard"]["objections"])
-    return _VERDICTS["doubted" if doubted else content["verdict"]]
+    return _VERDICTS["doubted" if content["guard"]["rejected"] else content["verdict"]]
 
 
 def own_parameters(finding: Mapping[str, Any], content: Content) -> dict[str, Mapping[str, Any]]:

@@ -124,6 +124,11 @@ class Guarded:
     be used."""
     units: tuple[str, ...] = ()  # units of the parameters, likewise
 
+    def doubts(self, channels: Iterable[str]) -> bool:
+        """Whether an objection speaks of one of these channels."""
+        some = {*channels}
+        return any(not o.channels or some & {*o.channels} for o in self.objections)
+
     @property
     def to_use(self) -> dict[str, dict[str, Any]]:
         """Values, 90 % intervals and units of least squares by parameter, where these are to be used; else nothing."""
@@ -264,6 +269,7 @@ def _disagreements(channels: Sequence[Compared], chance: float) -> list[Objectio
                 "worse",
                 f"the declared physics leaves {told}, steady pushes not counted",
                 "a wrong model, order of inputs, sign or unit, or a controller that cancels what the physics lacks",
+                tuple(c.name for c in worse),
             )
         )
     # smaller gains leave less too where inputs cancel what the physics lacks
@@ -321,6 +327,7 @@ def _gone(rough: Regression, theta: Array, covariance: Array | None, now: Sequen
             "the states may have been smoothed, differentiated or filtered before they were logged, inputs and states "
             "may be of different times, or a lag or a steady push is not declared: log raw sensors, declare it "
             "(system.effects=[motor_lag]; `nsde diagnose` names effects), or give first values",
+            tuple(gone),
         )
     ]
 

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import product
 from math import log
+from typing import Any
 
 import numpy as np
 
@@ -66,13 +67,14 @@ class Objection:
     `poor`."""
     sentence: str
     remedy: str
+    channels: tuple[str, ...] = ()  # those that it speaks of; empty: all
 
     def __str__(self) -> str:
         return f"{self.sentence}; {self.remedy}"
 
-    def as_dict(self) -> dict[str, str]:
+    def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
-        return asdict(self)
+        return {**asdict(self), "channels": list(self.channels)}
 
 
 @dataclass(frozen=True)

@@ -54,6 +54,21 @@ def test_where_physics_explains_next_to_nothing_what_is_found_is_a_lead_and_the_
     assert doubted(sure, Guarded()) is sure
 
 
+@pytest.mark.slow
+def test_an_objection_to_channels_speaks_of_what_moves_them(sure: Outcome) -> None:
+    there, elsewhere = (
+        doubted(sure, Guarded((Objection("gone", "it explains nothing", "look", (name,)),)))
+        for name in ("q_dot", "w_x")
+    )
+    assert there.doubted
+    assert there.verdict == "unexplained"
+    assert all(f.provisional for f in there.found)
+    assert not elsewhere.doubted
+    assert elsewhere.verdict == sure.verdict
+    assert elsewhere.found == sure.found
+    assert elsewhere.doubted_channels == {"w_x"}
+
+
 def test_an_effect_that_may_be_nothing_by_its_interval_is_a_lead(sure: Outcome) -> None:
     assert sized(sure).found == sure.found
     wide = replace(sure, of_band=np.full(len(sure.final.regression.vector), 10.0))

@@ -46,7 +46,7 @@ class Stages:
         self._stream = sys.stderr if stream is None else stream
         self._json = os.environ.get(PROGRESS) == "json"
         self._live = self._stream.isatty() and not self._json
-        self._stage = self._found = self._written = ""
+        self._stage = self._found = ""
         self._started = self._first = time.monotonic()
         self._ends: float | None = None
 
@@ -56,9 +56,7 @@ class Stages:
         if stage != self._stage:
             self._end()
             self._stage, self._first = stage, now
-            # of lines below one another, each says what is new: a search has fifty of them
-            begun = self._line(now, left=self._left(now), known=self._found == self._written)
-            self._written = self._found
+            begun = self._line(now, left=self._left(now))
             LOG.info(begun)
             if not (self._live or self._json):
                 print(begun, file=self._stream, flush=True)
@@ -86,8 +84,8 @@ class Stages:
         self._end()
         self._stage = ""
 
-    def _line(self, now: float, count: str = "", left: str = "", known: bool = False) -> str:
-        found = f"so far: {self._found}" if self._found and not known else ""
+    def _line(self, now: float, count: str = "", left: str = "") -> str:
+        found = f"so far: {self._found}" if self._found else ""
         said = "; ".join(part for part in (f"{self._stage}{count}", found, left) if part)
         return f"[{now - self._started:5.0f} s] {said}"
 

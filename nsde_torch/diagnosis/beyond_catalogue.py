@@ -65,17 +65,30 @@ def with_laws(
     joint: JointSelection,
     outcome: Outcome,
     conclude: Callable[[JointSelection], Outcome],
+    predictive: Callable[[FittedPhysics], bool],
+    *,
+    of_functions: bool = True,
 ) -> Outcome:
-    """The outcome with laws that no catalogue has, where functions explain more and such laws do too."""
+    """The outcome with laws that no catalogue has, where functions explain more and such laws do too.
+
+    Args:
+        search: What effects were selected by.
+        joint: The selection.
+        outcome: What was concluded from it.
+        conclude: Concludes from another one.
+        predictive: Whether inputs predict what some physics leaves.
+        of_functions: Whether functions of what was measured say anything of such a log.
+    """
     settings = search.search
     if not search.tries_laws:
         return outcome
-    laws, before = _LawSearch(search), set(joint.selected)
+    laws, before = _LawSearch(search, predictive, of_functions), set(joint.selected)
     joint = laws.named_by_the_catalogue(joint)  # laws that took the place of effects
     if joint.selected.keys() != before:
         outcome = conclude(joint)
     # not where feedback may have made it: that is not named under another name either
     names = [f.name for f in outcome.found if f.name in joint.selected]
+    names = names if laws.of_functions else []
     near = [(name,) for name in names if joint.selected[name].law]
     alike = [pair for pair in combinations(names, 2) if of_one_variable(*pair)]
     likelier, as_good = settings.decisions.alike_nats, -settings.decisions.wider_nats
@@ -89,8 +102,9 @@ def with_laws(
             continue
         if other.final.best.likelihood > joint.final.best.likelihood + least:
             return conclude(other)
-    settings.say("functions of what was measured", 0, 1)
-    joint = replace(joint, functions=laws.functions(joint.final))
+    if of_functions:
+        settings.say("functions of what was measured", 0, 1)
+        joint = replace(joint, functions=laws.functions(joint.final))
     left = joint.functions is not None and joint.functions.nats
     more = laws.selected(joint, ()) if left or laws.unseen(joint.final) else None
     if more is not None:
@@ -102,10 +116,18 @@ def with_laws(
 
 
 class _LawSearch:
-    """Adds laws to physics; remembers functions beside physics."""
+    """Adds laws to physics; remembers functions beside physics.
 
-    def __init__(self, search: JointSearch) -> None:
-        self._search = search
+    Args:
+        search: What effects were selected by.
+        predictive: Whether inputs predict what some physics leaves.
+        of_functions: Whether laws are made of what functions are of.
+    """
+
+    def __init__(
+        self, search: JointSearch, predictive: Callable[[FittedPhysics], bool], of_functions: bool
+    ) -> None:
+        self._search, self._predictive, self.of_functions = search, predictive, of_functions
         self._functions: dict[frozenset[str], Functions | None] = {}
         self._unseen: dict[frozenset[str], list[Term]] = {}
 
@@ -171,22 +193,27 @@ class _LawSearch:
         of_effects = {n: e for n in replaced if isinstance(e := effect_of(place.system, n), Law)}
         for name in replaced:
             place = search.without(place, name)
-        added, most = 0, search.search.decisions.most_effects
-        while added < search.search.budgets.laws and len(search.added(place.system)) < most:
+        laws, unseen, most = set[str](), set[str](), search.search.decisions.most_effects
+        while len(laws) < search.search.budgets.laws and len(search.added(place.system)) < most:
             better = self._with_a_law(place, list(of_effects.values()))
             if better is None:
                 break
-            place, added = better, added + 1
-        if not added:
+            laws |= search.added(better.system) - search.added(place.system)
+            unseen |= {term.law for term in self.unseen(place)}
+            place = better
+        # where inputs still know what the log does not, a law of what was measured would be a lead, and what else there
+        # is, it replaces (a wind of 4.2 m/s by a force that goes with the height, Neural-Fly; half of the time of such
+        # flights)
+        if not laws or (not laws <= unseen and self._predictive(place)):
             return None
         found = self.named_by_the_catalogue(search.concluded(place))
         if found.selected.keys() == joint.selected.keys():
             return None
-        return replace(found, functions=self.functions(found.final))
+        return replace(found, functions=self.functions(found.final)) if self.of_functions else found
 
     def _with_a_law(self, place: FittedPhysics, effects: Sequence[Law]) -> FittedPhysics | None:
         """Physics with the law that explains most beside it; None where none is needed."""
-        search, functions = self._search, self.functions(place)
+        search, functions = self._search, self.functions(place) if self.of_functions else None
         wanted: dict[int, list[str]] = {}
         nats = {} if functions is None else functions.nats
         for port in sorted(nats, key=lambda p: -nats[p]):

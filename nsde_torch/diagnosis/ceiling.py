@@ -193,18 +193,23 @@ def ceiling(log: Log, outcome: Outcome) -> Ceiling:
 
 def _why_not(log: Log, outcome: Outcome) -> str:
     """Why functions would say nothing, in words; empty where they do."""
+    if outcome.doubted and log.budgets.function_groups:
+        return "the fit is not believed"
+    if not (why := silent(log)) and outcome.final.regression.arithmetic:
+        return "what is left is what arithmetic leaves"
+    return why
+
+
+def silent(log: Log) -> str:
+    """Why functions say nothing of a log, whatever its physics is; empty where they may."""
     if not log.budgets.function_groups:
         return "not asked for"
-    if outcome.doubted:
-        return "the fit is not believed"
     if log.recorded.inputs_restored:
         return "the inputs were logged as an average and know the future"
     if any(run.band for run in log.runs):
         return (
             "the states were smoothed before they were logged, and what that did to them looks like physics"
         )
-    if outcome.final.regression.arithmetic:
-        return "what is left is what arithmetic leaves"
     return ""
 
 

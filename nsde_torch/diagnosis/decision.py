@@ -298,7 +298,7 @@ def _may_be_nothing(outcome: Outcome, found: Found) -> bool:
     sizes = [
         (e, nothing[name])
         for e in outcome.estimates(found.name)
-        if (name := e.name.rpartition(".")[2].partition("[")[0]) in nothing
+        if (name := e.name.rpartition(".")[2].partition("[")[0]) in nothing and e.bound != "reference"
     ]
     return bool(sizes) and all(
         e.bound == "below" or (e.low is not None and e.high is not None and e.low <= null <= e.high)

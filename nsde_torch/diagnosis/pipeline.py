@@ -32,7 +32,7 @@ from typing import final
 
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.beyond_catalogue import with_laws
-from nsde_torch.diagnosis.ceiling import Ceiling, ceiling
+from nsde_torch.diagnosis.ceiling import Ceiling, ceiling, silent
 from nsde_torch.diagnosis.cross_validation import HeldOut, cross_validated, none_held_out
 from nsde_torch.diagnosis.decision import (
     at,
@@ -418,7 +418,17 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
     if joint is not None:
         return outcome
     return log.stages.attempt(
-        LAWS, lambda: with_laws(*made, outcome, partial(_concluded, log, search)), outcome
+        LAWS,
+        lambda: with_laws(
+            *made,
+            outcome,
+            partial(_concluded, log, search),
+            lambda place: (
+                log.feedback.test(at(_of_the_same_rows(search, made[1]), place).regression).predictive
+            ),
+            of_functions=not silent(log),
+        ),
+        outcome,
     )
 
 

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import yaml
+
 from nsde_torch.errors import ConfigError, NsdeError
 
 from ..exit_status import FAILED_JOBS, OK, USER_ERROR
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
 
 KEYS = {
     "system": "machine that the log is of: name, or module:Class of your own; left out: guessed",
+    "system.options.NAME": "further argument of the machine's class (system.options.yaw_direction=-1)",
     "kind": "reader of the format; left out: by the names of the files",
     "mapping": "YAML file of a mapping to check; left out: mapping.yaml beside the logs, else one is proposed",
     "out": "file to write the mapping to; left out: mapping.yaml beside the logs; none: nothing is written",
@@ -35,6 +38,7 @@ List what is in a log or a folder of logs, propose what its columns mean to a sy
 the signs of the physics, and write it as mapping.yaml, which `data=log` and the readers of the formats use.
 
 """
+_OPTION = "system.options."
 _SHOWN = 40
 _MARKS = {True: "ok  ", False: "NO  ", None: "?   "}
 
@@ -63,6 +67,7 @@ def _inspect(path: str, given: dict[str, str], folder: Path | None) -> int:
     from nsde_torch.data.any_log import format_of
     from nsde_torch.data.mapping.files import mapping_beside
     from nsde_torch.data.readers import READERS
+    from nsde_torch.systems.options import SystemOptions
 
     torch.set_num_threads(1)
     sys.path.insert(0, str((folder or Path.cwd()).resolve()))  # a system of the user's own, in a file there
@@ -71,9 +76,13 @@ def _inspect(path: str, given: dict[str, str], folder: Path | None) -> int:
     proposes = given.get("overwrite") == "true" or target not in (None, _beside(path))
     kind = given.get("kind") or format_of(path)
     there = mapping_beside(path) if kind in READERS and READERS[kind].mapped and not proposes else None
+    options = {k.removeprefix(_OPTION): yaml.safe_load(v) for k, v in given.items() if k.startswith(_OPTION)}
+    if options and "system" not in given:
+        raise ConfigError(f"`{_OPTION}{next(iter(options))}` is of a machine: name it, system=NAME.")
+    machine = own_system(given["system"], folder) if "system" in given else None
     found = inspect(
         path,
-        system=own_system(given["system"], folder) if "system" in given else None,
+        system=SystemOptions(machine, options=options) if machine else None,
         kind=given.get("kind"),
         mapping=given.get("mapping") or there,
         physics=given.get("physics", "true") != "false",
@@ -85,10 +94,13 @@ def _inspect(path: str, given: dict[str, str], folder: Path | None) -> int:
         print(_write(found, target, overwrite=given.get("overwrite") == "true"))
     used = Path(given["mapping"]) if "mapping" in given else target
     own = () if folder is None else ("--config-dir", str(folder))
-    system = f"system={given.get('system', found.system)}"
+    system = (
+        f"system={given.get('system', found.system)}",
+        *(f"{_OPTION}{k}={v}" for k, v in options.items()),
+    )
     paths = {"data.path": path, **_mapping_key(found, used, path)}
-    train = as_typed("nsde", "train", *own, system, f"data={found.kind}", paths=paths)
-    again = as_typed("nsde", "inspect", path, *own, system, "mapping=FILE", paths={})
+    train = as_typed("nsde", "train", *own, *system, f"data={found.kind}", paths=paths)
+    again = as_typed("nsde", "inspect", path, *own, *system, "mapping=FILE", paths={})
     print(f"\nnext: {_next(found, train, again)}")
     return OK if found.usable else FAILED_JOBS
 
@@ -199,7 +211,7 @@ def _given(words: Sequence[str]) -> tuple[str, dict[str, str]]:
     out: dict[str, str] = {}
     for word in words:
         key, equals, value = word.partition("=")
-        if equals and key in KEYS:
+        if equals and (key in KEYS or key.startswith(_OPTION)):
             out[key] = value
         elif equals and not Path(word).exists():
             near = difflib.get_close_matches(key, KEYS, n=1)
@@ -222,7 +234,7 @@ def complete(words: Sequence[str]) -> list[str]:
     last = words[-1] if words else ""
     key, equals, start = last.partition("=")
     if not equals:
-        return [f"{k}=" for k in KEYS if k.startswith(key)]
+        return [f"{k}=" for k in KEYS if k.startswith(key) and not k.endswith("NAME")]
     choices: Sequence[str] = ()
     if key == "system":
         from nsde_torch.systems.names import SYSTEM_HOMES

@@ -250,3 +250,26 @@ def test_completion_offers_keys_and_choices() -> None:
     assert "system=" in command.complete(["sys"])
     assert "system=quadrotor" in command.complete(["system=qua"])
     assert "kind=ardupilot" in command.complete(["kind=ar"])
+
+
+def test_options_of_the_machine_are_those_of_training(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = leaning_flight(12.0)
+    columns = {
+        "t": run.t,
+        **{f"x{k}": run.x[:, k] for k in range(13)},
+        **{f"m{k}": run.u[:, k] for k in range(4)},
+    }
+    log_writers.write_table(tmp_path / "flight.csv", columns)
+    content = {
+        name: {"from": [f"x{k}" for k in ks]}
+        for name, ks in {"p": (0, 1, 2), "v": (3, 4, 5), "q": (6, 7, 8, 9), "w": (10, 11, 12)}.items()
+    }
+    content["u"] = {"from": [f"m{k}" for k in range(4)]}
+    (tmp_path / "mapping.yaml").write_text(yaml.safe_dump({"system": "quadrotor", "columns": content}))
+    words = ["inspect", str(tmp_path), "system=quadrotor", "physics=false"]
+    assert main([*words, "system.options.yaw_direction=-1"]) == 0
+    assert "system=quadrotor system.options.yaw_direction=-1 data=" in capsys.readouterr().out
+    assert main([*words, "system.options.yaw_direction=2"]) == 2
+    assert "`yaw_direction` must be 1 or -1" in capsys.readouterr().err

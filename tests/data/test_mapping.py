@@ -256,6 +256,20 @@ def test_rotor_speeds_and_scales() -> None:
     assert np.isnan(run.x[:, 1]).all()  # the rate is inferred later
 
 
+def test_inputs_that_their_range_does_not_hold_are_refused() -> None:
+    t = np.arange(0, 5, 0.01)
+    columns = {"q": "q", "force": {"from": "pwm", "low": 1000, "high": 2000}}
+
+    def read(pwm: np.ndarray) -> RawRun:
+        log = StreamLog("r", "r", [Stream("", t, {"q": t, "pwm": pwm})])
+        return apply(log, mapping_of({"columns": columns}), make_system("mass_spring_damper"))
+
+    with pytest.raises(DataError, match=r"inputs are 800 to 1200, and 50% of them lie outside `low: 1000`"):
+        read(1000.0 + 200.0 * np.cos(t * np.pi / 4.99))
+    armed = read(np.where(t < 2.0, 900.0, 1500.0))
+    assert armed.u[:, 0].tolist() == np.where(t < 2.0, 0.0, 0.5).tolist()
+
+
 def test_a_channel_that_one_log_lacks_is_told_and_left_out(flight: RawRun) -> None:
     content = NED_MAPPING + "  battery_voltage: {from: vbat, unit: V}\n"
     run = apply(_log(ned_columns(flight)), _mapping(content), make_system("quadrotor"))

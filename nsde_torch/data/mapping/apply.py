@@ -303,8 +303,17 @@ class _Applied:
     def _commands(self, name: str, entry: ColumnEntry, values: Array) -> Array:
         """Inputs in the system's unit and order."""
         if entry.low is not None and entry.high is not None:
-            values = (values - entry.low) / (entry.high - entry.low)
-            values = np.clip(values, 0.0, 1.0)
+            share = (values - entry.low) / (entry.high - entry.low)
+            beyond = values[(share < 0.0) | (share > 1.0)]
+            # one value is what is written while disarmed
+            if beyond.size > _BEYOND * values.size and len(np.unique(beyond)) > _VALUES:
+                raise DataError(
+                    f"{self.log.source}: inputs are {np.nanmin(values):.6g} to {np.nanmax(values):.6g}, and "
+                    f"{beyond.size / values.size:.0%} of them lie outside `low: {entry.low:g}` and "
+                    f"`high: {entry.high:g}` of the mapping; write the readings that mean 0 and 1, or `full`, if these "
+                    "are speeds of rotors."
+                )
+            values = np.clip(share, 0.0, 1.0)
         elif entry.full is not None:
             most = float(np.nanmax(values, initial=0.0))
             if most > 1.02 * entry.full:  # a square of 1.05, which is refused
@@ -321,4 +330,9 @@ class _Applied:
         return values
 
 
+_BEYOND = 0.05
+"""Share of the readings of inputs that may lie outside their range (Neural-Fly's flights in still air: 46 % of their
+pulses are below 1000, and were taken for 0)."""
+_VALUES = 10
+"""Number of values from which readings outside the range are no resting value."""
 TURNED = "world to body"

@@ -64,7 +64,8 @@ DURATIONS: dict[str, list[float]] = {
     "hexacopter": [45.0] * 4,
 }
 _TURNED = ("frame_misalignment",)
-_OF_THE_LOG = (*_TURNED, "position_bias[pole]")
+_NOT_DRAWN = (*_TURNED, "position_bias[pole]", "quadratic_wind")
+"""Faults of the log, and what came into the catalogue after the committed draws."""
 TIES = (
     {"input_delay", "actuator_lag", "motor_lag"},
     {"thrust_sag", "battery_voltage"},
@@ -102,10 +103,10 @@ class Case:
 
 
 def holdable(system: str) -> list[str]:
-    """Effects of the catalogue that a plant can hold, beyond those declared, and that are no fault of the log."""
+    """Effects of the catalogue that a plant can hold, beyond those declared, and that are drawn."""
     machine = make_system(system)
     found = effects_of(system, machine.ports, machine.bound_coordinates())
-    return [name for name in found if not why_not(machine, name) and name not in _OF_THE_LOG]
+    return [name for name in found if not why_not(machine, name) and name not in _NOT_DRAWN]
 
 
 def _tied(a: str, b: str) -> bool:

@@ -56,6 +56,7 @@ from nsde_torch.effects.multirotor_forces import (
     InertiaCoupling,
     LinearDrag,
     QuadraticDrag,
+    QuadraticWind,
     ThrustCurve,
     ThrustMisalignment,
     ThrustSag,
@@ -98,6 +99,7 @@ EFFECTS: dict[str, type[Effect]] = {
         # multirotors
         LinearDrag,
         QuadraticDrag,
+        QuadraticWind,
         ConstantWind,
         ConstantWorldForce,
         GroundEffect,

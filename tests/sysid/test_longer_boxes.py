@@ -108,7 +108,7 @@ def test_longer_boxes_are_refused_where_they_are_not_believed_either_or_do_not_f
 def test_a_diagnosis_looks_at_rows_further_apart_where_only_these_are_as_predicted() -> None:
     names = ("coulomb_friction", "constant_force", "asymmetric_friction", "cubic_stiffness")
     found = nsde_torch.diagnose(
-        axis(14.0, slip=5e-4, seed=3), system=PositioningDrive, candidates=list(names)
+        axis(28.0, slip=5e-4, seed=3), system=PositioningDrive, candidates=list(names)
     )
     assert found.added == ["coulomb_friction", "constant_force"]
     joint = found.outcome.joint

@@ -64,8 +64,7 @@ DURATIONS: dict[str, list[float]] = {
     "hexacopter": [45.0] * 4,
 }
 _TURNED = ("frame_misalignment",)
-_NOT_DRAWN = (*_TURNED, "position_bias[pole]", "quadratic_wind")
-"""Faults of the log, and what came into the catalogue after the committed draws."""
+_OF_THE_LOG = (*_TURNED, "position_bias[pole]")
 TIES = (
     {"input_delay", "actuator_lag", "motor_lag"},
     {"thrust_sag", "battery_voltage"},
@@ -103,10 +102,10 @@ class Case:
 
 
 def holdable(system: str) -> list[str]:
-    """Effects of the catalogue that a plant can hold, beyond those declared, and that are drawn."""
+    """Effects of the catalogue that a plant can hold, beyond those declared, and that are no fault of the log."""
     machine = make_system(system)
     found = effects_of(system, machine.ports, machine.bound_coordinates())
-    return [name for name in found if not why_not(machine, name) and name not in _NOT_DRAWN]
+    return [name for name in found if not why_not(machine, name) and name not in _OF_THE_LOG]
 
 
 def _tied(a: str, b: str) -> bool:

@@ -57,64 +57,30 @@ class QuadraticDrag(Effect):
         return -self.value("drag") * v * torch.sqrt((v * v).sum(1, keepdim=True) + 1e-12)
 
 
-_WIND = Parameter((0.0, 0.0), "m/s", scale=1.0, help="velocity of the air, east and north")
-
-
-class _Wind(Effect):
-    """Air that moves."""
-
-    port = Port.BODY_FORCE
-    null = {"drag": 0.0}
-    amplitudes = ("drag",)
-    shapes = {"wind": ((2.0, 0.0), (-2.0, 0.0), (0.0, 2.0), (0.0, -2.0))}
-    smooth = ("wind",)
-    separate = "fly the same path twice, the second time turned by a quarter"
-
-    def air_speed(self, x: Tensor) -> Tensor:
-        """Velocity relative to the air, in the body frame (N, 3) [m/s]."""
-        wind = self.value("wind")
-        air = torch.cat((wind, torch.zeros_like(wind[:1])))
-        return rotate_back(x[:, 6:10], x[:, 3:6] - air)
-
-
 @final
-class ConstantWind(_Wind):
+class ConstantWind(Effect):
     """Rotor drag in air that moves: in proportion to the velocity relative to the air."""
 
     name = "constant_wind"
+    port = Port.BODY_FORCE
     formula = "-d * R^T (v - w)"
     source = "Tomic, Schmid, Lutz, Mathers, Haddadin, IROS (2016): drag on the velocity relative to the air"
     PARAMETERS = {
         "drag": Parameter((0.1, 0.1, 0.1), "1/s", low=0.0, help="drag over mass, body x y z"),
-        "wind": _WIND,
+        "wind": Parameter((0.0, 0.0), "m/s", scale=1.0, help="velocity of the air, east and north"),
     }
+    null = {"drag": 0.0}
+    amplitudes = ("drag",)
+    shapes = {"wind": ((2.0, 0.0), (-2.0, 0.0), (0.0, 2.0), (0.0, -2.0))}
+    smooth = ("wind",)
     includes = ("linear_drag",)
     sentence = "The air moves with {wind} to east and north and drags with {drag} along forward, left and up."
+    separate = "fly the same path twice, the second time turned by a quarter"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return -self.value("drag") * self.air_speed(x)
-
-
-@final
-class QuadraticWind(_Wind):
-    """Body drag in air that moves: in proportion to the square of the velocity relative to the air."""
-
-    name = "quadratic_wind"
-    formula = "-d * |v - w| R^T (v - w)"
-    source = "aerodynamic drag of a bluff body, on the velocity relative to the air"
-    PARAMETERS = {
-        "drag": Parameter((0.02, 0.02, 0.02), "1/m", low=0.0, help="drag over mass, body x y z"),
-        "wind": _WIND,
-    }
-    includes = ("quadratic_drag",)
-    sentence = (
-        "The air moves with {wind} to east and north and drags with the square of the speed in it, {drag} along "
-        "forward, left and up."
-    )
-
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        v = self.air_speed(x)
-        return -self.value("drag") * v * torch.sqrt((v * v).sum(1, keepdim=True) + 1e-12)
+        wind = self.value("wind")
+        air = torch.cat((wind, torch.zeros_like(wind[:1])))
+        return -self.value("drag") * rotate_back(x[:, 6:10], x[:, 3:6] - air)
 
 
 @final

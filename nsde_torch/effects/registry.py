@@ -56,7 +56,6 @@ from nsde_torch.effects.multirotor_forces import (
     InertiaCoupling,
     LinearDrag,
     QuadraticDrag,
-    QuadraticWind,
     ThrustCurve,
     ThrustMisalignment,
     ThrustSag,
@@ -99,7 +98,6 @@ EFFECTS: dict[str, type[Effect]] = {
         # multirotors
         LinearDrag,
         QuadraticDrag,
-        QuadraticWind,
         ConstantWind,
         ConstantWorldForce,
         GroundEffect,

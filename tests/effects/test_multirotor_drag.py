@@ -37,17 +37,6 @@ class TestQuadraticDrag(EffectContract):
         torch.testing.assert_close(term(effect, doubled), 4 * term(effect, x))
 
 
-class TestQuadraticWind(EffectContract):
-    name, system = "quadratic_wind", "quadrotor"
-
-    def test_it_is_the_quadratic_drag_of_the_speed_in_the_air(self) -> None:
-        wind = self.make({"drag": [0.1, 0.2, 0.3], "wind": [2.0, -1.0]})
-        drag = TestQuadraticDrag().make({"drag": [0.1, 0.2, 0.3]})
-        turned = Rotation.from_euler("z", 40, degrees=True)
-        there, in_the_air = flying([3.0, 1.0, 0.5], turned), flying([1.0, 2.0, 0.5], turned)
-        torch.testing.assert_close(term(wind, there), term(drag, in_the_air))
-
-
 class TestConstantWind(EffectContract):
     name, system = "constant_wind", "hexacopter"
 

@@ -440,7 +440,8 @@ class JointSearch:
         (NeuroBEM) that took 130 s each time.
 
         A part of a long log is asked first: an effect that is needed there is needed, and what is surely worse in its
-        place there is worse (of the published flights, physics without one of eight effects are fitted in 10 s each).
+        place there is worse, and not fitted to all rows (of the published flights, physics without one of eight effects
+        are fitted in 10 s each; of NeuroBEM's, three in the place of the drag took two minutes).
         """
         looked = dict(before)
         few = self._in_few_rows()
@@ -454,9 +455,10 @@ class JointSearch:
                 continue
             if name not in looked:
                 may = exchanged < self.search.budgets.exchanges
+                there = few.instead_here(name, place) if inside and few is not None else None
                 instead = Instead()
-                if not (inside and few is not None and few.without_rival(name, place)):
-                    instead = self._instead_of(name, place, self.without(place, name), may)
+                if there != instead:
+                    instead = self._instead_of(name, place, self.without(place, name), may, there)
                 if instead.better is not None:
                     place, kept, exchanged = instead.better, set(), exchanged + 1
                     continue
@@ -492,10 +494,10 @@ class JointSearch:
         least = place.best.likelihood + by_chance
         return self.fitted(proposal.system, place, least).best.likelihood > least
 
-    def without_rival(self, name: str, whole: FittedPhysics) -> bool:
-        """Whether nothing in the place of an effect comes near in these few rows; see `needed_here`."""
+    def instead_here(self, name: str, whole: FittedPhysics) -> Instead:
+        """What comes near in the place of an effect in these few rows; see `needed_here`."""
         place = self._here(whole)
-        return self._instead_of(name, place, self.without(place, name), True) == Instead()
+        return self._instead_of(name, place, self.without(place, name), True)
 
     def _here(self, whole: FittedPhysics) -> FittedPhysics:
         """Physics that were fitted to all rows, fitted to these."""
@@ -506,16 +508,27 @@ class JointSearch:
         )
 
     def _instead_of(
-        self, name: str, place: FittedPhysics, without: FittedPhysics, exchanges: bool
+        self,
+        name: str,
+        place: FittedPhysics,
+        without: FittedPhysics,
+        exchanges: bool,
+        near: Instead | None = None,
     ) -> Instead:
-        """What is likelier in the place of an effect where that may be exchanged, or else as likely."""
-        alike, better = self._rivals(name, place, without)
+        """What is likelier in the place of an effect where that may be exchanged, or else as likely.
+
+        Of what comes `near` in a part of the log, if that is known; where something is likelier there, of anything.
+        """
+        some = near if near is not None and near.better is None else None
+        alike, better = self._rivals(name, place, without, None if some is None else some.ties)
         law = ""
-        if better is None or not exchanges:
+        if (better is None or not exchanges) and (some is None or some.law):
             law, better = self._nearer_law(name, place, without)
         if better is not None and exchanges:
             return Instead(better)
-        return Instead(None, (*alike, *self._in_parts(name, place, without)), law)
+        if some is None or any(AND in tie for tie in some.ties):
+            alike += self._in_parts(name, place, without)
+        return Instead(None, tuple(alike), law)
 
     def needed(self, name: str, place: FittedPhysics, without: FittedPhysics) -> bool:
         """Whether an effect brings more likelihood than chance, of all candidates of the look that found it."""
@@ -532,9 +545,9 @@ class JointSearch:
         )
 
     def _rivals(
-        self, name: str, place: FittedPhysics, without: FittedPhysics
+        self, name: str, place: FittedPhysics, without: FittedPhysics, only: Collection[str] | None = None
     ) -> tuple[list[str], FittedPhysics | None]:
-        """Effects as likely as one that was selected, and the physics with a better one in its place."""
+        """Effects as likely as one that was selected, `only` of these, and physics with a better one in its place."""
         # what contains the effect was a candidate beside it, and was not needed
         accepted = self.look(without).accepted
         rivals = [p for p in accepted if name not in {p.name, *effect_class(p.name).includes}]
@@ -545,10 +558,13 @@ class JointSearch:
         around = {t.law for t in beside for own in beside if own.law == name and t.contains(own)}
         laws = [t for t in beside if t.law not in there_too | around]
         least = self._as_likely(place, without)
-        for rival, system in (
+        tried = (
             *((r.name, r.system) for r in rivals[:_RIVALS]),
             *((t.law, joined(without.system, t.law, t.start)) for t in laws),
-        ):
+        )
+        for rival, system in tried:
+            if only is not None and rival not in only:
+                continue
             # from the noise levels that its step was made at: from those beside the effect, of which one was a tenth, a
             # dry friction ended 24,000 nats below (tests/diagnosis/test_standing.py)
             there = self.fitted(system, without, least)

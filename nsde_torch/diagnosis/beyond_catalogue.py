@@ -65,7 +65,7 @@ def with_laws(
     joint: JointSelection,
     outcome: Outcome,
     conclude: Callable[[JointSelection], Outcome],
-    predictive: Callable[[FittedPhysics], bool],
+    predicted: Callable[[FittedPhysics], float],
     *,
     of_functions: bool = True,
 ) -> Outcome:
@@ -76,13 +76,13 @@ def with_laws(
         joint: The selection.
         outcome: What was concluded from it.
         conclude: Concludes from another one.
-        predictive: Whether inputs predict what some physics leaves.
+        predicted: How much of what some physics leaves inputs surely predict.
         of_functions: Whether functions of what was measured say anything of such a log.
     """
     settings = search.search
     if not search.tries_laws:
         return outcome
-    laws, before = _LawSearch(search, predictive, of_functions), set(joint.selected)
+    laws, before = _LawSearch(search, predicted, of_functions), set(joint.selected)
     joint = laws.named_by_the_catalogue(joint)  # laws that took the place of effects
     if joint.selected.keys() != before:
         outcome = conclude(joint)
@@ -115,19 +115,22 @@ def with_laws(
     )
 
 
+_LESS = 0.9  # of what inputs predict, that is left by a law which is the reason of it
+
+
 class _LawSearch:
     """Adds laws to physics; remembers functions beside physics.
 
     Args:
         search: What effects were selected by.
-        predictive: Whether inputs predict what some physics leaves.
+        predicted: How much of what some physics leaves inputs surely predict.
         of_functions: Whether laws are made of what functions are of.
     """
 
     def __init__(
-        self, search: JointSearch, predictive: Callable[[FittedPhysics], bool], of_functions: bool
+        self, search: JointSearch, predicted: Callable[[FittedPhysics], float], of_functions: bool
     ) -> None:
-        self._search, self._predictive, self.of_functions = search, predictive, of_functions
+        self._search, self._predicted, self.of_functions = search, predicted, of_functions
         self._functions: dict[frozenset[str], Functions | None] = {}
         self._unseen: dict[frozenset[str], list[Term]] = {}
 
@@ -194,17 +197,23 @@ class _LawSearch:
         for name in replaced:
             place = search.without(place, name)
         laws, unseen, most = set[str](), set[str](), search.search.decisions.most_effects
+        known: float | None = None
         while len(laws) < search.search.budgets.laws and len(search.added(place.system)) < most:
             better = self._with_a_law(place, list(of_effects.values()))
             if better is None:
                 break
             laws |= search.added(better.system) - search.added(place.system)
             unseen |= {term.law for term in self.unseen(place)}
+            # where inputs know what the log does not whatever the law, it would be a lead, and take the place of what
+            # else there is (of a wind of 4.2 m/s a force that goes with the height, Neural-Fly; half of the time of
+            # such flights)
+            if known != 0.0 and not laws <= unseen:
+                before = self._predicted(place) if known is None else known
+                known = self._predicted(better) if before > 0.0 else 0.0
+                if known > _LESS * before:
+                    return None
             place = better
-        # where inputs still know what the log does not, a law of what was measured would be a lead, and what else there
-        # is, it replaces (a wind of 4.2 m/s by a force that goes with the height, Neural-Fly; half of the time of such
-        # flights)
-        if not laws or (not laws <= unseen and self._predictive(place)):
+        if not laws or known:
             return None
         found = self.named_by_the_catalogue(search.concluded(place))
         if found.selected.keys() == joint.selected.keys():

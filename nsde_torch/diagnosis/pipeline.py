@@ -424,7 +424,7 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
             outcome,
             partial(_concluded, log, search),
             lambda place: (
-                log.feedback.test(at(_of_the_same_rows(search, made[1]), place).regression).predictive
+                log.feedback.test(at(_of_the_same_rows(search, made[1]), place).regression).predicted
             ),
             of_functions=not silent(log),
         ),

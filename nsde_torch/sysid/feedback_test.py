@@ -185,7 +185,12 @@ class FeedbackTest:
     @property
     def predictive(self) -> bool:
         """Whether inputs predict innovations: a controller that saw more, or an undeclared lag, delay or law."""
-        return any(a.chance < ALPHA for a in self.knowledge)
+        return self.predicted > 0.0
+
+    @property
+    def predicted(self) -> float:
+        """Shares of the innovations of channels that inputs surely predict, summed."""
+        return sum(a.share for a in self.knowledge if a.chance < ALPHA)
 
     @property
     def functions_of_state(self) -> tuple[str, ...]:

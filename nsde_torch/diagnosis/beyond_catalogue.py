@@ -205,8 +205,8 @@ class _LawSearch:
             laws |= search.added(better.system) - search.added(place.system)
             unseen |= {term.law for term in self.unseen(place)}
             # where inputs know what the log does not whatever the law, it would be a lead, and take the place of what
-            # else there is (of a wind of 4.2 m/s a force that goes with the height, Neural-Fly; half of the time of
-            # such flights)
+            # else there is (of a wind of 4.2 m/s a force that goes with the height, Neural-Fly, pulses below 1000 cut
+            # off; half of the time of such flights)
             if known != 0.0 and not laws <= unseen:
                 before = self._predicted(place) if known is None else known
                 known = self._predicted(better) if before > 0.0 else 0.0

@@ -204,7 +204,8 @@ def judged_by_the_ceiling(outcome: Outcome, found: Ceiling) -> Outcome:
 
     Where nothing was named, something is missing. Effects that act where functions explain as much as makes one
     provisional are leads, as a law that was not written down may be behind both; what is missing of the moments casts
-    no doubt on a wind (Neural-Fly: 318 nats of roll and pitch, 240 of a steady force). Where functions explain more
+    no doubt on a wind (Neural-Fly at 8.5 m/s, pulses below 1000 cut off: 318 nats of roll and pitch, 240 of a steady
+    force). Where functions explain more
     than all effects, the verdict is `unexplained`.
     """
     if not found.rows:
@@ -267,7 +268,8 @@ def doubted(outcome: Outcome, guard: Guarded) -> Outcome:
     """The outcome; where the guard speaks against the final physics, or it explains nothing, nothing found is sure.
 
     An objection to some channels speaks of what moves these alone: a hover in which no roll was seen, in moments that a
-    loop at ten times the rate of the log commands, casts no doubt on a tilt of the thrust (Neural-Fly in still air).
+    loop at ten times the rate of the log commands, casts no doubt on a tilt of the thrust (Neural-Fly in still air,
+    pulses below 1000 cut off).
     """
     if not guard.objections:
         return outcome

@@ -205,8 +205,7 @@ def judged_by_the_ceiling(outcome: Outcome, found: Ceiling) -> Outcome:
     Where nothing was named, something is missing. Effects that act where functions explain as much as makes one
     provisional are leads, as a law that was not written down may be behind both; what is missing of the moments casts
     no doubt on a wind (Neural-Fly at 8.5 m/s, pulses below 1000 cut off: 318 nats of roll and pitch, 240 of a steady
-    force). Where functions explain more
-    than all effects, the verdict is `unexplained`.
+    force). Where functions explain more than all effects, the verdict is `unexplained`.
     """
     if not found.rows:
         return outcome

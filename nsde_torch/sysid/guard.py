@@ -31,7 +31,7 @@ answer within one of them (feedback), and what is lost of fast physics. So inter
 from the one to the other, which is no less than a bias that grows as the root of the length or faster.
 """
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import log
 from typing import Any
@@ -71,7 +71,6 @@ GONE = 10.0
 """Times smaller than its first value that a parameter must surely be (two standard errors) to have vanished."""
 NOTHING = 0.02
 """Share of a channel's variance up to which a fit explains nothing of it."""
-_FOLDS = 4  # parts of the log that least squares are fitted without
 POOR = 0.8
 """Share of the measured that least squares leave of half of the channels, where physics explains nothing."""
 
@@ -195,11 +194,7 @@ def guarded(
     objections, notes = _faults(system, runs, clock, rough, regression)
     chance = _chance(rough, theta, covariance)
     if not objections:
-        lost = {c.name for c in channels if _apart(c) and not c.less}
-        if lost and chance < CHANCE:
-            held = _held_out(system, runs, clock, theta, rough.theta)
-            lost = lost if held is None else lost & held
-        objections = _disagreements(channels, chance, lost) or _gone(rough, theta, covariance, fit)
+        objections = _disagreements(channels, chance) or _gone(rough, theta, covariance, fit)
         less = ", ".join(c.name for c in channels if _apart(c) and c.less)
         if less and not objections and chance < CHANCE:
             notes.append(
@@ -244,57 +239,10 @@ def _faults(
     return apart or [o for o in (odd,) if o], notes
 
 
-def _held_out(
-    system: System, runs: Sequence[Run], clock: float, theta: Array, squares: Array
-) -> frozenset[str] | None:
-    """Channels of which least squares leave much less than the fit in quarters of the log that they were not fitted to.
-
-    None where quarters are too short to fit.
-
-    Gusts that last are few, and twenty parameters explain them: of sideways motion of 0.08 m/s2 a fifth (Neural-Fly at
-    4.2 m/s).
-
-    Args:
-        theta: The fit (k,).
-        squares: Least squares of the whole log (k,), from which those of parts start.
-    """
-    names, left = list[str](), np.zeros((2, 0))
-    for k in range(_FOLDS):
-        rest, own = ([_part(run, k, inside) for run in runs] for inside in (False, True))
-        fitted = rough_fit(system, [r for r in rest if r.segments], clock, start=squares)
-        there = rough_fit(system, [r for r in own if r.segments], clock, iterations=0, start=squares)
-        if fitted is None or there is None:
-            continue
-        each = [left_at(there, at) for at in (theta, fitted.theta)]
-        names = [c.name for c in each[0]]
-        here = np.array([[[c.left**2, c.measured**2] for c in one] for one in each]) * len(there.owners)
-        left = left + here if left.size else here
-    if not left.size:
-        return None
-    (fit, measured), (other, _) = (one.T for one in left)
-    more = (fit - other > MORE * measured) | (fit > TIMES**2 * other)
-    return frozenset(name for name, much in zip(names, more, strict=True) if much)
-
-
-def _part(run: Run, k: int, inside: bool) -> Run:
-    """A run with one of the parts of each segment, or with all others."""
-    out: list[tuple[int, int]] = []
-    for a, b in run.segments:
-        first, last = (a + (b - a) * j // _FOLDS for j in (k, k + 1))
-        out += [(first, last)] if inside else [(a, first), (last, b)]
-    return replace(run, segments=tuple(s for s in out if s[1] > s[0]))
-
-
-def _disagreements(channels: Sequence[Compared], chance: float, parted: Collection[str]) -> list[Objection]:
-    """Where the fit and the simple ones part, the surest first.
-
-    Args:
-        channels: What each leaves.
-        chance: Of so large a difference.
-        parted: Channels of which least squares leave less, of parts of the log that they were not fitted to too.
-    """
+def _disagreements(channels: Sequence[Compared], chance: float) -> list[Objection]:
+    """Where the fit and the simple ones part, the surest first."""
     out = []
-    lost = [c for c in channels if c.name in parted]
+    lost = [c for c in channels if _apart(c) and not c.less]
     # where least squares find less, and explain something, inputs cancel what the physics lacks
     cancelled = [c for c in channels if c.less and c.least_squares < c.measured / WORSE]
     worse = [c for c in channels if c.fit > WORSE * c.measured and c not in cancelled]

@@ -276,5 +276,5 @@ def test_first_values_that_leave_less_speak_against_a_fit_where_that_matters(
     measured: float, speaks: bool
 ) -> None:
     one = Compared("q_dot", "rad/s2", measured, fit=0.405, least_squares=0.377, first_values=0.258)
-    found = _disagreements((one,), 1e-5, ())
+    found = _disagreements((one,), 1e-5)
     assert [o.kind for o in found] == (["first_values"] if speaks else [])

@@ -70,7 +70,7 @@ def rehearsed(own: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 def heading(content: Content) -> str:
     """The verdict in a few words; that the fit is rejected comes before it."""
-    return _VERDICTS["doubted" if content["guard"]["rejected"] else content["verdict"]]
+    return _VERDICTS["doubted" if content["guard"].get("rejected") else content["verdict"]]
 
 
 def own_parameters(finding: Mapping[str, Any], content: Content) -> dict[str, Mapping[str, Any]]:

@@ -14,7 +14,7 @@ import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.diagnosis import joint_selection, pipeline
 from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSearch, JointSelection
+from nsde_torch.diagnosis.joint_selection import FittedPhysics, Instead, JointSearch, JointSelection
 from nsde_torch.diagnosis.laws import terms_on
 from nsde_torch.diagnosis.search import search_in
 from nsde_torch.inference import LogLikelihood, nearly_maximised
@@ -89,13 +89,14 @@ def test_few_rows_that_are_asked_first_change_no_answer(monkeypatch: pytest.Monk
     runs = two_frictions(seed=1)
     whole = selected(runs)
     asked: list[tuple[str, bool]] = []
-    without_rival = JointSearch.without_rival
+    instead_here = JointSearch.instead_here
 
-    def counted(self: JointSearch, name: str, place: FittedPhysics) -> bool:
-        asked.append((name, without_rival(self, name, place)))
-        return asked[-1][1]
+    def counted(self: JointSearch, name: str, place: FittedPhysics) -> Instead:
+        found = instead_here(self, name, place)
+        asked.append((name, found == Instead()))
+        return found
 
-    monkeypatch.setattr(JointSearch, "without_rival", counted)
+    monkeypatch.setattr(JointSearch, "instead_here", counted)
     monkeypatch.setattr(joint_selection, "_ROWS", 500)
     few = selected(runs)
     assert {name for name, _ in asked} >= set(few.selected)

@@ -7,7 +7,7 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
@@ -76,7 +76,7 @@ def _inspect(path: str, given: dict[str, str], folder: Path | None) -> int:
     proposes = given.get("overwrite") == "true" or target not in (None, _beside(path))
     kind = given.get("kind") or format_of(path)
     there = mapping_beside(path) if kind in READERS and READERS[kind].mapped and not proposes else None
-    options = {k.removeprefix(_OPTION): yaml.safe_load(v) for k, v in given.items() if k.startswith(_OPTION)}
+    options = {k.removeprefix(_OPTION): _value(k, v) for k, v in given.items() if k.startswith(_OPTION)}
     if options and "system" not in given:
         raise ConfigError(f"`{_OPTION}{next(iter(options))}` is of a machine: name it, system=NAME.")
     machine = own_system(given["system"], folder) if "system" in given else None
@@ -103,6 +103,14 @@ def _inspect(path: str, given: dict[str, str], folder: Path | None) -> int:
     again = as_typed("nsde", "inspect", path, *own, *system, "mapping=FILE", paths={})
     print(f"\nnext: {_next(found, train, again)}")
     return OK if found.usable else FAILED_JOBS
+
+
+def _value(key: str, text: str) -> Any:
+    """The value of an option of the machine, as training reads it."""
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError:
+        raise ConfigError(f"`{key}={text}`: {text!r} is no value.") from None
 
 
 def _next(found: Inspection, train: str, again: str) -> str:

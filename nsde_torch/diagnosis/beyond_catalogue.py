@@ -87,8 +87,7 @@ def with_laws(
     if joint.selected.keys() != before:
         outcome = conclude(joint)
     # not where feedback may have made it: that is not named under another name either
-    names = [f.name for f in outcome.found if f.name in joint.selected]
-    names = names if laws.of_functions else []
+    names = [f.name for f in outcome.found if f.name in joint.selected] if of_functions else []
     near = [(name,) for name in names if joint.selected[name].law]
     alike = [pair for pair in combinations(names, 2) if of_one_variable(*pair)]
     likelier, as_good = settings.decisions.alike_nats, -settings.decisions.wider_nats
@@ -104,7 +103,7 @@ def with_laws(
             return conclude(other)
     if of_functions:
         settings.say("functions of what was measured", 0, 1)
-        joint = replace(joint, functions=laws.functions(joint.final))
+    joint = replace(joint, functions=laws.functions(joint.final))
     left = joint.functions is not None and joint.functions.nats
     more = laws.selected(joint, ()) if left or laws.unseen(joint.final) else None
     if more is not None:
@@ -130,12 +129,14 @@ class _LawSearch:
     def __init__(
         self, search: JointSearch, predicted: Callable[[FittedPhysics], float], of_functions: bool
     ) -> None:
-        self._search, self._predicted, self.of_functions = search, predicted, of_functions
+        self._search, self._predicted, self._of_functions = search, predicted, of_functions
         self._functions: dict[frozenset[str], Functions | None] = {}
         self._unseen: dict[frozenset[str], list[Term]] = {}
 
     def functions(self, place: FittedPhysics) -> Functions | None:
         """Functions beside some physics; None where they would say nothing."""
+        if not self._of_functions:
+            return None
         names = frozenset(place.system.effect_names)
         if names not in self._functions:
             self._functions[names] = functions_beside(place.at, self._search.search.budgets.function_groups)
@@ -218,11 +219,11 @@ class _LawSearch:
         found = self.named_by_the_catalogue(search.concluded(place))
         if found.selected.keys() == joint.selected.keys():
             return None
-        return replace(found, functions=self.functions(found.final)) if self.of_functions else found
+        return replace(found, functions=self.functions(found.final))
 
     def _with_a_law(self, place: FittedPhysics, effects: Sequence[Law]) -> FittedPhysics | None:
         """Physics with the law that explains most beside it; None where none is needed."""
-        search, functions = self._search, self.functions(place) if self.of_functions else None
+        search, functions = self._search, self.functions(place)
         wanted: dict[int, list[str]] = {}
         nats = {} if functions is None else functions.nats
         for port in sorted(nats, key=lambda p: -nats[p]):

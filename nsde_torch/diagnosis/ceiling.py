@@ -85,15 +85,12 @@ def function_gain(at: Optimum, found: Functions, outcome: Outcome) -> FunctionGa
     allowed = allowances_of_tests(outcome.test)
     rows = []
     for port, nats in found.nats.items():
+        if outcome.doubted_channels & {*moved[port]}:
+            continue
         # the best of many groups wins a few nats beside physics of which nothing is missing: of 30 right answers of the
         # fifth tester five were said to leave up to 7 nats
         sure = nats - _HALF * found.error[port] > outcome.decisions.alike_nats
-        believed = not outcome.doubted_channels & {*moved[port]}
-        if (
-            believed
-            and sure
-            and nats > 0.5 * max((allowed.get(name, 0.0) for name in moved[port]), default=0.0)
-        ):
+        if sure and nats > 0.5 * max((allowed.get(name, 0.0) for name in moved[port]), default=0.0):
             name, unit = _row(system, *space.disturbances[port])
             size = float(np.sqrt(np.square(found.force(values, port)[0]).mean()))
             rows.append(

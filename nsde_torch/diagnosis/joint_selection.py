@@ -371,12 +371,12 @@ class JointSearch:
         """
         look = self.look(place)
         tried = _in_order(self.search, look, self.added(place.system), place)[:_TRIED]
-        few = self._in_few_rows() if len(tried) > 1 else None
-        most = None if few is None else few.most_here(tried, place, self._problem)
+        few = self._in_few_rows()
+        most = None if few is None or len(tried) < 2 else few.most_here(tried, place, self._problem)
         best = None if most is None else self._best_of([most], place)[0]
         best = best or self._best_of([p for p in tried if p is not most], place)[0]
         doubtful = [p for p in look.proposals if p.nats > 0 or p.p < self.search.level("effects")]
-        return best or self._more_once_fitted(place, [p for p in doubtful if p not in tried])
+        return best or self._more_once_fitted(place, [p for p in doubtful if p not in tried], few)
 
     def _best_of(
         self, tried: Sequence[Explained], place: FittedPhysics, share: float = 1.0
@@ -396,7 +396,9 @@ class JointSearch:
             # it is not what its step promised: a lag in the place of a delay (carts of seed 9002, case 11)
         return best, chosen
 
-    def _more_once_fitted(self, place: FittedPhysics, proposals: Sequence[Explained]) -> FittedPhysics | None:
+    def _more_once_fitted(
+        self, place: FittedPhysics, proposals: Sequence[Explained], few: "JointSearch | None"
+    ) -> FittedPhysics | None:
         """The physics with a candidate that explains much more once it is fitted than its linearised step promises.
 
         Gusts that last have learned a steady push: what a step gains at their level is no measure of what a fit gains
@@ -407,7 +409,6 @@ class JointSearch:
         A part of a long log is asked first: three fits of six racing flights (NeuroBEM) that win nothing take a minute.
         """
         best, last = None, place
-        few = self._in_few_rows() if proposals else None
         for proposal in proposals[:_TRIED]:
             if few is not None and not few.wins_here(proposal, place):
                 continue

@@ -185,7 +185,7 @@ class FeedbackTest:
     @property
     def predictive(self) -> bool:
         """Whether inputs predict innovations: a controller that saw more, or an undeclared lag, delay or law."""
-        return self.predicted > 0.0
+        return any(a.chance < ALPHA for a in self.knowledge)
 
     @property
     def predicted(self) -> float:

@@ -273,3 +273,5 @@ def test_options_of_the_machine_are_those_of_training(
     assert "system=quadrotor system.options.yaw_direction=-1 data=" in capsys.readouterr().out
     assert main([*words, "system.options.yaw_direction=2"]) == 2
     assert "`yaw_direction` must be 1 or -1" in capsys.readouterr().err
+    assert main([*words, "system.options.yaw_direction=[1"]) == 2
+    assert "'[1' is no value" in capsys.readouterr().err

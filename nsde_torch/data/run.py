@@ -122,6 +122,8 @@ class Run:
         extra: Further logged columns by name, each (n,).
         band: States that were smoothed before they were logged, and the frequency up to which they are restored [Hz].
         low_pass: Of `band`, states with louder noise above it than below, as what was removed there must not weigh.
+        apart: States whose noise is correlated from row to row, because a filter or a delay was undone, and the rows
+            from which it no longer is.
         inferred: States that no sensor measured and that were inferred from positions: what is not known of them
             (standard deviation, their unit).
         unbroken: Ranges without a gap that the segments are parts of, where rows between these were left out of a
@@ -141,6 +143,7 @@ class Run:
     extra: Mapping[str, Array] = field(default_factory=dict)
     band: Mapping[str, float] = field(default_factory=dict)
     low_pass: Mapping[str, float] = field(default_factory=dict)
+    apart: Mapping[str, int] = field(default_factory=dict)
     inferred: Mapping[str, float] = field(default_factory=dict)
     unbroken: tuple[tuple[int, int], ...] = ()
 

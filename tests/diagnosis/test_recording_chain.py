@@ -40,11 +40,18 @@ def test_a_sensor_that_comes_late_is_found_and_not_taken_for_an_effect(system: s
     assert f"{name} is logged" in content["findings"][0]["sentence"]
 
 
-@pytest.mark.slow
 def test_a_filtered_sensor_is_told_from_a_delayed_one() -> None:
     _, content = diagnosed("cartpole", recording=Recording(sensor_lag={"theta_dot": 0.05}))
     assert content["added"] == ["sensor_lag"]
     assert content["parameters"]["sensor_lag.theta_dot"]["value"] == pytest.approx(0.05, rel=0.05)
+
+
+def test_friction_has_its_size_in_its_interval_behind_a_filter_whose_noise_came_after_it() -> None:
+    chain = Recording(sensor_lag={"q_dot": 0.05})
+    _, content = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.15}}, recording=chain)
+    low, high = content["parameters"]["coulomb_friction.size"]["interval_90"]
+    assert low < 0.15 < high
+    assert high - low < 0.03
 
 
 @pytest.mark.xfail(reason="an error of 0.2 ms in the delay leaves a provisional ripple", strict=True)

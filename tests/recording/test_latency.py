@@ -111,6 +111,27 @@ def test_a_channel_that_was_moved_back_is_on_time_and_the_ends_are_gone() -> Non
         on_time(late.slice(0, 5), SPRING, {"q_dot": 0.1})
 
 
+@pytest.mark.parametrize("rows", [0.1, 0.5, 2.5, 4.0])
+@pytest.mark.parametrize("filtered", [False, True])
+def test_noise_of_an_undone_channel_is_white_again_over_the_rows_that_the_run_says(
+    rows: float, filtered: bool
+) -> None:
+    seen = np.random.default_rng(3).normal(size=(60_000, 2))
+    log = Run("run", DT * np.arange(len(seen)), seen, np.zeros((len(seen), 1)))
+    times = {"q_dot": rows * DT}
+    back = on_time(log, SPRING, *([{}, times] if filtered else [times]))
+    e = back.x[100:-100, 1]
+
+    def correlation(lag: int) -> float:
+        return float((e[lag:] * e[:-lag]).mean() / np.square(e).mean())
+
+    assert set(back.apart) == ({"q_dot"} if rows != 0.1 and (filtered or rows % 1.0) else set())
+    apart = back.apart.get("q_dot", 1)
+    assert all(abs(correlation(apart * k)) < 0.12 for k in (1, 2, 3))
+    if apart > 1:
+        assert max(abs(correlation(k)) for k in (1, 2, 3)) > 0.09
+
+
 def test_rows_move_by_whole_and_broken_steps() -> None:
     x = np.arange(10.0)[:, None] ** 2
     np.testing.assert_allclose(moved(x, 2.0)[:8], x[2:])

@@ -36,7 +36,7 @@ from nsde_torch.inference.filtering import (
     within_gate,
 )
 from nsde_torch.inference.levels import Levels, first_levels
-from nsde_torch.inference.low_pass import band_of, rows_between
+from nsde_torch.inference.low_pass import band_of, rows_apart
 from nsde_torch.inference.maximum import evenly, level_columns, likeliest
 from nsde_torch.inference.sensitivity import Grams, grams
 from nsde_torch.inference.sizes import data_sizes
@@ -245,9 +245,8 @@ class LogLikelihood:
         self.apart_s = apart
         self._least = max(1, round(apart / steps.dt))
         self.sizes = data_sizes(system, steps)
-        slowest = max((rows_between(self._band, name, steps.dt) for name in self._band), default=1)
-        self._apart = {name: rows for run in runs for name, rows in run.apart.items()}
-        slowest = max(slowest, self._least, *self._apart.values())
+        self._apart = rows_apart(runs, self._band, steps.dt)
+        slowest = max([self._least, *self._apart.values()])
         chunks = Chunks(steps, late=_LATE if self._unknown else 0, every=slowest)
         if int(chunks.counted.sum()) < fewest:
             raise DataError(
@@ -300,10 +299,7 @@ class LogLikelihood:
         # an attitude's errors stand where the first three columns of its quaternion do
         after = len(inner.state_names) if inner.quaternion is None else inner.quaternion.stop - 1
         names = [inner.state_names[i if i < after else i + 1] for i in range(len(inner.error_names))]
-        every = [
-            max(self._least, rows_between(self._band, names[i], steps.dt), self._apart.get(names[i], 1))
-            for i in observed
-        ]
+        every = [max(self._least, self._apart.get(names[i], 1)) for i in observed]
         band = {i: self._band[name] for i, name in enumerate(names) if name in self._band}
         self.space = StateSpace(self.vector, steps, chunks, observed, every, band, disturbances)
         change = inner.error(chunks.y[1:], chunks.y[:-1]).square().flatten(0, -2).mean(0).sqrt()[observed]

@@ -30,15 +30,18 @@ def band_of(runs: Sequence[Run]) -> dict[str, float]:
     return {name: _INSIDE * min(run.low_pass[name] for run in runs if name in run.low_pass) for name in names}
 
 
-def rows_between(band: Mapping[str, float], name: str, dt: float) -> int:
-    """Rows from one measurement of a state to the next.
+def rows_apart(runs: Sequence[Run], band: Mapping[str, float], dt: float) -> dict[str, int]:
+    """Rows from one measurement of a state to the next, of states that are not measured anew in each row.
 
     Args:
+        runs: Runs, some states of which have noise that is correlated from row to row (`Run.apart`).
         band: Frequencies up to which states hold what was measured [Hz].
-        name: The state.
         dt: Step [s].
     """
-    return max(1, round(1.0 / (band[name] * dt))) if name in band else 1
+    out = {name: max(1, round(1.0 / (hz * dt))) for name, hz in band.items()}
+    for run in runs:
+        out |= {name: max(rows, out.get(name, 1)) for name, rows in run.apart.items()}
+    return out
 
 
 def low_passed_states(system: System, run: Run, clock: float) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@ import torch
 
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.inference.filtering import linearised_about
-from nsde_torch.inference.low_pass import low_passed, rows_between
+from nsde_torch.inference.low_pass import low_passed, rows_apart
 from tests.inference.springs import linear_runs, spring
 
 DT, HZ = 0.02, 5.0
@@ -38,8 +38,16 @@ def test_increments_of_states_without_what_is_above_are_increments_without_it() 
 
 @pytest.mark.parametrize(("hz", "rows"), [(50.0, 1), (5.0, 10), (7.0, 7), (1000.0, 1)])
 def test_a_band_is_measured_as_often_as_it_says_something_new(hz: float, rows: int) -> None:
-    assert rows_between({"q": hz}, "q", DT) == rows
-    assert rows_between({"q": hz}, "q_dot", DT) == 1
+    assert rows_apart([], {"q": hz}, DT) == {"q": rows}
+
+
+def test_a_state_is_measured_as_far_apart_as_its_noise_in_any_run_and_its_band_ask_for() -> None:
+    still, undone = (
+        replace(run, apart=apart) for run, apart in zip(linear_runs(2, 4.0), ({}, {"q": 4}), strict=True)
+    )
+    assert rows_apart([undone, still], {"q_dot": 5.0}, DT) == {"q": 4, "q_dot": 10}
+    assert rows_apart([still, undone], {"q": 5.0}, DT) == {"q": 10}
+    assert LogLikelihood(spring(), [still, undone]).space.every == [4, 1]
 
 
 def test_a_row_that_measures_nothing_changes_nothing() -> None:

@@ -235,7 +235,7 @@ def _span(rates: Sequence[Array], dt: float) -> int:
 
 # Rows from which noise that was white in the log is nearly white again once a spline undid a filter or a part of a
 # step: undoing a filter of 2.5 rows leaves correlations of -0.24, -0.35, 0.21 and -0.09 at one to four of them. Taken
-# for white, `gravity` was named in 4 of 24 carts with a late pole that lack nothing (tests/diagnosis)
+# for white, effects were named in 9 of 60 carts with a late or filtered pole that lack nothing (one: tests/diagnosis)
 _APART = 4
 _PART = 0.25  # rows; undoing less leaves correlations of at most 0.12
 

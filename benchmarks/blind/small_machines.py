@@ -33,6 +33,7 @@ class Small:
         effects: What it holds beside.
         noise: Standard deviations of its sensors.
         gust: White force or torque, by the root of a second [m/s1.5].
+        steady: A force on the spring or the cart that never changes [m/s2].
     """
 
     system: str
@@ -40,6 +41,7 @@ class Small:
     effects: dict[str, dict[str, Any]] = field(default_factory=dict)
     noise: tuple[float, ...] = ()
     gust: float = 0.02
+    steady: float = 0.0
 
 
 def small(system: str, rng: np.random.Generator, effect: bool) -> Small:
@@ -94,7 +96,7 @@ def _signal(t: Array, rng: np.random.Generator, band: tuple[float, float]) -> Ar
 
 def _rate(machine: Small, y: Array, u: float, white: Array) -> Array:
     p, v = machine.values, y[1]
-    own = white[0]
+    own = white[0] + machine.steady
     for name, e in machine.effects.items():
         if name == "coulomb":
             own -= e["size"] * np.tanh(v / 0.01)

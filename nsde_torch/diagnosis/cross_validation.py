@@ -39,6 +39,7 @@ from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import Search, dynamic_rows, nonlinear
 from nsde_torch.effects import Effect, key_of
+from nsde_torch.effects.by_run import ByRun
 from nsde_torch.errors import DataError
 from nsde_torch.evaluation.bootstrap import Blocks, Difference, make_blocks, mean_bootstrap, paired_bootstrap
 from nsde_torch.evaluation.metrics import horizons_of, start_grid, thinned
@@ -464,7 +465,10 @@ def _replayed(
 def as_model(spec: SysidSpec, system: System, clock: float) -> IdentifiedModel:
     """The physics as a model that predicts."""
     have = spec.make_system().effect_names
-    added = [key_of(type(e)) for e in system.effects if isinstance(e, Effect) and e.name not in have]
+    new = (e for e in system.effects if isinstance(e, Effect) and e.name not in have)
+    added = [
+        key_of(type(e)) for e in new if not isinstance(e, ByRun)
+    ]  # what those change may not be there yet
     model = IdentifiedModel(replace(spec, effects=(*spec.effects, *added)), generator=torch.Generator())
     model.system = system.with_effects()
     model.system.set_step(spec.dt)

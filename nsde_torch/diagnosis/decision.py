@@ -33,6 +33,7 @@ from nsde_torch.diagnosis.residual_tests import (
 )
 from nsde_torch.diagnosis.search import Base, Search, bent_shape, fitted_system, moved_channels
 from nsde_torch.effects import effect_class
+from nsde_torch.effects.by_run import target_of
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.sysid.feedback_test import FeedbackTest
 from nsde_torch.sysid.guard import Guarded, doubts_the_fit, guarded
@@ -295,6 +296,8 @@ def sized(outcome: Outcome) -> Outcome:
 
 
 def _may_be_nothing(outcome: Outcome, found: Found) -> bool:
+    if any(target_of(f.name).partition("/")[0] == found.name for f in outcome.found):
+        return False  # it may be nothing in the run that others are held against
     nothing = effect_class(found.name).null
     sizes = [
         (e, nothing[name])

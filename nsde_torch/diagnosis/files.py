@@ -38,6 +38,8 @@ def write_effects(found: Diagnosis, folder: Path, *, system: str, note: str) -> 
         note: First line; that the diagnosis is not finished stands before it.
     """
     note = f"so far, not finished: {note}" if found.so_far is not None else note
+    if found.of_runs:
+        note += f"\n# not in this file, as it says nothing of other runs: {', '.join(found.of_runs)}"
     effects_files.write(folder / EFFECTS, system, found.effects, note)
 
 

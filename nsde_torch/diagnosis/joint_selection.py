@@ -190,6 +190,7 @@ class JointSearch:
         problem: The likelihood of the log, whose rows bring up memory first.
         system: The declared physics with first values.
         frequencies: Those of lines in the spectrum, which sinusoids start from [Hz].
+        aside: Effects of the declared physics that joined it because they are shorter than a step.
 
     Attributes:
         search: Candidates and settings.
@@ -197,12 +198,18 @@ class JointSearch:
     """
 
     def __init__(
-        self, search: Search, problem: LogLikelihood, system: System, frequencies: Sequence[float] = ()
+        self,
+        search: Search,
+        problem: LogLikelihood,
+        system: System,
+        frequencies: Sequence[float] = (),
+        *,
+        aside: Sequence[str] = (),
     ) -> None:
         self.search, self._problem, self._frequencies = search, problem, frequencies
         self._declared = set(system.effect_names)
         self._rounds: list[Round] = []
-        self._aside: list[str] = []
+        self._aside = list(aside)
         self._places: dict[frozenset[str], FittedPhysics] = {}
         self._looks: dict[frozenset[str], Look] = {}
         self.libraries: dict[str, tuple[Term, ...]] = {}
@@ -441,7 +448,7 @@ class JointSearch:
         (tests/diagnosis/test_one_run.py) is no law of the machine.
         """
         new = self.added(there.system) - self.added(place.system)
-        return all(self.needed(n, there, place) for n in new) and _surely_more(
+        return all(self.needed(n, there, place) for n in new) and surely_more(
             self.search, there.density - (last or place).density, place
         )
 
@@ -562,7 +569,7 @@ class JointSearch:
         p = bonferroni(float(chdtrc(len(labels), 2.0 * risen)), among)
         # by the scatter over blocks alone: axes turned by 0.2 deg brought 14 nats beside a steady force (case 6 of
         # `closed_loop.py --seed 77`)
-        return p < self.search.level("effects") and risen - len(labels) > _sure(
+        return p < self.search.level("effects") and risen - len(labels) > sure_nats(
             self.search, place.at.blocks - without.at.blocks
         )
 
@@ -601,7 +608,7 @@ class JointSearch:
         """Log likelihood below which nothing in the place of an effect is as likely, also with fewer parameters."""
         difference = place.at.blocks - without.at.blocks
         price = 0.5 * (len(place.best.vector) - len(without.best.vector)) * log(len(difference))
-        return place.best.likelihood - max(price, 0.0) - _sure(self.search, difference)
+        return place.best.likelihood - max(price, 0.0) - sure_nats(self.search, difference)
 
     def _in_parts(self, name: str, place: FittedPhysics, without: FittedPhysics) -> list[str]:
         """What is as likely as an effect and a sum: a simpler effect that it contains, and another that does the rest.
@@ -657,7 +664,7 @@ class JointSearch:
             difference = there.at.blocks - place.at.blocks
             fewer = len(place.best.vector) - len(there.best.vector)
             gained = float(difference.sum()) + 0.5 * fewer * log(len(difference))
-            sure = log(len(terms)) + _sure(self.search, difference)
+            sure = log(len(terms)) + sure_nats(self.search, difference)
             if gained > (0.0 if fewer > 0 else sure):
                 if self.tries_laws and float(difference.sum()) > sure:
                     self.chosen(term.law, [term], terms)
@@ -699,7 +706,7 @@ def _accepted(search: Search, proposal: Explained) -> bool:
 def _in_order(search: Search, look: Look, added: Collection[str], place: FittedPhysics) -> list[Explained]:
     """Candidates that surely explain something, the best first, and before it what is simpler."""
     # surely: on the EMPS drive a friction by place, 50 +- 28 nats, led to four effects more
-    ranked = [p for p in look.accepted if _surely_more(search, p.blocks, place)]
+    ranked = [p for p in look.accepted if surely_more(search, p.blocks, place)]
     if not ranked:
         return []
     best = ranked[0]
@@ -886,7 +893,7 @@ def _compared(search: Search, name: str, rival: str, place: FittedPhysics, there
     difference = there.at.blocks - place.at.blocks
     more = len(there.best.free) - len(place.best.free)
     gained = float(difference.sum()) - 0.5 * more * log(len(difference))
-    sure = _sure(search, difference)
+    sure = sure_nats(search, difference)
     if name in effect_class(rival).includes:
         chance = chdtrc(max(more, 1), max(2.0 * float(difference.sum()), 0.0))
         return gained if gained > sure and chance < search.decisions.nested_alpha else -1.0
@@ -895,7 +902,7 @@ def _compared(search: Search, name: str, rival: str, place: FittedPhysics, there
     return gained if gained > sure else 0.0 if gained > -sure else -1.0
 
 
-def _surely_more(search: Search, nats: Array, place: FittedPhysics) -> bool:
+def surely_more(search: Search, nats: Array, place: FittedPhysics) -> bool:
     """Whether what is explained beside some physics, by block of time (B,), is surely more than nothing.
 
     Nats are half the square of a score. Where that scatters as it should, they are known to the root of twice their
@@ -903,10 +910,10 @@ def _surely_more(search: Search, nats: Array, place: FittedPhysics) -> bool:
     spring, 40 +- 36 nats by the scatter, tests/diagnosis/test_laws_beyond_the_catalogue.py).
     """
     whole = float(nats.sum())
-    return whole > _sure(search, nats, (2.0 * max(whole, 0.0) * place.best.inflation) ** 0.5)
+    return whole > sure_nats(search, nats, (2.0 * max(whole, 0.0) * place.best.inflation) ** 0.5)
 
 
-def _sure(search: Search, difference: Array, most: float = inf) -> float:
+def sure_nats(search: Search, difference: Array, most: float = inf) -> float:
     """Nats by which physics are surely better, from their differences by block of time (B,) and a largest error."""
     error = min(sum_error(difference), most)
     return max(search.decisions.alike_nats, search.decisions.alike_errors * error)

@@ -22,6 +22,7 @@ from torch import Tensor
 from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.candidates import Start
 from nsde_torch.diagnosis.regressors import machine_variables
+from nsde_torch.effects.by_run import RUN
 from nsde_torch.inference import Optimum
 from nsde_torch.inference.filtering import filtered, forced
 from nsde_torch.inference.levels import Levels
@@ -156,7 +157,8 @@ def terms_on(system: System, at: Optimum, port: int, names: Sequence[str]) -> li
     x, u = at.x[counted][some], space.chunks.u[counted][some]
     table = machine_variables(system, x, u, inputs=True)
     table |= dict(zip(system.state_names, x[:, : system.nx].T, strict=True))
-    known = [*(name for name, _, _ in words.variables), *system.exogenous]  # a product has one spelling
+    logged = [name for name in system.exogenous if name != RUN]
+    known = [*(name for name, _, _ in words.variables), *logged]  # a product has one spelling
     there = [name for name in known if name in names and name in table]
     text = {name: f"logged({name})" if name in system.exogenous else name for name in there}
     units = {name: unit for name, unit, _ in words.variables}

@@ -15,6 +15,7 @@ from nsde_torch.diagnosis.joint_selection import Evidence, JointSelection
 from nsde_torch.diagnosis.regressors import Measured
 from nsde_torch.diagnosis.residual_tests import Dependence
 from nsde_torch.diagnosis.search import Base, Search, fitted_system, without_effect
+from nsde_torch.effects.by_run import ByRun
 from nsde_torch.inference import Optimum
 from nsde_torch.inference.spread import Spread
 from nsde_torch.sysid.feedback_test import FeedbackTest
@@ -44,6 +45,8 @@ class Estimate:
     bound: Literal["below", "above", "reference"] | None = None
     widened: float = 0.0
     """What its half-width is larger by than chance makes it: by what more data do not show."""
+    run: str = ""  # name of the run that it is of; empty of what all runs share
+    against: str = ""  # name of the run that this one is held against; empty where it stands for itself
 
 
 def estimated(
@@ -165,7 +168,11 @@ class Outcome:
 
     def estimates(self, effect: str) -> list[Estimate]:
         """Parameters of an effect that was added or joined what is declared, all others fitted with it."""
-        return self.estimated(self.final.regression.vector.of(effect))
+        found = self.estimated(self.final.regression.vector.of(effect))
+        own = next((e for e in self.final.system.effects if e.name == effect), None)
+        if not isinstance(own, ByRun):
+            return found
+        return [replace(e, run=own.run_of(k), against=own.reference) for k, e in enumerate(found)]
 
     def estimated(self, columns: Sequence[int]) -> list[Estimate]:
         """Parameters of `final` with 90 % intervals, which feedback widens where it may hide something."""

@@ -31,6 +31,7 @@ from time import perf_counter
 from typing import final
 
 from nsde_torch.data import DataSet, Run
+from nsde_torch.diagnosis.between_runs import with_differences
 from nsde_torch.diagnosis.beyond_catalogue import with_laws
 from nsde_torch.diagnosis.ceiling import Ceiling, ceiling, silent
 from nsde_torch.diagnosis.cross_validation import HeldOut, cross_validated, none_held_out
@@ -353,6 +354,14 @@ def _diagnosed(
     )
     search = _of_the_same_rows(search, outcome.joint)
     guard = stages.attempt("the comparison with simple fits", partial(guard_of, log, outcome), Guarded())
+    before = outcome
+    log, search, outcome = stages.attempt(
+        "what differs between runs",
+        partial(with_differences, log, search, outcome, guard, _concluded_with_laws),
+        (log, search, outcome),
+    )
+    if outcome is not before:
+        guard = stages.attempt("the comparison with simple fits", partial(guard_of, log, outcome), Guarded())
     course.lap("search")
     course.known(OTHER_ROWS, log, outcome, guard=guard)
     outcome = doubted(outcome, guard)
@@ -414,18 +423,22 @@ def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome
     # test_standing.py)
     same = joint is not None and joint.selected.keys() == made[1].selected.keys()
     sound = joint is not None and (made[1].final.best.misfit or not joint.final.best.misfit)
-    outcome = _concluded(log, search, joint if same and sound else made[1])
     if joint is not None:
-        return outcome
+        return _concluded(log, search, joint if same and sound else made[1])
+    return _concluded_with_laws(log, search, *made)
+
+
+def _concluded_with_laws(log: Log, search: Search, made: JointSearch, joint: JointSelection) -> Outcome:
+    """Conclude, and look for laws that no catalogue has."""
+    outcome = _concluded(log, search, joint)
     return log.stages.attempt(
         LAWS,
         lambda: with_laws(
-            *made,
+            made,
+            joint,
             outcome,
             partial(_concluded, log, search),
-            lambda place: (
-                log.feedback.test(at(_of_the_same_rows(search, made[1]), place).regression).predicted
-            ),
+            lambda place: log.feedback.test(at(_of_the_same_rows(search, joint), place).regression).predicted,
             of_functions=not silent(log),
         ),
         outcome,

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from nsde_torch.arrays import Array, Labels
 from nsde_torch.effects import Port
+from nsde_torch.effects.by_run import RUN
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.systems.names import MIXED
@@ -31,7 +32,8 @@ _HATS = 7  # bumps over the range of a variable
 _WAVES = 6  # cosines over the length of a run
 
 
-_MOST_RUNS = 12  # up to which each run has functions of its own
+MOST_RUNS = 12
+"""Up to which each run has functions of its own, the constant one under the name `RUN`."""
 
 
 _FAR, _FAR_BOTH = 4.0, 6.0  # standard deviations, of one variable and of a product
@@ -45,8 +47,6 @@ PRODUCTS = ("{} * {}", "abs({}) * {}", "{} * abs({})")
 """How two variables are multiplied in a group of `OTHERS`, for each of the others."""
 OTHERS, OVER_TIME, BY_RUN, BEFORE = " times others", " over time", " by run", " before"
 """Ends of the names of groups: a variable times other ones, time or run, and an input as it was before."""
-RUN = "run"
-"""Name of the group of constants of each run."""
 
 
 SMOOTH = 5
@@ -99,7 +99,8 @@ def machine_variables(system: System, x: Tensor, u: Tensor, *, inputs: bool) -> 
             out[name] = x[:, i]
     if inputs:
         out |= named_inputs(system, u)
-    return out | dict(zip(system.exogenous, u[:, system.nu :].T, strict=True))
+    columns = zip(system.exogenous, u[:, system.nu :].T, strict=True)
+    return out | {name: column for name, column in columns if name != RUN}
 
 
 def functions_of(v: Array) -> tuple[Array, NDArray[np.bool_]]:
@@ -154,7 +155,7 @@ def functions_of_groups(
         own = owners == run
         phase[own] = (t[own] - t[own].min()) / max(float(np.ptp(t[own])), 1e-9)
     drift = [2.0 * phase - 1.0, (2.0 * phase - 1.0) ** 2]
-    few = 1 < len(runs) <= _MOST_RUNS
+    few = 1 < len(runs) <= MOST_RUNS
     for name, v in scaled.items():
         yield name + OVER_TIME, _even(lambda v: [np.clip(v, -_FAR, _FAR) * d for d in drift], v)
         if few:

@@ -48,7 +48,6 @@ from nsde_torch.diagnosis.regressors import (
     BY_RUN,
     OTHERS,
     PRODUCTS,
-    RUN,
     SMOOTH,
     Functions,
     functions_of_groups,
@@ -57,6 +56,7 @@ from nsde_torch.diagnosis.regressors import (
     rows_before,
 )
 from nsde_torch.diagnosis.search import Search
+from nsde_torch.effects.by_run import RUN
 from nsde_torch.inference import Optimum
 from nsde_torch.inference.force_scores import DRAWS, ForceScores, FunctionScores, directions, force_scores
 from nsde_torch.inference.sensitivity import grams, inverted

@@ -32,6 +32,7 @@ from nsde_torch.diagnosis.shape import Shape, called, rates_width, symmetry
 from nsde_torch.diagnosis.stages import NotDone, SoFar, StoppedError, declared_model
 from nsde_torch.diagnosis.text import lines, rendered, short_lines, small, with_space
 from nsde_torch.effects import effect_class, key_of
+from nsde_torch.effects.by_run import ByRun, RunZero
 from nsde_torch.effects.expression import Expression
 from nsde_torch.effects.expression_grammar import (
     Call,
@@ -117,12 +118,19 @@ class Diagnosis:
     def effects(self) -> dict[str, dict[str, Any]]:
         """Effects that were found, with values: `{name: {parameter: value}}`, `module:Class` for one of the user's own.
 
-        What `effects=` of `nsde_torch.train` and `nsde_torch.simulate` takes.
+        What `effects=` of `nsde_torch.train` and `nsde_torch.simulate` takes; without what differs between runs, which
+        says nothing of a run that was not seen.
         """
         return {
             key_of(effect_class(f.name)): dict(values_of(effect_of(self.outcome.system, f.name)))
             for f in self.outcome.found
+            if f.name not in self.of_runs
         }
+
+    @property
+    def of_runs(self) -> list[str]:
+        """Names of what was found to differ between runs."""
+        return [str(e.name) for e in self.outcome.system.effects if isinstance(e, ByRun)]
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -233,8 +241,6 @@ class Content(TypedDict, total=False):
     residual: dict[str, JsonObject]
     structure: JsonObject
     unexplained: list[JsonObject]
-    between_runs: JsonObject | None
-    in_run: JsonObject | None
     flexible: JsonObject
     errors: JsonObject
     feedback: JsonObject
@@ -289,8 +295,6 @@ def content(found: Diagnosis) -> Content:
             "after": _dependences(o.after, found),
         },
         "unexplained": [_shape(s, found.runs) for s in left.shapes],
-        "between_runs": None if left.between_runs is None else left.between_runs.as_dict(),
-        "in_run": _in_run(found),
         "flexible": functions,
         "errors": {
             **errors.content,
@@ -413,6 +417,7 @@ def _findings(found: Diagnosis) -> list[dict[str, Any]]:
             "buys": importance[f.name].as_dict() if f.name in importance else None,
             "ties": list(f.ties),
             "separate": effect_of(found.outcome.system, f.name).separate,
+            "take_out": _take_out(found.outcome, f.name),
             **_law(found.outcome, f),
         }
         for f in found.outcome.found
@@ -457,19 +462,14 @@ def _shape(s: Shape, runs: Sequence[str]) -> dict[str, Any]:
     return out
 
 
-def _in_run(found: Diagnosis) -> dict[str, Any] | None:
-    f = found.explanation.in_run
-    if f is None:
+def _take_out(outcome: Outcome, effect: str) -> str | None:
+    """The option of a reader that takes out zeros that differ between runs; None for any other effect."""
+    own = effect_of(outcome.system, effect)
+    if not isinstance(own, RunZero) or own.at.position is None:
         return None
-    means = meaning(found.outcome.declared_system, f.effect, f.values)
-    return {
-        "run": found.runs[f.run],
-        "effect": f.effect,
-        "p": f.p,
-        "parameters": {e.name: {"value": e.value, "unit": e.unit} for e in f.values},
-        "sentence": f"In {called(found.runs[f.run])} alone, {f.effect} would explain it: {means}",
-        "verified": False,
-    }
+    state = outcome.system.state_names[own.at.position]
+    each = ",".join(f"{e.run}:{{{state}:{e.value:.4g}}}" for e in outcome.estimates(effect))
+    return f"data.sensor_bias={{{each}}}"
 
 
 def _not_shown(o: Outcome) -> list[NotShown]:
@@ -491,7 +491,8 @@ def parameters(found: Diagnosis) -> dict[str, Any]:
             out[f"{fault.name}.{name}"] = {"value": value, "interval_90": ends, "bound": None, "unit": unit}
     for f in found.outcome.found:
         for e in found.outcome.estimates(f.name):
-            out[e.name] = {"value": e.value, **_interval(found, e), "unit": e.unit}
+            of_run = {"run": e.run, "against": e.against} if e.run else {}
+            out[e.name] = {"value": e.value, **_interval(found, e), "unit": e.unit, **of_run}
     return out
 
 
@@ -518,8 +519,8 @@ def meaning(system: System, effect: str, parameters: Sequence[Estimate]) -> str:
     units: dict[str, str] = {}
     for e in parameters:
         name = own_name(e.name)
-        values.setdefault(name, []).append(f"{e.value:.3g}")
-        units[name] = with_space(e.unit)
+        values.setdefault(name, []).append(f"{e.value:.3g}" + (f" in {e.run}" if e.run else ""))
+        units[name] = with_space(e.unit) + (f" (against {e.against})" if e.against else "")
     words = {name: ", ".join(values[name]) + units[name] for name in values}
     cls = system.effect_class(effect)
     text = cls.sentence or f"What is added is {cls.formula}, {', '.join(f'{k} = {{{k}}}' for k in words)}."

@@ -83,11 +83,24 @@ def sizes(finding: Mapping[str, Any], content: Content) -> str:
     own: dict[str, list[Mapping[str, Any]]] = {}
     for name, p in own_parameters(finding, content).items():
         own.setdefault(name.removeprefix(f"{finding['name']}.").partition("[")[0], []).append(p)
-    each = {
-        name: ", ".join(f"{valued(p)} ({interval(p['interval_90'], p['bound'])})" for p in axes)
-        for name, axes in own.items()
+    each = {name: ", ".join(_by_run(axes)) for name, axes in own.items()}
+    against = {
+        name: f" against {axes[0]['against']}:" for name, axes in own.items() if axes[0].get("against")
     }
-    return "; ".join(f"{name} {values}{with_space(own[name][0]['unit'])}" for name, values in each.items())
+    return "; ".join(
+        f"{name}{against.get(name, '')} {values}{with_space(own[name][0]['unit'])}"
+        for name, values in each.items()
+    )
+
+
+def _by_run(axes: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Values with intervals; of what differs between runs those of each run behind its name."""
+    found: dict[str, list[str]] = {}
+    for p in axes:
+        found.setdefault(p.get("run", ""), []).append(
+            f"{valued(p)} ({interval(p['interval_90'], p['bound'])})"
+        )
+    return [f"{run} {' and '.join(values)}" if run else ", ".join(values) for run, values in found.items()]
 
 
 def least_squares(content: Content, name: str | None = None) -> list[str]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import product
@@ -66,7 +66,8 @@ class Port(str, Enum):
     A system of the user's own may have a port of its own: `Port("tail_force")` is the same object everywhere. On
     `input`, `rate` and `position` an effect can act whatever the system: `rate` adds to the rate of the whole state,
     (N, nx) in the units of the states per second; leave the columns of the kinematics at zero. `position` adds to the
-    state (N, nx) at which all physics is worked out: what a sensor reads too much, with the other sign.
+    state (N, nx) at which all physics is worked out: what a sensor reads too much, with the other sign. `parameter` is
+    that of what differs between runs (`by_run`).
     """
 
     FORCE = "force"
@@ -77,6 +78,7 @@ class Port(str, Enum):
     BODY_WRENCH = "body_wrench"
     MOTOR_THRUST = "motor_thrust"
     POSITION = "position"
+    PARAMETER = "parameter"
     INPUT = "input"
     RATE = "rate"
 
@@ -121,6 +123,10 @@ class Parametrised(nn.Module):
 
     Bounded below: value = low + softplus; on both sides: a logistic; free: value = raw * scale.
     `self.value(name)` is differentiable.
+
+    Attributes:
+        in_run: By name of a parameter that differs between runs, while a rate is worked out: from its value (k,) to
+            those of the rows (N, k).
     """
 
     PARAMETERS: ClassVar[Mapping[str, Parameter]] = {}
@@ -130,6 +136,7 @@ class Parametrised(nn.Module):
         self._specs = dict(self.PARAMETERS)
         self._scales = {name: _scale(spec) for name, spec in self._specs.items()}
         self.raw = nn.ParameterDict()
+        self.in_run: dict[str, Callable[[Tensor], Tensor]] = {}
         for name, spec in self._specs.items():
             initial = torch.as_tensor(spec.initial, dtype=torch.float64).reshape(-1)
             self.raw[name] = nn.Parameter(torch.zeros(len(initial)))
@@ -142,6 +149,10 @@ class Parametrised(nn.Module):
 
     def value(self, name: str) -> Tensor:
         """Value of a declared parameter, (k,), in its unit."""
+        value = self._value(name)
+        return self.in_run[name](value) if name in self.in_run else value
+
+    def _value(self, name: str) -> Tensor:
         spec, raw = self._specs[name], self.raw[name]
         if spec.low is not None and spec.high is not None:
             return spec.low + (spec.high - spec.low) * torch.sigmoid(raw)

@@ -79,7 +79,7 @@ class ConstantWind(Effect):
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         wind = self.value("wind")
-        air = torch.cat((wind, torch.zeros_like(wind[:1])))
+        air = torch.cat((wind, torch.zeros_like(wind[..., :1])), -1)
         return -self.value("drag") * rotate_back(x[:, 6:10], x[:, 3:6] - air)
 
 

@@ -19,6 +19,7 @@ from nsde_torch.effects.actuators import (
     MotorLag,
 )
 from nsde_torch.effects.base import Effect, Port
+from nsde_torch.effects.by_run import BY_RUN, difference_class, target_of
 from nsde_torch.effects.cartpole import PoleGravity, TrackTilt
 from nsde_torch.effects.coordinates import Bound
 from nsde_torch.effects.expression import Expression, unplaced_expression
@@ -150,9 +151,11 @@ def key_of(cls: type[Effect]) -> str:
         return cls.name
     if issubclass(cls, Law):
         law = cls.law
-        own = law.name if EFFECTS.get(law.name) is law else f"{law.__module__}:{law.__qualname__}"
+        own = law.name if (EFFECTS | BY_RUN).get(law.name) is law else f"{law.__module__}:{law.__qualname__}"
         return joined_name(own, cls.at.name)
-    return cls.name if EFFECTS.get(cls.name) is cls else f"{cls.__module__}:{cls.__qualname__}"
+    if target_of(cls.name) or (EFFECTS | BY_RUN).get(cls.name) is cls:
+        return cls.name
+    return f"{cls.__module__}:{cls.__qualname__}"
 
 
 def _known() -> dict[str, type[Effect]]:
@@ -174,8 +177,10 @@ def effect_class(name: str, coordinates: Sequence[Bound] | None = None) -> type[
     """
     if is_law(name):
         return unplaced_expression(name)
+    if target_of(name):
+        return difference_class(target_of(name))
     base, coordinate = split_name(name)
-    cls = class_by_name(base, _known(), Effect, kind="effect", home="nsde_torch.effects")
+    cls = class_by_name(base, _known() | BY_RUN, Effect, kind="effect", home="nsde_torch.effects")
     if not isinstance(getattr(cls, "name", None), str):
         raise ConfigError(
             f"effect {name!r} has no `name`. Write one into the class: name = {cls.__name__.lower()!r}."
@@ -244,7 +249,7 @@ def make_effect(
         ConfigError: unknown name, or an effect that is not for that system; lists the choices.
     """
     base, _ = split_name(name)
-    known = _known()
+    known = _known() | BY_RUN
     if ":" not in name and (base not in known or not _may(known[base], system, ports)):
         what = f"does not act on system {system!r}" if base in known else "is not in the catalogue"
         able = effects_of(system, ports, coordinates)

@@ -16,10 +16,12 @@ from torch import Tensor, nn
 
 from nsde_torch.columns import join_columns, split_columns
 from nsde_torch.effects import Coordinate, Effect, Parametrised, Port, canonical_name
+from nsde_torch.effects.by_run import target_of
 from nsde_torch.effects.coordinates import Bound
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.systems import coordinates as coordinates_of
 from nsde_torch.systems import memory as memory_of
+from nsde_torch.systems.in_run import OVER_MASS, in_its_run
 from nsde_torch.systems.machine import Machine
 from nsde_torch.systems.values import Defaults, ErrorGroup, ResidualPort, split_values
 from nsde_torch.systems.vocabulary import given
@@ -51,6 +53,8 @@ class System(Parametrised, ABC):
         quaternion: Columns of the unit quaternion, or None.
         position_derivatives: (position, velocity, frame) triples that kinematics ties together.
         optional_inputs: Inputs that a file may lack, and that are then zero.
+        over_mass: Parameters that go with 1 / mass, as a gain of the input: a mass that differs between runs changes
+            them, and the forces of effects.
         machine: What a simulated one is made of; None where nothing is to be simulated.
 
     Args:
@@ -82,6 +86,7 @@ class System(Parametrised, ABC):
     quaternion: ClassVar[slice | None] = None
     position_derivatives: ClassVar[tuple[tuple[str, str, str], ...]] = ()
     optional_inputs: ClassVar[tuple[str, ...]] = ()
+    over_mass: ClassVar[tuple[str, ...]] = ()
     machine: ClassVar[Machine | None] = None
 
     def __init_subclass__(cls, **keywords: Any) -> None:
@@ -139,7 +144,9 @@ class System(Parametrised, ABC):
         on_input = [k for k, effect in enumerate(effects) if effect.port is Port.INPUT]
         self._on_input = tuple(sorted(on_input, key=lambda k: (effects[k].stage, k)))
         self._on_position = tuple(k for k, effect in enumerate(effects) if effect.port is Port.POSITION)
-        self._on_force = tuple(k for k in range(len(effects)) if k not in (*on_input, *self._on_position))
+        self._on_parameter = tuple(k for k, effect in enumerate(effects) if effect.port is Port.PARAMETER)
+        elsewhere = (*on_input, *self._on_position, *self._on_parameter)
+        self._on_force = tuple(k for k in range(len(effects)) if k not in elsewhere)
         columns = {name: self.nu + k for k, name in enumerate(self.exogenous)}
         self._read = tuple(tuple(columns[name] for name in effect.exogenous) for effect in effects)
 
@@ -194,9 +201,10 @@ class System(Parametrised, ABC):
         return out
 
     def without_effects(self, *names: str) -> "System":
-        """A copy of the machine, with its present values, without some of its effects."""
+        """A copy of the machine, with its present values, without some of its effects and what differs in these."""
         out = copy.deepcopy(self)
-        out._arrange([e for e in out._own if e.name not in names])
+        gone = {n for n in self.effect_names if target_of(n).partition("/")[0] in names}
+        out._arrange([e for e in out._own if e.name not in {*names, *gone}])
         return out
 
     @property
@@ -293,6 +301,20 @@ class System(Parametrised, ABC):
             u: Input and exogenous channels (N, nu + n_exogenous).
             residual: Learned contributions by port.
         """
+        if not self._on_parameter:
+            return self._drift(t, z, u, residual)
+        with in_its_run(self, self._on_parameter, u) as lighter:
+            return self._drift(t, z, u, residual, lighter)
+
+    def _drift(
+        self,
+        t: float | Tensor,
+        z: Tensor,
+        u: Tensor,
+        residual: Mapping[Port, Tensor] | None,
+        lighter: Tensor | None = None,
+    ) -> Tensor:
+        """See `drift`; forces over the mass are `lighter` (N, 1) times as large."""
         x, *memories = split_columns(z, *self._parts)
         x = self._as_it_is(t, x, u)
         forces: dict[Port, Tensor] = dict(residual or {})
@@ -301,6 +323,8 @@ class System(Parametrised, ABC):
         for k in self._on_force:
             effect, own = self._own[k], self._seen(k, x, command, u)
             term = effect(t, x, own, memories[k])
+            if lighter is not None and effect.port in OVER_MASS:
+                term = term * lighter
             forces[effect.port] = forces[effect.port] + term if effect.port in forces else term
             if effect.n_memory:
                 rates[k] = effect.memory_rate(t, x, own, memories[k])

@@ -10,12 +10,14 @@ import torch
 from torch import Tensor
 
 from nsde_torch.effects.base import Effect, Port
+from nsde_torch.effects.by_run import target_of
 from nsde_torch.effects.coordinates import Bound, Coordinate, bound
 from nsde_torch.effects.expression import expression_at
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import Law
 from nsde_torch.effects.registry import effect_class, make_effect
 from nsde_torch.errors import ConfigError
+from nsde_torch.systems.in_run import difference_on
 from nsde_torch.systems.values import ErrorGroup, Numbers
 from nsde_torch.systems.vocabulary import offered, vocabulary
 
@@ -78,6 +80,8 @@ def made(system: System, name: str, values: Mapping[str, float | list[float]] | 
     """An effect for a system, by the name that it has on it."""
     if is_law(name):
         return class_on(type(system), name)(values, n_inputs=system.nu)
+    if target_of(name):
+        return difference_on(system, target_of(name))(values)
     return make_effect(
         name,
         system=system.name,

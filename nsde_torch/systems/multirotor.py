@@ -90,6 +90,7 @@ class Multirotor(System):
     residual_names = (*feature_names, "up_x", "up_y")
     places = (2,)  # the height
     quaternion = slice(6, 10)
+    over_mass = ("thrust_gain", "thrust_offset")
     disturbed_ports = (Port.BODY_FORCE, Port.BODY_MOMENT)
     position_derivatives = (("p_x", "v_x", "world"), ("p_y", "v_y", "world"), ("p_z", "v_z", "world"))
     PARAMETERS = {
@@ -164,9 +165,9 @@ class Multirotor(System):
 
     def _angular(self, omega: Tensor, moments: Tensor) -> Tensor:
         """Angular acceleration (N, 3) under mixed commands, without effects."""
-        gains = torch.cat((self.value("roll_gain"), self.value("pitch_gain"), self.value("yaw_gain")))
+        gains = _of_axes(self.value("roll_gain"), self.value("pitch_gain"), self.value("yaw_gain"))
         jx, jy = self.value("inertia_x"), self.value("inertia_y")
-        return gains * moments + torch.cat(euler_coupling(jx, jy)) * rate_products(omega)
+        return gains * moments + _of_axes(*euler_coupling(jx, jy)) * rate_products(omega)
 
     def features(self, x: Tensor) -> Tensor:
         """Body velocity and body rates, the supplement's x_feat seen from the body."""
@@ -250,3 +251,9 @@ class Quadrotor(Multirotor):
         (-1.0, 1.0, -1.0, 1.0),
         (-1.0, -1.0, 1.0, 1.0),
     )
+
+
+def _of_axes(*values: Tensor) -> Tensor:
+    """Values of axes (1,) side by side (n,); of those that differ between rows (N, 1), rows of them (N, n)."""
+    rows = next((len(v) for v in values if v.dim() == 2), None)
+    return torch.cat(values) if rows is None else torch.cat([v.expand(rows, 1) for v in values], 1)

@@ -56,6 +56,7 @@ class MassSpringDamper(OneDegreeOfFreedom):
     feature_names = state_names
     feature_units = state_units
     optional_inputs = ("force",)
+    over_mass = ("force_gain",)
     position_derivatives = (("q", "q_dot", "world"),)
     PARAMETERS = {"force_gain": Parameter(1.0, "1/kg", low=0.0, help="1 / mass")}
 
@@ -115,6 +116,7 @@ class Cartpole(System):
     feature_units = ("m/s", "1", "1", "rad/s")
     places = (0,)
     sensor_noise = True
+    over_mass = ("force_gain", "pole_share")
     position_derivatives = (("x", "x_dot", "world"), ("theta", "theta_dot", "world"))
     coordinates = (
         Coordinate("cart", "x_dot", Port.FORCE, position="x", kind="rail", words="the cart"),

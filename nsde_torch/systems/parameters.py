@@ -6,7 +6,7 @@ numbers of an optimiser distort it), derivatives in theta need no chain rule, an
 """
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import final
 
@@ -22,6 +22,7 @@ from nsde_torch.systems.base import System
 
 # beside no drag, steps of a wind of 1e6 m/s led nowhere (tests/diagnosis/test_in_part.py)
 _LONGEST = 10.0  # typical sizes of a parameter that one step may go
+InRun = dict[str, Callable[[Tensor], Tensor]]
 _BEYOND = 4.0  # times the grid of a shape, at which it does not matter any more
 
 
@@ -44,11 +45,12 @@ class Place:
 class _Lookup:
     """What a module of the copy calls in place of `Parametrised.value`."""
 
-    def __init__(self, own: dict[str, slice], theta: list[Tensor]) -> None:
-        self._own, self._theta = own, theta
+    def __init__(self, own: dict[str, slice], theta: list[Tensor], in_run: InRun) -> None:
+        self._own, self._theta, self._in_run = own, theta, in_run
 
     def __call__(self, name: str) -> Tensor:
-        return self._theta[0][..., self._own[name]]
+        value = self._theta[0][..., self._own[name]]
+        return self._in_run[name](value) if name in self._in_run else value
 
 
 @final
@@ -103,7 +105,7 @@ class ParameterVector:
                 low = -np.inf if spec.low is None else spec.low
                 high = np.inf if spec.high is None else spec.high
                 rows += [(v, low, high, module.scale_of(name), carries) for v in value.tolist()]
-            module.__dict__["value"] = _Lookup(own, self._theta)
+            module.__dict__["value"] = _Lookup(own, self._theta, module.in_run)
         if not rows:
             raise ConfigError(
                 f"system {system.name!r} declares no parameter that could be identified. Add physics "

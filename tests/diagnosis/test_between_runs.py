@@ -1,23 +1,23 @@
-"""An encoder whose zero differs from run to run is named with its runs and its value; runs that share one are not."""
+"""What differs between runs is named with its runs and its sizes; runs of one machine are not said to differ."""
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import nsde_torch
 from nsde_torch.data import DataSet, Run
-from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.diagnosis.explanation import RunZeros, between_runs
-from nsde_torch.diagnosis.search import search_in
+from nsde_torch.diagnosis.text import lines, short_lines
 from nsde_torch.errors import ConfigError
+from nsde_torch.recording import assemble
 from nsde_torch.simulation.generate import simulate
-from nsde_torch.systems import System, make_system
+from nsde_torch.systems import make_system
 
 HOME = "double_pendulum:DoublePendulum"
 
@@ -39,53 +39,104 @@ def _importable(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(root / "examples" / "double_pendulum")
 
 
-def off(data: DataSet, column: int, by: Mapping[str, float]) -> list[Run]:
+def off(data: DataSet, column: int, by: Mapping[str, float]) -> DataSet:
     """Runs in some of which a state reads too much."""
     out = []
     for run in data.runs:
         x = run.x.copy()
         x[:, column] += by.get(run.name, 0.0)
         out.append(replace(run, x=x))
-    return out
+    return replace(data, runs=tuple(out))
 
 
-def looked(system: System, runs: list[Run]) -> RunZeros | None:
-    """What is said of runs by the declared physics with dry friction in both joints."""
-    regression = search_in(system, runs, 1.0, Options()).base(system).regression
-    return between_runs(regression, [run.name for run in runs], tie=3.0)
+def springs(seed: int, *each: dict[str, float], effects: Sequence[Any] = ()) -> DataSet:
+    """Runs of one spring with other values in each."""
+    runs: list[Run] = []
+    for r, values in enumerate(each):
+        made = simulate(
+            "mass_spring_damper",
+            seed=seed,
+            durations=[12.0] * len(each),
+            parameters=values,
+            effects=effects[r] if effects else [],
+        )
+        runs.append(made.runs[r])
+    return assemble(runs, make_system("mass_spring_damper"), kind="simulated")
 
 
+def diagnosed(
+    data: DataSet, effects: Sequence[str] = (), system: str = "mass_spring_damper"
+) -> dict[str, Any]:
+    found = nsde_torch.diagnose(data, system=system, effects=list(effects), say=False)
+    return dict(found.content())
+
+
+def sizes(content: dict[str, Any], effect: str) -> dict[str, tuple[float, float, float]]:
+    """Value and interval of an effect in each run."""
+    own = [p for name, p in content["parameters"].items() if name.startswith(f"{effect}.")]
+    return {p["run"]: (p["value"], *p["interval_90"]) for p in own}
+
+
+def test_another_load_in_one_run_is_a_mass_that_differs_in_that_run() -> None:
+    value = {"force_gain": 1.0, "linear_spring.stiffness": 4.0, "viscous_friction.damping": 0.5}
+    loaded = {name: v / 1.3 for name, v in value.items()}
+    content = diagnosed(springs(3, value, value, loaded, value))
+    assert (content["verdict"], content["added"]) == ("effect_found", ["run_difference[mass]"])
+    found = sizes(content, "run_difference[mass]")
+    against = {p["against"] for p in content["parameters"].values()}
+    assert len(against) == 1
+    assert against < {"run_0", "run_1", "run_3"}
+    assert found["run_2"][0] == pytest.approx(0.3, abs=0.02)
+    assert found["run_2"][1] < 0.3 < found["run_2"][2]
+    assert all(abs(v) < 0.02 for run, (v, _, _) in found.items() if run != "run_2")
+    said = "\n".join(short_lines(content))  # type: ignore[arg-type]
+    assert f"change against {against.pop()}: run_" in said
+    assert not content["warnings"]
+
+
+def test_a_spring_that_differs_beside_a_friction_of_all_runs() -> None:
+    each = [{"linear_spring.stiffness": k} for k in (4.0, 4.6, 3.5, 4.2)]
+    dry = [{"coulomb_friction": {"size": 0.15, "width": 0.01}}]
+    content = diagnosed(springs(5, *each, effects=[dry] * 4))
+    assert set(content["added"]) == {"coulomb_friction", "run_difference[linear_spring/stiffness]"}
+    found = sizes(content, "run_difference[linear_spring/stiffness]")
+    reference = next(p["against"] for p in content["parameters"].values() if p.get("against"))
+    zero = each[int(reference[-1])]["linear_spring.stiffness"]
+    for run, (value, _, _) in found.items():
+        assert value == pytest.approx(each[int(run[-1])]["linear_spring.stiffness"] - zero, abs=0.06)
+    assert content["parameters"]["coulomb_friction.size"]["value"] == pytest.approx(0.15, abs=0.02)
+
+
+def test_on_a_linear_spring_a_zero_is_a_force_of_each_run() -> None:
+    data = off(springs(4, *[{}] * 4), 0, {"run_2": 0.1})
+    content = diagnosed(data)
+    assert content["added"] == ["run_force"]
+    values = {run: value for run, (value, _, _) in sizes(content, "run_force").items()}
+    others = float(np.median(list(values.values())))
+    stiffness = content["declared_parameters"]["linear_spring.stiffness"]["value"]
+    assert values["run_2"] - others == pytest.approx(0.1 * stiffness, rel=0.15)
+
+
+def test_runs_of_one_machine_are_not_said_to_differ() -> None:
+    content = diagnosed(springs(6, *[{}] * 4))
+    assert (content["verdict"], content["added"]) == ("no_effect", [])
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("state", "column"), [("q1", 0), ("q2", 1)])
-def test_a_zero_that_differs_is_named_with_its_runs_and_its_size(
+def test_a_zero_of_a_joint_that_differs_has_its_runs_and_the_option_that_takes_it_out(
     state: str, column: int, folder: Path
 ) -> None:
-    system = make_system(HOME, effects=["coulomb_friction[q1]", "coulomb_friction[q2]"])
-    data = nsde_torch.read(folder, system=HOME)
-    found = looked(system, off(data, column, {"run_1": 0.12, "run_3": -0.08}))
-    assert found is not None
-    assert (found.state, found.unit) == (state, "rad")
-    assert found.values["run_1"][0] == pytest.approx(0.12, abs=0.03)
-    assert found.values["run_3"][0] == pytest.approx(-0.08, abs=0.03)
-    assert "run_1" in found.sentence
-    assert found.remedy.startswith("data.sensor_bias={run_")
-
-
-def test_runs_that_share_their_zeros_are_silent(folder: Path) -> None:
-    system = make_system(HOME, effects=["coulomb_friction[q1]", "coulomb_friction[q2]"])
-    data = nsde_torch.read(folder, system=HOME)
-    assert looked(system, list(data.runs)) is None
-    shared = {run.name: 0.1 for run in data.runs}
-    found = looked(system, off(data, 0, shared))
-    assert found is None or max(abs(v) for v, _ in found.values.values()) < 0.02
-
-
-def test_on_a_linear_spring_a_zero_and_a_push_are_one_and_both_are_named() -> None:
-    made = simulate("mass_spring_damper", seed=4, durations=[8.0] * 4)
-    data = nsde_torch.read(made, system="mass_spring_damper")
-    found = looked(make_system("mass_spring_damper"), off(data, 0, {"run_2": 0.1}))
-    assert found is not None
-    assert found.values["run_2"][0] == pytest.approx(0.1, abs=0.02)
-    assert "a steady push on the motion" in found.sentence
+    data = off(nsde_torch.read(folder, system=HOME), column, {"run_1": 0.12, "run_3": -0.08})
+    content = diagnosed(data, ["coulomb_friction[q1]", "coulomb_friction[q2]"], HOME)
+    assert content["added"] == [f"run_zero[{state}]"]
+    found = sizes(content, f"run_zero[{state}]")
+    middle = 0.5 * (found["run_0"][0] + found["run_2"][0])
+    assert found["run_1"][0] - middle == pytest.approx(0.12, abs=0.02)
+    assert found["run_3"][0] - middle == pytest.approx(-0.08, abs=0.02)
+    (finding,) = content["findings"]
+    assert finding["take_out"].startswith("data.sensor_bias={run_")
+    assert any("to take it out: data.sensor_bias" in line for line in lines(content))  # type: ignore[arg-type]
 
 
 def test_a_reader_takes_out_what_one_run_reads_too_much(folder: Path) -> None:

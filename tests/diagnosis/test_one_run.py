@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import fitted_at
 from nsde_torch.diagnosis.pipeline import diagnose
-from nsde_torch.diagnosis.report import unexplained_views
 from nsde_torch.diagnosis.residual_tests import (
     Dependence,
     PhysicsResiduals,
@@ -20,7 +19,7 @@ from nsde_torch.diagnosis.residual_tests import (
     own_of_runs,
 )
 from nsde_torch.diagnosis.search import search_in
-from nsde_torch.diagnosis.text import lines
+from nsde_torch.diagnosis.text import short_lines
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording import assemble
@@ -103,8 +102,7 @@ def test_runs_of_a_sound_plant_are_alike(system: str) -> None:
         assert min(d.p for d in of_runs) * len(tests) > 0.01
 
 
-@pytest.mark.slow
-def test_a_friction_in_one_of_five_runs_is_unexplained_and_said_to_be_in_that_run_only() -> None:
+def test_a_friction_in_one_of_five_runs_is_named_with_its_size_in_each() -> None:
     rough = {"coulomb_friction": {"size": 0.3, "width": 0.01}}
     sound, worn = (
         simulate("mass_spring_damper", effects=e, durations=(8.0,) * 5, seed=3).runs for e in ([], [rough])
@@ -113,21 +111,14 @@ def test_a_friction_in_one_of_five_runs_is_unexplained_and_said_to_be_in_that_ru
     data = assemble([*sound[:3], worn[3], sound[4]], system, kind="simulated")
     name = data.runs[3].name
     spec = SysidSpec(system.name, dt=data.dt, horizon=system.defaults.horizon)
-    result = diagnose(system, spec, data, data.runs, Options())
-    content = result.content()
-    assert (content["verdict"], content["added"]) == ("unexplained", [])
-    first = content["unexplained"][0]
-    assert (first["channel"], first["variable"], first["symmetry"]) == ("q_dot", "q_dot", "odd")
-    assert first["only_run"] == name
-    assert f"in {name} only" in content["summary"]
-    assert any(d["where"] == f"{name} only" for d in content["structure"]["after"])
-    assert any(f"q_dot ({name} only)" in line for line in lines(content))
-    panel = unexplained_views(result.outcome, runs=result.runs)[0]
-    assert set(panel.clouds) == {name, "other runs"}
-    lead = content["in_run"]
-    assert (lead["run"], lead["effect"], lead["verified"]) == (name, "coulomb_friction", False)
-    assert lead["parameters"]["coulomb_friction.size"]["value"] == pytest.approx(0.3, rel=0.1)
-    assert any(lead["sentence"] in line for line in lines(content))
+    content = diagnose(system, spec, data, data.runs, Options()).content()
+    differs = "run_difference[coulomb_friction/size]"
+    assert content["verdict"] == "effect_found"
+    assert set(content["added"]) == {"coulomb_friction", differs}
+    each = {p["run"]: p["value"] for k, p in content["parameters"].items() if k.startswith(differs)}
+    assert each.pop(name) == pytest.approx(0.3, rel=0.1)
+    assert max(map(abs, each.values())) < 0.05
+    assert any(f"{name} 0." in line for line in short_lines(content))
 
 
 def test_what_all_runs_explain_better_is_no_matter_of_the_run_that_shows_it_most() -> None:

@@ -1,0 +1,385 @@
+"""What differs between the runs of a log: parameters, the mass, steady forces, zeros of sensors, effects of some runs.
+
+    e_r = J theta + J_c d_r + noise in run r,      J_c the columns of a parameter, or of several that change together
+
+The Gram matrix of each run says what a candidate c would explain there: one pass of physics and catalogue tells of all
+candidates. Other runs cannot say what is special of one, so that numbers have a price (Schwarz) in place of evidence on
+runs left out. The best candidates are fitted to the end, the best of those joins the physics, and all effects are
+looked at again beside it.
+
+This is asked after effects and laws of all runs, and where these leave something: what nobody declared biases runs in
+which it acts in other ways, and differences between runs would take its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from math import log
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from nsde_torch.arrays import Array
+from nsde_torch.data import Run
+from nsde_torch.diagnosis.candidates import candidate_names, effect_of, joined, starts
+from nsde_torch.diagnosis.evidence import bonferroni
+from nsde_torch.diagnosis.joint_selection import (
+    FittedPhysics,
+    JointSearch,
+    JointSelection,
+    fitted,
+    sure_nats,
+)
+from nsde_torch.diagnosis.outcome import Outcome
+from nsde_torch.diagnosis.reading import Log
+from nsde_torch.diagnosis.regressors import MOST_RUNS
+from nsde_torch.diagnosis.search import Search
+from nsde_torch.effects import Effect, Port
+from nsde_torch.effects.by_run import BY_RUN, MASS, RUN, ByRun
+from nsde_torch.effects.expression_grammar import is_law
+from nsde_torch.effects.law import joined_name, split_name
+from nsde_torch.errors import NsdeError
+from nsde_torch.inference import LogLikelihood
+from nsde_torch.inference.sensitivity import grams, half_squares, solved
+from nsde_torch.sysid.guard import Guarded
+from nsde_torch.sysid.standstill import moving
+from nsde_torch.systems import System
+from nsde_torch.systems.in_run import OVER_MASS, difference_on, may_differ
+
+_TRIED = 3  # candidates that are fitted to the end
+_MOST = 3  # differences that are looked for
+_ROWS = 5  # of the data, at which formulas are asked whether a parameter may differ between rows
+_OF_EACH_RUN = {
+    "constant_force": "run_force",
+    "position_bias": "run_zero",
+    "constant_world_force": "run_world_force",
+}
+
+
+@dataclass(frozen=True)
+class PossibleDifference:
+    """Something that may differ between runs."""
+
+    system: System  # the physics; with what is no part of it yet
+    target: (
+        str  # parameter that differs (`RunDifference.target`), or name of an effect with a size for each run
+    )
+    turn: Array  # columns of the table that change together (K, k)
+    new: bool  # whether the first run has numbers too: of what is no part of the physics yet
+
+
+@dataclass(frozen=True)
+class ExplainedDifference:
+    """What a candidate would explain."""
+
+    of: PossibleDifference
+    each: Array  # numbers of each run (R, k), those of the first 0 where it is the reference
+    nats: float  # log likelihood that it would bring, less the price of the numbers (Schwarz)
+
+    def joined(self, numbers: NDArray[np.int64], names: tuple[str, ...]) -> System:
+        """Physics with it.
+
+        Args:
+            numbers: Number of each run in the column `run` (R,).
+            names: Names of the runs by that number.
+        """
+        each, system, target = self.each[np.argsort(numbers)], self.of.system, self.of.target
+        if split_name(target)[0] in BY_RUN:
+            cls = system.effect_class(target)
+            ((key, _),) = cls.PARAMETERS.items()
+            for shared in (effect_of(system, name) for name in cls.includes if name in system.effect_names):
+                each = each + shared.value(key).detach().double().numpy()
+            out = joined(system, target, {key: each.T.ravel().tolist()})
+        else:
+            if self.of.new:  # what the reference has is that of all runs
+                system = system.with_effects()
+                effect, own = target.rsplit("/", 1)
+                spec = effect_of(system, effect).parameter(own)
+                low = (
+                    -np.inf if spec.low is None else spec.low + 1e-6 * effect_of(system, effect).scale_of(own)
+                )
+                effect_of(system, effect).set_value(own, np.maximum(each[0], low).tolist())
+            made = difference_on(system, target)({"change": (each[1:] - each[0]).T.ravel().tolist()})
+            out = system.with_effects(made)
+        for one in out.effects:
+            if isinstance(one, ByRun) and not one.runs:
+                one.runs = names
+        return out
+
+
+def asked_for(outcome: Outcome, guard: Guarded) -> bool:
+    """Whether something is left that differences between runs may explain, or something found that they may be behind.
+
+    Steady forces of a cart that a controller holds are what inputs seem to know beyond the log, and zeros that differ
+    make a law of the time (carts of `benchmarks/blind/run_differences.py`, seed 3).
+    """
+    one_is_odd = any(o.kind == "odd_run" for o in guard.objections)
+    return bool(outcome.structured or outcome.test.hidden or one_is_odd or _laws(outcome.joint))
+
+
+def _laws(joint: JointSelection | None) -> list[str]:
+    return [] if joint is None else [name for name in joint.selected if is_law(name)]
+
+
+def with_differences(
+    log: Log,
+    search: Search,
+    outcome: Outcome,
+    guard: Guarded,
+    conclude: Callable[[Log, Search, JointSearch, JointSelection], Outcome],
+) -> tuple[Log, Search, Outcome]:
+    """The log with the numbers of its runs, and what is concluded of what differs between them; else all as it is."""
+    joint = outcome.joint
+    if joint is None or not 1 < len(log.runs) <= MOST_RUNS or not asked_for(outcome, guard):
+        return log, search, outcome
+    log.say("what differs between runs", 0, _MOST)
+    # laws come back where they are needed: of zeros of an angle that differ they made four, provisional ones
+    laws = _laws(joint)
+    begun = joint.final if not laws else fitted(joint.final.system.without_effects(*laws), joint.final)
+    first = _best(search, begun)
+    if not first:
+        return log, search, outcome
+    # the run in the middle is the reference: where one run has another load, that one is named
+    there = sorted(set(begun.at.of.space.steps.runs))
+    middle = there[int(np.argsort(first[0].each[:, 0], kind="stable")[(len(there) - 1) // 2])]
+    numbered = _numbered(log, [middle, *(r for r in there if r != middle)])
+    apart = joint.final.at.of.apart_s
+    again = numbered.search(numbered.runs).apart(apart)
+    declared = _reading(joint.declared.system)
+    problem = LogLikelihood(declared, numbered.runs, log.recorded.clock, run_in=True, apart=apart)
+    if log.slowest and len(problem.space.steps) != len(begun.at.of.space.steps):  # without rows at standstill
+        runs = moving(numbered.runs, log.slowest)[0]
+        problem = LogLikelihood(declared, runs, log.recorded.clock, run_in=True, apart=apart)
+    made = JointSearch(again, problem, declared, aside=joint.aside)
+    place = made.fitted(_reading(begun.system), made.declared)
+    other = made.fitted(_reading(joint.final.system), place) if laws else place
+    ties: dict[str, tuple[str, ...]] = {}
+    for count in range(_MOST):
+        log.say("what differs between runs", count, _MOST)
+        better, alike = _with_one(made, place, _best(again, place), numbered.numbered)
+        if better is None:
+            break
+        ties |= dict.fromkeys(_of_runs(better.system) - _of_runs(place.system), alike)
+        place = better
+    if not _of_runs(place.system):
+        return log, search, outcome
+    selected = made.concluded(place)
+    if not (_of_runs(selected.final.system) and _value(selected.final) > _value(other)):
+        return log, search, outcome
+    named = {n: replace(one, ties=(*one.ties, *ties.get(n, ()))) for n, one in selected.selected.items()}
+    # also where feedback may have made it: a law of the time is no better then (cart of seed 203, a force of each run)
+    return numbered, again, conclude(numbered, again, made, replace(selected, selected=named))
+
+
+def _reading(system: System) -> System:
+    return system if RUN in system.exogenous else system.reading(RUN)
+
+
+def _value(place: FittedPhysics) -> float:
+    """Log likelihood less the price of the parameters (Schwarz) [nats]."""
+    return place.best.likelihood - 0.5 * len(place.best.free) * log(len(place.at.blocks))
+
+
+def _of_runs(system: System) -> set[str]:
+    return {str(effect.name) for effect in system.effects if isinstance(effect, ByRun)}
+
+
+def _numbered(log: Log, order: Sequence[int]) -> Log:
+    """The log with a number of each run behind the inputs, 0 of the reference; runs that no row is of come last."""
+    order = [*order, *(r for r in range(len(log.runs)) if r not in order)]
+    known = RUN in log.system.exogenous  # of a log that was simulated of what was found
+    system = log.system if known else log.system.reading(RUN)
+    at = system.nu + system.exogenous.index(RUN)
+
+    def with_its(run: Run, r: int) -> Run:
+        column = np.full(len(run), float(order.index(r)))
+        u = np.column_stack((run.u[:, :at], column, run.u[:, at + known :]))
+        return replace(run, u=u, extra={**run.extra, RUN: column})
+
+    runs, recorded = (
+        tuple(with_its(run, r) for r, run in enumerate(some)) for some in (log.runs, log.recorded.runs)
+    )
+    return replace(
+        log,
+        system=system,
+        recorded=replace(log.recorded, runs=recorded),
+        runs=runs,
+        numbered=tuple(log.runs[r].name for r in order),
+    )
+
+
+def _with_one(
+    made: JointSearch, place: FittedPhysics, tried: Sequence[ExplainedDifference], names: tuple[str, ...]
+) -> tuple[FittedPhysics | None, tuple[str, ...]]:
+    """The physics with the difference that explains most once it is fitted, and what explains as much; or None."""
+    needed: list[tuple[float, FittedPhysics]] = []
+    space = place.at.of.space
+    column = space.vector.system.nu + space.vector.system.exogenous.index(RUN)
+    first = space.steps.u[[a for a, _ in space.steps.segments], column].long().tolist()
+    of_run = dict(zip(space.steps.runs, first, strict=True))
+    numbers = np.array([of_run[r] for r in sorted(of_run)], dtype=np.int64)
+    for one in tried[:_TRIED]:
+        there = made.fitted(one.joined(numbers, names), place, place.best.likelihood)
+        more = len(there.best.vector) - len(place.best.vector)
+        risen = there.best.likelihood - place.best.likelihood
+        p = bonferroni(float(chdtrc(more, max(2.0 * risen, 0.0))), len(tried))
+        value = risen - 0.5 * more * log(len(there.at.blocks))
+        sure = risen - more > sure_nats(made.search, there.at.blocks - place.at.blocks)
+        if p < made.search.level("effects") and sure:
+            needed.append((value, there))
+    if not needed:
+        return None, ()
+    value, best = max(needed, key=lambda one: one[0])
+    alike = [
+        there for other, there in needed if there is not best and _alike(made, value - other, best, there)
+    ]
+    return best, tuple(sorted(set().union(*(_of_runs(t.system) - _of_runs(place.system) for t in alike))))
+
+
+def _alike(made: JointSearch, better: float, best: FittedPhysics, other: FittedPhysics) -> bool:
+    """Whether physics cannot be told from other physics that is better by so many nats."""
+    return better < sure_nats(made.search, best.at.blocks - other.at.blocks)
+
+
+# ---- what each would explain ---------------------------------------------------------------------------
+
+
+@torch.no_grad()
+def _best(search: Search, place: FittedPhysics) -> list[ExplainedDifference]:
+    """What surely would explain something, the best start of each, the best first."""
+    space, about, vector = place.at.of.space, place.at.about, place.best.vector
+    tables = [space.columns(about.x, about.slopes, range(len(vector)), about.after)]
+    known = dict(zip(vector.labels, place.best.theta.tolist(), strict=True))
+    new: list[tuple[str, System, int, int]] = []
+    at = len(vector)
+    for target, system, label in _not_there(place):
+        own = place.at.of.of(system)
+        own.space.use(own.vector.inside(own.vector.first_values(known)))
+        columns = [
+            j for j, name in enumerate(own.vector.labels) if name.partition("[")[0] == label or name == label
+        ]
+        tables.append(own.space.columns(about.x, about.slopes, columns, about.after).float())
+        new.append((target, system, at, len(columns)))
+        at += len(columns)
+    space.use(place.best.theta)
+    apart = [slice(1 + a, 1 + a + k) for _, _, a, k in new]
+    held = grams(
+        space, place.at.levels, about, place.at.at, torch.cat([t.float() for t in tables], -1), apart=apart
+    )
+    owner, _ = space.chunks.places()
+    of_runs = np.stack([held.blocks[owner == run].sum(0) for run in np.unique(owner)])
+    candidates = [PossibleDifference(s, target, np.eye(at)[:, a : a + k], True) for target, s, a, k in new]
+    candidates += _of_the_physics(place, at)
+    best: dict[str, ExplainedDifference] = {}
+    for one in candidates:
+        found = _explained(search, place, of_runs, one, len(candidates))
+        if found is not None and (one.target not in best or found.nats > best[one.target].nats):
+            best[one.target] = found
+    return sorted(best.values(), key=lambda d: -d.nats)
+
+
+def _not_there(place: FittedPhysics) -> Iterator[tuple[str, System, str]]:
+    """What is no part of the physics and has one size: what differs, the physics with it, and the label of its size."""
+    system = place.system
+    for name in candidate_names(system):
+        cls = system.effect_class(name)
+        (law, coordinate), found = split_name(name), starts(system, name, place.at.of.sizes, ())
+        simpler = next((system.effect_class(n) for n in cls.includes if n in system.effect_names), None)
+        if simpler is None:
+            sizes = cls.size_names()
+        else:  # what it has beyond a part of the physics, at which it is that part: the wind, beside the drag
+            shared = cls.shared(simpler)
+            sizes = tuple(key for key in cls.PARAMETERS if key not in shared)
+            found = [{**start, **dict.fromkeys(sizes, 0.0)} for start in found[-1:]]
+        if len(sizes) != 1 or cls.exogenous or cls.port is Port.INPUT:
+            continue
+        each = _OF_EACH_RUN.get(law)
+        target = f"{name}/{sizes[0]}" if each is None else joined_name(each, coordinate)
+        for start in found:
+            try:
+                there = joined(system, name, start)
+            except NsdeError:
+                continue
+            if effect_of(there, name).n_memory or (each is None and not _may_differ(place, there, target)):
+                break
+            yield target, there, f"{name}.{sizes[0]}"
+
+
+def _may_differ(place: FittedPhysics, system: System, target: str) -> bool:
+    """Whether the formulas of a system take a number for each row of some parameter."""
+    steps = place.at.of.space.steps
+    some = torch.linspace(0, len(steps) - 1, _ROWS).long()
+    plain = system.without_effects(*(str(e.name) for e in system.effects if isinstance(e, ByRun)))
+    u = steps.u[some, : system.nu + len(plain.exogenous)]
+    return may_differ(plain, target, steps.x0[some, : system.nx].double(), u.double())
+
+
+def _of_the_physics(place: FittedPhysics, whole: int) -> Iterator[PossibleDifference]:
+    """Parameters of the machine, sizes of its effects, and its mass, of a table of so many columns."""
+    system, vector, theta = place.system, place.best.vector, place.best.theta
+    differing = {getattr(e, "target", "") for e in system.effects}
+    mass, every = np.zeros((whole, 1)), np.eye(whole)
+    for at in vector.places:
+        name, dot, own = at.name.rpartition(".")
+        effect = effect_of(system, name) if dot else None
+        if effect is not None and (not _may_differ_in(effect, own) or is_law(name)):
+            continue
+        if own in system.over_mass if effect is None else effect.port in OVER_MASS:
+            mass[at.columns, 0] = -theta[at.columns]
+        target = f"{name}/{own}" if dot else own
+        law, coordinate = split_name(name)
+        if law in _OF_EACH_RUN:
+            yield PossibleDifference(
+                system, joined_name(_OF_EACH_RUN[law], coordinate), every[:, at.columns], False
+            )
+        elif target not in differing and _may_differ(place, system, target):
+            yield PossibleDifference(system, target, every[:, at.columns], False)
+    if system.over_mass and MASS not in differing and int((mass != 0).sum()) > 1:
+        yield PossibleDifference(system, MASS, mass, False)
+
+
+def _may_differ_in(effect: Effect, own: str) -> bool:
+    """Whether a parameter says how strong an effect is, or one step fits it, that acts at once and on no input."""
+    sized = own in (*effect.size_names(), *effect.smooth) and not isinstance(effect, ByRun)
+    return sized and effect.port is not Port.INPUT and effect.n_memory == 0
+
+
+def _explained(
+    search: Search, place: FittedPhysics, of_runs: Array, one: PossibleDifference, among: int
+) -> ExplainedDifference | None:
+    """What a candidate explains with numbers for each run; None where that is not beyond chance.
+
+    Args:
+        search: What is decided by.
+        place: The physics.
+        of_runs: Gram matrix of each run (R, 1 + K, 1 + K).
+        one: The candidate.
+        among: Number of candidates.
+    """
+    kept, k, first = np.concatenate(([0], 1 + place.best.free)), one.turn.shape[1], int(not one.new)
+    count = len(kept)
+    size = count + k * (len(of_runs) - first)
+    total = np.zeros((size, size))
+    total[:count, :count] = of_runs[:, kept[:, None], kept].sum(0)
+    moved = np.flatnonzero(one.turn.any(1))
+    turn = one.turn[moved]
+    for number, own in enumerate(of_runs[first:]):
+        at = slice(count + k * number, count + k * (number + 1))
+        total[:count, at] = own[np.ix_(kept, 1 + moved)] @ turn
+        total[at, :count] = total[:count, at].T
+        total[at, at] = turn.T @ own[np.ix_(1 + moved, 1 + moved)] @ turn
+    step, without = solved(total), solved(total[:count, :count])
+    gained = (
+        float(half_squares(total[:count, :count], without) - half_squares(total, step)) / place.best.inflation
+    )
+    parameters = size - count
+    nats = gained - 0.5 * parameters * log(len(place.at.blocks))
+    p = bonferroni(float(chdtrc(parameters, max(2.0 * gained, 0.0))), among)
+    if not (np.isfinite(nats) and nats > search.decisions.alike_nats and p < search.level("effects")):
+        return None
+    each = np.zeros((len(of_runs), k))
+    each[first:] = step[count - 1 :].reshape(-1, k)
+    return ExplainedDifference(one, each, nats)

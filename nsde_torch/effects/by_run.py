@@ -1,0 +1,211 @@
+"""What differs from run to run of a log: a parameter, the mass, a steady force, the zero of a sensor.
+
+Each has numbers for the runs of the log that it was found in, and reads the number of the run from the column `run`; of
+any other run it knows nothing, and does nothing. `RunDifference` changes a parameter of the machine or of an effect,
+
+    theta_r = theta + d_r;      of the mass: gains and forces that are over the mass, divided by 1 + d_r
+
+in all runs but the first, which is the reference: the data show differences alone. The others are effects of the
+catalogue with a size for each run.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from typing import Any, ClassVar, final
+
+import torch
+from torch import Tensor
+
+from nsde_torch.effects.base import Effect, Parameter, Port
+from nsde_torch.effects.law import Law
+
+RUN = "run"
+"""Column with the number of the run, 0 of the reference."""
+MASS = "mass"
+"""Target of a difference of the mass."""
+_NAME = re.compile(r"run_difference\[(.+)\]")
+Values = Mapping[str, float | list[float]]
+
+
+class ByRun(Effect):
+    """An effect with numbers for each run: of component j, those of all runs beside one another.
+
+    Attributes:
+        runs: Names of the runs by their number; empty where nobody said.
+        width: Numbers for each run.
+        first: Number of the first run that has some.
+    """
+
+    exogenous = (RUN,)
+    width: ClassVar[int] = 1
+    first: ClassVar[int] = 0
+
+    def __init__(self, values: Values | None = None, *, n_inputs: int = 1) -> None:
+        (key, spec), *_ = self.PARAMETERS.items()
+        given = (values or {}).get(key)
+        count = len(given) if isinstance(given, (list, tuple)) else self.width
+        self.PARAMETERS = {key: replace(spec, initial=(0.0,) * max(count, 1))}  # type: ignore[misc]
+        self.runs: tuple[str, ...] = ()
+        super().__init__(values, n_inputs=n_inputs)
+
+    @property
+    def reference(self) -> str:
+        """Name of the run that others are held against; empty where each has numbers, or nobody said."""
+        return self.runs[0] if self.first and self.runs else ""
+
+    def run_of(self, index: int) -> str:
+        """Name of the run that a number is of, by its place; empty where nobody said."""
+        each = len(self.runs) - self.first
+        return self.runs[self.first + index % each] if self.runs else ""
+
+    def of_run(self, u: Tensor) -> Tensor:
+        """The numbers of the run of each row (N, width), from `u` of `forward`; 0 of a run that it does not know."""
+        (key,) = self.PARAMETERS
+        each, run = self.value(key), self.channel(RUN, u)
+        table = each.reshape(*each.shape[:-1], self.width, -1)
+        numbers = torch.arange(self.first, self.first + table.shape[-1], dtype=run.dtype, device=run.device)
+        own = (run == numbers).to(each.dtype)
+        return own @ table.T if table.dim() == 2 else (table * own[:, None]).sum(-1)
+
+
+@final
+class RunForce(ByRun, Law):
+    """A force that is steady in each run and differs between runs."""
+
+    name = "run_force"
+    formula = "c_r in run r"
+    source = "slope of a track, trim or bias of an actuator that was set anew"
+    PARAMETERS = {
+        "acceleration": Parameter(
+            0.0, "force", scale=0.1, help="force in each run (over mass, where forces are)"
+        )
+    }
+    null = {"acceleration": 0.0}
+    amplitudes = ("acceleration",)
+    includes = ("constant_force",)
+    sentence = "A steady force acts on {it} that differs between runs: {acceleration}."
+    separate = "leave it alone, at rest, in each of the places where it was recorded"
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return self.of_run(u)
+
+
+@final
+class RunZero(ByRun, Law):
+    """The sensor of a position reads too much, by another amount in each run."""
+
+    name = "run_zero"
+    port = Port.POSITION
+    kinds = ("joint", "axis")
+    reads_position = True
+    formula = "q - b_r in run r, for all that depends on q"
+    source = "zero of an encoder that counts from where it was switched on"
+    PARAMETERS = {
+        "bias": Parameter(
+            0.0, "position", scale=0.02, help="what is read where the position is zero, in each run"
+        )
+    }
+    null = {"bias": 0.0}
+    includes = ("position_bias",)
+    sentence = "The zero of the position of {it} differs between runs: it reads {bias} too much."
+    separate = "let it hang at rest at the start of each run: what is read there is the bias"
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return -self.of_run(u)
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """What is to be added to the state (N, nx)."""
+        k = self.at.position
+        assert k is not None
+        return torch.nn.functional.pad(self.term(t, x, u, memory), (k, x.shape[1] - k - 1))
+
+
+@final
+class RunWorldForce(ByRun):
+    """A force of the world that is steady in each run and differs between runs: wind of another day."""
+
+    name = "run_world_force"
+    port = Port.WORLD_FORCE
+    needs = (Port.BODY_FORCE,)
+    width = 3
+    formula = "c_r in run r"
+    source = "wind of another day, a cable"
+    PARAMETERS = {
+        "acceleration": Parameter(0.0, "m/s2", scale=0.1, help="force over mass, east north up, in each run")
+    }
+    null = {"acceleration": 0.0}
+    amplitudes = ("acceleration",)
+    includes = ("constant_world_force",)
+    sentence = "A steady force of the world differs between runs: {acceleration} (to east, to north, up)."
+    separate = "hover with the nose in several directions in each run"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return self.of_run(u)
+
+
+class RunDifference(ByRun):
+    """A parameter that differs between runs.
+
+    Attributes:
+        target: `name` of the machine's own parameter, `effect/name` of an effect's, or `MASS`.
+    """
+
+    target: ClassVar[str] = ""
+    first = 1
+    port = Port.PARAMETER
+    formula = "theta + d_r in run r"
+    source = "another load, battery, spring or propeller"
+    PARAMETERS = {
+        "change": Parameter(0.0, "1", scale=0.1, help="in each run but the reference, against that")
+    }
+    null = {"change": 0.0}
+    amplitudes = ("change",)
+    separate = "record a run of each kind again, in another order"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """The change (N, width); of the mass, relative."""
+        return self.of_run(u)
+
+
+BY_RUN: dict[str, type[Effect]] = {cls.name: cls for cls in (RunForce, RunZero, RunWorldForce)}
+"""Effects with a size for each run: no candidates of a search, which leaves whole runs out."""
+
+
+def difference_name(target: str) -> str:
+    """Name of the effect that a parameter differs between runs."""
+    return f"run_difference[{target}]"
+
+
+def target_of(name: str) -> str:
+    """The target of an effect of this name; empty if it is no difference."""
+    found = _NAME.fullmatch(name)
+    return found[1] if found else ""
+
+
+@cache
+def difference_class(target: str, width: int = 1, unit: str = "1", scale: float = 0.1) -> type[RunDifference]:
+    """The effect that a parameter differs between runs.
+
+    Args:
+        target: See `RunDifference`.
+        width: Numbers that the parameter has.
+        unit: Its unit.
+        scale: Its typical size.
+    """
+    effect, _, own = target.rpartition("/")
+    what = "The mass, or what it is over," if target == MASS else f"{own} of {effect}" if effect else target
+    own_values: dict[str, Any] = {
+        "__module__": __name__,
+        "__qualname__": difference_name(target),
+        "__doc__": RunDifference.__doc__,
+        "name": difference_name(target),
+        "target": target,
+        "width": width,
+        "PARAMETERS": {"change": replace(RunDifference.PARAMETERS["change"], unit=unit, scale=scale)},
+        "sentence": f"{what} differs between runs by {{change}}.",
+    }
+    return type(difference_name(target), (RunDifference,), own_values)

@@ -1,0 +1,129 @@
+"""Parameters of a machine as they are in the run of each row, where effects say that they differ between runs."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, cast
+
+import torch
+from torch import Tensor
+
+from nsde_torch.effects.base import Effect, Parametrised, Port
+from nsde_torch.effects.by_run import MASS, RUN, RunDifference, difference_class, difference_name
+from nsde_torch.errors import ConfigError
+
+if TYPE_CHECKING:
+    from nsde_torch.systems.base import System
+
+OVER_MASS = (Port.FORCE, Port.BODY_FORCE)
+"""Ports of forces over the mass."""
+
+
+@contextmanager
+def in_its_run(system: System, effects: Sequence[int], u: Tensor) -> Iterator[Tensor | None]:
+    """Give every row the parameters of its run, and yield what forces over the mass are multiplied by (N, 1).
+
+    Args:
+        system: The machine.
+        effects: Numbers of its effects on the port `parameter`.
+        u: Inputs and logged channels (N, nu + n).
+    """
+    column = system.nu + system.exogenous.index(RUN)
+    changed: list[tuple[Parametrised, str]] = []
+    lighter = None
+    try:
+        for k in effects:
+            effect = system.effects[k]
+            assert isinstance(effect, RunDifference)
+            change = effect.of_run(u[:, column : column + 1])
+            if effect.target == MASS:
+                lighter = 1.0 / (1.0 + change)
+                turned, own = _times(lighter), [(cast(Parametrised, system), n) for n in system.over_mass]
+            else:
+                turned, own = _plus(change), [owner_of(system, effect.target)]
+            for module, name in own:
+                before = module.in_run.get(name)
+                module.in_run[name] = turned if before is None else _both(before, turned)
+                changed.append((module, name))
+        yield lighter
+    finally:
+        for module, name in changed:
+            module.in_run.pop(name, None)
+
+
+def owner_of(system: System, target: str) -> tuple[Parametrised, str]:
+    """The machine or the effect that has a parameter, and the name of it there.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    effect, _, own = target.rpartition("/")
+    owner: Parametrised | None = system
+    if effect:
+        owner = next((e for e in system.effects if isinstance(e, Effect) and e.name == effect), None)
+    if owner is None or own not in owner.declared_parameters():
+        raise ConfigError(
+            f"{difference_name(target)!r} is of a parameter that {system.name!r} with these effects does not have."
+        )
+    return owner, own
+
+
+def difference_on(system: System, target: str) -> type[RunDifference]:
+    """The effect that a parameter of a machine differs between runs, in its unit.
+
+    Raises:
+        ConfigError: there is no such parameter, or the machine does not say what goes with its mass.
+    """
+    if target == MASS:
+        if not system.over_mass:
+            raise ConfigError(
+                f"system {system.name!r} does not say which parameters go with its mass (`over_mass`)."
+            )
+        return difference_class(MASS)
+    owner, own = owner_of(system, target)
+    width = owner.raw[own].numel()
+    return difference_class(target, width, owner.parameter(own).unit, owner.scale_of(own))
+
+
+def _plus(change: Tensor) -> Callable[[Tensor], Tensor]:
+    return lambda value: value + change.to(value.dtype)
+
+
+def _times(factor: Tensor) -> Callable[[Tensor], Tensor]:
+    return lambda value: value * factor.to(value.dtype)
+
+
+def _both(first: Callable[[Tensor], Tensor], then: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Tensor]:
+    return lambda value: then(first(value))
+
+
+@torch.no_grad()
+def may_differ(system: System, target: str, x: Tensor, u: Tensor) -> bool:
+    """Whether a machine's formulas take a value for each row in the place of one for all, at some rows.
+
+    Args:
+        system: The machine, without effects on the port `parameter`.
+        target: See `RunDifference`.
+        x: States (N, nx), in double precision.
+        u: Inputs and logged channels (N, nu + n).
+    """
+    name, own = difference_name(target), difference_on(system, target)
+    change = 0.1 * own.PARAMETERS["change"].scale if own.PARAMETERS["change"].scale else 0.01
+    effect = own({"change": [change] * own.width}).to(x.dtype)
+    machine = system.reading(RUN).to(x.dtype).with_effects(effect)
+    run = torch.arange(len(x), dtype=x.dtype)[:, None] % 2.0
+    wide = torch.cat((u, run), 1)
+    assert name in machine.effect_names
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of shapes that nobody meant
+            rows = machine.drift(0.0, machine.augment(x, wide), wide)
+        each = [
+            machine.drift(0.0, machine.augment(a, b), b)
+            for a, b in zip(x.split(1), wide.split(1), strict=True)
+        ]
+    except (RuntimeError, IndexError, ValueError):
+        return False
+    return rows.shape[0] == len(x) and bool(torch.allclose(rows, torch.cat(each), rtol=1e-9, atol=1e-12))

@@ -12,6 +12,7 @@ from nsde_torch.data import Run
 from nsde_torch.inference import LogLikelihood, maximised
 from nsde_torch.inference.force_scores import DRAWS, FunctionScores
 from nsde_torch.inference.functions import BasisGroup, Functions, learned, log_chance, seen_by_networks
+from nsde_torch.inference.smooth import Scale
 from tests.inference.springs import SENSOR, TRUTH, B, G, K, rubbing, small_runs, spring
 
 
@@ -128,3 +129,19 @@ def test_a_force_that_is_there_has_next_to_no_chance() -> None:
     own = np.zeros((1, 6))
     own[0, 2] = 8.0
     assert log_chance(FunctionScores(own, drawn, np.zeros(6), DRAWS)) < np.log(1e-6)
+
+
+def test_beyond_the_data_polynomials_go_on_unless_waves_of_the_variable_are_beside_them() -> None:
+    v, scaled = np.array([1.0, 2.0, 4.0]), {"v": Scale(0.0, 2.0, 1.0)}
+    edge = {"v": np.clip(v, -2.0, 2.0)}
+    signed, waves = BasisGroup(0, ("v",), "signed"), BasisGroup(0, ("v",), "fine")
+    quadratic, none = np.array([0.0, 0.0, -0.5]), np.zeros(16)
+    alone = Functions((signed,), (quadratic,), np.zeros((3, 3)), scaled, np.zeros(0))
+    assert np.allclose(alone.force({"v": v}, 0, edge)[0], -0.5 * v * abs(v))
+    beside = Functions((signed, waves), (quadratic, none), np.zeros((19, 19)), scaled, np.zeros(0))
+    assert np.allclose(beside.force({"v": v}, 0, edge)[0], [-0.5, -2.0, -2.0])
+    other = BasisGroup(0, ("w",), "fine")
+    scaled["w"] = Scale(0.0, 1.0, 1.0)
+    apart = Functions((signed, other), (quadratic, none), np.zeros((19, 19)), scaled, np.zeros(0))
+    values = {"v": v, "w": np.zeros(3)}
+    assert np.allclose(apart.force(values, 0, {**edge, "w": np.zeros(3)})[0], -0.5 * v * abs(v))

@@ -203,8 +203,8 @@ class System(Parametrised, ABC):
     def without_effects(self, *names: str) -> "System":
         """A copy of the machine, with its present values, without some of its effects and what differs in these."""
         out = copy.deepcopy(self)
-        gone = {n for n in self.effect_names if target_of(n).partition("/")[0] in names}
-        out._arrange([e for e in out._own if e.name not in {*names, *gone}])
+        of_these = {n for n in self.effect_names if target_of(n).partition("/")[0] in names}
+        out._arrange([e for e in out._own if e.name not in {*names, *of_these}])
         return out
 
     @property

@@ -131,7 +131,7 @@ def test_a_zero_of_a_joint_that_differs_has_its_runs_and_the_option_that_takes_i
     content = diagnosed(data, ["coulomb_friction[q1]", "coulomb_friction[q2]"], HOME)
     assert content["added"] == [f"run_zero[{state}]"]
     found = sizes(content, f"run_zero[{state}]")
-    middle = 0.5 * (found["run_0"][0] + found["run_2"][0])
+    middle = found["run_2"][0]  # no stretch of run_0 is long enough without the rows at standstill
     assert found["run_1"][0] - middle == pytest.approx(0.12, abs=0.02)
     assert found["run_3"][0] - middle == pytest.approx(-0.08, abs=0.02)
     (finding,) = content["findings"]

@@ -197,7 +197,7 @@ def difference_class(target: str, width: int = 1, unit: str = "1", scale: float 
         scale: Its typical size.
     """
     effect, _, own = target.rpartition("/")
-    what = "The mass, or what it is over," if target == MASS else f"{own} of {effect}" if effect else target
+    what = "The mass" if target == MASS else f"{own} of {effect}" if effect else target
     own_values: dict[str, Any] = {
         "__module__": __name__,
         "__qualname__": difference_name(target),

@@ -13,7 +13,7 @@ from nsde_torch.inference import LogLikelihood, maximised
 from nsde_torch.inference.force_scores import DRAWS, FunctionScores
 from nsde_torch.inference.functions import BasisGroup, Functions, learned, log_chance, seen_by_networks
 from nsde_torch.inference.smooth import Scale
-from tests.inference.springs import SENSOR, TRUTH, B, G, K, rubbing, small_runs, spring
+from tests.inference.springs import SENSOR, TRUTH, B, G, K, rubbing, run, small_runs, spring
 
 
 def found(runs: list[Run]) -> Functions:
@@ -145,3 +145,23 @@ def test_beyond_the_data_polynomials_go_on_unless_waves_of_the_variable_are_besi
     apart = Functions((signed, other), (quadratic, none), np.zeros((19, 19)), scaled, np.zeros(0))
     values = {"v": v, "w": np.zeros(3)}
     assert np.allclose(apart.force(values, 0, {**edge, "w": np.zeros(3)})[0], -0.5 * v * abs(v))
+
+
+def test_a_law_that_one_run_alone_shows_is_found() -> None:
+    # run_0 moves a third further than the others, whose cubes say little of its
+    machine = replace(
+        rubbing(0.0),
+        values={"k": 4.0, "b": 0.5, "g": 1.0},
+        effects={"hardening": {"size": 0.8}},
+        noise=(0.001, 0.003),
+    )
+    runs = []
+    for k in range(4):
+        t, x, u = run(machine, 12.0, 0.01, 7919 * 3 + k)
+        runs.append(Run(f"run_{k}", 100.0 * k + t, x, u))
+    assert np.ptp(runs[0].x[:, 0]) > 1.3 * max(np.ptp(r.x[:, 0]) for r in runs[1:])
+    out = found(runs)
+    assert {name for g in out.groups for name in g.variables} == {"q"}
+    q = np.linspace(-1.0, 1.0, 9)
+    force = out.force({"q": q, "q_dot": np.zeros(9)}, 0)[0] - out.theta[spring_labels().index(K)] * q
+    np.testing.assert_allclose(force, -4.0 * q - 0.8 * q**3, atol=0.1)

@@ -13,6 +13,7 @@ from nsde_torch.inference import LogLikelihood, maximised
 from nsde_torch.inference.force_scores import DRAWS, FunctionScores
 from nsde_torch.inference.functions import BasisGroup, Functions, learned, log_chance, seen_by_networks
 from nsde_torch.inference.smooth import Scale
+from nsde_torch.systems import make_system
 from tests.inference.springs import SENSOR, TRUTH, B, G, K, rubbing, run, small_runs, spring
 
 
@@ -160,7 +161,11 @@ def test_a_law_that_one_run_alone_shows_is_found() -> None:
         t, x, u = run(machine, 12.0, 0.01, 7919 * 3 + k)
         runs.append(Run(f"run_{k}", 100.0 * k + t, x, u))
     assert np.ptp(runs[0].x[:, 0]) > 1.3 * max(np.ptp(r.x[:, 0]) for r in runs[1:])
-    out = found(runs)
+    machine_of = make_system(
+        "mass_spring_damper"
+    )  # from its own first values disturbances learn most of the cube
+    _, at = maximised(LogLikelihood(machine_of, runs))
+    out = learned(at, seen_by_networks(machine_of), [0])
     assert {name for g in out.groups for name in g.variables} == {"q"}
     q = np.linspace(-1.0, 1.0, 9)
     force = out.force({"q": q, "q_dot": np.zeros(9)}, 0)[0] - out.theta[spring_labels().index(K)] * q

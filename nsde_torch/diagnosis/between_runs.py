@@ -148,21 +148,21 @@ def with_differences(
     # the run in the middle is the reference: where one run has another load, that one is named
     there = sorted(set(begun.at.of.space.steps.runs))
     middle = there[int(np.argsort(first[0].each[:, 0], kind="stable")[(len(there) - 1) // 2])]
-    numbered = _numbered(log, [middle, *(r for r in there if r != middle)])
+    numbered, names = _numbered(log, [middle, *(r for r in there if r != middle)])
     apart = joint.final.at.of.apart_s
     again = numbered.search(numbered.runs).apart(apart)
-    declared = _reading(joint.declared.system)
+    declared = joint.declared.system.reading(RUN)
     problem = LogLikelihood(declared, numbered.runs, log.recorded.clock, run_in=True, apart=apart)
     if log.slowest and len(problem.space.steps) != len(begun.at.of.space.steps):  # without rows at standstill
         runs = moving(numbered.runs, log.slowest)[0]
         problem = LogLikelihood(declared, runs, log.recorded.clock, run_in=True, apart=apart)
     made = JointSearch(again, problem, declared, aside=joint.aside)
-    place = made.fitted(_reading(begun.system), made.declared)
-    other = made.fitted(_reading(joint.final.system), place) if laws else place
+    place = made.fitted(begun.system.reading(RUN), made.declared)
+    other = made.fitted(joint.final.system.reading(RUN), place) if laws else place
     ties: dict[str, tuple[str, ...]] = {}
     for count in range(_MOST):
         log.say("what differs between runs", count, _MOST)
-        better, alike = _with_one(made, place, _best(again, place), numbered.numbered)
+        better, alike = _with_one(made, place, _best(again, place), names)
         if better is None:
             break
         ties |= dict.fromkeys(_of_runs(better.system) - _of_runs(place.system), alike)
@@ -170,31 +170,25 @@ def with_differences(
     if not _of_runs(place.system):
         return log, search, outcome
     selected = made.concluded(place)
-    if not (_of_runs(selected.final.system) and _value(selected.final) > _value(other)):
+    if not (_of_runs(selected.final.system) and selected.final.value > other.value):
         return log, search, outcome
     named = {n: replace(one, ties=(*one.ties, *ties.get(n, ()))) for n, one in selected.selected.items()}
     # also where feedback may have made it: a law of the time is no better then (cart of seed 203, a force of each run)
     return numbered, again, conclude(numbered, again, made, replace(selected, selected=named))
 
 
-def _reading(system: System) -> System:
-    return system if RUN in system.exogenous else system.reading(RUN)
-
-
-def _value(place: FittedPhysics) -> float:
-    """Log likelihood less the price of the parameters (Schwarz) [nats]."""
-    return place.best.likelihood - 0.5 * len(place.best.free) * log(len(place.at.blocks))
-
-
 def _of_runs(system: System) -> set[str]:
     return {str(effect.name) for effect in system.effects if isinstance(effect, ByRun)}
 
 
-def _numbered(log: Log, order: Sequence[int]) -> Log:
-    """The log with a number of each run behind the inputs, 0 of the reference; runs that no row is of come last."""
+def _numbered(log: Log, order: Sequence[int]) -> tuple[Log, tuple[str, ...]]:
+    """The log with a number of each run behind the inputs, and names of the runs by number.
+
+    The reference has 0; runs that no row is of come last.
+    """
     order = [*order, *(r for r in range(len(log.runs)) if r not in order)]
     known = RUN in log.system.exogenous  # of a log that was simulated of what was found
-    system = log.system if known else log.system.reading(RUN)
+    system = log.system.reading(RUN)
     at = system.nu + system.exogenous.index(RUN)
 
     def with_its(run: Run, r: int) -> Run:
@@ -205,13 +199,8 @@ def _numbered(log: Log, order: Sequence[int]) -> Log:
     runs, recorded = (
         tuple(with_its(run, r) for r, run in enumerate(some)) for some in (log.runs, log.recorded.runs)
     )
-    return replace(
-        log,
-        system=system,
-        recorded=replace(log.recorded, runs=recorded),
-        runs=runs,
-        numbered=tuple(log.runs[r].name for r in order),
-    )
+    read = replace(log, system=system, recorded=replace(log.recorded, runs=recorded), runs=runs)
+    return read, tuple(log.runs[r].name for r in order)
 
 
 def _with_one(

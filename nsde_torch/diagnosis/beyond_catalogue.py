@@ -251,7 +251,7 @@ class _LawSearch:
             there = search.fitted(joined(place.system, term.law, {**term.start, **sizes}), place)
             fitted.append(term)
             search.chosen(term.law, fitted, library)
-            if search.needed(term.law, there, place) and (best is None or _value(there) > _value(best)):
+            if search.needed(term.law, there, place) and (best is None or there.value > best.value):
                 best, chosen = there, term
         if best is None or chosen is None:
             return None
@@ -306,11 +306,6 @@ def of_one_variable(name: str, other: str) -> bool:
 def _variable(effect: type[Effect]) -> tuple[str, Port, str]:
     """What a law is a law of: a quantity, on a port or of a coordinate."""
     return effect.along, effect.port, split_name(effect.name)[1]
-
-
-def _value(place: FittedPhysics) -> float:
-    """Log likelihood of fitted physics less the price of its parameters (Schwarz) [nats]."""
-    return place.best.likelihood - 0.5 * len(place.best.free) * float(np.log(len(place.at.blocks)))
 
 
 _SAME = 1e-6  # of its length: what a law may be away; both are in double precision

@@ -96,6 +96,11 @@ class FittedPhysics:
         """Log density of each block of time (B,) under parameters that were fitted to others [nats]."""
         return held_out_density(self.at)
 
+    @property
+    def value(self) -> float:
+        """Log likelihood less the price of the parameters (Schwarz) [nats]."""
+        return self.best.likelihood - 0.5 * len(self.best.free) * log(len(self.at.blocks))
+
 
 @dataclass(frozen=True)
 class Round:
@@ -448,7 +453,7 @@ class JointSearch:
         (tests/diagnosis/test_one_run.py) is no law of the machine.
         """
         new = self.added(there.system) - self.added(place.system)
-        return all(self.needed(n, there, place) for n in new) and surely_more(
+        return all(self.needed(n, there, place) for n in new) and _surely_more(
             self.search, there.density - (last or place).density, place
         )
 
@@ -706,7 +711,7 @@ def _accepted(search: Search, proposal: Explained) -> bool:
 def _in_order(search: Search, look: Look, added: Collection[str], place: FittedPhysics) -> list[Explained]:
     """Candidates that surely explain something, the best first, and before it what is simpler."""
     # surely: on the EMPS drive a friction by place, 50 +- 28 nats, led to four effects more
-    ranked = [p for p in look.accepted if surely_more(search, p.blocks, place)]
+    ranked = [p for p in look.accepted if _surely_more(search, p.blocks, place)]
     if not ranked:
         return []
     best = ranked[0]
@@ -902,7 +907,7 @@ def _compared(search: Search, name: str, rival: str, place: FittedPhysics, there
     return gained if gained > sure else 0.0 if gained > -sure else -1.0
 
 
-def surely_more(search: Search, nats: Array, place: FittedPhysics) -> bool:
+def _surely_more(search: Search, nats: Array, place: FittedPhysics) -> bool:
     """Whether what is explained beside some physics, by block of time (B,), is surely more than nothing.
 
     Nats are half the square of a score. Where that scatters as it should, they are known to the root of twice their

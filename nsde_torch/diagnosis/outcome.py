@@ -46,7 +46,7 @@ class Estimate:
     widened: float = 0.0
     """What its half-width is larger by than chance makes it: by what more data do not show."""
     run: str = ""  # name of the run that it is of; empty of what all runs share
-    against: str = ""  # name of the run that this one is held against; empty where it stands for itself
+    against: str = ""  # name of the run that this one is held against; empty where it has a number of its own
 
 
 def estimated(

@@ -61,9 +61,6 @@ class Log:
     stages: OptionalStages = field(default_factory=OptionalStages)  # stages that may fail, and those that did
     # takes what is known after a stage (`stages.SELECTION` and those after it; None: within the selection)
     so_far: Callable[[str | None, Log, Outcome], None] = lambda stage, log, outcome: None
-    numbered: tuple[
-        str, ...
-    ] = ()  # names of the runs by the number in the column `run`; none without the column
     begun: Begun | None = None
     """What an earlier diagnosis had selected, which the selection starts from; None: the declared physics."""
 

@@ -21,7 +21,8 @@ import torch
 from torch import Tensor
 
 from nsde_torch.effects.base import Effect, Parameter, Port
-from nsde_torch.effects.law import Law
+from nsde_torch.effects.forces import ConstantForce, PositionBias
+from nsde_torch.effects.multirotor_forces import ConstantWorldForce
 
 RUN = "run"
 """Column with the number of the run, 0 of the reference."""
@@ -73,19 +74,12 @@ class ByRun(Effect):
 
 
 @final
-class RunForce(ByRun, Law):
+class RunForce(ByRun, ConstantForce):
     """A force that is steady in each run and differs between runs."""
 
     name = "run_force"
     formula = "c_r in run r"
     source = "slope of a track, trim or bias of an actuator that was set anew"
-    PARAMETERS = {
-        "acceleration": Parameter(
-            0.0, "force", scale=0.1, help="force in each run (over mass, where forces are)"
-        )
-    }
-    null = {"acceleration": 0.0}
-    amplitudes = ("acceleration",)
     includes = ("constant_force",)
     sentence = "A steady force acts on {it} that differs between runs: {acceleration}."
     separate = "leave it alone, at rest, in each of the places where it was recorded"
@@ -95,21 +89,12 @@ class RunForce(ByRun, Law):
 
 
 @final
-class RunZero(ByRun, Law):
+class RunZero(ByRun, PositionBias):
     """The sensor of a position reads too much, by another amount in each run."""
 
     name = "run_zero"
-    port = Port.POSITION
-    kinds = ("joint", "axis")
-    reads_position = True
     formula = "q - b_r in run r, for all that depends on q"
     source = "zero of an encoder that counts from where it was switched on"
-    PARAMETERS = {
-        "bias": Parameter(
-            0.0, "position", scale=0.02, help="what is read where the position is zero, in each run"
-        )
-    }
-    null = {"bias": 0.0}
     includes = ("position_bias",)
     sentence = "The zero of the position of {it} differs between runs: it reads {bias} too much."
     separate = "let it hang at rest at the start of each run: what is read there is the bias"
@@ -117,28 +102,15 @@ class RunZero(ByRun, Law):
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         return -self.of_run(u)
 
-    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """What is to be added to the state (N, nx)."""
-        k = self.at.position
-        assert k is not None
-        return torch.nn.functional.pad(self.term(t, x, u, memory), (k, x.shape[1] - k - 1))
-
 
 @final
-class RunWorldForce(ByRun):
+class RunWorldForce(ByRun, ConstantWorldForce):
     """A force of the world that is steady in each run and differs between runs: wind of another day."""
 
     name = "run_world_force"
-    port = Port.WORLD_FORCE
-    needs = (Port.BODY_FORCE,)
     width = 3
     formula = "c_r in run r"
     source = "wind of another day, a cable"
-    PARAMETERS = {
-        "acceleration": Parameter(0.0, "m/s2", scale=0.1, help="force over mass, east north up, in each run")
-    }
-    null = {"acceleration": 0.0}
-    amplitudes = ("acceleration",)
     includes = ("constant_world_force",)
     sentence = "A steady force of the world differs between runs: {acceleration} (to east, to north, up)."
     separate = "hover with the nose in several directions in each run"

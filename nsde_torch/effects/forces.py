@@ -10,7 +10,6 @@ from nsde_torch.effects.base import Parameter, Port, elapsed
 from nsde_torch.effects.law import Law
 
 
-@final
 class ConstantForce(Law):
     """A force that never changes."""
 
@@ -136,7 +135,6 @@ class CubicStiffness(Law):
         return -self.value("stiffness") * q * q * q
 
 
-@final
 class PositionBias(Law):
     """The sensor of a position reads too much, by the same everywhere: all physics is at the position that is."""
 

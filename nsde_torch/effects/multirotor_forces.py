@@ -83,7 +83,6 @@ class ConstantWind(Effect):
         return -self.value("drag") * rotate_back(x[:, 6:10], x[:, 3:6] - air)
 
 
-@final
 class ConstantWorldForce(Effect):
     """A force that never changes in the world, as a cable's."""
 

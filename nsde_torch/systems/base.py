@@ -196,7 +196,7 @@ class System(Parametrised, ABC):
     def reading(self, *names: str) -> "System":
         """A copy of the machine that is given further logged columns, whether an effect reads them or not."""
         out = copy.deepcopy(self)
-        out._channels = (*self.exogenous, *names)
+        out._channels = tuple(dict.fromkeys((*self.exogenous, *names)))
         out._arrange(out._own)
         return out
 

@@ -109,13 +109,12 @@ def may_differ(system: System, target: str, x: Tensor, u: Tensor) -> bool:
         x: States (N, nx), in double precision.
         u: Inputs and logged channels (N, nu + n).
     """
-    name, own = difference_name(target), difference_on(system, target)
-    change = 0.1 * own.PARAMETERS["change"].scale if own.PARAMETERS["change"].scale else 0.01
-    effect = own({"change": [change] * own.width}).to(x.dtype)
+    made = difference_on(system, target)
+    effect = made({"change": [0.1] * made.width}).to(x.dtype)
+    effect.set_value("change", 0.1 * effect.scale_of("change"))
     machine = system.reading(RUN).to(x.dtype).with_effects(effect)
     run = torch.arange(len(x), dtype=x.dtype)[:, None] % 2.0
     wide = torch.cat((u, run), 1)
-    assert name in machine.effect_names
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of shapes that nobody meant

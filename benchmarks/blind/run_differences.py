@@ -94,14 +94,14 @@ def made(name: str, seed: int) -> Made:
     machine = Small(system, dict(VALUES[system]), {}, NOISE[system])
     machines, each, zeros = [], [], []
     for value in change.tolist():
-        one, is_now, zero = _changed(machine, kind.effect, float(np.exp(value)) if kind.relative else value)
+        one, is_now, zero = changed(machine, kind.effect, float(np.exp(value)) if kind.relative else value)
         machines.append(one)
         each.append(is_now)
         zeros.append(zero)
     return Made(kind, tuple(each), tuple(machines), tuple(zeros))
 
 
-def _changed(machine: Small, effect: str, by: float) -> tuple[Small, float, float]:
+def changed(machine: Small, effect: str, by: float) -> tuple[Small, float, float]:
     """The machine of a run, the value of what differs there, and the zero of its pole."""
     values = machine.values
     if not effect:

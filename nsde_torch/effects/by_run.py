@@ -39,6 +39,7 @@ class ByRun(Effect):
         runs: Names of the runs by their number; empty where nobody said.
         width: Numbers for each run.
         first: Number of the first run that has some.
+        drawn: Numbers of each row (N, width), of runs that nobody has seen; None: those of the run that it is of.
     """
 
     exogenous = (RUN,)
@@ -52,6 +53,7 @@ class ByRun(Effect):
         self.PARAMETERS = {key: replace(spec, initial=(0.0,) * max(count, 1))}  # type: ignore[misc]
         self.runs: tuple[str, ...] = ()
         super().__init__(values, n_inputs=n_inputs)
+        self.drawn: Tensor | None = None
 
     @property
     def reference(self) -> str:
@@ -65,6 +67,8 @@ class ByRun(Effect):
 
     def of_run(self, u: Tensor) -> Tensor:
         """The numbers of the run of each row (N, width), from `u` of `forward`; 0 of a run that it does not know."""
+        if self.drawn is not None:
+            return self.drawn
         (key,) = self.PARAMETERS
         each, run = self.value(key), self.channel(RUN, u)
         table = each.reshape(*each.shape[:-1], self.width, -1)

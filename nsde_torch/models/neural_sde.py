@@ -11,9 +11,13 @@ names a port for it, a disturbance d of that port (an Ornstein-Uhlenbeck process
 carried as further states, driven by the same distance-aware diffusion and started in its stationary law:
 
     dd = -d / tau c dt + sigma_max_d * h_d(eta(y)) * dW,    force of the port = effects + residual + d
+
+What differed between the runs of the training, a trim, a zero or a parameter, differs in a run that was not seen: each
+path draws numbers of its own for it, which stay the same from its first step to its last.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
@@ -27,6 +31,7 @@ from nsde_torch.models.input_filter import InputFilter
 from nsde_torch.models.model import Capabilities, Model, ModelSpec, normal
 from nsde_torch.models.networks import MLP, BlackBoxDrift, Diffusion, Distance, Standardise, tanh
 from nsde_torch.sde import Calculus, brownian, make_step, rollout
+from nsde_torch.systems.in_run import in_new_runs
 
 
 @dataclass(frozen=True)
@@ -45,6 +50,7 @@ class SDESpec(ModelSpec):
         disturbance: Whether the system's disturbed ports carry a lasting disturbance.
         learn_lag: Whether a lag or a delay of the inputs may be learned that is not declared.
         loss: Kind of loss, for the record.
+        between_runs: What differs between runs, by target, with its standard deviations (see `in_new_runs`).
     """
 
     kinds = ("nsde", "node", "blackbox_nsde")
@@ -63,6 +69,7 @@ class SDESpec(ModelSpec):
     disturbance: bool = False
     learn_lag: bool = False
     loss: str = "innovations"
+    between_runs: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
     @property
     def input_filter_reach(self) -> int:
@@ -138,6 +145,10 @@ class NeuralSDE(Model):
         self.log_tau = nn.Parameter(torch.zeros(self.nd), requires_grad=self.nd > 0)
         self.log_measurement_std = nn.Parameter(torch.full((s.nx,), -7.0), requires_grad=spec.measurement)
         self.freeze_distance = spec.loss != "paper"  # other data losses do not move eta
+        if spec.between_runs:
+            in_new_runs(
+                s, spec.between_runs, torch.zeros(1, self._start_widths[-1])
+            )  # refuses what it has not
 
     @property
     def tau(self) -> Tensor:
@@ -256,8 +267,23 @@ class NeuralSDE(Model):
 
     @property
     def n_start(self) -> int:
-        """Width of the normal numbers that start a path: sensor noise and disturbances; 0 if there are none."""
-        return (self.system.nx if self.spec.measurement else 0) + self.nd
+        """Width of the normal numbers of a path: of sensors, disturbances, and what differs between runs."""
+        return sum(self._start_widths)
+
+    @property
+    def _start_widths(self) -> tuple[int, int, int]:
+        of_runs = sum(len(std) for std in self.spec.between_runs.values())
+        return self.system.nx if self.spec.measurement else 0, self.nd, of_runs
+
+    @contextmanager
+    def _in_new_runs(self, draws: Tensor) -> Iterator[None]:
+        """Let each row of what follows be in a run of its own, by numbers for what differs (N, n)."""
+        of_all = self.system
+        self.system = in_new_runs(of_all, self.spec.between_runs, draws)
+        try:
+            yield
+        finally:
+            self.system = of_all
 
     def paths(
         self,
@@ -280,7 +306,8 @@ class NeuralSDE(Model):
             u: Applied inputs (B, T, nu).
             dt: Step [s].
             noise: Brownian increments (P, B, T, nz), or None for sigma = 0 (integrated by rk4).
-            start: Normal numbers that start the paths (P, B, n_start), or None to start at x0 undisturbed.
+            start: Normal numbers that start the paths (P, B, n_start), or None to start at x0 undisturbed, in the mean
+                of all runs.
             std: Standard deviation of the sensors (nx,), with `start`.
             compile: Compile the step.
             t0: Time of the first state.
@@ -305,24 +332,28 @@ class NeuralSDE(Model):
             return path[..., :nx]
         p, b = start.shape[:2]
         x = x0.expand(p, b, nx)
+        of_sensors, of_disturbances, of_runs = split_columns(start, *self._start_widths)
         if self.spec.measurement:
             assert std is not None
-            x = x + start[..., :nx] * std
+            x = x + of_sensors * std
         flat_u = u.expand(p, *u.shape).reshape(p * b, *u.shape[1:])
-        disturbance = start[..., -self.nd :].reshape(p * b, self.nd) if self.nd else None
+        disturbance = of_disturbances.reshape(p * b, self.nd) if self.nd else None
         memory = None if memory is None else memory.repeat(p, 1)
+        given: dict[str, Any] = {
+            "dt": dt,
+            "step": step,
+            "noise": None if noise is None else noise.reshape(1, p * b, *noise.shape[2:]),
+            "t0": t0.repeat(p) if isinstance(t0, Tensor) and t0.ndim else t0,
+            "check": check,
+        }
         z0 = self._augment(self.project(x.reshape(p * b, nx)), flat_u[:, 0], disturbance, memory)
-        path = rollout(
-            self,
-            z0,
-            flat_u,
-            dt=dt,
-            step=step,
-            noise=None if noise is None else noise.reshape(1, p * b, *noise.shape[2:]),
-            t0=t0.repeat(p) if isinstance(t0, Tensor) and t0.ndim else t0,
-            compile=compile,
-            check=check,
-        )
+        if self.spec.between_runs:
+            # the column with the number of the run, which nobody reads
+            wide = join_columns((flat_u, torch.zeros_like(flat_u[..., :1])))
+            with self._in_new_runs(of_runs.reshape(p * b, -1)):
+                path = rollout(self, z0, wide, **given)
+        else:
+            path = rollout(self, z0, flat_u, compile=compile, **given)
         return path.reshape(p, b, *path.shape[2:])[..., :nx]
 
     def augment(self, x: Tensor, u: Tensor, draw: Tensor | None = None) -> Tensor:

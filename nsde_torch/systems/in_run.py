@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, cast
 
@@ -11,12 +11,22 @@ import torch
 from torch import Tensor
 
 from nsde_torch.effects.base import Effect, Parametrised, Port
-from nsde_torch.effects.by_run import MASS, RUN, RunDifference, difference_class, difference_name
+from nsde_torch.effects.by_run import (
+    BY_RUN,
+    MASS,
+    RUN,
+    ByRun,
+    RunDifference,
+    difference_class,
+    difference_name,
+)
+from nsde_torch.effects.law import split_name
 from nsde_torch.errors import ConfigError
 
 if TYPE_CHECKING:
     from nsde_torch.systems.base import System
 
+_MOST = 0.95  # of the way to its bound that a number which is drawn may take a parameter
 OVER_MASS = (Port.FORCE, Port.BODY_FORCE)
 """Ports of forces over the mass."""
 
@@ -85,6 +95,40 @@ def difference_on(system: System, target: str) -> type[RunDifference]:
     owner, own = owner_of(system, target)
     width = owner.raw[own].numel()
     return difference_class(target, width, owner.parameter(own).unit, owner.scale_of(own))
+
+
+def in_new_runs(system: System, spread: Mapping[str, Sequence[float]], draws: Tensor) -> System:
+    """A copy of a machine each row of which is in a run of its own that nobody has seen.
+
+    It reads the column `run`, whatever stands there.
+
+    Args:
+        system: The machine.
+        spread: By target, what differs between runs: an effect with a size for each run, or a parameter
+            (`RunDifference.target`); its standard deviations.
+        draws: Standard normal numbers of each row (N, n), n of all targets together.
+    """
+    out = system.reading(RUN)
+    made = {
+        target: out.make_effect(target) if split_name(target)[0] in BY_RUN else difference_on(out, target)()
+        for target in spread
+    }
+    out = out.with_effects(*made.values())
+    own = {str(effect.name): effect for effect in out.effects}
+    first = 0
+    for target, std in spread.items():
+        effect = own[str(made[target].name)]
+        assert isinstance(effect, ByRun)
+        effect.drawn = draws[:, first : first + len(std)] * draws.new_tensor(std)
+        first += len(std)
+        if target == MASS:
+            effect.drawn = effect.drawn.clamp_min(-_MOST)
+        elif isinstance(effect, RunDifference):
+            owner, name = owner_of(system, target)
+            value, low = owner.value(name), owner.parameter(name).low
+            if low is not None:
+                effect.drawn = effect.drawn.maximum(_MOST * (low - value))
+    return out
 
 
 def _plus(change: Tensor) -> Callable[[Tensor], Tensor]:

@@ -4,8 +4,10 @@
    show one that is not declared (`late_inputs`).
 2. Residual networks, fitted to the functions of the state that the likelihood chooses beside that physics
    (`fit_functions`).
-3. The distance eta by its own losses.
-4. Diffusion, lasting disturbances and sensors from the spectrum of the residual (`evaluation.spectra`), and into the
+3. Where something surely differs between runs (`between_runs`), both again with numbers for each run, so that neither
+   networks nor noise learn it; paths of the model draw such numbers.
+4. The distance eta by its own losses.
+5. Diffusion, lasting disturbances and sensors from the spectrum of the residual (`evaluation.spectra`), and into the
    diffusion the uncertainty of the drift: the covariance of the parameters and of the functions. Their mean over the
    data is as found; far from the data sigma is at least the declared one.
 
@@ -54,6 +56,7 @@ from nsde_torch.models.networks import MLP
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.recording.smoothing import as_applied
 from nsde_torch.rotation import rotation_between
+from nsde_torch.sysid.feedback_test import feedback_summary
 from nsde_torch.sysid.identify import (
     Settled,
     by_likelihood,
@@ -68,6 +71,15 @@ from nsde_torch.sysid.regression import ITERATIONS, Regression
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
+from nsde_torch.training.between_runs import (
+    RunSpread,
+    covariance_of_means,
+    differing,
+    means,
+    numbered,
+    spreads,
+    with_numbers,
+)
 from nsde_torch.training.loop import Loop, read_checkpoint, write_checkpoint
 from nsde_torch.training.losses import fit_distance
 from nsde_torch.training.prepare import blind_to_places, fit_filter
@@ -454,7 +466,7 @@ def fit_innovations(task: Task) -> Fitted:
     spec = task.spec if near is None else near.model.spec
     assert isinstance(spec, SDESpec)
     if near is not None:  # a law of the inputs that was learned is declared
-        spec = replace(spec, learn_lag=False)
+        spec = replace(spec, learn_lag=False, between_runs={})
         values = {name: value.tolist() for name, (value, _) in near.model.system.all_declared().items()}
     # refuses steps that do not divide, and runs shorter than a window
     Windows(task.runs, spec.dt, spec.horizon)
@@ -498,6 +510,7 @@ def _from_checkpoint(model: NeuralSDE, task: Task) -> dict[str, Any] | None:
         return None
     tensors, about = found
     model.load_state_dict({k[6:]: v for k, v in tensors.items() if k.startswith("model.")})
+    model.spec = replace(model.spec, between_runs=about["between_runs"])
     return about
 
 
@@ -512,6 +525,7 @@ class _Fit:
         self.known: Identification | None = None
         self.near: Mapping[str, Any] = task.near.begin if task.near is not None else {}
         self.begin: dict[str, Any] = {}
+        self.differs: list[RunSpread] = []
         model.clock_scale.fill_(task.clock)
         if found is not None:
             self.physics = found.regression.physics
@@ -521,7 +535,9 @@ class _Fit:
             vector = ParameterVector(model.system)
             self.physics = Physics(vector, steps_of(vector.system, runs, clock=task.clock, smooth=False))
             self.theta = vector.inside(vector.start)
-        self.physics.vector.write(model.system, self.theta)
+        self.declared = self.physics
+        self.relied = self.known is not None and self.known.likelihood_used
+        self._use(self.theta)
 
     def run(self) -> dict[str, Any]:
         """Fit everything; returns what the checkpoint holds."""
@@ -529,7 +545,16 @@ class _Fit:
         left = residuals(self.physics, self.theta, model.residual_ports)
         model.residual_inputs.fit(model.system.network_features(left.states.float()))
         model.eta.standardise.fit(model.system.features(left.states.float()))
-        learned = self._networks(left)
+        at = self._optimum() if left.ports else None
+        known = bool(self.near.get("differs"))
+        learned = None if known else self._networks(at, left)
+        numbers = self._by_run(at, learned)
+        if numbers is not None:
+            left = residuals(self.physics, self.theta, model.residual_ports)
+        if numbers is not None or known:
+            learned = self._networks(numbers or at, left)
+        if numbers is not None:
+            self._between_runs()
         self.physics = with_networks(self.physics, model)
         if self.found is None:
             self._beside_networks()
@@ -572,23 +597,74 @@ class _Fit:
         system = copy.deepcopy(at.regression.vector.system)
         return by_likelihood(known, system, self.runs, self.task.clock, held=levels)
 
-    def _networks(self, left: Residuals) -> Distilled | None:
+    def _use(self, theta: Array, *, write: bool = True) -> None:
+        """Take values of the parameters, and write the means over the runs, where they differ, to the model."""
+        self.theta = theta
+        if write:
+            by_run = self.physics is not self.declared
+            values = means(self.declared.vector, self.physics.vector.at(theta)) if by_run else theta
+            self.declared.vector.write(self.model.system, values)
+            if self.known is not None:
+                self.known = replace(self.known, values=values)
+
+    def _by_run(self, at: Optimum | None, learned: Distilled | None) -> Optimum | None:
+        """Physics with numbers for each run from here on, and the optimum of it; None where nothing differs."""
+        # of the published flights, whose inputs know the future, five minutes of differences came to nothing
+        if at is None or self.found is None or self.model.spec.filter_reach > 0:
+            return None
+        targets = self.near.get("differs")
+        try:
+            if targets is None:
+                targets = differing(at, learned.functions if learned else None)
+            if not targets:
+                return None
+            runs = numbered(self.runs, self.model.system)
+            machine = with_numbers(self.declared.vector.at(self.theta), targets, len(runs))
+            problem = LogLikelihood(machine, _shortened(machine, runs), self.task.clock)
+            best, numbers = nearly_maximised(problem)
+        except (DataError, NonFiniteError, np.linalg.LinAlgError):
+            return None
+        self.physics = regression_of(machine, runs, clock=self.task.clock).physics
+        known = self.known
+        assert known is not None
+        odd = known.guard is not None and all(
+            o.kind in ("odd_run", "unexplained_run") for o in known.guard.objections
+        )
+        # a run that differs from others, and what this leaves in the innovations, speak against the likelihood no more
+        self.relied |= not best.objections and (known.likelihood is not None or odd)
+        self._use(best.theta, write=self.relied)
+        if self.relied:
+            system = self.physics.vector.at(best.theta)
+            loop = known.loop and feedback_summary(system, runs, self.task.clock)
+            self.known = replace(
+                known,
+                values=means(self.declared.vector, system),
+                covariance=covariance_of_means(self.declared.vector, best),
+                converged=True,
+                guard=None if odd else known.guard,
+                loop=loop,
+                doubt=known.doubt if loop is not None and loop.closed_loop else None,
+            )
+        return numbers
+
+    def _between_runs(self) -> None:
+        """Let paths of the model draw what differs."""
+        self.differs = spreads(self.physics.vector.at(self.theta))
+        self.begin["differs"] = [one.target for one in self.differs]
+        self.model.spec = replace(self.model.spec, between_runs={d.target: d.std for d in self.differs})
+
+    def _networks(self, at: Optimum | None, left: Residuals) -> Distilled | None:
         """Networks of the functions that the likelihood finds; zero where there is no likelihood."""
         model = self.model
-        at = self._optimum() if left.ports else None
         if at is None:
             _silence(model)
             blind_to_places(model)
             return None
         made = fit_functions(model, at, left, among=self.near.get("functions"))
-        relied = self.known is not None and self.known.likelihood_used
         levels = {f.name: getattr(at.levels, f.name).tolist() for f in fields(at.levels)}
-        self.begin = {"relied": relied, "levels": levels, "functions": made.chosen}
-        if made.functions.groups or relied or self.found is None:
-            self.theta = made.functions.theta
-            self.physics.vector.write(model.system, self.theta)
-            if self.known is not None:
-                self.known = replace(self.known, values=self.theta)
+        self.begin = {"relied": self.relied, "levels": levels, "functions": made.chosen, "differs": []}
+        if made.functions.groups or self.relied or self.found is None:
+            self._use(made.functions.theta)
         return made
 
     def _optimum(self) -> Optimum | None:
@@ -620,7 +696,7 @@ class _Fit:
         if learned is not None:
             variance += np.square(learned.spread / left.dt)
         if self.known is not None:
-            slopes = self.physics.slopes(self.theta)[:, left.rows] / left.dt
+            slopes = self.declared.slopes(self.known.values)[:, left.rows] / left.dt
             known = np.nan_to_num(self.known.covariance)
             variance += np.einsum("nck,kl,ncl->nc", slopes, known, slopes, optimize=True).mean(0).clip(0.0)
         return np.sqrt(variance)
@@ -661,11 +737,20 @@ class _Fit:
                 },
                 "not_shown": known.findings if known else [],
             },
+            "between_runs": {
+                one.target: {
+                    "unit": one.unit,
+                    "std": list(one.std),
+                    "of_runs": {run.name: list(n) for run, n in zip(self.runs, one.of_runs, strict=True)},
+                }
+                for one in self.differs
+            },
         }
-        said = _summary(found, known, networks)
+        said = _summary(found, known, networks, self.differs)
         progress = Progress(steps, steps, score, [{"step": float(steps), "validation": score}], stopped=True)
         out = {"progress": asdict(progress), "parameters": parameters, "facts": facts}
-        return {**out, "said": said, "begin": self.begin}
+        between = {one.target: list(one.std) for one in self.differs}
+        return {**out, "said": said, "begin": self.begin, "between_runs": between}
 
 
 def _channel_laws(physics: Physics, found: Residuals, model: NeuralSDE) -> dict[str, Disturbance]:
@@ -741,7 +826,10 @@ def _silence(model: NeuralSDE) -> None:
 
 
 def _summary(
-    found: Identified | None, known: Identification | None, networks: Mapping[str, Mapping[str, Any]]
+    found: Identified | None,
+    known: Identification | None,
+    networks: Mapping[str, Mapping[str, Any]],
+    differs: Sequence[RunSpread],
 ) -> str:
     """What a person reads of the fit."""
     lines = []
@@ -760,6 +848,10 @@ def _summary(
         of = f"of {', '.join(n['variables'])}" if n["kept"] else "none"
         nats = f"{n['nats']:+.1f} +- {n['standard_error']:.1f} nats on blocks left out"
         lines.append(f"network on {port}: {nats}: {of}")
+    lines += [
+        f"between runs: {one.target} differs ({', '.join(number(v) for v in one.std)} {one.unit}, standard deviation)"
+        for one in differs
+    ]
     lines += [f"warning: {sentence}" for sentence in (known.warnings if known else ())]
     lines += [f"feedback: {sentence}" for sentence in (known.of_the_loop if known else ())]
     return "\n".join(lines)

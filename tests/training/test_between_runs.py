@@ -1,0 +1,240 @@
+"""What differs between the runs of a training is drawn for a run that was not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from nsde_torch.data.raw import RawRun
+from nsde_torch.errors import ConfigError
+from nsde_torch.models import make_model
+from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
+from nsde_torch.models.run_directory import load, save
+from nsde_torch.recording import assemble
+from nsde_torch.systems import make_system
+from nsde_torch.training import LossOptions, TrainerOptions
+from nsde_torch.training.between_runs import _log_likelihood
+from nsde_torch.training.fit_innovations import fit_innovations
+from nsde_torch.training.task import Fitted, Task
+
+H = 0.02
+SPEC = SDESpec("mass_spring_damper", dt=H, horizon=20, step="milstein_heun", measurement=True)
+VALUES = {"force_gain": 1.0, "linear_spring.stiffness": 4.0, "viscous_friction.damping": 0.5}
+
+
+def spring(
+    seed: int, *, stiffness: float = 4.0, force: float = 0.0, dry: float = 0.0
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rows of [q, q_dot] and inputs of a spring that is pushed by waves and by noise; Heun at 1 ms."""
+    rng = np.random.default_rng(seed)
+    n, fine = 600, 20
+    dt, q, v = H / fine, float(rng.normal()), 0.0
+    rate, turn = rng.uniform(0.5, 4.0, 4), rng.uniform(0.0, 6.3, 4)
+    rows, inputs = np.empty((n, 2)), np.empty((n, 1))
+    for i in range(n):
+        u = float(np.sin(rate * H * i + turn).sum())
+        rows[i], inputs[i] = (q, v), u
+        for _ in range(fine):
+
+            def pull(q: float, v: float, u: float = u) -> float:
+                return u - stiffness * q - 0.5 * v + force - dry * float(np.tanh(v / 0.01))
+
+            a = pull(q, v)
+            q, v, b = q + dt * v + 0.5 * dt * dt * a, v + dt * a, pull(q + dt * v, v + dt * a)
+            v += 0.5 * dt * (b - a) + 0.03 * dt**0.5 * float(rng.standard_normal())
+    return rows + rng.normal(size=(n, 2)) * (0.001, 0.005), inputs
+
+
+def fitted(
+    machines: Sequence[Mapping[str, float]], folder: Path, seed: int, near: Fitted | None = None
+) -> Fitted:
+    raw = [
+        RawRun(f"run_{k}", H * np.arange(600), *spring(100 * seed + k, **values))
+        for k, values in enumerate(machines)
+    ]
+    return fit_innovations(
+        Task(
+            spec=SPEC,
+            runs=assemble(raw, make_system("mass_spring_damper"), kind="csv").runs,
+            seed=0,
+            name="train",
+            loss=LossOptions(),
+            options=TrainerOptions(steps=30),
+            validation=0.3,
+            clock=1.0,
+            values={},
+            device=torch.device("cpu"),
+            dtype=torch.float32,
+            checkpoint=folder / f"train {near is None}",
+            log=lambda *_: None,
+            near=near,
+        )
+    )
+
+
+def between(model: NeuralSDE) -> dict[str, Any]:
+    return dict(model.spec.between_runs)
+
+
+@pytest.mark.parametrize(
+    ("key", "target", "each"),
+    [
+        ("force", "run_force", (0.25, -0.2, 0.1, -0.3)),
+        ("stiffness", "linear_spring/stiffness", (3.6, 4.4, 4.8, 3.9)),
+    ],
+)
+def test_what_differs_is_found_alone_and_neither_noise_nor_networks_learn_it(
+    key: str, target: str, each: Sequence[float], tmp_path: Path
+) -> None:
+    made = fitted([{key: value} for value in each], tmp_path, 1)
+    model = made.model
+    assert isinstance(model, NeuralSDE)
+    assert list(between(model)) == [target]
+    found = made.facts["between_runs"][target]["of_runs"].values()
+    assert [n for (n,) in found] == pytest.approx(
+        np.array(each) - (np.mean(each) if key == "stiffness" else 0.0), abs=0.05
+    )
+    assert made.facts["innovations"]["networks"]["force"]["kept"] is False
+    # twice the diffusion that is there, 0.03, is the most that a residual without the difference has
+    assert made.facts["innovations"]["noise"]["q_dot"]["diffusion"] < 0.06
+    assert target in made.said
+    value = float(model.system.all_declared()["linear_spring.stiffness"][0])
+    assert value == pytest.approx(np.mean(each) if key == "stiffness" else 4.0, abs=0.1)
+    # a calibration of some runs asks for the same, of its own numbers
+    again = fitted([{key: value} for value in each[1:]], tmp_path, 1, near=made).model
+    assert isinstance(again, NeuralSDE)
+    assert list(between(again)) == [target]
+    assert between(again) != between(model)
+
+
+@pytest.mark.parametrize("seed", [2, 3, 4])
+def test_runs_of_one_machine_differ_in_nothing(seed: int, tmp_path: Path) -> None:
+    model = fitted([{}] * 4, tmp_path, seed).model
+    assert isinstance(model, NeuralSDE)
+    assert between(model) == {}
+
+
+def test_a_law_that_nobody_declared_is_learned_and_not_taken_for_a_difference(tmp_path: Path) -> None:
+    made = fitted([{"dry": 0.3}] * 4, tmp_path, 5)
+    assert made.facts["innovations"]["networks"]["force"]["kept"] is True
+    assert made.facts["between_runs"] == {}
+
+
+# ---- paths of the model --------------------------------------------------------------------------------
+
+
+def model_of(system: str, spread: Mapping[str, Sequence[float]], **values: float) -> NeuralSDE:
+    spec = SDESpec(system, dt=H, horizon=20, step="euler_maruyama", between_runs=spread)
+    model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0), values=values).double()
+    with torch.no_grad():
+        for network in model.residuals.values():
+            for parameter in network.parameters():
+                parameter.zero_()
+    return model.requires_grad_(False)
+
+
+def path(model: NeuralSDE, x0: torch.Tensor, u: torch.Tensor, draws: Sequence[float]) -> torch.Tensor:
+    """Paths (P, B, T + 1, nx) without noise, each with its own number."""
+    start = torch.tensor(draws, dtype=torch.float64)[:, None, None].expand(-1, len(x0), 1)
+    noise = torch.zeros(len(draws), *u.shape[:2], model.nz, dtype=torch.float64)
+    return model.paths(x0, u, dt=H, noise=noise, start=start)
+
+
+def rows(width: int, nu: int = 1, count: int = 3) -> tuple[torch.Tensor, torch.Tensor]:
+    g = torch.Generator().manual_seed(3)
+    x = torch.randn(count, width, generator=g, dtype=torch.float64)
+    return 0.3 * x, torch.randn(count, 25, nu, generator=g, dtype=torch.float64)
+
+
+def test_a_path_with_a_number_is_that_of_the_machine_with_this_parameter() -> None:
+    x0, u = rows(2)
+    drawn = path(
+        model_of("mass_spring_damper", {"linear_spring/stiffness": [0.5]}, **VALUES), x0, u, [-1.0, 0.0, 2.0]
+    )
+    for own, stiffness in zip(drawn, (3.5, 4.0, 5.0), strict=True):
+        plain = model_of("mass_spring_damper", {}, **{**VALUES, "linear_spring.stiffness": stiffness})
+        torch.testing.assert_close(own, plain.paths(x0, u, dt=H, noise=torch.zeros(1, 3, 25, 2).double())[0])
+
+
+def test_a_path_with_a_steady_force_ends_where_it_holds_the_spring() -> None:
+    model = model_of("mass_spring_damper", {"run_force": [0.4]}, **VALUES)
+    x0, u = torch.zeros(1, 2, dtype=torch.float64), torch.zeros(1, 2500, 1, dtype=torch.float64)
+    ends = path(model, x0, u, [-1.0, 0.5])[:, 0, -1, 0]
+    torch.testing.assert_close(ends, torch.tensor([-0.1, 0.05], dtype=torch.float64), rtol=1e-3, atol=1e-6)
+
+
+def test_a_path_with_another_zero_is_that_of_the_true_angles_read_wrong() -> None:
+    x0, u = rows(4)
+    wrong, plain = model_of("cartpole", {"run_zero[pole]": [0.05]}), model_of("cartpole", {})
+    shift = torch.tensor([0.0, 0.0, 0.05, 0.0], dtype=torch.float64)
+    (own,) = path(wrong, x0, u, [1.0])
+    true = plain.paths(x0 - shift, u, dt=H, noise=torch.zeros(1, 3, 25, 4).double())[0]
+    torch.testing.assert_close(own, true + shift)
+
+
+def test_no_number_takes_a_parameter_beyond_its_bounds() -> None:
+    x0, u = rows(2)
+    model = model_of("mass_spring_damper", {"linear_spring/stiffness": [4.0]}, **VALUES)
+    low, least = path(model, x0, u, [-3.0, -0.95])
+    torch.testing.assert_close(low, least)
+
+
+def test_the_mean_of_all_runs_is_what_is_planned_with_and_what_no_draw_asks_for() -> None:
+    x0, u = rows(2)
+    some = model_of("mass_spring_damper", {"linear_spring/stiffness": [0.5]}, **VALUES)
+    plain = model_of("mass_spring_damper", {}, **VALUES)
+    torch.testing.assert_close(some.drift(0.0, x0, u[:, 0]), plain.drift(0.0, x0, u[:, 0]))
+    torch.testing.assert_close(some.paths(x0, u, dt=H, noise=None), plain.paths(x0, u, dt=H, noise=None))
+
+
+def test_a_run_directory_keeps_what_differs_and_refuses_what_the_machine_does_not_have(
+    tmp_path: Path,
+) -> None:
+    model = model_of("mass_spring_damper", {"run_force": [0.4]}, **VALUES)
+    save(model, tmp_path)
+    x0, u = rows(2)
+    given: dict[str, Any] = {"dt": H, "particles": 4}
+    here, there = (
+        m.sample(x0, u, generator=torch.Generator().manual_seed(1), **given) for m in (model, load(tmp_path))
+    )
+    torch.testing.assert_close(here, there)
+    with pytest.raises(ConfigError, match="magnet"):
+        make_model(replace(SPEC, between_runs={"magnet/size": [0.1]}), generator=torch.Generator())
+
+
+# ---- the likelihood ------------------------------------------------------------------------------------
+
+
+def test_the_likelihood_of_spreads_is_that_of_the_covariance_written_out() -> None:
+    rng = np.random.default_rng(7)
+    runs, n = 4, 12
+    shared, own = rng.normal(size=(runs, n, 2)), rng.normal(size=(runs, n, 3))
+    e = rng.normal(size=(runs, n, 1))
+    gram = np.stack([np.hstack(t).T @ np.hstack(t) for t in zip(e, shared, own, strict=True)])
+
+    def written_out(variance: NDArray[np.float64]) -> float:
+        """Restricted log likelihood of the dense model (Harville 1977), up to a constant."""
+        whole = np.zeros((runs * n, runs * n))
+        for r in range(runs):
+            at = slice(r * n, (r + 1) * n)
+            whole[at, at] = np.eye(n) + own[r] @ np.diag(variance) @ own[r].T
+        x, y = shared.reshape(-1, 2), e.reshape(-1)
+        inverse = np.linalg.inv(whole)
+        inner = x.T @ inverse @ x
+        left = y - x @ np.linalg.solve(inner, x.T @ inverse @ y)
+        sizes = np.linalg.slogdet(whole)[1] + np.linalg.slogdet(inner)[1]
+        return float(-0.5 * left @ inverse @ left - 0.5 * sizes)
+
+    def found(variance: NDArray[np.float64]) -> float:
+        return _log_likelihood(gram, np.arange(3), 3 + np.arange(3), variance)
+
+    some = [np.array(v) for v in ([0.0, 0.0, 0.0], [0.5, 0.0, 2.0], [0.1, 3.0, 0.7])]
+    differences = [found(v) - found(some[0]) for v in some]
+    assert differences == pytest.approx([written_out(v) - written_out(some[0]) for v in some], rel=1e-6)

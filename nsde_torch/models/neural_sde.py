@@ -389,7 +389,14 @@ class NeuralSDE(Model):
         compile: bool = False,
         t0: float | Tensor = 0.0,
         u_before: Tensor | None = None,
+        numbers: Tensor | None = None,
     ) -> Tensor:
+        """See `Model.sample`.
+
+        Args:
+            numbers: What differs in the run of each row (B, n), in the standard deviations of `spec.between_runs`; None
+                draws it, as of a run that was not seen.
+        """
         x0, u = self.checked(x0, u, particles, generator)
         u_before = self.checked_before(u_before, x0)
         if measurement_std is not None and (
@@ -409,6 +416,8 @@ class NeuralSDE(Model):
         std = self.measurement_std if measurement_std is None else measurement_std.to(x0)
         std = std if measurement else torch.zeros_like(std)
         start = normal((*shape[:2], self.n_start), generator, x0) if self.n_start else None
+        if numbers is not None and start is not None:
+            start[..., start.shape[-1] - numbers.shape[-1] :] = numbers
         given = {"noise": noise, "start": start, "std": std, "compile": compile, "t0": t0}
         path = self.paths(x0, u, dt=dt, u_before=u_before, **given)  # type: ignore[arg-type]
         path = path.expand(particles, *path.shape[1:])

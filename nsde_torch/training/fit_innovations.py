@@ -466,7 +466,7 @@ def fit_innovations(task: Task) -> Fitted:
     spec = task.spec if near is None else near.model.spec
     assert isinstance(spec, SDESpec)
     if near is not None:  # a law of the inputs that was learned is declared
-        spec = replace(spec, learn_lag=False, between_runs={})
+        spec = replace(spec, learn_lag=False)
         values = {name: value.tolist() for name, (value, _) in near.model.system.all_declared().items()}
     # refuses steps that do not divide, and runs shorter than a window
     Windows(task.runs, spec.dt, spec.horizon)
@@ -546,15 +546,13 @@ class _Fit:
         model.residual_inputs.fit(model.system.network_features(left.states.float()))
         model.eta.standardise.fit(model.system.features(left.states.float()))
         at = self._optimum() if left.ports else None
-        known = bool(self.near.get("differs"))
-        learned = None if known else self._networks(at, left)
+        learned = self._networks(at, left)
         numbers = self._by_run(at, learned)
         if numbers is not None:
             left = residuals(self.physics, self.theta, model.residual_ports)
-        if numbers is not None or known:
-            learned = self._networks(numbers or at, left)
-        if numbers is not None:
-            self._between_runs()
+            learned = self._networks(numbers, left)
+            self.differs = spreads(self.physics.vector.at(self.theta))
+            model.spec = replace(model.spec, between_runs={d.target: d.std for d in self.differs})
         self.physics = with_networks(self.physics, model)
         if self.found is None:
             self._beside_networks()
@@ -609,13 +607,12 @@ class _Fit:
 
     def _by_run(self, at: Optimum | None, learned: Distilled | None) -> Optimum | None:
         """Physics with numbers for each run from here on, and the optimum of it; None where nothing differs."""
-        # of the published flights, whose inputs know the future, five minutes of differences came to nothing
-        if at is None or self.found is None or self.model.spec.filter_reach > 0:
+        # of the published flights, whose inputs know the future, five minutes of differences came to nothing; fits of
+        # some of the runs are made where nothing differs
+        if at is None or self.found is None or self.task.near is not None or self.model.spec.filter_reach > 0:
             return None
-        targets = self.near.get("differs")
         try:
-            if targets is None:
-                targets = differing(at, learned.functions if learned else None)
+            targets = differing(at, learned.functions if learned else None)
             if not targets:
                 return None
             runs = numbered(self.runs, self.model.system)
@@ -647,12 +644,6 @@ class _Fit:
             )
         return numbers
 
-    def _between_runs(self) -> None:
-        """Let paths of the model draw what differs."""
-        self.differs = spreads(self.physics.vector.at(self.theta))
-        self.begin["differs"] = [one.target for one in self.differs]
-        self.model.spec = replace(self.model.spec, between_runs={d.target: d.std for d in self.differs})
-
     def _networks(self, at: Optimum | None, left: Residuals) -> Distilled | None:
         """Networks of the functions that the likelihood finds; zero where there is no likelihood."""
         model = self.model
@@ -662,7 +653,7 @@ class _Fit:
             return None
         made = fit_functions(model, at, left, among=self.near.get("functions"))
         levels = {f.name: getattr(at.levels, f.name).tolist() for f in fields(at.levels)}
-        self.begin = {"relied": self.relied, "levels": levels, "functions": made.chosen, "differs": []}
+        self.begin = {"relied": self.relied, "levels": levels, "functions": made.chosen}
         if made.functions.groups or self.relied or self.found is None:
             self._use(made.functions.theta)
         return made

@@ -213,12 +213,12 @@ class Training:
         model = fit.model
         if not self.options.calibrate or self.loss.kind == "paper" or not is_stochastic(model):
             return {"factor": 1.0}
-        runs = self.split.train
-        fitted = Coverage(model, runs, seed=self.seed, compile=self.compile).log_factor()
-        new = []
+        runs, numbers = self.split.train, self._numbers(fit)
+        coverage = Coverage(model, runs, seed=self.seed, compile=self.compile, numbers=numbers)
+        fitted, new = coverage.log_factor(), []
         steps = max(1, round(self.options.steps * _AUXILIARY_SHARE))
         short = replace(self.options, steps=steps, decay_steps=None)
-        count = min(len(runs), _LEFT_OUT) if len(runs) > 1 else 0
+        count = min(len(runs), _LEFT_OUT) if len(runs) > 1 and not numbers else 0
         turns = [round(i) for i in torch.linspace(0, len(runs) - 1, count).tolist()]
         bar = tqdm(turns, desc="calibrating", unit="run", disable=no_bar(self.quiet), leave=False)
         for turn, k in enumerate(bar):
@@ -238,9 +238,19 @@ class Training:
         self.say(
             f"calibrated: sigma times {factor:.2f} (right on the fitted runs at {math.exp(fitted):.2f}"
             + (", on a run left out at " + ", ".join(f"{math.exp(f):.2f}" for f in new) if new else "")
+            + (", each with its own numbers" if numbers else "")
             + ")"
         )
         return {"factor": factor, "fitted": math.exp(fitted), "left_out": [math.exp(f) for f in new]}
+
+    @staticmethod
+    def _numbers(fit: Fitted) -> dict[str, list[float]]:
+        """What differs in each run, by its name, in standard deviations; empty where nothing does."""
+        out: dict[str, list[float]] = {}
+        for found in fit.facts.get("between_runs", {}).values():
+            for name, each in found["of_runs"].items():
+                out.setdefault(name, []).extend(n / s for n, s in zip(each, found["std"], strict=True))
+        return out
 
     def _test(self, model: Model) -> dict[str, Any]:
         std = None

@@ -11,19 +11,18 @@ from typing import Any
 import numpy as np
 
 from nsde_torch.api.reading import REFUSED, check_physics
-from nsde_torch.data.any_log import format_of
 from nsde_torch.data.formats.log import ClockOf, StreamLog
-from nsde_torch.data.formats.ulog_topics import open_ulog
 from nsde_torch.data.mapping.apply import apply
 from nsde_torch.data.mapping.checks import LogCheck, checks
 from nsde_torch.data.mapping.files import LogFile, log_files
-from nsde_torch.data.mapping.inputs import full_of_all
 from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping, read_mapping, targets, text
-from nsde_torch.data.mapping.proposal import Proposal, propose
+from nsde_torch.data.mapping.proposal import Proposal, full_of_all, propose
+from nsde_torch.data.mapping.reader import format_of
 from nsde_torch.data.places import files_of, log_place
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.readers import READERS, reader
 from nsde_torch.data.streams import moving
+from nsde_torch.data.ulog import open_ulog
 from nsde_torch.errors import ConfigError, DataError, NsdeError
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import SystemOptions, system_options
@@ -35,60 +34,35 @@ _PAUSES = 5.0  # steps that are a gap
 
 @dataclass(frozen=True)
 class ColumnRow:
-    """One column of a log.
+    """One column of a log."""
 
-    Args:
-        stream: Of which topic or table.
-        column: Name.
-        unit: Where the log says it.
-        rows: How many.
-        rate: Median rate [Hz]; nan without a clock.
-        low: Smallest value.
-        high: Largest value.
-        missing: Share of values that are not finite.
-        gaps: Pauses longer than five steps and 0.25 s.
-    """
-
-    stream: str
-    column: str
-    unit: str
-    rows: int
-    rate: float
-    low: float
-    high: float
-    missing: float
-    gaps: int
+    stream: str  # of which topic or table
+    column: str  # name
+    unit: str  # where the log says it
+    rows: int  # how many
+    rate: float  # median rate [Hz]; nan without a clock
+    low: float  # smallest value
+    high: float  # largest value
+    missing: float  # share of values that are not finite
+    gaps: int  # pauses longer than five steps and 0.25 s
 
 
 @dataclass
 class Inspection:
-    """What `inspect` found.
+    """What `inspect` found."""
 
-    Args:
-        path: What was looked at.
-        kind: The reader of its format.
-        runs: Names of the runs.
-        columns: What is in the first.
-        system: Name of the system.
-        mapping: What the columns mean, with an empty entry for what is missing; None where the format needs none.
-        native: Whether the reader needs no mapping.
-        missing: What was not found.
-        open: What else the columns could be.
-        notes: What was assumed.
-        checks: What kinematics and physics say.
-    """
-
-    path: str
-    kind: str
-    runs: list[str]
-    columns: list[ColumnRow]
-    system: str
+    path: str  # what was looked at
+    kind: str  # the reader of its format
+    runs: list[str]  # names of the runs
+    columns: list[ColumnRow]  # what is in the first
+    system: str  # name of the system
     mapping: LogMapping | None = None
-    native: bool = False
-    missing: list[str] = field(default_factory=list)
-    open: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    checks: list[LogCheck] = field(default_factory=list)
+    """What the columns mean, with an empty entry for what is missing; None where the format needs none."""
+    native: bool = False  # whether the reader needs no mapping
+    missing: list[str] = field(default_factory=list)  # what was not found
+    open: list[str] = field(default_factory=list)  # what else the columns could be
+    notes: list[str] = field(default_factory=list)  # what was assumed
+    checks: list[LogCheck] = field(default_factory=list)  # what kinematics and physics say
 
     @property
     def usable(self) -> bool:
@@ -299,19 +273,14 @@ def _px4_frame(log: StreamLog) -> str:
 
 
 def guess_system(log: StreamLog) -> str:
-    """Name of a system of the package by what is logged.
-
-    Args:
-        log: The streams.
-    """
+    """Name of a system of the package by what is logged."""
     from nsde_torch.data.mapping import names
 
     found = [one for stream in log.streams for one in names.vectors(stream)]
     motors = log.columns.get("u", {}).get("from", ())
     count = len(motors) if isinstance(motors, list) else 0
     for one in names.pick(found, names.MOTORS):
-        stream = next(s for s in log.streams if s.name == one.stream)
-        several = int(moving(stream.columns(*one.columns)).sum())
+        several = int(moving(log.stream(one.stream).columns(*one.columns)).sum())
         count = count or (several if several in (4, 6) else 0)
     attitude = any(one.kind in (names.QUATERNION, names.EULER) for one in found) or "q" in log.columns
     if count == 6:
@@ -323,11 +292,7 @@ def guess_system(log: StreamLog) -> str:
 
 
 def rows_of(log: StreamLog) -> list[ColumnRow]:
-    """A row for each column of a log.
-
-    Args:
-        log: The streams.
-    """
+    """A row for each column of a log."""
     out = []
     for stream in log.streams:
         steps = np.diff(stream.t) if stream.timed else np.zeros(0)

@@ -9,9 +9,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from nsde_torch.data.any_log import format_of
 from nsde_torch.data.mapping.apply import NUMBERINGS, order
 from nsde_torch.data.mapping.checks import SUSPECT, LogCheck
+from nsde_torch.data.mapping.reader import format_of
 from nsde_torch.data.raw import Finding, RawRun
 from nsde_torch.data.readers import Kind, name_of
 from nsde_torch.data.run import DataSet, Run, Split, split
@@ -155,12 +155,7 @@ def _assembled(
 def split_runs(
     data: DataSet, test: Sequence[int | str] | None = None, *, test_data: DataSet | None = None
 ) -> Split:
-    """Training runs and runs held out for the test.
-
-    Args:
-        data: The data set.
-        test: Runs to hold out, by index or name; None holds out the last.
-        test_data: Another data set, all of which is the test; then all runs train but those that `test` names.
+    """Training runs, and the test: `test` by index or name (None: the last), or all of `test_data`.
 
     Raises:
         DataError: there is no such run, no run is left on a side, or one is on both.
@@ -203,17 +198,12 @@ REFUSED = "mend what reading refuses (`checks` above)"
 
 @dataclass
 class PhysicsFound:
-    """What the physics says.
+    """What the physics says."""
 
-    Args:
-        checks: In words.
-        notes: What was assumed or found.
-        numbering: Whose numbers the motors have, where the physics speaks for another than was assumed.
-    """
-
-    checks: list[LogCheck] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
+    checks: list[LogCheck] = field(default_factory=list)  # in words
+    notes: list[str] = field(default_factory=list)  # what was assumed or found
     numbering: str | None = None
+    """Whose numbers the motors have, where the physics speaks for another than was assumed."""
 
 
 @one_thread()
@@ -228,8 +218,6 @@ def check_physics(
     """Read runs with all checks, fit the declared physics to means over 0.15 s, and look for better interpretations.
 
     Args:
-        machine: The machine.
-        runs: In its units, axes and order.
         numbering: Whose numbers the motors are taken to have, where others are to be tried; None: they are said.
         fixed: Whether a user said so: another is then reported, and not applied.
         fits: Whether the physics is fitted.

@@ -28,13 +28,7 @@ from nsde_torch.errors import DataError
 
 
 def csv_rows(path: Path, needed: Sequence[str], *, what: str, remedy: str) -> list[dict[str, str]]:
-    """The rows of a CSV file with a header.
-
-    Args:
-        path: The file.
-        needed: Columns that it must have.
-        what: What the file is, for messages.
-        remedy: What to do where it cannot be read.
+    """The rows of a CSV file with a header; `what` the file is, and a `remedy`, are for messages.
 
     Raises:
         DataError: the file or a column is missing.
@@ -225,10 +219,6 @@ def read_csv_file(path: str | Path, system: SystemInfo) -> RawRun:
 
 def read_csv(system: SystemInfo, *, path: str | Path) -> list[RawRun]:
     """All runs of a folder of CSV files, in the order of their names.
-
-    Args:
-        system: The system whose state and input names the columns must have.
-        path: The folder.
 
     Raises:
         DataError: no such folder, no CSV file in it, or a file that is refused (see `read_csv_file`).

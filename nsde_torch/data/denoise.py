@@ -25,10 +25,7 @@ _LAMBDAS = 10.0 ** np.arange(-0.5, 8.1, 0.5)
 
 
 def denoised(runs: Sequence[Run]) -> tuple[list[Array], Array]:
-    """States of runs without white sensor noise.
-
-    Args:
-        runs: Runs of one data set; their gaps are not smoothed over.
+    """States of runs without white sensor noise; gaps are not smoothed over.
 
     Returns:
         States (n, nx) of each run, as measured in segments of fewer than ten rows; and the standard deviation of their

@@ -22,19 +22,14 @@ RELATIVE_RANK = 1e-5
 
 @dataclass(frozen=True)
 class InputRank:
-    """Numerical rank of the inputs.
+    """Numerical rank of the inputs."""
 
-    Args:
-        rank: Number of singular values above 1e-5 of the largest.
-        channels: Number of inputs.
-        singular_values: Root-mean-square of the inputs along each direction, descending (units of the input).
-        null_directions: Unit vectors along which the inputs are zero throughout, (channels - rank, channels).
-    """
-
-    rank: int
-    channels: int
+    rank: int  # number of singular values above 1e-5 of the largest
+    channels: int  # number of inputs
     singular_values: list[float]
+    """Root-mean-square of the inputs along each direction, descending (units of the input)."""
     null_directions: list[list[float]]
+    """Unit vectors along which the inputs are zero throughout, (channels - rank, channels)."""
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""

@@ -28,9 +28,6 @@ COLUMN = "intervention"
 def check(runs: Sequence[RawRun]) -> None:
     """Refuse a column that is not what it says, or that only some of the runs have.
 
-    Args:
-        runs: The runs as read.
-
     Raises:
         DataError: names run, row and remedy.
     """

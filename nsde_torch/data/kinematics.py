@@ -43,40 +43,26 @@ from nsde_torch.data.system_info import RATE_NAMES, SystemInfo, derivative_colum
 
 JUMP_SIGMAS = 10.0
 JUMP_ISOLATION = 4.0
-NEIGHBOURHOOD = 25
-"""Samples on each side of a jump against which it is judged."""
+NEIGHBOURHOOD = 25  # samples on each side of a jump against which it is judged
 _BACK = 0.5  # of a jump that the next one leaves
 INTERVAL_S = 0.5
 """Length of the intervals of the clock regression [s]: long against noise, short against drift of a bias."""
-MIN_INTERVALS = 20
-"""Fewest intervals from which a slope is estimated."""
-FOLDS = 10
-"""Parts of the jackknife."""
-LEVEL = 0.9
-"""Level of intervals."""
+MIN_INTERVALS = 20  # fewest intervals from which a slope is estimated
+FOLDS = 10  # parts of the jackknife
+LEVEL = 0.9  # level of intervals
 
 
 @dataclass(frozen=True)
 class Slope:
-    """Regression of measured increments on integrated rates for one axis of one run.
+    """Regression of measured increments on integrated rates for one axis of one run."""
 
-    Args:
-        run: Name of the run.
-        axis: Name of the position, or of the body rate.
-        group: Group of axes (`position (world, m)`, `attitude`).
-        value: Physical seconds for each logged second.
-        error: Standard error of the value.
-        intervals: Number of intervals.
-        r2: Share of the variance of the increments that the integral explains at the fitted slope.
-    """
-
-    run: str
-    axis: str
-    group: str
-    value: float
-    error: float
-    intervals: int
-    r2: float
+    run: str  # name of the run
+    axis: str  # name of the position, or of the body rate
+    group: str  # group of axes (`position (world, m)`, `attitude`)
+    value: float  # physical seconds for each logged second
+    error: float  # standard error of the value
+    intervals: int  # number of intervals
+    r2: float  # share of the variance of the increments that the integral explains at the fitted slope
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
@@ -154,17 +140,7 @@ class Jump:
 
 
 def find_jumps(system: SystemInfo, x: Array, *, dt: float) -> list[Jump]:
-    """Hidden gaps inside one segment of uniform step (see the module's text for the test).
-
-    Args:
-        system: Names and derivative pairs.
-        x: States of the segment, (n, nx).
-        dt: Step [s].
-
-    Returns:
-        One entry for each row after which a jump lies (the largest of its groups), in order; `missing_s` is
-        the size of the jump over the speed there, an estimate of the lost time.
-    """
+    """Hidden gaps inside one segment (n, nx) of uniform step [s], in order; see the module's text for the test."""
     if len(x) < 2 * NEIGHBOURHOOD:
         return []
     found: dict[int, Jump] = {}
@@ -213,11 +189,7 @@ def _quadrature(b: Array, even: Array, odd: Array) -> float:
 def clock_slopes(system: SystemInfo, name: str, segments: Sequence[Array], *, dt: float) -> list[Slope]:
     """Slopes of all axes of one run; axes that do not move, or fewer than 20 intervals, give none.
 
-    Args:
-        system: Names and derivative pairs.
-        name: Name of the run.
-        segments: States of each segment, (n_i, nx).
-        dt: Logged step [s].
+    Segments are states (n_i, nx), `dt` is the logged step [s].
     """
     length = max(4, 2 * round(0.5 * INTERVAL_S / dt))
     parts: dict[str, tuple[list[str], list[Array]]] = {}
@@ -264,8 +236,7 @@ def clock_slopes(system: SystemInfo, name: str, segments: Sequence[Array], *, dt
 def jackknife(estimate: Callable[[Array], float], data: Array, folds: int) -> tuple[float, float] | None:
     """An estimate from data (k, n), and its standard error from leaving out one of so many parts of n at a time.
 
-    Returns:
-        Both; None where one of them is not finite.
+    None where one of the two is not finite.
     """
     value, parts = estimate(data), np.array_split(np.arange(data.shape[1]), folds)
     left_out = np.array([estimate(np.delete(data, part, axis=1)) for part in parts])
@@ -338,11 +309,7 @@ _FIRST = 30  # rows at the start of a stretch that do not judge a filter
 
 @dataclass(frozen=True)
 class AlphaBeta:
-    """An alpha-beta filter.
-
-    Args:
-        alpha, beta: See the module.
-    """
+    """An alpha-beta filter; its gains are those of the equations above."""
 
     alpha: float
     beta: float
@@ -368,9 +335,7 @@ def gains(dt: float, count: int) -> list[AlphaBeta]:
 def rates(stretches: Sequence[Array], dt: float) -> tuple[list[Array], float]:
     """Rates of positions (n,) without any physics, of the rows before and after alike, and what is not known of them.
 
-    Args:
-        stretches: Positions without a gap, on one step.
-        dt: The step [s].
+    The stretches have no gap, and one step [s].
     """
     best, chosen = np.inf, gains(dt, 1)[0]
     for one in gains(dt, 17):

@@ -13,23 +13,16 @@ from pathlib import Path
 
 from nsde_torch.errors import DataError
 
-LARGEST = 1 << 30
-"""Most bytes that the numbers of one file may fill."""
-LONGEST = 1 << 20
-"""Most characters of a line of text."""
-WIDEST = 10_000
-"""Most columns of a table."""
+LARGEST = 1 << 30  # most bytes that the numbers of one file may fill
+LONGEST = 1 << 20  # most characters of a line of text
+WIDEST = 10_000  # most columns of a table
 NOTHING = {"", "nan", "NaN", "NAN", "null", "None", "NA", "N/A", "n/a", "-"}
 """Cells of a table of text whose value is missing."""
 _HOLE = 1 << 24  # bytes of zeros at the end of a file; those of a preallocated log are fewer
 
 
 def log_place(path: str | Path, expected: str) -> Path:
-    """A file or folder of logs, which is there and can be read.
-
-    Args:
-        path: The file or folder; links are followed.
-        expected: What should be there, for messages.
+    """A file or folder of logs, which is there and can be read; links are followed.
 
     Raises:
         DataError: nothing is there, or what is neither a regular file nor a folder, is empty, or ends with zeros.
@@ -112,11 +105,7 @@ def count_rows(path: Path) -> int:
 
 
 def check_names(names: Sequence[str], place: str) -> None:
-    """Refuse a header with too many columns, or with one name for two of them.
-
-    Args:
-        names: Of the columns.
-        place: File and line, for the message.
+    """Refuse a header with too many columns, or with one name for two of them; `place` is its file and line.
 
     Raises:
         DataError: too many, or some of them twice.
@@ -131,11 +120,7 @@ def check_names(names: Sequence[str], place: str) -> None:
 
 
 def refuse_larger(path: Path, size: float) -> None:
-    """Refuse numbers that fill more than `LARGEST`.
-
-    Args:
-        path: The file, for the message.
-        size: Bytes that its numbers fill.
+    """Refuse numbers that fill more bytes than `LARGEST`.
 
     Raises:
         DataError: too many.

@@ -127,13 +127,7 @@ def attitude_to_enu(q: Array) -> Array:
 
 
 def attitude_between(q: Array, *, ned: bool, frd: bool) -> Array:
-    """Quaternions `w x y z` (..., 4) to FLU-to-ENU from those of another world or another body.
-
-    Args:
-        q: Body to world.
-        ned: Whether the world is NED, else ENU.
-        frd: Whether the body is FRD, else FLU.
-    """
+    """Quaternions `w x y z` (..., 4), body to world, to FLU-to-ENU from those of another world (NED) or body (FRD)."""
     if ned and frd:
         return attitude_to_enu(q)
     if ned:

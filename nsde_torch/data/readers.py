@@ -43,11 +43,9 @@ class Reader:
     mapped: bool = False
 
 
-_MAPPED = "nsde_torch.data.mapping.reader:read_mapped"
-
-
 def _log_format(streams: str, summary: str, *suffixes: str) -> Reader:
-    return Reader(_MAPPED, summary, suffixes, streams=f"nsde_torch.data.formats.{streams}", mapped=True)
+    home = "nsde_torch.data.mapping.reader:read_mapped"
+    return Reader(home, summary, suffixes, streams=f"nsde_torch.data.formats.{streams}", mapped=True)
 
 
 READERS: dict[str, Reader] = {
@@ -61,7 +59,7 @@ READERS: dict[str, Reader] = {
         takes_step=True,
     ),
     "mcap": _log_format("mcap:open_mcap", "MCAP files: topics of ROS 1, ROS 2 and JSON.", ".mcap"),
-    "rosbag": _log_format("rosbag:open_rosbag", "Bags of ROS 1 (.bag) and ROS 2 (.db3).", ".bag", ".db3"),
+    "rosbag": _log_format("ros:open_rosbag", "Bags of ROS 1 (.bag) and ROS 2 (.db3).", ".bag", ".db3"),
     "ardupilot": _log_format("ardupilot:open_ardupilot", "ArduPilot's DataFlash logs.", ".bin"),
     "betaflight": _log_format("betaflight:open_betaflight", "Betaflight's black box logs.", ".bbl", ".bfl"),
     "table": _log_format(
@@ -70,7 +68,7 @@ READERS: dict[str, Reader] = {
         *(".npz", ".mat", ".h5", ".hdf5", ".hdf", ".parquet", ".pq", ".tsv", ".txt"),
     ),
     "log": Reader(
-        "nsde_torch.data.any_log:read_log",
+        "nsde_torch.data.mapping.reader:read_log",
         "Logs of any of these formats, by the names of the files.",
         mapped=True,
     ),

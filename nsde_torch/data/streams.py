@@ -16,10 +16,8 @@ from nsde_torch.arrays import Array
 from nsde_torch.data.quaternion import continuous_signs, slerp
 from nsde_torch.errors import DataError
 
-PAUSE_S = 0.25
-"""Shortest pause [s]."""
-MAX_DISORDER = 0.05
-"""Share of rows out of order that is sorted; more is refused."""
+PAUSE_S = 0.25  # shortest pause [s]
+MAX_DISORDER = 0.05  # share of rows out of order that is sorted; more is refused
 _SAME = 5e-7  # seconds by which two stamps of one moment may differ: clocks that count from 1970 have no finer numbers
 _STEPS = 5.0  # of a stream that are no pause yet
 _FASTER = 1.5  # times the rate of the rows from which on commands are averaged over a step
@@ -27,19 +25,12 @@ _FASTER = 1.5  # times the rate of the rows from which on commands are averaged 
 
 @dataclass
 class Stream:
-    """Columns on one clock.
+    """Columns on one clock."""
 
-    Args:
-        name: Topic, message or group; empty where a file holds one table alone.
-        t: Times [s], (n,), increasing; nan throughout where the log has no clock.
-        fields: Columns by name, each (n,).
-        units: Unit of a column, where the log says it.
-    """
-
-    name: str
-    t: Array
-    fields: dict[str, Array]
-    units: Mapping[str, str] = field(default_factory=dict)
+    name: str  # topic, message or group; empty where a file holds one table alone
+    t: Array  # times [s], (n,), increasing; nan throughout where the log has no clock
+    fields: dict[str, Array]  # columns by name, each (n,)
+    units: Mapping[str, str] = field(default_factory=dict)  # unit of a column, where the log says it
 
     def columns(self, *names: str) -> Array:
         """Fields side by side, (n, columns).
@@ -90,12 +81,7 @@ def ordered(stream: Stream) -> Stream:
 
 
 def disorder(t: Array, name: str) -> tuple[int, str]:
-    """How many rows lie before an earlier one in time, and why that is too many; empty where sorting mends it.
-
-    Args:
-        t: Times [s], (n,).
-        name: Of their column, for the sentence.
-    """
+    """How many rows lie before an earlier one in time, and why that is too many; empty where sorting mends it."""
     late = int((t < np.maximum.accumulate(t)).sum())
     if late <= max(1, MAX_DISORDER * len(t)):
         return late, ""

@@ -216,12 +216,7 @@ def _channel(name: str, unit: str, parts: Sequence[Array]) -> ChannelSummary:
 
 
 def envelope(runs: Sequence[Run], system: SystemInfo) -> FlightEnvelope | None:
-    """Flight envelope of a multirotor; None for a system without position, velocity and attitude.
-
-    Args:
-        runs: The runs.
-        system: Names of the columns.
-    """
+    """Flight envelope of a multirotor; None for a system without position, velocity and attitude."""
     names = list(system.state_names)
     if system.quaternion is None or rate_columns(system) is None or not {"v_x", "v_y", "v_z"} <= set(names):
         return None

@@ -13,7 +13,7 @@ frame of `vehicle_odometry` is read from its own field, never assumed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.arrays import Array
+from nsde_torch.data.formats.log import StreamLog, parsing
 from nsde_torch.data.places import files_of, log_place
-from nsde_torch.data.quaternion import attitude_to_enu, rotate, swap_body, swap_world
+from nsde_torch.data.quaternion import attitude_to_enu, euler_zyx, rotate, swap_body, swap_world
 from nsde_torch.data.raw import Finding, RawRun, holes
-from nsde_torch.data.streams import Stream, attitudes, held, linear
+from nsde_torch.data.streams import Stream, attitudes, held, linear, ordered
 from nsde_torch.data.system_info import SystemInfo, rate_columns
 from nsde_torch.errors import ConfigError, DataError
 
@@ -38,57 +39,44 @@ from nsde_torch.errors import ConfigError, DataError
 # ...) heading, position or velocity made a step. Field meanings: PX4 message definitions, 1.13 to 1.16.
 
 Mask = NDArray[np.bool_]
-Fields = Mapping[str, Array]
 
-FLAGS = ("landed", "maybe_landed", "ground_contact")
-CLEAR = 0.1
-"""Height above where it stood, up to which a row next to time on the ground is on the ground [m]."""
-NEXT_TO = 4.0
-"""How long before and after time on the ground such rows are looked for [s]."""
-SAME_PLACE = 1.0
+_FLAGS = ("landed", "maybe_landed", "ground_contact")
+_CLEAR = 0.1  # height above where it stood, up to which a row next to time on the ground is on the ground [m]
+_NEXT_TO = 4.0  # how long before and after time on the ground such rows are looked for [s]
+_SAME_PLACE = 1.0
 """Difference of height up to which it landed where it took off, so that an estimate that sinks is seen [m]."""
-_EDGE = 0.3
-"""Time at the edge of time on the ground over which the height is taken [s]."""
-CUT = 0.05
-"""Time after a reset that is left out, so that the run is cut there [s]."""
-COUNTERS = (
-    "reset_counter",
-    "quat_reset_counter",
-    "xy_reset_counter",
-    "z_reset_counter",
-    "vxy_reset_counter",
-    "vz_reset_counter",
-    "heading_reset_counter",
-)
+_EDGE = 0.3  # time at the edge of time on the ground over which the height is taken [s]
+_CUT = 0.05  # time after a reset that is left out, so that the run is cut there [s]
+_COUNTERS = (
+    "",
+    "quat_",
+    "xy_",
+    "z_",
+    "vxy_",
+    "vz_",
+    "heading_",
+)  # of resets, by what is before `reset_counter`
 
 
-def on_ground(times: Array, fields: Fields, t: Array, height: Array) -> Mask:
-    """Rows in which it stands on the ground.
-
-    Args:
-        times: Times of `vehicle_land_detected` [s].
-        fields: Its fields.
-        t: Times of the rows [s].
-        height: Of the rows, upwards [m].
-    """
-    left = np.clip(np.searchsorted(times, t, side="right") - 1, 0, None)
+def _on_ground(landed: Stream, t: Array, height: Array) -> Mask:
+    """Rows, at times `t` [s] and heights [m], that are on the ground by `vehicle_land_detected`."""
+    left = np.clip(np.searchsorted(landed.t, t, side="right") - 1, 0, None)
     flags = np.zeros(len(t), dtype=bool)
-    for name in FLAGS:
-        if name in fields:
-            flags |= fields[name][left] > 0.5
+    for name in _FLAGS:
+        if name in landed.fields:
+            flags |= landed.fields[name][left] > 0.5
     out = flags.copy()
     first: float | None = None
     for a, b in holes(flags):
-        near_a, near_b = t < t[a] + _EDGE, t >= t[b - 1] - _EDGE
-        inside = np.zeros(len(t), dtype=bool)
-        inside[a:b] = True
-        came, went = _level(height[inside & near_a]), _level(height[inside & near_b])
+        rows = np.arange(a, b)
+        near_a, near_b = t[a:b] < t[a] + _EDGE, t[a:b] >= t[b - 1] - _EDGE
+        came, went = _level(height[rows[near_a]]), _level(height[rows[near_b]])
         first = went if first is None else first
-        if abs(came - first) < SAME_PLACE:
+        if abs(came - first) < _SAME_PLACE:
             came = max(came, first)
-        above = np.flatnonzero(~((t >= t[a] - NEXT_TO) & (height < came + CLEAR)))
+        above = np.flatnonzero(~((t >= t[a] - _NEXT_TO) & (height < came + _CLEAR)))
         out[above[above < a].max(initial=-1) + 1 : a] = True
-        above = np.flatnonzero(~((t <= t[b - 1] + NEXT_TO) & (height < went + CLEAR)))
+        above = np.flatnonzero(~((t <= t[b - 1] + _NEXT_TO) & (height < went + _CLEAR)))
         out[b : above[above >= b].min(initial=len(t))] = True
     return out
 
@@ -98,21 +86,16 @@ def _level(height: Array) -> float:
     return float(np.median(known)) if len(known) else float("-inf")
 
 
-def after_resets(sources: Sequence[tuple[Array, Fields]], t: Array) -> tuple[Mask, int]:
-    """Rows right after a reset of the estimate, and how many resets there were.
-
-    Args:
-        sources: Times and fields of the topics that the state comes from.
-        t: Times of the rows [s].
-    """
+def _after_resets(sources: Sequence[Stream], t: Array) -> tuple[Mask, int]:
+    """Rows right after a reset of the estimate, and how many resets there were, by the topics of the state."""
     out, stamps = np.zeros(len(t), dtype=bool), set[float]()
-    for times, fields in sources:
-        for name in COUNTERS:
-            if name in fields:
-                stamps |= set(times[1:][np.diff(fields[name]) != 0].tolist())
+    for topic in sources:
+        for name in (f"{what}reset_counter" for what in _COUNTERS):
+            if name in topic.fields:
+                stamps |= set(topic.t[1:][np.diff(topic.fields[name]) != 0].tolist())
     for stamp in stamps:
         # a slower topic reports it late: what lies between its two messages is either before or after
-        out |= (t > stamp - 1e-9) & (t < stamp + CUT)
+        out |= (t > stamp - 1e-9) & (t < stamp + _CUT)
     return out, len(stamps)
 
 
@@ -127,89 +110,59 @@ def after_resets(sources: Sequence[tuple[Array, Fields]], t: Array) -> tuple[Mas
 # makes them (`nsde train` tests it). Values are held from message to message. Fields: PX4 message
 # definitions, 1.13 to 1.16.
 
-SETPOINT_TOPICS = ("manual_control_setpoint", "vehicle_attitude_setpoint", "vehicle_rates_setpoint")
-_STICKS = {  # column -> field of PX4 1.14 and later, field before
-    "stick_roll": ("roll", "y"),
-    "stick_pitch": ("pitch", "x"),
-    "stick_yaw": ("yaw", "r"),
-    "stick_throttle": ("throttle", "z"),
-}
 _KNOWN = 0.5  # share of the rows that must have a value
 
 
-def setpoint_columns(topics: Mapping[str, tuple[Array, Mapping[str, Array]]], t: Array) -> dict[str, Array]:
-    """Columns at the times `t` (n,), of the topics that a log has.
-
-    Args:
-        topics: Times and fields of each topic.
-        t: Times of the rows [s].
-    """
-    makers: dict[str, Callable[[Mapping[str, Array]], dict[str, Array]]] = {
-        "manual_control_setpoint": _sticks,
-        "vehicle_attitude_setpoint": _attitude,
-        "vehicle_rates_setpoint": _rates,
-    }
+def _setpoint_columns(topics: Mapping[str, Sequence[Stream]], t: Array) -> dict[str, Array]:
+    """Columns at the times `t` (n,) [s], of the topics that a log has."""
     out: dict[str, Array] = {}
-    for topic, make in makers.items():
-        if topic not in topics:
-            continue
-        times, fields = topics[topic]
-        left = np.searchsorted(times, t, side="right") - 1
-        for name, values in make(fields).items():
-            held = np.where(left >= 0, values[np.clip(left, 0, None)], np.nan)
-            if np.isfinite(held).mean() >= _KNOWN:
-                out[name] = held
+    for topic, make in _SETPOINTS.items():
+        for stream in topics.get(topic, ())[:1]:
+            left = np.searchsorted(stream.t, t, side="right") - 1
+            for name, values in make(stream.fields).items():
+                known = np.where(left >= 0, values[np.clip(left, 0, None)], np.nan)
+                if np.isfinite(known).mean() >= _KNOWN:
+                    out[name] = known
     return out
 
 
 def _sticks(fields: Mapping[str, Array]) -> dict[str, Array]:
-    out = {}
-    for name, choices in _STICKS.items():
-        there = [field for field in choices if field in fields]
-        if there:
-            out[name] = fields[there[0]]
-    return out
+    names = {"roll": "y", "pitch": "x", "yaw": "r", "throttle": "z"}  # of PX4 1.14 and later, and before
+    known = {f"stick_{new}": new if new in fields else old for new, old in names.items()}
+    return {stick: fields[name] for stick, name in known.items() if name in fields}
 
 
 def _attitude(fields: Mapping[str, Array]) -> dict[str, Array]:
     out = {}
     if all(f"q_d[{k}]" in fields for k in range(4)):
-        w, x, y, z = attitude_to_enu(np.stack([fields[f"q_d[{k}]"] for k in range(4)], 1)).T
-        yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-        out["setpoint_roll"] = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-        out["setpoint_pitch"] = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+        q = attitude_to_enu(np.stack([fields[f"q_d[{k}]"] for k in range(4)], 1))
+        out = {f"setpoint_{a}": v for a, v in zip(("roll", "pitch", "yaw"), euler_zyx(q).T, strict=True)}
+        yaw = out["setpoint_yaw"]
         good = np.isfinite(yaw)
         yaw[good] = np.unwrap(yaw[good])
-        out["setpoint_yaw"] = yaw
     if "thrust_body[2]" in fields:
         out["setpoint_thrust"] = -fields["thrust_body[2]"]
     return out
 
 
 def _rates(fields: Mapping[str, Array]) -> dict[str, Array]:
-    signs = {
-        "setpoint_rate_x": ("roll", 1.0),
-        "setpoint_rate_y": ("pitch", -1.0),
-        "setpoint_rate_z": ("yaw", -1.0),
-    }
-    return {name: sign * fields[field] for name, (field, sign) in signs.items() if field in fields}
+    signs = (("x", "roll", 1.0), ("y", "pitch", -1.0), ("z", "yaw", -1.0))
+    return {f"setpoint_rate_{a}": sign * fields[name] for a, name, sign in signs if name in fields}
 
 
+_SETPOINTS = {
+    "manual_control_setpoint": _sticks,
+    "vehicle_attitude_setpoint": _attitude,
+    "vehicle_rates_setpoint": _rates,
+}
 STATE_NAMES = ("p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z")
 SOURCES = ("auto", "odometry", "attitude")
-TOPICS = (
-    "vehicle_odometry",
-    "vehicle_attitude",
-    "vehicle_local_position",
-    "vehicle_angular_velocity",
-    "actuator_motors",
-    "actuator_outputs",
-    "battery_status",
-    "vehicle_land_detected",
-    *SETPOINT_TOPICS,
-)
-MIN_RATE = 4.0
-"""Slowest rate of a state or motor topic that is interpolated [Hz]."""
+_PARTS = ("vehicle_attitude", "vehicle_local_position", "vehicle_angular_velocity")
+_TOPICS = (
+    "vehicle_odometry", *_PARTS, "actuator_motors", "actuator_outputs", "battery_status", "vehicle_land_detected",
+    *_SETPOINTS,
+)  # fmt: skip
+MIN_RATE = 4.0  # slowest rate of a state or motor topic that is interpolated [Hz]
 MOTOR_RATE = 50.0
 """Slowest rate of the motor topic that is read by default [Hz].
 
@@ -217,31 +170,48 @@ Motors answer within 50 ms. PX4's default profile logs them at 10 Hz: held for 1
 """
 _HIGH_RATE = "Log more: set bit 4 (high rate) of the parameter SDLOG_PROFILE, `param set SDLOG_PROFILE 17`, and restart"
 _MISSING = 0.6  # of a step of the attitude, from which on none is near
-_FIRST_MOTOR = 101
-"""PX4 output function of motor 1; motor k is 100 + k."""
+_FIRST_MOTOR = 101  # PX4 output function of motor 1; motor k is 100 + k
+
+
+def _parsed(path: Path, topics: Sequence[str] | None = None) -> Any:
+    """A log of these topics, or of all."""
+    from pyulog import ULog
+
+    with parsing(path, "ULog file"), path.open("rb") as file:
+        return ULog(file, topics and list(topics))
+
+
+def _fields(topic: Any) -> dict[str, Array]:
+    return {name: np.asarray(values, dtype=np.float64) for name, values in topic.data.items()}
+
+
+def open_ulog(path: Path) -> StreamLog:
+    """All topics of one log as streams, to look at; `read_ulog` reads what a multirotor needs by itself.
+
+    Raises:
+        DataError: not such a log.
+    """
+    streams = []
+    for topic in sorted(_parsed(path).data_list, key=lambda one: (one.name, int(one.multi_id))):
+        fields = _fields(topic)
+        t = fields.pop("timestamp") * 1e-6
+        name = topic.name if not topic.multi_id else f"{topic.name}[{topic.multi_id}]"
+        if len(t) > 1:
+            streams.append(ordered(Stream(name, t, fields)))
+    return StreamLog(path.stem, str(path), streams, {}, {"world": "NED", "body": "FRD"})
 
 
 def _load(path: Path) -> tuple[Any, dict[str, list[Stream]]]:
     """The log, and its topics of interest by name (several where there are several instances)."""
-    from pyulog import ULog
-
-    try:
-        with path.open("rb") as file:
-            log = ULog(file, list(TOPICS))
-    except Exception as error:  # a damaged log makes the parser raise nearly anything
-        raise DataError(f"{path} is not a readable ULog file ({type(error).__name__}: {error}).") from error
+    log = _parsed(path, _TOPICS)
     topics: dict[str, list[Stream]] = {}
     for data in sorted(log.data_list, key=lambda d: int(d.multi_id)):
-        fields = {k: np.asarray(v, dtype=np.float64) for k, v in data.data.items()}
-        t = fields["timestamp"] * 1e-6
+        fields = _fields(data)
         sample = fields.get("timestamp_sample")
-        if sample is not None and (sample > 0).all():
-            t = sample * 1e-6
-        order = np.argsort(t, kind="stable")
-        order = order[np.concatenate([[True], np.diff(t[order]) > 0])] if len(order) else order
-        if len(order) >= 2:
-            cut = {k: v[order] for k, v in fields.items()}
-            topics.setdefault(data.name, []).append(Stream(data.name, t[order], cut))
+        t = fields["timestamp"] if sample is None or not (sample > 0).all() else sample
+        stream = ordered(Stream(data.name, t * 1e-6, fields))
+        if len(stream.t) >= 2:
+            topics.setdefault(data.name, []).append(stream)
     return log, topics
 
 
@@ -276,33 +246,23 @@ def _odometry(topic: Stream, path: Path) -> Array:
     return np.concatenate([swap_world(p), swap_world(v), attitude_to_enu(q), swap_body(w)], axis=1)
 
 
-def _first(topics: dict[str, list[Stream]], name: str) -> Stream | None:
-    return topics[name][0] if name in topics else None
-
-
 def _state(topics: dict[str, list[Stream]], source: str, path: Path) -> tuple[Array, Array, list[Stream]]:
     """Times, states in ENU/FLU, and the topics that they came from."""
-    odometry = _first(topics, "vehicle_odometry")
-    parts = [
-        _first(topics, n) for n in ("vehicle_attitude", "vehicle_local_position", "vehicle_angular_velocity")
-    ]
-    attitude, position, rates = parts
-    have_parts = attitude is not None and position is not None and rates is not None
-    if source == "auto":
-        slowest = min((p.rate for p in parts if p is not None), default=0.0)
-        use_odometry = odometry is not None and not (have_parts and slowest > 1.5 * odometry.rate)
-    else:
-        use_odometry = source == "odometry"
-    if use_odometry and odometry is not None:
-        return odometry.t, _odometry(odometry, path), [odometry]
-    if source == "odometry" or attitude is None or position is None or rates is None:
-        names = ("vehicle_attitude", "vehicle_local_position", "vehicle_angular_velocity")
-        wanted = ["vehicle_odometry"] if source == "odometry" else [n for n in names if n not in topics]
+    odometry = topics.get("vehicle_odometry", [None])[0]
+    lacking = [name for name in _PARTS if name not in topics]
+    parts = [topics[name][0] for name in _PARTS if name in topics]
+    if odometry is not None and source != "attitude":
+        faster = not lacking and min(part.rate for part in parts) > 1.5 * odometry.rate
+        if source == "odometry" or not faster:
+            return odometry.t, _odometry(odometry, path), [odometry]
+    if source == "odometry" or lacking:
+        wanted = ["vehicle_odometry"] if source == "odometry" else lacking
         other = "" if source != "auto" else " (or `vehicle_odometry`)"
         raise DataError(
             f"{path} lacks the topics {wanted}{other}; it has {sorted(topics) or 'none of those needed'}. "
             f"{_HIGH_RATE}, or add them to etc/logging/logger_topics.txt on the SD card."
         )
+    attitude, position, rates = parts
     t = _with_missing(attitude, position)
     p = linear(position, position.columns("x", "y", "z"), t)
     v = linear(position, position.columns("vx", "vy", "vz"), t)
@@ -310,16 +270,8 @@ def _state(topics: dict[str, list[Stream]], source: str, path: Path) -> tuple[Ar
         if flag in position.fields:
             p[held(position, position.columns(flag), t)[:, 0] < 0.5, columns] = np.nan
     w = linear(rates, rates.vector("xyz", 3), t)
-    x = np.concatenate(
-        [
-            swap_world(p),
-            swap_world(v),
-            attitude_to_enu(attitudes(attitude, attitude.vector("q", 4), t)),
-            swap_body(w),
-        ],
-        axis=1,
-    )
-    return t, x, [attitude, position, rates]
+    q = attitude_to_enu(attitudes(attitude, attitude.vector("q", 4), t))
+    return t, np.concatenate([swap_world(p), swap_world(v), q, swap_body(w)], axis=1), parts
 
 
 def _with_missing(attitude: Stream, position: Stream) -> Array:
@@ -352,8 +304,8 @@ def _output_channels(parameters: dict[str, Any], motors: int) -> tuple[list[int]
 
 def _motors(log: Any, topics: dict[str, list[Stream]], motors: int, path: Path) -> tuple[Stream, Array]:
     """Motor commands in [0, 1] and the topic that they came from."""
-    topic = _first(topics, "actuator_motors")
-    if topic is not None:
+    if "actuator_motors" in topics:
+        topic = topics["actuator_motors"][0]
         return topic, topic.vector("control", motors)
     if "actuator_outputs" not in topics:
         raise DataError(
@@ -376,30 +328,7 @@ def _motors(log: Any, topics: dict[str, list[Stream]], motors: int, path: Path) 
     return topic, np.clip(share, 0.0, 1.0)
 
 
-def read_ulog_file(
-    path: str | Path,
-    system: SystemInfo,
-    *,
-    state: str = "auto",
-    in_air: bool = True,
-    motor_rate: float = MOTOR_RATE,
-) -> RawRun:
-    """One run from one PX4 log.
-
-    Args:
-        path: The `.ulg` file.
-        system: A multirotor; as many motors are read as it has inputs.
-        state: `odometry`, `attitude` (three topics), or `auto`: the odometry unless the others are much
-            faster.
-        in_air: Leave out the time on the ground, where the log has it (`vehicle_land_detected`).
-        motor_rate: Slowest rate of the motors' topic that is read [Hz].
-
-    Raises:
-        DataError: not a ULog file, a topic is missing or too slow (the message names it and the remedy), or
-            frames that cannot be converted.
-        ConfigError: an unknown `state`, or a system that is not a multirotor.
-    """
-    path = Path(path)
+def _read_file(path: Path, system: SystemInfo, *, state: str, in_air: bool, motor_rate: float) -> RawRun:
     if state not in SOURCES:
         raise ConfigError(f"`state` must be one of {', '.join(SOURCES)}; got {state!r}.")
     if tuple(system.state_names) != STATE_NAMES or rate_columns(system) is None:
@@ -431,14 +360,12 @@ def read_ulog_file(
         rates = ", ".join(f"{topic.name} {topic.rate:.3g} Hz" for topic in slow)
         text = f"topics slower than {base.name} ({base.rate:.3g} Hz): {rates}"
         notes(Finding("slow_topic", run.name, len(slow), text, "interpolated, commands held"))
-    battery = _first(topics, "battery_status")
-    if battery is not None:
-        run.extra = {"battery_voltage": np.interp(t, battery.t, battery.fields["voltage_v"])}
-    wanted = {name: (found[0].t, found[0].fields) for name, found in topics.items()}
-    run.extra = {**run.extra, **setpoint_columns(wanted, t)}
-    landed = _first(topics, "vehicle_land_detected")
-    if in_air and landed is not None:
-        ground = on_ground(landed.t, landed.fields, t, x[:, 2])
+    run.extra = _setpoint_columns(topics, t)
+    if "battery_status" in topics:
+        battery = topics["battery_status"][0]
+        run.extra = {"battery_voltage": np.interp(t, battery.t, battery.fields["voltage_v"]), **run.extra}
+    if in_air and "vehicle_land_detected" in topics:
+        ground = _on_ground(topics["vehicle_land_detected"][0], t, x[:, 2])
         if ground.all():
             raise DataError(
                 f"{path}: the vehicle is landed throughout. Set `in_air` to false to keep such data."
@@ -446,10 +373,9 @@ def read_ulog_file(
         if ground.any():
             x[ground] = np.nan
             seconds = float(ground.mean() * (t[-1] - t[0]))
-            notes(
-                Finding("on_ground", run.name, int(ground.sum()), f"{seconds:.3g} s on the ground", "dropped")
-            )
-    stepped, count = after_resets([(topic.t, topic.fields) for topic in sources], t)
+            text = f"{seconds:.3g} s on the ground"
+            notes(Finding("on_ground", run.name, int(ground.sum()), text, "dropped"))
+    stepped, count = _after_resets(sources, t)
     stepped &= np.isfinite(x).all(axis=1)
     if stepped.any():
         x[stepped] = np.nan
@@ -476,14 +402,17 @@ def read_ulog(
     """Runs of one PX4 log, or of all `.ulg` files of a folder in the order of their names.
 
     Args:
-        system: A multirotor.
+        system: A multirotor; as many motors are read as it has inputs.
         path: File or folder.
-        state: See `read_ulog_file`.
-        in_air: See `read_ulog_file`.
-        motor_rate: See `read_ulog_file`.
+        state: `odometry`, `attitude` (three topics), or `auto`: the odometry unless the others are much
+            faster.
+        in_air: Leave out the time on the ground, where the log has it (`vehicle_land_detected`).
+        motor_rate: Slowest rate of the motors' topic that is read [Hz].
 
     Raises:
-        DataError: nothing to read, or a log that is refused (see `read_ulog_file`).
+        DataError: nothing to read, not a ULog file, a topic is missing or too slow (the message names it and the
+            remedy), or frames that cannot be converted.
+        ConfigError: an unknown `state`, or a system that is not a multirotor.
     """
     path = log_place(path, "a .ulg file or a folder of them")
     if path.is_dir():
@@ -492,4 +421,4 @@ def read_ulog(
             raise DataError(f"`path`: {path} holds no .ulg file.")
     else:
         files = [path]
-    return [read_ulog_file(file, system, state=state, in_air=in_air, motor_rate=motor_rate) for file in files]
+    return [_read_file(file, system, state=state, in_air=in_air, motor_rate=motor_rate) for file in files]

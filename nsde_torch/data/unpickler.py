@@ -203,12 +203,7 @@ class _Unwrap:
 
 
 def _check_memo(file: BinaryIO, where: str) -> None:
-    """Refuse a pickle with an index into the memo that is larger than the number of opcodes before it.
-
-    Raises:
-        DataError: such an index.
-        ValueError: bytes that are no opcodes, or end too early.
-    """
+    """Refuse a pickle with an index into the memo that is larger than the number of opcodes before it."""
     for count, (opcode, number, _) in enumerate(pickletools.genops(file)):
         if opcode.name in ("PUT", "BINPUT", "LONG_BINPUT") and not 0 <= int(number or 0) <= count:
             raise DataError(
@@ -260,8 +255,7 @@ def read_pickle(path: str | Path) -> object:
 # true that is. The `test` entry of the multirotor files repeats a training flight, so that it is no further
 # run.
 
-CARTPOLE_FORCE = 25.0
-"""Newtons for one unit of the published cartpole input."""
+CARTPOLE_FORCE = 25.0  # newtons for one unit of the published cartpole input
 
 # columns of y and u in the file -> what the file is
 _KINDS = {
@@ -319,11 +313,9 @@ def _cartpole_state(y: Array) -> Array:
 
 
 def read_published(system: SystemInfo, *, path: str | Path, dt: float | None = None) -> list[RawRun]:
-    """Runs of one of the authors' files.
+    """Runs of one of the authors' files, which the system must fit.
 
     Args:
-        system: The system the file must belong to (checked by its shapes).
-        path: The `.pkl` file.
         dt: Nominal step [s]; default: the published rate of the file's kind.
 
     Raises:

@@ -25,8 +25,7 @@ from nsde_torch.data.run import Run
 from nsde_torch.errors import ConfigError, DataError
 
 Ranges = NDArray[np.int64]
-TOLERANCE = 0.01
-"""Share by which a step may miss a whole multiple of the data's."""
+TOLERANCE = 0.01  # share by which a step may miss a whole multiple of the data's
 
 
 class Windows:

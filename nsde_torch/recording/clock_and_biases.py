@@ -32,12 +32,9 @@ from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording.fault import Detected, Fault, LoggedRuns
 
 POLICIES = ("rescale", "trust", "refuse")
-MIN_DEPARTURE = 0.01
-"""Departure of the clock from 1 below which it is right for all purposes."""
-SIGNIFICANT = 3.0
-"""Standard errors by which every group of axes must depart from 1, to the same side."""
-SURE = 0.02
-"""Largest standard error of a scale that rows are rescaled by without being asked."""
+MIN_DEPARTURE = 0.01  # departure of the clock from 1 below which it is right for all purposes
+SIGNIFICANT = 3.0  # standard errors by which every group of axes must depart from 1, to the same side
+SURE = 0.02  # largest standard error of a scale that rows are rescaled by without being asked
 IMPLAUSIBLE = (0.5, 2.0)
 """Slopes outside cannot be a clock: the columns hold other units, signs or frames."""
 
@@ -103,11 +100,8 @@ def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:
     """The clock scale of a data set: physical seconds for each logged second.
 
     A wrong clock shows in every group of axes (positions and attitude) on the same side. Where only one group
-    disagrees, its velocity is at fault, not the clock; that is reported and nothing is scaled.
-
-    Args:
-        policy: `rescale` returns the measured scale where it differs from 1; `trust` returns 1 and reports;
-            `refuse` raises.
+    disagrees, its velocity is at fault, not the clock; that is reported and nothing is scaled. The policy `rescale`
+    returns the measured scale where it differs from 1, `trust` returns 1 and reports.
 
     Raises:
         DataError: the clock is wrong and the policy is `refuse`.

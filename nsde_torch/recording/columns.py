@@ -26,12 +26,10 @@ from nsde_torch.recording.noise import white
 
 _WRAPS, _ODD_WRAPS = 5, 0.3  # fewest wraps, and share of them that the rate contradicts
 _LARGEST = 1e15  # of a state or an input, in any unit: a simulation that diverged, a word read as a float
-MAX_RATE = 60.0
-"""Body rate above which the column cannot be rad/s [rad/s] (3400 deg/s)."""
+MAX_RATE = 60.0  # body rate above which the column cannot be rad/s [rad/s] (3400 deg/s)
 ROUNDING = 1e-4
 """Departure from unit norm that rounding explains (four decimals); renormalised without a word."""
-MAX_NORM_ERROR = 0.05
-"""Departure from unit norm above which the columns cannot be a unit quaternion; refused."""
+MAX_NORM_ERROR = 0.05  # departure from unit norm above which the columns cannot be a unit quaternion; refused
 
 
 def check_shapes(run: RawRun, system: SystemInfo) -> None:
@@ -180,8 +178,7 @@ _Way = Callable[[Array], tuple[Array, Array]]  # changes over steps, and rates, 
 
 INTERVAL_S = 0.25
 _FEWEST = 20
-_LEFT_ATTITUDE, _LEFT_VELOCITY = 0.25, 0.02
-"""Shares of the motion that a sound log leaves never."""
+_LEFT_ATTITUDE, _LEFT_VELOCITY = 0.25, 0.02  # shares of the motion that a sound log leaves never
 _BETTER = 10.0
 
 _QUATERNIONS: dict[str, Callable[[Array], Array]] = {

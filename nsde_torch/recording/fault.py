@@ -30,16 +30,13 @@ T = TypeVar("T")
 
 STAGES = ("clock", "lateness", "biases", "effects", "structure")
 """In order. The first three are faults of the recording chain, `structure` the tests of the residuals."""
-NATS = 3.0
-"""By how much a log has to be likelier with a fault undone."""
+NATS = 3.0  # by how much a log has to be likelier with a fault undone
 
 
 def level(stage: str, alpha: float, found: Collection[str] = ()) -> float:
     """Significance level of a stage, which p values corrected within the stage are compared with.
 
-    Args:
-        alpha: Chance that any stage finds something where nothing is there.
-        found: Earlier stages that found something.
+    `alpha` is the chance that any stage finds something where nothing is there, `found` the stages that found some.
     """
     place = STAGES.index(stage)
     shares = 1

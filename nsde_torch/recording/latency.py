@@ -45,13 +45,11 @@ _Piece: TypeAlias = tuple[Array, Array, Array]
 Misfits: TypeAlias = Callable[[Sequence[Run]], Array]
 """Negative log likelihood per row [nats] of the declared physics in runs, by channel."""
 
-LATE = 1e-4
-"""Chance of calling a sensor late that is on time, when data are read."""
+LATE = 1e-4  # chance of calling a sensor late that is on time, when data are read
 _LONGEST_S, _ITERATIONS = 0.5, 3
 _FOLDS, _FEWEST = 20, 40
 """Folds of the jackknife, and fewest intervals that a time is estimated from; each begins in the middle of the last."""
-_MOST_ROWS = 60_000
-"""Rows that are looked at; of longer recordings the first part of each segment."""
+_MOST_ROWS = 60_000  # rows that are looked at; of longer recordings the first part of each segment
 _UNEXPLAINED = 0.5  # largest share of a channel's changes that its rate does not explain
 _AVERAGED, _FILTER_NATS = 4, 4.0
 """Times a delay, over which channels are averaged to separate it from a filter; and by how much that must be better."""
@@ -246,11 +244,8 @@ def on_time(
     """A run whose late channels are moved to where they belong, x(t) = x_log(t + d); the ends of its segments go.
 
     What a filter of first order made late is undone first, x = x_log + T x_log'. Both mix the noise of several rows
-    (`Run.apart`), but for moves by whole ones.
-
-    Args:
-        late: By state, or by the common name of several: by how much it is late [s of the log]; early, if negative.
-        filters: By state or common name: time constant of a filter [s of the log].
+    (`Run.apart`), but for moves by whole ones. Delays (negative: early) and time constants are in seconds of the log,
+    by state or by the common name of several.
 
     Raises:
         ConfigError: an unknown channel, or a time that is not a number.
@@ -483,12 +478,9 @@ def whole_sensor_late(
 # physics says -8 to 8 ms +- 2 for flights whose commands are on time).
 
 POLICIES = ("undo", "keep")
-CHANCE = 1e-4
-"""Chance of telling offsets of runs that share one."""
-LEAST_STEPS = 0.1
-"""Spread between runs below which offsets are of no consequence [steps]."""
-FEWEST = 2
-"""Runs that can be compared."""
+CHANCE = 1e-4  # chance of telling offsets of runs that share one
+LEAST_STEPS = 0.1  # spread between runs below which offsets are of no consequence [steps]
+FEWEST = 2  # runs that can be compared
 _LARGEST_S = 0.25  # standard error of an offset that says nothing
 
 
@@ -550,10 +542,9 @@ def _between(d: Array, s: Array) -> float:
 
 
 def on_one_clock(data: DataSet, system: SystemInfo, *, policy: str = "undo") -> DataSet:
-    """A data set whose streams are on one clock in every run; the data set itself where they are.
+    """A data set whose streams are on one clock in every run, with a finding for each that was moved.
 
-    Returns:
-        The data set, with a finding `stream_offset` in its summary for each stream that was moved.
+    The data set itself is returned where nothing differs.
 
     Raises:
         ConfigError: an unknown policy.

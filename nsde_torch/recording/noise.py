@@ -42,16 +42,14 @@ Mask = NDArray[np.bool_]
 _CURVE = 1.39  # what a cubic leaves of white noise, over its standard deviation
 _DIGITS, _SOME = 8, 2000  # most significant digits that are few, and values that are looked at
 SIGMAS, ISOLATION, CHANGES = 8.0, 4.0, 4.0
-NEIGHBOURHOOD = 25
-"""Rows on each side against which a sample is judged."""
+NEIGHBOURHOOD = 25  # rows on each side against which a sample is judged
 _GLITCH_QUANTA, _RANGE = 3.0, 0.01  # of the steps that values come in, and of their range
 _LEFT = 0.3  # share of a glitch that its neighbours may be off without it
 _MOST = 0.02  # share of the rows; more is how the sensor is
 _EVEN = 0.2  # of a step, by which the rows around a glitch may be apart from it
 
 _LEAVES, _USUAL = 0.1, 8.0  # of the largest speed, and of the column's usual change
-_BEYOND = 1.2
-"""Share of the largest speed beyond which a value is no speed, however long it lasts."""
+_BEYOND = 1.2  # share of the largest speed beyond which a value is no speed, however long it lasts
 _LONGEST, _AROUND = 4, 5  # rows of a glitch at most (two, held at half the rate), and rows on each side
 _MOST_ROTOR = 0.05  # share of rows; more is how the column is
 _FEWEST = 200
@@ -69,11 +67,7 @@ _MOVES = 0.2
 
 
 def off_curve(x: Array) -> Array:
-    """What a cubic through the two neighbours on each side leaves of samples (n,) at equal distances; 0 at the ends.
-
-    Returns:
-        Differences, (n,).
-    """
+    """What a cubic through the two neighbours on each side leaves of samples (n,) at equal distances; 0 at the ends."""
     out = np.zeros_like(x)
     out[2:-2] = x[2:-2] - (4.0 * (x[1:-3] + x[3:-1]) - (x[:-4] + x[4:])) / 6.0
     return out
@@ -95,9 +89,6 @@ def grains(x: Array) -> Array:
 
     Where values were written with some significant digits the smallest of them come in smaller steps than the others;
     it is then the last digit of each.
-
-    Returns:
-        Steps (n,).
     """
     steps = np.diff(np.unique(x))
     steps = steps[steps > 1e-9 * max(float(np.abs(x).max(initial=0.0)), 1e-300)]

@@ -37,8 +37,7 @@ from nsde_torch.recording.fault import Fault
 from nsde_torch.recording.faults import in_order, remedies
 from nsde_torch.recording.latency import late_channels, latency_findings, surely_late
 
-_FINER = 1000
-"""Steps of the data are divided into that many at most."""
+_FINER = 1000  # steps of the data are divided into that many at most
 SHORT_S = 2.0 * kinematics.MIN_INTERVALS * kinematics.INTERVAL_S
 """Runs shorter than this are measured together against the clock [s]; each alone has too few intervals."""
 

@@ -34,11 +34,7 @@ _HELD = 0.8  # share of rows without a change from which on a command is held: i
 
 
 def smoothing_width(runs: Sequence[Run], n_inputs: int) -> float:
-    """Width of a moving average found in the inputs [s], 0 if there is none.
-
-    Returns:
-        Width [s], the longest that explains the nulls; 0.0 without a clear finding.
-    """
+    """Width [s] of a moving average found in the inputs, the longest that explains the nulls; 0 where none is clear."""
     dt = runs[0].dt
     power = _power(runs, n_inputs, dt)
     if power is None:

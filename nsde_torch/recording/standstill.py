@@ -42,8 +42,7 @@ from nsde_torch.recording.times import GAP_STEPS
 
 Mask = NDArray[np.bool_]
 
-FEWEST = 5
-"""Rows of one value that are looked at."""
+FEWEST = 5  # rows of one value that are looked at
 _SIGMAS, _NOISE, _QUANTA, _SHARE = 8.0, 6.0, 5.0, 0.05
 _MOST = 0.5  # share of rows that repeat; more is how the column was sampled
 _NOISY, _GRAINS = 0.3, 2.0
@@ -55,8 +54,7 @@ _CLOSE = 5  # rows between two that are at an end
 _FEWEST_ROWS = 20  # of a run whose column never changes
 _SMOOTH = 0.7  # steps over spread: 1.4 for white noise, little for a motion
 
-LOW = 0.6
-"""Share of the commands of flight below which nothing flies."""
+LOW = 0.6  # share of the commands of flight below which nothing flies
 _REST, _WINDOW_S, _FEWEST_S = 0.15, 0.3, 0.5
 _FLIES, _FEWEST_MOVING = 0.3, 100  # speed of flight [m/s], and rows of it
 _NEARLY, _LONGEST_S = 0.95, 3.0  # commands, and time, in which it may stand while they rise

@@ -24,10 +24,8 @@ from nsde_torch.recording.latency import Latency, by_fault, latency_findings, on
 
 GAP_STEPS = 2.5
 """Steps without a row from which on the time between two rows is a gap, unless the caller says how long."""
-JITTER = 0.05
-"""Share of a step by which a row may lie off the uniform grid before the segment is resampled."""
-LONGER = 1.5
-"""Times the step of the log from which a step holds several rows."""
+JITTER = 0.05  # share of a step by which a row may lie off the uniform grid before the segment is resampled
+LONGER = 1.5  # times the step of the log from which a step holds several rows
 FINEST_S = 0.005
 """Time into which rows of fast logs are taken together [s]: at 1 kHz a diagnosis had found nothing in 10 minutes."""
 _ENOUGH = 1000
@@ -219,10 +217,7 @@ def joined(pieces: Sequence[RawRun]) -> tuple[RawRun, tuple[tuple[int, int], ...
 def uniform(
     run: RawRun, cuts: NDArray[np.int64], *, dt: float, quaternion: slice | None, report: Report
 ) -> tuple[RawRun, tuple[tuple[int, int], ...]]:
-    """The run on the step `dt` in every segment between cuts; segments below two rows are left out.
-
-    Returns:
-        The run and its segments.
+    """The run on the step `dt` in every segment between cuts, and its segments; those below two rows are left out.
 
     Raises:
         DataError: no segment is left.

@@ -32,8 +32,7 @@ POLICIES = ("infer", "keep")
 SHARE = 0.1
 """Share of the noise that a filter of the position would bring, below which it is what made the rate; sensors of their
 own have 0.8 and more."""
-PLAIN = 0.1
-"""Share of the difference to a better formula, below which a rate is a plain difference."""
+PLAIN = 0.1  # share of the difference to a better formula, below which a rate is a plain difference
 _REACHES = (15, 60)  # rows to either side that filters are looked for in
 _FEWEST = 20  # rows for each weight, at least
 _MOST = 6000  # rows that are looked at

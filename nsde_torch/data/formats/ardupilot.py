@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.formats.log import StreamLog, unreadable
+from nsde_torch.data.formats.log import StreamLog, parsing
 from nsde_torch.data.streams import Stream, ordered
 from nsde_torch.errors import DataError
 
@@ -65,18 +65,12 @@ def open_ardupilot(path: Path) -> StreamLog:
         def init_clock(self) -> None:
             self.clock = DFReader.DFReaderClock_usec()
 
-    try:
+    with parsing(path, "ArduPilot log"):
         with contextlib.redirect_stderr(io.StringIO()):  # it prints every byte that is no message
             log = Index(str(path), zero_time_base=True)
-    except Exception as error:  # a damaged log makes the parser raise nearly anything
-        raise unreadable(path, "ArduPilot log", error) from error
-    try:
-        streams = [s for kind in log.formats for s in _streams(log, kind)]
-        parameters = _parameters(log)
-    except Exception as error:  # as above
-        raise unreadable(path, "ArduPilot log", error) from error
-    finally:
-        log.close()
+        with contextlib.closing(log):
+            streams = [s for kind in log.formats for s in _streams(log, kind)]
+            parameters = _parameters(log)
     if not streams:
         raise DataError(f"{path} holds no messages of an ArduPilot log.")
     columns = _meaning({s.name: s for s in streams}, parameters)
@@ -84,7 +78,6 @@ def open_ardupilot(path: Path) -> StreamLog:
 
 
 def _streams(log: Any, kind: int) -> list[Stream]:
-    """The messages of one kind as streams."""
     form = log.formats[kind]
     if form.name in _SYSTEM or "TimeUS" not in form.columns:
         return []

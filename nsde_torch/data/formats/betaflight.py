@@ -14,37 +14,31 @@ from typing import Any
 import numpy as np
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.formats.log import StreamLog, lacking, unreadable
+from nsde_torch.data.formats.log import StreamLog, optional, parsing, unreadable
 from nsde_torch.data.streams import Stream, ordered
 from nsde_torch.errors import DataError
 
 # it reports every file, and every event that it does not know
 logging.getLogger("orangebox").setLevel(logging.CRITICAL)
 _TOGETHER = 20_000
+_STATES = ("loopIteration", "flightModeFlags", "stateFlags", "failsafePhase")
 _MOST = 20_000_000  # frames of a log
 
 
 def open_betaflight(path: Path, *, index: int = 1) -> StreamLog:
-    """One of the logs of a file.
-
-    Args:
-        path: The file.
-        index: Which log, from 1.
+    """One of the logs of a file, by its number from 1.
 
     Raises:
         DataError: not such a file, or a log without frames.
         ConfigError: the package is not installed.
     """
-    try:
-        from orangebox import Parser
-    except ImportError as error:
-        raise lacking("orangebox", "betaflight", path) from error
+    parser_of = optional("orangebox", "betaflight", path).Parser.load
     rows: list[list[float]] = []
     parts: list[Array] = []
     try:
-        parser = Parser.load(str(path), index, allow_invalid_header=True)
+        parser = parser_of(str(path), index, allow_invalid_header=True)
         names, headers = list(parser.field_names), dict(parser.headers)
-        main = [k for k, name in enumerate(names) if _wanted(name)]
+        main = [k for k, name in enumerate(names) if name not in _STATES]
         for frame in parser.frames():
             rows.append([_number(frame.data[k]) for k in main])
             if len(rows) >= _TOGETHER:  # numbers of Python take four times the memory
@@ -60,7 +54,8 @@ def open_betaflight(path: Path, *, index: int = 1) -> StreamLog:
     table = np.concatenate([*parts, np.array(rows, dtype=np.float64).reshape(len(rows), len(main))])
     fields = {names[k]: table[:, j] for j, k in enumerate(main)}
     t = fields.pop("time") * 1e-6
-    stream = ordered(Stream("", t, fields, _units(fields)))
+    units = {name: "deg/s" for name in fields if name.startswith("gyro")}
+    stream = ordered(Stream("", t, fields, units))
     return StreamLog(path.stem, str(path), [stream], _meaning(fields, headers), {"body": "FLU"})
 
 
@@ -69,24 +64,11 @@ def _number(value: Any) -> float:
     return float(value) if isinstance(value, int | float) else float("nan")
 
 
-def _wanted(name: str) -> bool:
-    return name not in ("loopIteration", "flightModeFlags", "stateFlags", "failsafePhase")
-
-
 def logs_of(path: Path) -> int:
     """How many logs a file holds."""
-    try:
-        from orangebox import Parser
-    except ImportError as error:
-        raise lacking("orangebox", "betaflight", path) from error
-    try:
-        return int(Parser.load(str(path), 1, allow_invalid_header=True).reader.log_count)
-    except Exception as error:  # as above
-        raise unreadable(path, "Betaflight log", error) from error
-
-
-def _units(fields: dict[str, Array]) -> dict[str, str]:
-    return {name: "deg/s" for name in fields if name.startswith("gyro")}
+    parser_of = optional("orangebox", "betaflight", path).Parser.load
+    with parsing(path, "Betaflight log"):
+        return int(parser_of(str(path), 1, allow_invalid_header=True).reader.log_count)
 
 
 def _meaning(fields: dict[str, Array], headers: dict[str, Any]) -> dict[str, dict[str, object]]:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from nsde_torch.arrays import Array
 from nsde_torch.data.streams import Stream, disorder, ordered
-from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.errors import ConfigError, DataError, NsdeError
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 UNNAMED = "column_"
@@ -24,17 +27,11 @@ _SAME = {"sec": "s", "seconds": "s", "msec": "ms", "usec": "us", "µs": "us", "n
 
 @dataclass(frozen=True)
 class ClockOf:
-    """How a table gives the time.
+    """How a table gives the time."""
 
-    Args:
-        source: Column; None: the one whose name says so.
-        unit: Of the column, a key of `SECONDS`; None: by the size of its steps.
-        rate: Rows a second, of a table without a clock [Hz].
-    """
-
-    source: str | None = None
-    unit: str | None = None
-    rate: float | None = None
+    source: str | None = None  # column; None: the one whose name says so
+    unit: str | None = None  # of the column, a key of `SECONDS`; None: by the size of its steps
+    rate: float | None = None  # rows a second, of a table without a clock [Hz]
 
 
 def time_column(names: Mapping[str, object] | list[str]) -> str | None:
@@ -59,12 +56,7 @@ def unit_of(name: str, values: Array) -> str:
 
 
 def found(fields: Mapping[str, Array], clock: ClockOf) -> ClockOf | None:
-    """The clock of a table with what was left open filled in; None where there is none.
-
-    Args:
-        fields: Columns.
-        clock: How it gives the time.
-    """
+    """The clock of a table with what was left open filled in; None where there is none."""
     if clock.rate is not None:
         return clock
     given = clock.source.split("/")[-1] if clock.source else None
@@ -85,13 +77,7 @@ def _ticks(name: str, values: Array) -> bool:
 
 
 def timed(name: str, fields: dict[str, Array], clock: ClockOf, *, source: str) -> Stream:
-    """A table with its clock taken out of its columns.
-
-    Args:
-        name: Of the stream.
-        fields: Columns, all of one length.
-        clock: How it gives the time.
-        source: File, for messages.
+    """A table with its clock taken out of its columns, which are all of one length.
 
     Raises:
         ConfigError: no such column, or an unknown unit.
@@ -148,6 +134,10 @@ class StreamLog:
         """Every column, `stream/column`; of a stream without a name the column alone."""
         return [full(s, column) for s in self.streams for column in s.fields]
 
+    def stream(self, name: str) -> Stream:
+        """The stream of that name."""
+        return next(stream for stream in self.streams if stream.name == name)
+
     def has(self, name: str) -> bool:
         """Whether there is a column of that name."""
         return any(name in (full(s, c), c) for s in self.streams for c in s.fields)
@@ -179,11 +169,30 @@ def full(stream: Stream, column: str) -> str:
     return f"{stream.name}/{column}" if stream.name else column
 
 
-def lacking(package: str, extra: str, path: Path) -> ConfigError:
-    """The error where an optional package is not installed."""
-    return ConfigError(
-        f"{path.name} needs the package {package!r}, which is not installed: pip install 'nsde_torch[{extra}]'."
-    )
+def optional(module: str, extra: str, path: Path) -> Any:
+    """A module of an optional package, which a file needs.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        package = module.partition(".")[0]
+        raise ConfigError(
+            f"{path.name} needs the package {package!r}, which is not installed: pip install 'nsde_torch[{extra}]'."
+        ) from error
+
+
+@contextmanager
+def parsing(path: Path, what: str) -> Iterator[None]:
+    """What a parser says of a damaged file, which makes it raise nearly anything, as one error."""
+    try:
+        yield
+    except NsdeError:
+        raise
+    except Exception as error:
+        raise unreadable(path, what, error) from error
 
 
 def unreadable(path: Path, what: str, error: Exception | str) -> DataError:

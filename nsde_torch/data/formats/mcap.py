@@ -11,12 +11,18 @@ from typing import IO, Any
 import numpy as np
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.formats.log import StreamLog, lacking, unreadable
-from nsde_torch.data.formats.ros import Fields, UnsupportedMessageError, log_of, seconds_since, stream_of
+from nsde_torch.data.formats.log import StreamLog, optional, parsing
+from nsde_torch.data.formats.ros import (
+    LARGEST,
+    MEMORY,
+    Fields,
+    UnsupportedMessageError,
+    log_of,
+    seconds_since,
+    stream_of,
+)
 from nsde_torch.data.streams import Stream, ordered
 
-_LARGEST = 1 << 20  # bytes of a message
-_MEMORY = 3 << 28  # bytes of messages that are kept
 _CHUNK = 1 << 28  # bytes of a chunk
 _DEEPEST, _WIDEST = 8, 64
 
@@ -28,34 +34,28 @@ def open_mcap(path: Path) -> StreamLog:
         DataError: not such a file, or one without channels of numbers.
         ConfigError: a package is not installed.
     """
-    try:
-        from mcap.exceptions import McapError
-    except ImportError as error:
-        raise lacking("mcap", "mcap", path) from error
+    damage = optional("mcap.exceptions", "mcap", path).McapError
     messages: dict[str, list[bytes]] = defaultdict(list)
     stamps: dict[str, list[int]] = defaultdict(list)
     about: dict[str, tuple[Any, Any]] = {}
     notes: list[str] = []
     large: set[str] = set()
     size = 0
-    try:
-        with path.open("rb") as file:
-            try:
-                for schema, channel, message in _messages(file):
-                    topic = channel.topic
-                    if len(message.data) > _LARGEST or size > _MEMORY:
-                        large.add(topic)
-                        continue
-                    size += len(message.data)
-                    about[topic] = (schema, channel)
-                    messages[topic].append(message.data)
-                    stamps[topic].append(message.log_time)
-            except (McapError, EOFError) as error:
-                if not messages:
-                    raise
-                notes.append(f"the file ends in the middle ({type(error).__name__}): read up to there")
-    except Exception as error:  # a damaged file makes the parser raise nearly anything
-        raise unreadable(path, "MCAP file", error) from error
+    with parsing(path, "MCAP file"), path.open("rb") as file:
+        try:
+            for schema, channel, message in _messages(file):
+                topic = channel.topic
+                if len(message.data) > LARGEST or size > MEMORY:
+                    large.add(topic)
+                    continue
+                size += len(message.data)
+                about[topic] = (schema, channel)
+                messages[topic].append(message.data)
+                stamps[topic].append(message.log_time)
+        except (damage, EOFError) as error:
+            if not messages:
+                raise
+            notes.append(f"the file ends in the middle ({type(error).__name__}): read up to there")
     notes += [f"{topic}: left out, large messages" for topic in sorted(large)]
     since = min((times[0] for times in stamps.values()), default=0) // 10**9
     streams: dict[str, Stream] = {}
@@ -136,7 +136,7 @@ def _types(schema: Any) -> Fields:
         ) from error
     try:
         found = get_types_from_msg(schema.data.decode("utf-8"), _kind(schema))
-    except Exception as error:  # as above
+    except Exception as error:  # of a damaged type, nearly anything
         raise UnsupportedMessageError(f"its type cannot be read ({type(error).__name__})") from error
     times: dict[str, Any] = {
         f"builtin_interfaces/msg/{name}": [("sec", (1, ("int32", 0))), ("nanosec", (1, ("uint32", 0)))]

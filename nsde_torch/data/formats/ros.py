@@ -1,4 +1,4 @@
-"""Topics of ROS as streams: what a stamp, an odometry and a pose mean.
+"""ROS: bags (.bag of ROS 1; .db3 of ROS 2, or a folder with one) by rosbags, and topics of any log as streams.
 
 Times are the stamps of the messages where they have them, else those of the log. ROS counts in ENU and FLU (REP 103)
 with quaternions `x y z w`; the twist of an odometry is along the body's axes. Messages of PX4 (`px4_msgs`) are NED and
@@ -8,15 +8,16 @@ FRD with quaternions `w x y z`.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.formats.log import StreamLog
+from nsde_torch.data.formats.log import StreamLog, optional, parsing
 from nsde_torch.data.streams import Stream, ordered
 from nsde_torch.errors import DataError
 
@@ -30,8 +31,8 @@ from nsde_torch.errors import DataError
 Fields = Mapping[str, Sequence[tuple[str, tuple[int, Any]]]]
 """Types by name: names of their fields, and of each the kind and what it is of, as rosbags has them."""
 
-BASE, NAME, ARRAY, SEQUENCE = 1, 2, 3, 4
-"""Kinds of a field: a number or string, a message, so many of something, any number of something."""
+BASE, NAME, SEQUENCE = 1, 2, 4
+"""Kinds of a field: a number or string, a message, any number of something; 3 is so many of something."""
 _NUMBERS = {
     "bool": "u1", "byte": "u1", "char": "u1", "octet": "u1", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
     "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
@@ -39,7 +40,8 @@ _NUMBERS = {
 _LONGEST = 64  # elements of an array that become columns
 _DEEPEST = 16
 _TOGETHER = 20_000  # messages that are read at a time
-_LARGEST = 1 << 20  # bytes of a message: images and clouds are no signals
+LARGEST = 1 << 20  # bytes of a message at most: images and clouds are no signals
+MEMORY = 3 << 28  # bytes of messages that are kept at a time
 
 
 class UnsupportedMessageError(ValueError):
@@ -95,18 +97,17 @@ class _Walk:
                     self.out.columns[f"{name}[{k}]"] = (self.at + k * size, self.order + _NUMBERS[base])
             self.move(size * count)
             return
-        if count > _LARGEST:
+        if count > LARGEST:
             raise UnsupportedMessageError("a sequence that is longer than the message")
         for k in range(count):
             self.one(inner, f"{name}[{k}]", depth + 1)
 
     def base(self, kind: str, name: str) -> None:
         if kind in ("string", "wstring"):
-            count = self.length()
-            self.move(count)
+            self.move(self.length())
         elif kind in ("time", "duration"):
-            for part in ("sec", "nanosec"):
-                self.number("uint32" if part == "nanosec" else "int32", f"{name}.{part}")
+            self.number("int32", f"{name}.sec")
+            self.number("uint32", f"{name}.nanosec")
         else:
             self.number(kind, name)
 
@@ -137,20 +138,12 @@ class _Walk:
             raise UnsupportedMessageError("a message that is cut short")
 
 
-def columns_of(
-    messages: Sequence[bytes], kind: str, types: Fields, *, aligned: bool, wanted: Callable[[str], bool]
-) -> tuple[dict[str, Array], int]:
-    """Numbers of messages of one type, a column for each; what a message lacks is nan there.
+def columns_of(messages: Sequence[bytes], kind: str, types: Fields, *, aligned: bool) -> dict[str, Array]:
+    """Numbers of messages of one type, a column (n,) for each; what a message lacks is nan there.
 
     Args:
-        messages: As they are in the log.
-        kind: Name of their type.
         types: The types that the log defines.
-        aligned: Whether they are CDR (ROS 2), else ROS 1.
-        wanted: Whether a column is to be read, by its name.
-
-    Returns:
-        The columns, each (n,), and how many messages could not be read.
+        aligned: Whether messages are CDR (ROS 2), else ROS 1.
 
     Raises:
         UnsupportedMessageError: none could be read.
@@ -164,7 +157,7 @@ def columns_of(
     while len(left):
         first = messages[left[0]]
         same = left[sizes[left] == len(first)]
-        if len(first) > _LARGEST or layouts > 1000:
+        if len(first) > LARGEST or layouts > 1000:
             raise UnsupportedMessageError("messages of many layouts, or large ones")
         layouts += 1
         try:
@@ -189,15 +182,14 @@ def columns_of(
                 rows, table = rows[fits], table[fits]
             read.append(rows)
             for name, (at, number) in layout.columns.items():
-                if not wanted(name):
-                    continue
-                if name not in out:
-                    out[name] = np.full(len(messages), np.nan)
-                out[name][rows] = _at(table, at, number)
+                if name in _TIMES or not any(part in name for part in _NOT_SIGNALS):
+                    if name not in out:
+                        out[name] = np.full(len(messages), np.nan)
+                    out[name][rows] = _at(table, at, number)
         left = np.setdiff1d(left, np.concatenate(read), assume_unique=True)
     if not out:
         raise UnsupportedMessageError(why)
-    return out, bad
+    return out
 
 
 def _at(table: NDArray[np.uint8], at: int, number: str) -> NDArray[Any]:
@@ -227,21 +219,17 @@ def stream_of(
     aligned: bool,
     since: int,
 ) -> Stream:
-    """The messages of one topic.
+    """The messages of one topic, with the times [ns] at which they were logged.
 
     Args:
-        topic: Its name.
-        kind: Type of its messages.
-        stamps: Times at which they were logged [ns].
-        messages: As they are in the log.
         types: The types that the log defines.
-        aligned: Whether they are CDR (ROS 2), else ROS 1.
+        aligned: Whether messages are CDR (ROS 2), else ROS 1.
         since: Second from which times are counted [s]: those since 1970 have no digits left for microseconds.
 
     Raises:
         UnsupportedMessageError: the messages cannot be read as numbers.
     """
-    columns, _ = columns_of(messages, kind, types, aligned=aligned, wanted=_wanted)
+    columns = columns_of(messages, kind, types, aligned=aligned)
     t = seconds_since(stamps, since)
     for seconds, rest in _STAMPS:
         if seconds in columns and rest in columns:
@@ -266,21 +254,10 @@ def seconds_since(stamps: Sequence[int], since: int) -> NDArray[np.float64]:
     return np.asarray(np.array(stamps, dtype=np.int64) - since * 10**9, dtype=np.float64) * 1e-9
 
 
-def _wanted(name: str) -> bool:
-    return name in _TIMES or not any(part in name for part in _NOT_SIGNALS)
-
-
 def log_of(
     name: str, source: str, streams: Mapping[str, Stream], kinds: Mapping[str, str], notes: Sequence[str]
 ) -> StreamLog:
-    """A log of topics, with what their types say of them.
-
-    Args:
-        name: Of the run.
-        source: File.
-        streams: By topic.
-        kinds: Type of each topic.
-        notes: What was left out.
+    """A log of topics, with what their types (`kinds`) say of them; `notes` are of what was left out.
 
     Raises:
         DataError: no topic holds numbers.
@@ -308,6 +285,9 @@ def _meaning(topic: str, kind: str, stream: Stream) -> dict[str, dict[str, objec
     def of(group: str, axes: str = "xyz") -> list[str]:
         return [f"{topic}/{group}.{axis}" for axis in axes]
 
+    def numbered(group: str, numbers: Iterable[int]) -> list[str]:
+        return [f"{topic}/{group}[{k}]" for k in numbers]
+
     out: dict[str, dict[str, object]] = {}
     if kind in _POSES:
         position, orientation = _POSES[kind]
@@ -319,15 +299,13 @@ def _meaning(topic: str, kind: str, stream: Stream) -> dict[str, dict[str, objec
     if kind == "sensor_msgs/msg/Imu":
         out["w"] = {"from": of("angular_velocity"), "unit": "rad/s"}
     if kind == f"{_PX4}VehicleOdometry":
-        out["p"] = {"from": [f"{topic}/position[{k}]" for k in range(3)], "unit": "m"}
-        out["v"] = {"from": [f"{topic}/velocity[{k}]" for k in range(3)], "unit": "m/s", "axes": "world"}
-        out["q"] = {"from": [f"{topic}/q[{k}]" for k in range(4)], "order": "wxyz"}
-        out["w"] = {"from": [f"{topic}/angular_velocity[{k}]" for k in range(3)], "unit": "rad/s"}
+        out["p"] = {"from": numbered("position", range(3)), "unit": "m"}
+        out["v"] = {"from": numbered("velocity", range(3)), "unit": "m/s", "axes": "world"}
+        out["q"] = {"from": numbered("q", range(4)), "order": "wxyz"}
+        out["w"] = {"from": numbered("angular_velocity", range(3)), "unit": "rad/s"}
     if kind == f"{_PX4}ActuatorMotors":
-        used = [
-            k for k in range(12) if np.isfinite(stream.fields.get(f"control[{k}]", np.array([np.nan]))).any()
-        ]
-        out["u"] = {"from": [f"{topic}/control[{k}]" for k in used], "unit": "1", "numbering": "px4"}
+        used = [k for k in range(12) if np.isfinite(stream.fields.get(f"control[{k}]", np.nan)).any()]
+        out["u"] = {"from": numbered("control", used), "unit": "1", "numbering": "px4"}
     if kind == f"{_PX4}BatteryStatus":
         out["battery_voltage"] = {"from": f"{topic}/voltage_v", "unit": "V"}
     if kind == "sensor_msgs/msg/BatteryState":
@@ -338,3 +316,42 @@ def _meaning(topic: str, kind: str, stream: Stream) -> dict[str, dict[str, objec
 def _there(sources: object, topic: str, stream: Stream) -> bool:
     names = [sources] if isinstance(sources, str) else list(sources) if isinstance(sources, list) else []
     return bool(names) and all(name.removeprefix(f"{topic}/") in stream.fields for name in names)
+
+
+def open_rosbag(path: Path) -> StreamLog:
+    """The topics of one bag, with the types that it defines.
+
+    Raises:
+        DataError: not a bag, a damaged one, or one without topics of numbers.
+        ConfigError: the package is not installed.
+    """
+    reader, typesys = (optional(f"rosbags.{name}", "rosbag", path) for name in ("highlevel", "typesys"))
+    streams: dict[str, Stream] = {}
+    kinds: dict[str, str] = {}
+    notes: list[str] = []
+    # types that a bag of ROS 2 before Iron does not define are those of its distribution
+    usual = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    with parsing(path, "ROS bag"), reader.AnyReader([path], default_typestore=usual) as bag:
+        types = {name: fields for name, (_, fields) in bag.typestore.fielddefs.items()}
+        for topic in sorted({c.topic for c in bag.connections}):
+            connections = [c for c in bag.connections if c.topic == topic]
+            stamps: list[int] = []
+            messages: list[bytes] = []
+            size = 0
+            for _, stamp, raw in bag.messages(connections=connections):
+                size += len(raw)
+                if len(raw) > LARGEST or size > MEMORY:
+                    break
+                stamps.append(stamp)
+                messages.append(bytes(raw))
+            if size > MEMORY or len(messages) < 2:
+                why = "too large" if messages or size else "fewer than two messages"
+                notes.append(f"{topic}: left out ({why})")
+                continue
+            kind, since = connections[0].msgtype, bag.start_time // 10**9
+            try:
+                streams[topic] = stream_of(topic, kind, stamps, messages, types, aligned=bag.is2, since=since)
+                kinds[topic] = kind
+            except UnsupportedMessageError as error:
+                notes.append(f"{topic} ({kind}): left out, {error}")
+    return log_of(path.stem, str(path), streams, kinds, notes)

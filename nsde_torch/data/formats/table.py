@@ -26,7 +26,8 @@ from nsde_torch.data.formats.log import (
     ClockOf,
     StreamLog,
     found,
-    lacking,
+    optional,
+    parsing,
     time_column,
     timed,
     unreadable,
@@ -46,11 +47,10 @@ def read_npz(path: Path) -> Arrays:
     Raises:
         DataError: not such a file, or too large.
     """
-    try:
+    out: Arrays = {}
+    with parsing(path, ".npz file"):
         with zipfile.ZipFile(path) as archive:
-            size = sum(item.file_size for item in archive.infolist())
-        refuse_larger(path, size)
-        out: Arrays = {}
+            refuse_larger(path, sum(item.file_size for item in archive.infolist()))
         with np.load(path, allow_pickle=False) as file:
             for name in file.files[:_MOST]:
                 try:
@@ -58,10 +58,6 @@ def read_npz(path: Path) -> Arrays:
                 except ValueError as error:
                     if "pickle" not in str(error):
                         raise
-    except DataError:
-        raise
-    except Exception as error:  # a damaged archive makes the parser raise nearly anything
-        raise unreadable(path, ".npz file", error) from error
     return out
 
 
@@ -77,15 +73,11 @@ def read_mat(path: Path) -> Arrays:
         head = file.read(128)
     if b"MATLAB 7.3" in head or head.startswith(b"\x89HDF"):
         return {name: value.T for name, value in read_hdf5(path).items() if not name.startswith("#")}
-    try:
+    with parsing(path, ".mat file"):
         known = whosmat(str(path))
         wanted = [n for n, _, kind in known if kind not in ("object", "opaque", "function", "char")]
         refuse_larger(path, 8 * sum(int(np.prod(shape)) for n, shape, _ in known if n in wanted))
         raw = loadmat(str(path), variable_names=wanted) if wanted else {}
-    except DataError:
-        raise
-    except Exception as error:  # as above
-        raise unreadable(path, ".mat file", error) from error
     objects = [n for n, _, kind in known if kind in ("object", "opaque")]
     if objects and not wanted:
         raise DataError(
@@ -156,20 +148,15 @@ def read_hdf5(path: Path) -> Arrays:
         DataError: not such a file, too large, or it asks for other files.
         ConfigError: the package is not installed.
     """
-    try:
-        import h5py
-    except ImportError as error:
-        raise lacking("h5py", "tables", path) from error
+    h5py = optional("h5py", "tables", path)
     out: Arrays = {}
     size = 0
 
     def visit(group: Any, before: str, depth: int) -> None:
         nonlocal size
         for key in group:
-            link = group.get(key, getlink=True)
-            if not isinstance(
-                link, h5py.HardLink
-            ):  # soft links may lead in circles, external ones to other files
+            # soft links may lead in circles, external ones to other files
+            if not isinstance(group.get(key, getlink=True), h5py.HardLink):
                 continue
             item = group[key]
             if isinstance(item, h5py.Group):
@@ -192,13 +179,8 @@ def read_hdf5(path: Path) -> Arrays:
             else:
                 out[before + key] = np.asarray(value)
 
-    try:
-        with h5py.File(path, "r") as file:
-            visit(file, "", 0)
-    except DataError:
-        raise
-    except Exception as error:  # as above
-        raise unreadable(path, "HDF5 file", error) from error
+    with parsing(path, "HDF5 file"), h5py.File(path, "r") as file:
+        visit(file, "", 0)
     return out
 
 
@@ -209,36 +191,20 @@ def read_parquet(path: Path) -> Arrays:
         DataError: not such a file, or too large.
         ConfigError: the package is not installed.
     """
-    try:
-        import pyarrow
-        import pyarrow.parquet as parquet
-    except ImportError as error:
-        raise lacking("pyarrow", "tables", path) from error
+    pyarrow, parquet = (optional(name, "tables", path) for name in ("pyarrow", "pyarrow.parquet"))
     out: Arrays = {}
-    try:
-        with parquet.ParquetFile(path, memory_map=True) as file:
-            rows, schema = file.metadata.num_rows, file.schema_arrow
-            kinds = pyarrow.types
-            wanted = [
-                f.name
-                for f in schema
-                if kinds.is_floating(f.type)
-                or kinds.is_integer(f.type)
-                or kinds.is_boolean(f.type)
-                or kinds.is_timestamp(f.type)
-            ]
-            refuse_larger(path, 8 * rows * len(wanted))
-            for name in wanted:  # one at a time: a table and its copy would be twice the memory
-                column = file.read(columns=[name]).column(0)
-                if kinds.is_timestamp(schema.field(name).type):
-                    nanoseconds = column.cast(pyarrow.timestamp("ns")).to_numpy().astype(np.int64)
-                    out[name] = nanoseconds.astype(np.float64) * 1e-9
-                else:
-                    out[name] = column.to_numpy().astype(np.float64)
-    except DataError:
-        raise
-    except Exception as error:  # as above
-        raise unreadable(path, "Parquet file", error) from error
+    with parsing(path, "Parquet file"), parquet.ParquetFile(path, memory_map=True) as file:
+        kinds, schema = pyarrow.types, file.schema_arrow
+        numbers = (kinds.is_floating, kinds.is_integer, kinds.is_boolean, kinds.is_timestamp)
+        wanted = [f.name for f in schema if any(is_one(f.type) for is_one in numbers)]
+        refuse_larger(path, 8 * file.metadata.num_rows * len(wanted))
+        for name in wanted:  # one at a time: a table and its copy would be twice the memory
+            column = file.read(columns=[name]).column(0)
+            if kinds.is_timestamp(schema.field(name).type):
+                nanoseconds = column.cast(pyarrow.timestamp("ns")).to_numpy().astype(np.int64)
+                out[name] = nanoseconds.astype(np.float64) * 1e-9
+            else:
+                out[name] = column.to_numpy().astype(np.float64)
     return out
 
 
@@ -259,29 +225,18 @@ _DECIMAL = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 
 @dataclass(frozen=True)
 class _Layout:
-    """What stands where: the names, the mark between cells, and how many lines precede the rows."""
+    """What stands where in a table."""
 
     names: list[str]
-    mark: str
-    before: int
+    mark: str  # between cells
+    before: int  # lines that precede the rows
     unnamed: bool
-
-
-def header(path: Path) -> list[str]:
-    """Names of the columns; of a table without a header their numbers.
-
-    Raises:
-        DataError: no text, or nothing in it.
-    """
-    return _layout(path).names
 
 
 def read_text(path: Path, notes: list[str] | None = None) -> dict[str, Array]:
     """Columns of numbers by name; an empty cell is nan, a column of words is left out.
 
-    Args:
-        path: The file.
-        notes: Takes what was assumed, and what is missing because it is no number.
+    `notes` takes what was assumed, and what is missing because it is no number.
 
     Raises:
         DataError: no text, no numbers, or rows of another width (with the line).
@@ -304,9 +259,7 @@ def read_text(path: Path, notes: list[str] | None = None) -> dict[str, Array]:
     if layout.unnamed:
         notes.append(f"no header: columns are called by their numbers, {names[0]} to {names[-1]}")
     columns = None if any(use.values()) else _at_once(path, layout, list(use))
-    if columns is None:
-        columns = _cell_by_cell(path, layout, use, notes)
-    return columns
+    return _cell_by_cell(path, layout, use, notes) if columns is None else columns
 
 
 def _layout(path: Path) -> _Layout:
@@ -477,24 +430,13 @@ def _is_numeric(cell: str, mark: str) -> bool:
 
 
 TEXT = (".csv", ".tsv", ".txt")
-_READ = {
-    ".npz": read_npz,
-    ".mat": read_mat,
-    ".h5": read_hdf5,
-    ".hdf5": read_hdf5,
-    ".hdf": read_hdf5,
-    ".parquet": read_parquet,
-    ".pq": read_parquet,
-}
+_READ = {".npz": read_npz, ".mat": read_mat, **dict.fromkeys((".h5", ".hdf5", ".hdf"), read_hdf5)}
+_READ |= dict.fromkeys((".parquet", ".pq"), read_parquet)
 _WIDEST = 64  # columns of one array
 
 
 def open_table(path: Path, *, clock: ClockOf | None = None) -> StreamLog:
-    """The streams of one file, or of a folder whose files are streams of one run.
-
-    Args:
-        path: The file or folder.
-        clock: How the tables give the time; None: by names.
+    """The streams of one file, or of a folder whose files are streams of one run; a clock that is not given is found.
 
     Raises:
         DataError: a file that cannot be read, or one without a table of numbers.
@@ -542,14 +484,10 @@ def _columns(path: Path, notes: list[str]) -> dict[str, dict[str, Array]]:
 
 def _tables(arrays: Arrays) -> dict[tuple[str, int], dict[str, Array]]:
     """Columns that share a clock, by their group and length."""
-    lengths = [
-        length
-        for name, value in arrays.items()
-        if (length := _length(value)) > 1 and time_column([_last(name)])
-    ]
-    out: dict[tuple[str, int], dict[str, Array]] = {}
     groups = {name: name.rpartition(".")[0] for name in arrays}
-    clocks = {(groups[n], _length(v)) for n, v in arrays.items() if time_column([_last(n)])}
+    clocks = {(groups[n], _length(v)) for n, v in arrays.items() if time_column([n.rpartition(".")[2]])}
+    lengths = {length for _, length in clocks if length > 1}
+    out: dict[tuple[str, int], dict[str, Array]] = {}
     for name, value in arrays.items():
         table = _upright(value, lengths)
         if table is None:
@@ -566,15 +504,11 @@ def _tables(arrays: Arrays) -> dict[tuple[str, int], dict[str, Array]]:
     return out
 
 
-def _last(name: str) -> str:
-    return name.rpartition(".")[2]
-
-
 def _length(value: NDArray[Any]) -> int:
     return max(value.shape, default=0) if value.ndim <= 2 and value.size == max(value.shape, default=0) else 0
 
 
-def _upright(value: NDArray[Any], lengths: list[int]) -> NDArray[Any] | None:
+def _upright(value: NDArray[Any], lengths: set[int]) -> NDArray[Any] | None:
     """A table (rows, columns); one that lies on its side is turned. None for anything that is no table."""
     if value.ndim == 1:
         value = value[:, None]
@@ -594,7 +528,7 @@ def are_runs(files: list[Path]) -> bool:
     Runs have one header; where a recorder logged more in some of them, most columns are shared and the names of the
     files differ by their numbers alone. Streams measure different things under names of their own.
     """
-    headers = [set(header(file)) for file in files]
+    headers = [set(_layout(file).names) for file in files]
     alike = len({re.sub(r"\d+", "", file.stem) for file in files}) == 1
     shared = len(set.intersection(*headers)) / max(map(len, headers))
     return all(one == headers[0] for one in headers) or (alike and shared > 0.5)

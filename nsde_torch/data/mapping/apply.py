@@ -62,21 +62,14 @@ def order(numbering: str, motors: int) -> tuple[int, ...]:
     return tuple(number - 1 for number in frames[motors])
 
 
-SLOWEST = 4.0
-"""Slowest rate of a state, or of an input of a machine without motors of its own [Hz]."""
-MOTOR_RATE = 50.0
-"""Slowest rate of motors [Hz], which answer within 50 ms."""
+SLOWEST = 4.0  # slowest rate of a state, or of an input of a machine without motors of its own [Hz]
+MOTOR_RATE = 50.0  # slowest rate of motors [Hz], which answer within 50 ms
 _FASTEST = 2e4  # rate of a log [Hz]
 _FAR = 0.8  # share of the rows' rate below which a stream is reported as slow
 
 
 def apply(log: StreamLog, mapping: LogMapping, system: SystemInfo) -> RawRun:
     """One run from one log.
-
-    Args:
-        log: The streams.
-        mapping: What they mean.
-        system: The machine.
 
     Raises:
         ConfigError: a column that the log does not have, an entry that does not fit the system, a unit.
@@ -333,6 +326,5 @@ class _Applied:
 _BEYOND = 0.05
 """Share of the readings of inputs that may lie outside their range (Neural-Fly's flights in still air: 46 % of their
 pulses are below 1000, and were taken for 0)."""
-_VALUES = 10
-"""Number of values from which readings outside the range are no resting value."""
+_VALUES = 10  # number of values from which readings outside the range are no resting value
 TURNED = "world to body"

@@ -41,8 +41,7 @@ from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_col
 # holds for a position and its rate. Where it fails as the columns are read and holds in another interpretation, that
 # one is named. In a sound log it holds as it is, and nothing else is looked at.
 
-BETTER = 10.0
-"""Factor by which the residual of another interpretation of the columns must be smaller."""
+BETTER = 10.0  # factor by which the residual of another interpretation of the columns must be smaller
 _SLOW_S, _FAST_S, _FASTEST_S = 0.5, 2e-5, 1e-5
 """Steps beyond which times are taken for another unit, and the shortest that they then may have [s]."""
 _ALIKE = 2.0  # times the least that is left, up to which two interpretations are equally good
@@ -51,17 +50,11 @@ _LENGTHS = (("mm", 1e-3), ("cm", 1e-2), ("ft", 0.3048))
 
 @dataclass(frozen=True)
 class Misread:
-    """Another interpretation of columns, in which they agree.
+    """Another interpretation of columns, in which they agree."""
 
-    Args:
-        words: What would be so.
-        remedy: What to do.
-        left: Share of the motion that is left then.
-    """
-
-    words: str
-    remedy: str
-    left: float
+    words: str  # what would be so
+    remedy: str  # what to do
+    left: float  # share of the motion that is left then
 
 
 def percent(share: float) -> str:
@@ -70,13 +63,7 @@ def percent(share: float) -> str:
 
 
 def pair_left(t: Array, p: Array, v: Array) -> float:
-    """Share of the movement of one position over 0.25 s that its rate leaves; nan of too little motion.
-
-    Args:
-        t: Times [s], (n,).
-        p: Position, (n,).
-        v: Its rate, (n,).
-    """
+    """Share of the movement of one position (n,) over 0.25 s that its rate (n,) leaves; nan of too little motion."""
     return velocity_left(t, None, p[:, None], v[:, None], VelocityWay("world", (0,), (1.0,)))  # type: ignore[arg-type]
 
 
@@ -84,11 +71,7 @@ def times_misread(system: SystemInfo, run: RawRun, mapping: LogMapping | None) -
     """Another unit of the times, in which all positions follow their rates; None where there is none.
 
     Only steps that no log of a moving machine has are looked at: a rate in mm/s does the same to one pair of columns.
-
-    Args:
-        system: The machine.
-        run: In the order of time.
-        mapping: What made it; None: columns of the package's own.
+    Without a mapping the columns are the package's own.
     """
     step = float(np.median(np.diff(run.t))) if len(run.t) > 1 else 0.0
     if not (step >= _SLOW_S or 0 < step < _FAST_S) or _all_sound(system, run, 1.0):
@@ -145,12 +128,7 @@ def _all_sound(system: SystemInfo, run: RawRun, size: float) -> bool:
 
 
 def exchanged(system: SystemInfo, run: RawRun) -> list[list[tuple[str, str]]]:
-    """Columns that agree with all others once two are exchanged, and do not as they are; each with what does the same.
-
-    Args:
-        system: The machine.
-        run: In its units, axes and order.
-    """
+    """Columns that agree with all others once two are exchanged, and only then; each with what does the same."""
     names = system.state_names
     pairs = [(names[i], names[j]) for i, j in rate_pairs(system)]
     columns = {name: run.x[:, names.index(name)] for pair in pairs for name in pair}
@@ -182,14 +160,9 @@ def exchanged(system: SystemInfo, run: RawRun) -> list[list[tuple[str, str]]]:
 def rate_misread(
     system: SystemInfo, run: RawRun, i: int, j: int, mapping: LogMapping | None
 ) -> list[Misread]:
-    """Units and signs of a position or its rate in which the two agree, the best first; none in a sound log.
+    """Units and signs of a position (column i) or its rate (j) in which they agree, best first; none in a sound log.
 
-    Args:
-        system: The machine.
-        run: In its units, axes and order.
-        i: Column of the position.
-        j: Column of its rate.
-        mapping: What made it; a unit that it reads wrongly does what another unit of the other column does.
+    A unit that the mapping reads wrongly does what another unit of the other column does.
     """
     p, v = run.x[:, i], run.x[:, j]
     own = pair_left(run.t, p, v)
@@ -269,11 +242,8 @@ class LogCheck:
 def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -> list[LogCheck]:
     """What kinematics and gravity say of a run: `nsde_torch.read` and `nsde inspect` ask the same.
 
-    Args:
-        system: The machine.
-        run: In the system's units, axes and order, its rows in the order of time; of those with one time the first is
-            looked at.
-        mapping: What made it, so that its columns can be read otherwise; None: the package's own conventions.
+    Rows are in the order of time; of those with one time the first is looked at. With the mapping that made the run its
+    columns can be read otherwise; without one they follow the package's own conventions.
     """
     out: list[LogCheck] = []
     if len(run.t) > _MOST:  # the middle says enough, in a tenth of the time

@@ -21,25 +21,15 @@ MAPPING_FILE = "mapping.yaml"
 
 @dataclass(frozen=True)
 class LogFile:
-    """One run that can be opened.
+    """One run that can be opened."""
 
-    Args:
-        name: Of the run.
-        path: File or folder.
-        kind: Its reader.
-        index: Which log of the file, from 1.
-    """
-
-    name: str
-    path: Path
-    kind: str
-    index: int = 1
+    name: str  # of the run
+    path: Path  # file or folder
+    kind: str  # its reader
+    index: int = 1  # which log of the file, from 1
 
     def open(self, clock: ClockOf | None = None) -> StreamLog:
-        """The streams.
-
-        Args:
-            clock: How tables give the time; other formats say so themselves.
+        """The streams; tables are told how they give the time, other formats say so themselves.
 
         Raises:
             DataError: the file cannot be read.
@@ -57,10 +47,6 @@ class LogFile:
 
 def log_files(kind: str, path: str | Path) -> list[LogFile]:
     """The runs of a file or folder, in the order of their names.
-
-    Args:
-        kind: A reader of streams.
-        path: File or folder.
 
     Raises:
         DataError: nothing there, or nothing of that kind.

@@ -19,8 +19,7 @@ from nsde_torch.arrays import Array
 from nsde_torch.data.quaternion import conjugate, increments, rotate
 
 INTERVAL_S = 0.25
-SOUND_ATTITUDE, SOUND_VELOCITY = 0.25, 0.05
-"""Shares of the motion that a sound log leaves at most."""
+SOUND_ATTITUDE, SOUND_VELOCITY = 0.25, 0.05  # shares of the motion that a sound log leaves at most
 NOISY_VELOCITY = 5 * SOUND_VELOCITY
 """The share up to which noise explains what velocities leave; an interpretation that leaves more is no remedy."""
 _FEWEST = 20  # intervals
@@ -33,10 +32,10 @@ _LEFT, _CLEAR = 0.5, 0.6  # share that the right `M` leaves at most, and of that
 class AttitudeWay:
     """A way to read a quaternion and rates: the order of its columns, what it turns, the rates' unit and axes."""
 
-    order: str
-    turns: str
-    unit: str
-    signs: tuple[float, float, float]
+    order: str = "wxyz"
+    turns: str = "body to world"
+    unit: str = "rad/s"
+    signs: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -73,13 +72,9 @@ def velocity_ways() -> Iterator[VelocityWay]:
 
 
 def attitude_left(t: Array, q: Array, w: Array, way: AttitudeWay) -> float:
-    """Share of the turning over 0.25 s that the rates leave, read like that; nan of too little motion.
+    """Share of the turning over 0.25 s that rates leave; nan of too little motion.
 
-    Args:
-        t: Times [s], (n,).
-        q: Quaternion as logged, (n, 4).
-        w: Rates as logged, (n, 3).
-        way: How they are read.
+    Quaternion (n, 4) and rates (n, 3) are as logged, and read in that way; times (n,) are in seconds.
     """
     size = np.pi / 180.0 if way.unit == "deg/s" else 1.0
     turned = increments(read_attitude(q, way))
@@ -88,14 +83,10 @@ def attitude_left(t: Array, q: Array, w: Array, way: AttitudeWay) -> float:
 
 
 def velocity_left(t: Array, q: Array | None, p: Array, v: Array, way: VelocityWay) -> float:
-    """Share of the movement over 0.25 s that the velocity leaves, read like that; nan of too little motion.
+    """Share of the movement over 0.25 s that a velocity leaves; nan of too little motion.
 
-    Args:
-        t: Times [s], (n,).
-        q: Quaternion `w x y z`, body to world, (n, 4); needed for velocities along the body's axes.
-        p: Position, (n, 3).
-        v: Velocity as logged, (n, 3).
-        way: How it is read.
+    The velocity (n, 3) is as logged, and read in that way; the attitude `w x y z` (n, 4), body to world, is needed for
+    one along the body's axes. Times (n,) are in seconds.
     """
     rate = v[:, list(way.places)] * np.array(way.signs)
     if way.axes == "body":
@@ -106,12 +97,7 @@ def velocity_left(t: Array, q: Array | None, p: Array, v: Array, way: VelocityWa
 
 
 def noise_share(t: Array, p: Array) -> float:
-    """Share of the movement over 0.25 s that is white noise of positions; all, where they rest or run steadily.
-
-    Args:
-        t: Times [s], (n,).
-        p: Positions, (n, axes).
-    """
+    """Share of the movement of positions (n, axes) over 0.25 s that is white noise; all, where they rest."""
     length = max(1, round(INTERVAL_S / float(np.median(np.diff(t)))))
     moved = np.diff(p[::length], axis=0)
     noise = 1.4826 * np.nanmedian(np.abs(np.diff(p, 5, axis=0)), axis=0) / 252.0**0.5
@@ -158,15 +144,11 @@ LEANS: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
 
 @dataclass(frozen=True)
 class Lean:
-    """How horizontal acceleration follows the tilt of the body's third axis.
-
-    Args:
-        left: Share of the horizontal acceleration that each `M` of `LEANS` leaves, its size free.
-        up: Mean of the third component of the body's third axis in the world: 1 level, -1 upside down.
-    """
+    """How horizontal acceleration follows the tilt of the body's third axis."""
 
     left: dict[str, float]
-    up: float
+    """Share of the horizontal acceleration that each `M` of `LEANS` leaves, its size free."""
+    up: float  # mean of the third component of the body's third axis in the world: 1 level, -1 upside down
 
     @property
     def way(self) -> str | None:
@@ -179,10 +161,7 @@ class Lean:
 def lean(t: Array, q: Array, p: Array) -> Lean | None:
     """`M` of a flight, by least squares on means over 0.3 s; None where there is too little of it.
 
-    Args:
-        t: Times [s], (n,).
-        q: Quaternion `w x y z`, body to world, (n, 4).
-        p: Position, (n, 3).
+    Times (n,) are in seconds, attitudes `w x y z` (n, 4) body to world, positions (n, 3).
     """
     good = np.isfinite(q).all(axis=1) & np.isfinite(p).all(axis=1)
     t, q, p = t[good], q[good], p[good]

@@ -123,11 +123,7 @@ def read_mapping(path: str | Path) -> LogMapping:
 
 
 def mapping_of(content: Any, source: str = "the mapping") -> LogMapping:
-    """A mapping from plain containers.
-
-    Args:
-        content: As in the YAML file.
-        source: File, for messages.
+    """A mapping from plain containers as in the YAML file; `source` names that file in messages.
 
     Raises:
         ConfigError: as `read_mapping`.

@@ -15,8 +15,7 @@ from nsde_torch.effects.units import powers
 from nsde_torch.errors import ConfigError
 from nsde_torch.lookup import did_you_mean
 
-GRAVITY = 9.80665
-"""Standard acceleration of gravity [m/s2], of which `g` is the unit."""
+GRAVITY = 9.80665  # standard acceleration of gravity [m/s2], of which `g` is the unit
 SIZES: dict[str, tuple[float, dict[str, int]]] = {
     "m": (1.0, {"m": 1}),
     "mm": (1e-3, {"m": 1}),
@@ -61,12 +60,7 @@ def known(unit: str) -> bool:
 
 
 def factor(unit: str, target: str, *, what: str) -> float:
-    """What numbers in `unit` are multiplied by to be in `target`.
-
-    Args:
-        unit: Of the column.
-        target: Of the system.
-        what: Whose unit it is, for messages.
+    """What numbers in `unit` are multiplied by to be in `target`; `what` has it, for messages.
 
     Raises:
         ConfigError: a unit that is unknown, or of another dimension.
@@ -151,25 +145,20 @@ _TURNS = re.compile(
 
 @dataclass(frozen=True)
 class Named:
-    """Columns that are one vector, by their names.
+    """Columns that are one vector, by their names."""
 
-    Args:
-        kind: What it is, one of the constants of this module.
-        stream: Name of their stream.
-        columns: In the order of the axes; of a quaternion in that of `order`.
-        unit: As the names say; None: they do not.
-        order: Of a quaternion, `wxyz` or `xyzw`; None: numbered, so that it is not said.
-        down: Whether the names say north, east, down.
-        measured: False for names that look like a setpoint or an error.
-    """
+    kind: str  # what it is, one of the constants of this module
+    stream: str  # name of their stream
+    columns: tuple[str, ...]  # in the order of the axes; of a quaternion in that of `order`
+    unit: str | None = None  # as the names say; None: they do not
+    order: str | None = None  # of a quaternion, `wxyz` or `xyzw`; None: numbered, so that it is not said
+    down: bool = False  # whether the names say north, east, down
+    measured: bool = True  # False for names that look like a setpoint or an error
 
-    kind: str
-    stream: str
-    columns: tuple[str, ...]
-    unit: str | None = None
-    order: str | None = None
-    down: bool = False
-    measured: bool = True
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Names of the columns with that of their stream."""
+        return tuple(f"{self.stream}/{c}" if self.stream else c for c in self.columns)
 
 
 def bare(name: str) -> tuple[str, str | None]:
@@ -186,11 +175,7 @@ def bare(name: str) -> tuple[str, str | None]:
 
 
 def is_measured(name: str) -> bool:
-    """Whether a name does not look like that of a setpoint, a reference or an error.
-
-    Args:
-        name: Of a column without its unit, or of a vector with its stream.
-    """
+    """Whether the name of a column (without its unit) or of a vector is not that of a setpoint, reference or error."""
     return not _NOT_MEASURED.search(name.lower())
 
 

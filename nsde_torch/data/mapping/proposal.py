@@ -9,20 +9,22 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from nsde_torch.arrays import Array
 from nsde_torch.data.formats.log import UNNAMED, ClockOf, StreamLog, full
 from nsde_torch.data.mapping import names as kinds
-from nsde_torch.data.mapping.inputs import propose_inputs
+from nsde_torch.data.mapping.files import LogFile
 from nsde_torch.data.mapping.kinematic import (
     INTERVAL_S,
     NOISY_VELOCITY,
     SOUND_ATTITUDE,
     SOUND_VELOCITY,
+    AttitudeWay,
     attitude_left,
     attitude_ways,
     best,
@@ -37,6 +39,42 @@ from nsde_torch.data.quaternion import from_euler_zyx, rotate
 from nsde_torch.data.streams import Stream, attitudes, linear, moving
 from nsde_torch.data.system_info import SystemInfo
 
+_Columns = dict[str, ColumnEntry]
+
+
+@dataclass
+class Proposal:
+    """A mapping, and how sure it is.
+
+    Args:
+        mapping: What is proposed; None where too little was recognised.
+        missing: What was not found, in words.
+        open: What else the columns could be, in words: not empty means that a user should look.
+        notes: What was assumed, in words.
+    """
+
+    mapping: LogMapping | None
+    missing: list[str] = field(default_factory=list)
+    open: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def propose(log: StreamLog, system: SystemInfo, *, kind: str = "") -> Proposal:
+    """A mapping of a log for a system; `kind` is the reader, which the mapping names."""
+    called = _names_by_content(log, system)
+    if called is not None:
+        return _nameless(log, system, kind, called)
+    said = dict(mapping_of({"columns": dict(log.columns)}).columns) if log.columns else {}
+    if system.quaternion is not None:
+        return _Vehicle(log, system, kind, said).proposal()
+    out = Proposal(None)
+    columns = _single(log, system, said, out)
+    if columns:
+        world, body = log.frames.get("world", "ENU"), log.frames.get("body", "FLU")
+        out.mapping = LogMapping(columns, system.name, kind, log.clock or ClockOf(), world=world, body=body)
+    return out
+
+
 # What the columns of a table without names are: by what must hold between them, else by their order.
 #
 # Four neighbours of unit length are a quaternion, the three that turn it its rates, and of positions and
@@ -48,20 +86,29 @@ _UNIT = 0.01  # by which a quaternion's length is off
 _ALIKE = 1.5  # times that the usual commands of motors differ
 
 
-def names_by_content(log: StreamLog, system: SystemInfo) -> dict[str, str] | None:
-    """Names of the system for the columns of a table without names; None of any other log.
+def _nameless(log: StreamLog, system: SystemInfo, kind: str, called: Mapping[str, str]) -> Proposal:
+    """A table without names as if its columns had those of the system, for checks to judge."""
+    stream = log.streams[0]
+    fields = {name: stream.fields[column] for column, name in called.items()}
+    found = propose(replace(log, streams=[replace(stream, fields=fields)]), system, kind=kind)
+    if found.mapping is not None:
+        own = {name: column for column, name in called.items()}
+        entries = found.mapping.columns.items()
+        taken = {n: replace(e, source=tuple(own.get(s, s) for s in e.source)) for n, e in entries}
+        found.mapping = replace(found.mapping, columns=taken)
+        found.open.append(
+            "the table has no names: what its columns are is a guess by what holds between them"
+        )
+    return found
 
-    Args:
-        log: The streams.
-        system: The machine.
-    """
+
+def _names_by_content(log: StreamLog, system: SystemInfo) -> dict[str, str] | None:
+    """Names of the system for the columns of a table without names; None of any other log."""
     columns = [column for stream in log.streams for column in stream.fields]
     names = (*system.state_names, *system.input_names)
     if len(log.streams) != 1 or len(columns) < len(names) or not columns[0].startswith(UNNAMED):
         return None
-    if system.quaternion is None:
-        return dict(zip(columns, names, strict=False))
-    found = _by_what_holds(log.streams[0], len(system.input_names))
+    found = None if system.quaternion is None else _by_what_holds(log.streams[0], len(system.input_names))
     return found or dict(zip(columns, names, strict=False))
 
 
@@ -127,83 +174,31 @@ def _by_what_holds(stream: Stream, motors: int) -> dict[str, str]:
     return out
 
 
+# Machines without an attitude: states, inputs and channels one by one.
+
 _POSITIONS = {
-    "q",
-    "x",
-    "y",
-    "pos",
-    "position",
-    "angle",
-    "theta",
-    "phi",
-    "qm",
-    "displacement",
-    "deflection",
-    "output",
-}
+    "q", "x", "y", "pos", "position", "angle", "theta", "phi", "qm", "displacement", "deflection", "output",
+}  # fmt: skip
 _RATES = {
-    "v",
-    "vel",
-    "velocity",
-    "speed",
-    "dq",
-    "qd",
-    "qdot",
-    "dx",
-    "xd",
-    "xdot",
-    "omega",
-    "dtheta",
-    "thetadot",
-    "angvel",
-}
+    "v", "vel", "velocity", "speed", "dq", "qd", "qdot", "dx", "xd", "xdot", "omega", "dtheta", "thetadot", "angvel",
+}  # fmt: skip
 _INPUTS = {
-    "u",
-    "f",
-    "force",
-    "input",
-    "tau",
-    "torque",
-    "voltage",
-    "current",
-    "command",
-    "cmd",
-    "control",
-    "vir",
-    "motor",
-}
+    "u", "f", "force", "input", "tau", "torque", "voltage", "current", "command", "cmd", "control", "vir", "motor",
+}  # fmt: skip
 _FEWEST = 10  # movements that determine a rate
 _MEASURED = re.compile(r"_(meas|measured|act|actual|filt|filtered|enc|encoder)(?=\d*$)")
 _COMMANDED = re.compile(r"_(cmd|command|commanded)(?=\d*$)")
 
 
-@dataclass
-class ColumnsFound:
-    """Entries, and what is missing or open."""
-
-    columns: dict[str, ColumnEntry] = field(default_factory=dict)
-    missing: list[str] = field(default_factory=list)
-    open: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-
-def propose_single(
-    log: StreamLog, system: SystemInfo, said: Mapping[str, ColumnEntry] | None = None
-) -> ColumnsFound:
-    """Entries for the states and inputs of a machine without an attitude.
-
-    Args:
-        log: The streams.
-        system: The machine.
-        said: Entries that the format gives; those that are of the system are taken.
-    """
-    out = ColumnsFound()
-    names = {*system.state_names, *system.input_names, *system.exogenous}
+def _single(log: StreamLog, system: SystemInfo, said: Mapping[str, ColumnEntry], out: Proposal) -> _Columns:
+    """Entries for the states and inputs of a machine without an attitude; those that the format gives are taken."""
+    wanted_names = (*system.state_names, *system.input_names, *system.exogenous)
+    columns: _Columns = {}
     given: set[str] = set()
-    for name, entry in (said or {}).items():
+    for name, entry in said.items():
         own = targets(system, name)
-        if set(own) <= names and len(own) == len(entry.source):
-            out.columns[name] = entry
+        if set(own) <= set(wanted_names) and len(own) == len(entry.source):
+            columns[name] = entry
             given |= set(own)
     free: dict[str, tuple[str, str | None]] = {}
     still: set[str] = set()
@@ -215,23 +210,20 @@ def propose_single(
                 still.add(full(stream, column))
     names_of = list(free)
     rates = {rate: position for position, rate, _ in system.position_derivatives}
-    for wanted in (*system.state_names, *system.input_names, *system.exogenous):
+    for wanted in wanted_names:
         if wanted in given:
             continue
         found = _named(wanted, free, still, system, rates)
         if wanted in rates:  # `v` may be a voltage: a rate of another name is one by its position
-            place = out.columns.get(rates[wanted])
+            place = columns.get(rates[wanted])
             same = [key for key in found if _squeezed(free[key][0]) == _squeezed(wanted)]
             found = same or [
                 key for key in found if place is not None and _follows(log, place.source[0], key)
             ]
-        if len(found) == 1:
-            name = found[0]
-            unit = free.pop(name)[1]
-            out.columns[wanted] = ColumnEntry((name,), unit=unit)
-        elif found:
-            out.open.append(f"{wanted} may be {' or '.join(found)}")
-            out.columns[wanted] = ColumnEntry((found[0],), unit=free.pop(found[0])[1])
+        if found:
+            if len(found) > 1:
+                out.open.append(f"{wanted} may be {' or '.join(found)}")
+            columns[wanted] = ColumnEntry((found[0],), unit=free.pop(found[0])[1])
         elif wanted not in rates and wanted not in system.optional_inputs:
             asked = [key for key, (name, _) in free.items() if not is_measured(name)]
             more = ""
@@ -244,7 +236,7 @@ def propose_single(
             out.notes.append(
                 f"{wanted} is taken to be 0 throughout: none of {', '.join(left)} has such a name"
             )
-    return out
+    return columns
 
 
 def _named(
@@ -307,105 +299,48 @@ def _squeezed(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", re.split(r"[./]", name.lower())[-1])
 
 
+# Machines with an attitude: vectors, motors and the battery's voltage.
+
 _SENSOR = ("gyro", "imu", "gyr")
 _MOST = 6  # sources of one quantity that are compared
-
-
-@dataclass
-class Proposal:
-    """A mapping, and how sure it is.
-
-    Args:
-        mapping: What is proposed; None where too little was recognised.
-        missing: What was not found, in words.
-        open: What else the columns could be, in words: not empty means that a user should look.
-        notes: What was assumed, in words.
-    """
-
-    mapping: LogMapping | None
-    missing: list[str] = field(default_factory=list)
-    open: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-
-def propose(log: StreamLog, system: SystemInfo, *, kind: str = "") -> Proposal:
-    """A mapping of a log for a system.
-
-    Args:
-        log: The streams.
-        system: The machine.
-        kind: The reader, which the mapping names.
-    """
-    unnamed = _nameless(log, system, kind)
-    if unnamed is not None:
-        return unnamed
-    if system.quaternion is None:
-        said = mapping_of({"columns": dict(log.columns)}).columns if log.columns else {}
-        found = propose_single(log, system, said)
-        mapping = None
-        if found.columns:
-            world, body = log.frames.get("world", "ENU"), log.frames.get("body", "FLU")
-            clock = log.clock or ClockOf()
-            mapping = LogMapping(found.columns, system.name, kind, clock, world=world, body=body)
-        return Proposal(mapping, found.missing, found.open, found.notes)
-    return _Vehicle(log, system, kind).proposal()
-
-
-def _nameless(log: StreamLog, system: SystemInfo, kind: str) -> Proposal | None:
-    """A table without names as if its columns had those of the system, for checks to judge."""
-    called = names_by_content(log, system)
-    if called is None:
-        return None
-    stream = log.streams[0]
-    fields = {name: stream.fields[column] for column, name in called.items()}
-    found = propose(replace(log, streams=[replace(stream, fields=fields)]), system, kind=kind)
-    if found.mapping is not None:
-        own = {name: column for column, name in called.items()}
-        entries = found.mapping.columns.items()
-        taken = {n: replace(e, source=tuple(own.get(s, s) for s in e.source)) for n, e in entries}
-        found.mapping = replace(found.mapping, columns=taken)
-        found.open.append(
-            "the table has no names: what its columns are is a guess by what holds between them"
-        )
-    return found
+_BATTERY = re.compile(r"(^|[^a-z])(vbat|v_bat|bat_?volt\w*|battery_?voltage|voltage_v|volt)$")
+_CRAZYFLIE = re.compile(r"state_?estimate|pm_?\.?vbat|motor_m[1-4]", re.I)
+_TURNS = {"rpm": "rpm", "rad/s": "rad/s", "rad_s": "rad/s", "rads": "rad/s"}
+_SPEEDS = re.compile(r"rotor|omega|speed|vel")
+_SHORTEST_US = 800.0  # of pulses that turn a motor; of a thousand, one may be shorter
+_TURNS_US = 980.0
+_NEGATIVE = -0.02  # a motor's command is none
+_Tried = list[tuple[float, Named, ColumnEntry, ColumnEntry, Any]]
+"""Share that is left, the first vector, its entry and that of the second, and the way in which they are read."""
 
 
 class _Vehicle:
     """A proposal for a machine with an attitude."""
 
-    def __init__(self, log: StreamLog, system: SystemInfo, kind: str) -> None:
-        self.log, self.system = log, system
+    def __init__(
+        self, log: StreamLog, system: SystemInfo, kind: str, said: Mapping[str, ColumnEntry]
+    ) -> None:
+        self.log, self.system, self.kind, self.said = log, system, kind, said
         self.found = [one for stream in log.streams for one in kinds.vectors(stream)]
         self.out = Proposal(None)
-        said = mapping_of({"columns": dict(log.columns)}).columns if log.columns else {}
-        self.said = dict(said)
         self.world, self.body = log.frames.get("world", "ENU"), log.frames.get("body", "FLU")
-        self.kind = kind
 
     def proposal(self) -> Proposal:
-        columns: dict[str, ColumnEntry] = {}
-        attitude = self._attitude()
-        columns.update(attitude)
-        if "q" not in attitude:
+        columns = self._attitude()
+        if "q" not in columns:
             self.out.missing.append("an attitude (a quaternion, or roll, pitch and yaw)")
-        columns.update(self._places(columns.get("q")))
+        columns |= self._places(columns.get("q"))
         if "p" in columns and "q" in columns and _family(columns["p"]) != _family(columns["q"]):
-            columns.update(self._attitude(_family(columns["p"])))  # of two estimators, one
-        motors = propose_inputs(self.log, self.system, self.found, self.said)
-        columns.update(motors.columns)
-        self.out.missing += motors.missing
-        self.out.open += motors.open
-        self.out.notes += motors.notes
+            columns |= self._attitude(_family(columns["p"]))  # of two estimators, one
+        columns |= self._motors() | self._battery()
         if "q" in columns and "p" in columns and not self.log.frames.get("world"):
             self._axes(columns)
-        first: tuple[str, ...] = ("p", "v", "q", "w", "u")
-        ordered = {name: columns[name] for name in first if name in columns}
-        rest = {name: entry for name, entry in columns.items() if name not in ordered}
         for told in (self.out.missing, self.out.open, self.out.notes):
             told[:] = dict.fromkeys(told)
         if columns:
+            order = [*(name for name in ("p", "v", "q", "w", "u") if name in columns), *columns]
             self.out.mapping = LogMapping(
-                {**ordered, **rest},
+                {name: columns[name] for name in order},
                 system=self.system.name,
                 kind=self.kind,
                 time=self.log.clock or ClockOf(),
@@ -414,28 +349,23 @@ class _Vehicle:
             )
         return self.out
 
-    # ---- attitude and rates ----------------------------------------------------------------------------
-
-    def _candidates(self, name: str, *wanted: str) -> list[tuple[Named, ColumnEntry]]:
+    def _candidates(self, name: str, kind: str) -> list[tuple[Named, ColumnEntry]]:
         """Sources of a quantity: what the format says, else every vector of such a name."""
         if name in self.said:
             entry = self.said[name]
-            stream, _ = self.log.find(entry.source[0])
-            columns = tuple(self.log.find(s)[1] for s in entry.source)
-            kind = kinds.EULER if name == "q" and len(columns) == 3 else wanted[0]
+            stream, columns = self._of(entry)
+            kind = kinds.EULER if name == "q" and len(columns) == 3 else kind
             return [(Named(kind, stream.name, columns, entry.unit, entry.order), entry)]
-        out = []
-        for kind in wanted:
-            for one in kinds.pick(self.found, kind):
-                stream = next(s for s in self.log.streams if s.name == one.stream)
-                if self._moves(stream, one):
-                    out.append((one, ColumnEntry(self._sources(one), unit=one.unit, order=one.order)))
-        return out[:_MOST]
+        found = [one for one in kinds.pick(self.found, kind) if self._moves(one)]
+        return [(one, ColumnEntry(one.sources, unit=one.unit, order=one.order)) for one in found[:_MOST]]
 
-    def _sources(self, one: Named) -> tuple[str, ...]:
-        return tuple(f"{one.stream}/{c}" if one.stream else c for c in one.columns)
+    def _of(self, entry: ColumnEntry) -> tuple[Stream, tuple[str, ...]]:
+        """The stream of an entry, and its columns."""
+        found = [self.log.find(source) for source in entry.source]
+        return found[0][0], tuple(column for _, column in found)
 
-    def _moves(self, stream: Stream, one: Named) -> bool:
+    def _moves(self, one: Named) -> bool:
+        stream = self.log.stream(one.stream)
         values = stream.columns(*one.columns)
         if not stream.timed or not moving(values).any():
             return False
@@ -444,12 +374,15 @@ class _Vehicle:
             return bool(np.median(np.abs(length[np.isfinite(length)] - 1.0)) < 0.05)
         return True
 
-    def _stream(self, one: Named) -> Stream:
-        return next(s for s in self.log.streams if s.name == one.stream)
+    def _on(self, stream: Stream, one: Named) -> Array:
+        """A vector on the rows of a stream."""
+        own = self.log.stream(one.stream)
+        values = own.columns(*one.columns)
+        return values if own is stream else linear(own, values, stream.t)
 
     def _quaternion(self, one: Named, entry: ColumnEntry) -> tuple[Stream, Array, ColumnEntry]:
         """A candidate as a quaternion on its own rows, and its entry with a unit."""
-        stream = self._stream(one)
+        stream = self.log.stream(one.stream)
         values = stream.columns(*one.columns)
         if one.kind == kinds.EULER or len(one.columns) == 3:
             unit = entry.unit or ("deg" if np.nanmax(np.abs(values)) > 6.4 else "rad")
@@ -457,40 +390,50 @@ class _Vehicle:
             return stream, values, replace(entry, unit=unit, order=None)
         return stream, values / np.linalg.norm(values, axis=1, keepdims=True).clip(1e-9), entry
 
-    def _attitude(self, family: str | None = None) -> dict[str, ColumnEntry]:
-        quaternions = self._candidates("q", kinds.QUATERNION)
-        quaternions = quaternions or self._candidates("q", kinds.EULER)
+    def _missing(self, what: str, kind: str) -> None:
+        asked = [", ".join(one.columns) for one in self.found if one.kind == kind and not one.measured]
+        self.out.missing.append(f"{what} (taken for setpoints: {'; '.join(asked)})" if asked else what)
+
+    def _open(self, what: str, entries: Iterable[ColumnEntry]) -> None:
+        sources = list(dict.fromkeys(", ".join(entry.source) for entry in entries))
+        if len(sources) > 1:
+            self.out.open.append(f"{what} may be {' or '.join(sources)}")
+
+    def _sound(self, tried: _Tried, most: float, first: str, second: str) -> _Tried:
+        """The pairs that agree, which are as good; the best, where none does."""
+        sound = [row for row in tried if row[0] < most] or [min(tried, key=lambda row: row[0])]
+        self._open(first, (row[2] for row in sound))
+        self._open(second, (row[3] for row in sound))
+        return sound
+
+    def _attitude(self, family: str | None = None) -> _Columns:
+        """Entries of the attitude and the body rates."""
+        quaternions = self._candidates("q", kinds.QUATERNION) or self._candidates("q", kinds.EULER)
         rates = self._candidates("w", kinds.RATES)
         if not rates:
             self._missing("body rates (a gyroscope)", kinds.RATES)
         if not quaternions:
             return {"w": rates[0][1]} if rates else {}
-        tried = []
+        tried: _Tried = []
         for one, entry in quaternions:
             stream, q, entry = self._quaternion(one, entry)
             for rate, rate_entry in rates:
-                own = self._stream(rate)
-                w = own.columns(*rate.columns)
-                w = w if own is stream else linear(own, w, stream.t)
+                w = self._on(stream, rate)
                 # Euler angles turn the body into the world; a frame that the log fixes leaves no other signs open
-                ways = list(
-                    attitude_ways(entry.order or ("wxyz" if len(one.columns) == 3 else None), rate_entry.unit)
-                )
+                order = entry.order or ("wxyz" if len(one.columns) == 3 else None)
+                ways = list(attitude_ways(order, rate_entry.unit))
                 left = [attitude_left(stream.t, q, w, way) for way in ways]
-                k = best(left)
-                if k is not None:
-                    tried.append((left[k], one, entry, rate, rate_entry, ways[k]))
+                if (k := best(left)) is not None:
+                    tried.append((left[k], one, entry, rate_entry, ways[k]))
         if not tried:
             one, entry = quaternions[0]
-            self._several("attitude", quaternions)
-            self._several("rates", rates)
+            self._open("the attitude", (entry for _, entry in quaternions))
+            self._open("the rates", (entry for _, entry in rates))
             return {"q": self._quaternion(one, entry)[2], **({"w": rates[0][1]} if rates else {})}
-        sound = [row for row in tried if row[0] < SOUND_ATTITUDE] or [min(tried, key=lambda row: row[0])]
-        self._open("the attitude", [row[2] for row in sound])
-        self._open("the rates", [row[4] for row in sound])
-        sensors = [row for row in sound if any(word in " ".join(row[4].source).lower() for word in _SENSOR)]
+        sound = self._sound(tried, SOUND_ATTITUDE, "the attitude", "the rates")
+        sensors = [row for row in sound if any(word in " ".join(row[3].source).lower() for word in _SENSOR)]
         usual = quaternions[0][0]
-        _, one, entry, _, rate_entry, way = min(
+        _, one, entry, rate_entry, way = min(
             sensors or sound, key=lambda row: (family not in (None, _family(row[2])), row[1] != usual, row[0])
         )
         if len(one.columns) == 4:
@@ -499,24 +442,11 @@ class _Vehicle:
             entry = replace(entry, turns=way.turns)
         rate_entry = replace(rate_entry, unit=way.unit)
         if way.signs[1] < 0:
-            rate_entry = replace(rate_entry, sign=(1.0, -1.0, -1.0))
+            rate_entry = replace(rate_entry, sign=way.signs)
         return {"q": entry, "w": rate_entry}
 
-    def _missing(self, what: str, kind: str) -> None:
-        asked = [", ".join(one.columns) for one in self.found if one.kind == kind and not one.measured]
-        self.out.missing.append(f"{what} (taken for setpoints: {'; '.join(asked)})" if asked else what)
-
-    def _several(self, what: str, found: list[tuple[Named, ColumnEntry]]) -> None:
-        self._open(f"the {what}", [entry for _, entry in found])
-
-    def _open(self, what: str, entries: list[ColumnEntry]) -> None:
-        sources = list(dict.fromkeys(", ".join(entry.source) for entry in entries))
-        if len(sources) > 1:
-            self.out.open.append(f"{what} may be {' or '.join(sources)}")
-
-    # ---- position and velocity -------------------------------------------------------------------------
-
-    def _places(self, attitude: ColumnEntry | None) -> dict[str, ColumnEntry]:
+    def _places(self, attitude: ColumnEntry | None) -> _Columns:
+        """Entries of position and velocity."""
         positions = self._candidates("p", kinds.POSITION)
         velocities = self._candidates("v", kinds.VELOCITY)
         if not positions:
@@ -524,40 +454,26 @@ class _Vehicle:
         if not velocities:
             self._missing("a velocity", kinds.VELOCITY)
         if not positions or not velocities:
-            return {
-                **({"p": positions[0][1]} if positions else {}),
-                **({"v": velocities[0][1]} if velocities else {}),
-            }
-        tried = []
+            return {name: found[0][1] for name, found in (("p", positions), ("v", velocities)) if found}
+        tried: _Tried = []
         for one, entry in positions:
-            stream = self._stream(one)
-            p = stream.columns(*one.columns)
-            q = self._known(attitude, stream.t)
+            stream = self.log.stream(one.stream)
+            p, q = stream.columns(*one.columns), self._known(attitude, stream.t)
             for velocity, velocity_entry in velocities:
-                own = self._stream(velocity)
-                v = own.columns(*velocity.columns)
-                v = v if own is stream else linear(own, v, stream.t)
+                v = self._on(stream, velocity)
                 ways = [w for w in velocity_ways() if velocity_entry.axes in (None, w.axes)]
                 left = [velocity_left(stream.t, q, p, v, way) for way in ways]
-                k = best(left)
-                if k is not None:
-                    tried.append((left[k], one, entry, velocity, velocity_entry, ways[k]))
+                if (k := best(left)) is not None:
+                    tried.append((left[k], one, entry, velocity_entry, ways[k]))
         if not tried:
-            self._several("position", positions)
-            self._several("velocity", velocities)
-            return {
-                "p": positions[0][1],
-                "v": replace(velocities[0][1], axes=velocities[0][1].axes or "world"),
-            }
-        sound = [row for row in tried if row[0] < NOISY_VELOCITY] or [min(tried, key=lambda row: row[0])]
-        self._open("the position", [row[2] for row in sound])
-        self._open("the velocity", [row[4] for row in sound])
-        _, one, entry, velocity, velocity_entry, way = min(sound, key=lambda row: row[0])
-        velocity_entry = replace(velocity_entry, axes=way.axes)
-        if way.places != (0, 1, 2):
-            velocity_entry = replace(
-                velocity_entry, source=tuple(velocity_entry.source[k] for k in way.places)
-            )
+            self._open("the position", (entry for _, entry in positions))
+            self._open("the velocity", (entry for _, entry in velocities))
+            first = velocities[0][1]
+            return {"p": positions[0][1], "v": replace(first, axes=first.axes or "world")}
+        sound = self._sound(tried, NOISY_VELOCITY, "the position", "the velocity")
+        _, one, entry, velocity_entry, way = min(sound, key=lambda row: row[0])
+        source = tuple(velocity_entry.source[k] for k in way.places)
+        velocity_entry = replace(velocity_entry, axes=way.axes, source=source)
         if way.signs != (1.0, 1.0, 1.0):
             velocity_entry = replace(velocity_entry, sign=way.signs)
         if one.down:
@@ -568,36 +484,30 @@ class _Vehicle:
         """The attitude as the log has it, at other times."""
         if entry is None:
             return None
-        stream = self.log.find(entry.source[0])[0]
-        columns = tuple(self.log.find(s)[1] for s in entry.source)
+        stream, columns = self._of(entry)
         one = Named(kinds.EULER if len(columns) == 3 else kinds.QUATERNION, stream.name, columns)
         _, q, _ = self._quaternion(one, entry)
         if len(columns) == 4:
-            order = entry.order or "wxyz"
-            way = next(
-                w for w in attitude_ways(order, "rad/s") if w.turns == (entry.turns or "body to world")
-            )
-            q = read_attitude(q, way)
-        return q if len(t) == len(stream.t) and t is stream.t else attitudes(stream, q, t)
+            turns = entry.turns or "body to world"
+            q = read_attitude(q, AttitudeWay(entry.order or "wxyz", turns))
+        return q if t is stream.t else attitudes(stream, q, t)
 
-    def _axes(self, columns: dict[str, ColumnEntry]) -> None:
+    def _axes(self, columns: _Columns) -> None:
         """Axes of world and body that the log does not name, by where the machine speeds up."""
-        entry = columns["p"]
-        stream = self.log.find(entry.source[0])[0]
-        p = stream.columns(*(self.log.find(s)[1] for s in entry.source))
+        stream, names = self._of(columns["p"])
         q = self._known(columns["q"], stream.t)
-        found = None if q is None else lean(stream.t, q, p)
+        found = None if q is None else lean(stream.t, q, stream.columns(*names))
         if found is None or found.way not in ("up", "down"):
             self.out.notes.append(f"axes are taken for {self.world} and {self.body}: the log does not tell")
             if found is not None and found.way is not None:
                 self.out.open.append(f"positions and attitude have other axes ({found.way})")
             return
-        self.body = "FLU" if found.way == "up" else "FRD"
-        same = found.up > 0
-        self.world = "ENU" if (found.way == "up") == same else "NED"
+        up = found.way == "up"
+        self.body = "FLU" if up else "FRD"
+        self.world = "ENU" if up == (found.up > 0) else "NED"
         self.out.notes.append(
             f"axes are {self.world} and {self.body}: the machine speeds up "
-            f"{'along' if found.way == 'up' else 'against'} the lean of the body's third axis"
+            f"{'along' if up else 'against'} the lean of the body's third axis"
         )
         rates = columns.get("w")
         if rates is not None and rates.sign == (
@@ -605,10 +515,99 @@ class _Vehicle:
             -1.0,
             -1.0,
         ):  # of the body's other handedness, by its name
-            columns["w"] = replace(rates, sign=(), body="FRD" if self.body == "FLU" else "FLU")
+            columns["w"] = replace(rates, sign=(), body="FRD" if up else "FLU")
+
+    def _motors(self) -> _Columns:
+        wanted = len(self.system.input_names)
+        if "u" in self.said:
+            entry = self.said["u"]
+            if len(entry.source) == wanted:
+                return {"u": entry}
+            self.out.missing.append(f"{wanted} motors (the log has {len(entry.source)}: choose the system)")
+            return {}
+        candidates: list[ColumnEntry] = []
+        longer: list[ColumnEntry] = []
+        for one in kinds.pick(self.found, kinds.MOTORS):
+            stream = self.log.stream(one.stream)
+            values = stream.columns(*one.columns)
+            moves = moving(values)
+            if int(moves.sum()) >= wanted and not (values < _NEGATIVE).any():
+                columns = tuple(c for c, m in zip(one.columns, moves, strict=True) if m)[:wanted]
+                entry = ColumnEntry(replace(one, columns=columns).sources)
+                entry = _in_unit(entry, stream.columns(*columns), one.unit or stream.units.get(columns[0]))
+                (candidates if int(moves.sum()) == wanted else longer).append(entry)
+        if longer and not candidates:
+            candidates = longer
+            told = ", ".join(longer[0].source)
+            self.out.open.append(
+                f"more than {wanted} columns of commands move; the motors are taken to be {told}"
+            )
+        if not candidates:
+            self.out.missing.append(f"{wanted} motor commands that move")
+            return {}
+        entry = candidates[0]
+        if any(_CRAZYFLIE.search(name) for name in self.log.names()) and wanted == 4:
+            entry = replace(entry, numbering="crazyflie")
+        else:
+            self.out.notes.append("motors are taken to be numbered as PX4 does")
+        if len(candidates) > 1:
+            told = " or ".join(", ".join(one.source) for one in candidates)
+            self.out.open.append(f"the motor commands may be {told}")
+        return {"u": entry}
+
+    def _battery(self) -> _Columns:
+        if "battery_voltage" in self.said:
+            return {"battery_voltage": self.said["battery_voltage"]}
+        columns = ((s, c) for s in self.log.streams for c in s.fields)
+        volts = [full(s, c) for s, c in columns if _BATTERY.search(bare(c)[0].lower())]
+        return {"battery_voltage": ColumnEntry((volts[0],), unit="V")} if len(volts) == 1 else {}
 
 
 def _family(entry: ColumnEntry) -> str:
     """What the names of one estimator begin with: the topic, or the first word of the column."""
     stream, slash, column = entry.source[0].rpartition("/")
     return stream if slash else column.partition("_")[0]
+
+
+def _in_unit(entry: ColumnEntry, values: Array, unit: str | None) -> ColumnEntry:
+    """Motor commands with the ends of their range, or speeds of rotors, by their names and by what they read."""
+    flat = values[np.isfinite(values)]
+    top = float(np.quantile(flat, 0.999))
+    running = flat[flat > 0.02 * top]
+    low = float(np.quantile(running, 0.001)) if len(running) else 0.0
+    unit = unit or next(
+        (unit for mark, unit in _TURNS.items() if mark in " ".join(entry.source).lower()), None
+    )
+    speeds = unit in _TURNS.values() or _SPEEDS.search(" ".join(entry.source).lower())
+    if top <= 1.05:
+        return replace(entry, unit="1")
+    if top <= 105.0:
+        return replace(entry, unit="%")
+    # pulses below 1000 us are those of motors that stand, of one length or two
+    stands = len(np.unique(running[running < _TURNS_US])) <= 2
+    if not speeds and low > _SHORTEST_US and top <= 2250.0 and stands:
+        return replace(entry, unit="us", low=1000.0, high=2000.0)
+    if not speeds and 30000.0 < top <= 65535.0:  # a duty cycle in 16 bits
+        return replace(entry, low=0.0, high=65535.0)
+    return replace(entry, unit=unit, full=_rounded(float(flat.max())))
+
+
+def full_of_all(mapping: LogMapping, files: Sequence[LogFile]) -> LogMapping:
+    """The mapping with the speed of full thrust at least as large as any in the logs: a greater one is refused."""
+    entry = mapping.columns.get("u")
+    if entry is None or entry.full is None:
+        return mapping
+    most = entry.full
+    for file in files[1:]:
+        log = file.open(mapping.time)
+        for source in entry.source:
+            if log.has(source):
+                stream, column = log.find(source)
+                most = max(most, _rounded(float(np.nanmax(stream.fields[column], initial=1e-3))))
+    return mapping.changed("u", full=most)
+
+
+def _rounded(value: float) -> float:
+    """A speed a little above one that was read."""
+    size = 10.0 ** (np.floor(np.log10(value)) - 1)
+    return float(np.ceil(value / size) * size)

@@ -1,4 +1,4 @@
-"""Runs of logs of any format through a mapping: the one that is given, the one beside the logs, or the proposal.
+"""Logs of whichever format, by the names of the files, and through a mapping: given, beside the logs, or proposed.
 
 A proposal is used where nothing is missing or open in it and its checks pass; else the error says what to run. A
 mapping that kinematics or gravity contradict is refused.
@@ -8,17 +8,53 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
+from typing import Any
 
+from nsde_torch.data.csv_folder import fits
 from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.mapping.apply import apply
 from nsde_torch.data.mapping.checks import checks
 from nsde_torch.data.mapping.files import log_files, mapping_beside
-from nsde_torch.data.mapping.inputs import full_of_all
 from nsde_torch.data.mapping.mapping import LogMapping, read_mapping
-from nsde_torch.data.mapping.proposal import propose
+from nsde_torch.data.mapping.proposal import full_of_all, propose
+from nsde_torch.data.places import log_place
 from nsde_torch.data.raw import Finding, RawRun
+from nsde_torch.data.readers import READERS, kind_of, reader
 from nsde_torch.data.system_info import SystemInfo
-from nsde_torch.errors import DataError
+from nsde_torch.errors import ConfigError, DataError
+
+
+def format_of(path: str | Path, system: SystemInfo | None = None) -> str:
+    """Kind of the logs in a file or folder; CSV with a mapping or without the system's columns is a table.
+
+    Raises:
+        DataError: nothing there.
+    """
+    path = log_place(path, "a log or a folder of logs")
+    kind = kind_of(path)
+    if kind == "csv" and (path.is_file() or system is None or mapping_beside(path) or not fits(path, system)):
+        return "table"
+    return kind
+
+
+def read_log(system: SystemInfo, *, path: str | Path, mapping: str | None = None) -> list[RawRun]:
+    """Runs of a file or folder of logs.
+
+    Args:
+        mapping: What the columns mean, a YAML file; None: `mapping.yaml` beside the logs, else the proposal.
+
+    Raises:
+        DataError: as the reader of the format.
+        ConfigError: a mapping for a format that needs none.
+    """
+    kind = "table" if mapping and kind_of(path) == "csv" else format_of(path, system)
+    given: dict[str, Any] = {}
+    if READERS[kind].streams:
+        given["mapping"] = mapping
+    elif mapping:
+        raise ConfigError(f"`mapping`: data of kind {kind!r} are read without one.")
+    runs: list[RawRun] = reader(kind)(system, path=path, **given)
+    return runs
 
 
 def read_mapped(
@@ -27,8 +63,6 @@ def read_mapped(
     """Runs of a file or a folder of logs.
 
     Args:
-        system: The machine.
-        path: File or folder.
         kind: Key of `READERS` of a reader of streams.
         mapping: What the columns mean, or its YAML file; None: `mapping.yaml` beside the logs, else the proposal.
 
@@ -42,17 +76,22 @@ def read_mapped(
     if given is None and (mapping or beside):
         given = read_mapping(str(mapping or beside))
     runs: list[RawRun] = []
-    assumed = ""
+    proposed = given is None
     for file in files:
         log = file.open(given.time if given else None)
         if given is None:
             given = full_of_all(_proposed(log, system, kind, path), files)
-            assumed = "the mapping was proposed, and passed its checks"
         run = apply(log, given, system)
         del log
-        _refuse_contradicted(system, run, given, _inspection(path, system))
-        if assumed:
-            run.notes.append(Finding("proposed_mapping", run.name, 1, assumed, "reported"))
+        for check in checks(system, run, given):
+            if check.passed is False:
+                raise DataError(
+                    f"run {run.name!r}: the mapping contradicts the log: {check.text} To mend it: {check.remedy}; "
+                    f"`{_inspection(path, system)}` proposes another mapping."
+                )
+        if proposed:
+            text = "the mapping was proposed, and passed its checks"
+            run.notes.append(Finding("proposed_mapping", run.name, 1, text, "reported"))
         runs.append(run)
     return runs
 
@@ -75,12 +114,3 @@ def _proposed(log: StreamLog, system: SystemInfo, kind: str, path: str | Path) -
             f"{log.source}: {'; '.join(found.open)}. Run `{command}`, which proposes a mapping, checks and writes it."
         )
     return found.mapping
-
-
-def _refuse_contradicted(system: SystemInfo, run: RawRun, mapping: LogMapping, command: str) -> None:
-    for check in checks(system, run, mapping):
-        if check.passed is False:
-            raise DataError(
-                f"run {run.name!r}: the mapping contradicts the log: {check.text} To mend it: {check.remedy}; "
-                f"`{command}` proposes another mapping."
-            )

@@ -67,8 +67,7 @@ class Inspection:
     @property
     def usable(self) -> bool:
         """Whether runs can be read: all is there, and no check fails."""
-        there = self.native or (self.mapping is not None and not self.missing)
-        return there and not self.refused
+        return (self.native or (self.mapping is not None and not self.missing)) and not self.refused
 
     @property
     def refused(self) -> bool:
@@ -83,7 +82,11 @@ class Inspection:
 
     def content(self) -> dict[str, Any]:
         """What was found as plain containers for a JSON file; a number that is not finite is None."""
-        rows = [{k: _plain(v) for k, v in asdict(row).items()} for row in self.columns]
+
+        def plain(value: Any) -> Any:
+            return None if isinstance(value, float) and not math.isfinite(value) else value
+
+        entries = () if self.mapping is None else self.mapping.columns.values()
         return {
             "path": self.path,
             "kind": self.kind,
@@ -93,10 +96,8 @@ class Inspection:
             "doubts": self.doubts,
             "native": self.native,
             "mapping": self.yaml,
-            "mapped": sorted({name for e in self.mapping.columns.values() for name in e.source})
-            if self.mapping
-            else [],
-            "columns": rows,
+            "mapped": sorted({name for entry in entries for name in entry.source}),
+            "columns": [{k: plain(v) for k, v in asdict(row).items()} for row in self.columns],
             "missing": self.missing,
             "open": self.open,
             "notes": self.notes,
@@ -107,10 +108,6 @@ class Inspection:
     def yaml(self) -> str:
         """The mapping as YAML; empty without one."""
         return "" if self.mapping is None else text(self.mapping)
-
-
-def _plain(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @one_thread()
@@ -146,9 +143,8 @@ def inspect(
         raise ConfigError(f"`kind` must be one of {', '.join(READERS)}; got {kind!r}.")
     given = read_mapping(mapping) if isinstance(mapping, str | Path) else mapping
     if kind == "published":
-        reader(kind)(
-            machine or system_options("hexacopter").make(), path=path
-        )  # a pickle that is none says so
+        own = machine or system_options("hexacopter").make()
+        reader(kind)(own, path=path)  # a pickle that is none says so
         raise DataError(
             f"`path`: {path} holds the published files, which `data=published` reads as they are."
         )
@@ -158,19 +154,15 @@ def inspect(
         if kind != "csv" or not refused:
             return native
         mapped = _mapped(path, kind, machine, None, physics=physics)
-        mapped.notes.insert(
-            0, f"read through a mapping, as the package's own reader refuses it: {refused[0]}"
-        )
+        note = f"read through a mapping, as the package's own reader refuses it: {refused[0]}"
+        mapped.notes.insert(0, note)
         own = machine or system_options(mapped.system).make()
-        return mapped if mapped.usable and _all_read(path, own, mapped) else native
+        try:
+            there = mapped.usable and reader(mapped.kind)(own, path=path, mapping=mapped.mapping)
+        except NsdeError:
+            there = []
+        return mapped if there else native
     return _mapped(path, kind, machine, given, physics=physics)
-
-
-def _all_read(path: str | Path, machine: System, found: Inspection) -> bool:
-    try:
-        return bool(reader(found.kind)(machine, path=path, mapping=found.mapping))
-    except NsdeError:
-        return False
 
 
 def _mapped(
@@ -179,7 +171,7 @@ def _mapped(
     """A log whose columns mean what a mapping says."""
     files = log_files("table" if kind == "csv" else kind, path)
     log = files[0].open(given.time if given else None)
-    guessed = machine or system_options(given.system if given and given.system else guess_system(log)).make()
+    guessed = machine or system_options((given and given.system) or guess_system(log)).make()
     found = Proposal(given) if given else propose(log, guessed, kind=files[0].kind)
     if given is None:
         found.mapping = full_of_all(_with_blanks(found.mapping, guessed, files[0].kind, log), files)
@@ -188,12 +180,10 @@ def _mapped(
         missing=found.missing, open=found.open, notes=[*log.notes, *found.notes],
     )  # fmt: skip
     if machine is None and not (given and given.system):
-        out.notes.insert(
-            0, f"the system is taken for {guessed.name!r}, by what is logged (`system=` says another)"
-        )
-    if found.missing:
-        return out
-    _check(out, files, log, guessed, physics=physics, fixed=given is not None)
+        note = f"the system is taken for {guessed.name!r}, by what is logged (`system=` says another)"
+        out.notes.insert(0, note)
+    if not found.missing:
+        _check(out, files, log, guessed, physics=physics, fixed=given is not None)
     return out
 
 
@@ -265,11 +255,9 @@ def _native(path: Path, kind: str, machine: System | None, *, physics: bool) -> 
 
 def _px4_frame(log: StreamLog) -> str:
     """By how many motors moved."""
-    for stream in log.streams:
-        if stream.name == "actuator_motors":
-            controls = [name for name in stream.fields if name.startswith("control[")]
-            return "hexacopter" if moving(stream.columns(*controls)).sum() == 6 else "quadrotor"
-    return "quadrotor"
+    motors = [s.fields for s in log.streams if s.name == "actuator_motors"][:1]
+    controls = [values for fields in motors for name, values in fields.items() if name.startswith("control[")]
+    return "hexacopter" if sum(bool(moving(v[:, None])[0]) for v in controls) == 6 else "quadrotor"
 
 
 def guess_system(log: StreamLog) -> str:
@@ -302,8 +290,6 @@ def rows_of(log: StreamLog) -> list[ColumnRow]:
             good = values[np.isfinite(values)]
             low, high = (float(good.min()), float(good.max())) if len(good) else (float("nan"), float("nan"))
             missing = 1.0 - len(good) / max(len(values), 1)
-            unit = stream.units.get(column, "")
-            out.append(
-                ColumnRow(stream.name, column, unit, len(values), stream.rate, low, high, missing, gaps)
-            )
+            about = stream.units.get(column, ""), len(values), stream.rate, low, high, missing, gaps
+            out.append(ColumnRow(stream.name, column, *about))
     return out

@@ -92,21 +92,15 @@ def read(
     machine: SystemInfo = (
         system_options(system).make() if isinstance(system, str | type | SystemOptions) else system
     )
-    found = _assembled(
-        data,
-        machine,
-        kind,
-        options or {},
-        {"dt": dt, "own_rate": True, "gap": gap, "clock": clock, "derived_rates": derived_rates, **faults},
-    )
-    taken_out = [name for name, value in faults.items() if value]
+    given = {"dt": dt, "own_rate": True, "gap": gap, "clock": clock, "derived_rates": derived_rates, **faults}
+    found = _assembled(data, machine, kind, options or {}, given)
     found = undone_at_own_rate(
         found,
         machine,
         dt=dt,
         stream_offsets=stream_offsets,
         state_smoothing=state_smoothing,
-        taken_out=taken_out,
+        taken_out=[name for name, value in faults.items() if value],
     )
     return columns_checked(machine, found) if isinstance(data, str | Path) else found
 
@@ -129,9 +123,8 @@ def _columns_otherwise(machine: System, data: DataSet) -> list[Finding]:
         better = None if rough is None else better_readings(machine, some, data.clock_scale, rough)
     except (np.linalg.LinAlgError, ValueError):  # runs in which nothing moves say nothing of the columns
         return []
-    if better is None:
-        return []
-    return [Finding("reading", "", 1, f"{better.sentence}: {better.remedy}", "reported")]
+    text = better and f"{better.sentence}: {better.remedy}"
+    return [Finding("reading", "", 1, text, "reported")] if text else []
 
 
 def _assembled(
@@ -179,14 +172,9 @@ def runs_named(data: DataSet, names: Sequence[int | str | Run] | None) -> list[R
     Raises:
         DataError: there is no such run.
     """
-    from nsde_torch.data.run import resolve
-
     if names is None:
         return list(data.runs)
-    found: list[Run] = []
-    for name in names:
-        found.append(name if isinstance(name, Run) else data.runs[resolve(data.runs, [name])[0]])
-    return found
+    return [name if isinstance(name, Run) else data[name] for name in names]
 
 
 _NAME = "signs of the physics"
@@ -287,10 +275,5 @@ def _numbered(
     if same:
         return runs
     out.numbering = first
-    return [_reordered(run, list(best.places)) for run in runs]
-
-
-def _reordered(run: Run, places: list[int]) -> Run:
-    u = np.array(run.u)
-    u[:, : len(places)] = u[:, places]
-    return replace(run, u=u)
+    own = [*best.places, *range(motors, runs[0].u.shape[1])]
+    return [replace(run, u=run.u[:, own]) for run in runs]

@@ -6,21 +6,14 @@ import csv
 import difflib
 import shlex
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.places import (
-    LONGEST,
-    NOTHING,
-    check_names,
-    count_rows,
-    entries,
-    files_of,
-    log_place,
-    refuse_larger,
-)
+from nsde_torch.data import places
+from nsde_torch.data.places import LONGEST, NOTHING, files_of, log_place
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import DataSet
 from nsde_torch.data.system_info import SystemInfo
@@ -61,13 +54,12 @@ def _header(path: Path, system: SystemInfo) -> list[str]:
     if "\x00" in line:
         raise DataError(f"{path}: the first line is not text. Expected a CSV file with a header row.")
     names = [cell.strip().strip('"') for cell in line.rstrip("\r\n").split(",")]
-    if len(names) == 1:
-        for mark, what in ((";", "semicolons"), ("\t", "tabs")):
-            if mark in line:
-                raise DataError(
-                    f"{path}:1: columns are separated by {what}; expected commas (and a decimal point). "
-                    "Export the file again with commas."
-                )
+    for mark, what in ((";", "semicolons"), ("\t", "tabs")):
+        if len(names) == 1 and mark in line:
+            raise DataError(
+                f"{path}:1: columns are separated by {what}; expected commas (and a decimal point). "
+                "Export the file again with commas."
+            )
     if all(_is_number(name) for name in names):
         raise DataError(
             f"{path}:1: the first row holds numbers; expected a header row such as "
@@ -77,19 +69,14 @@ def _header(path: Path, system: SystemInfo) -> list[str]:
         raise DataError(f"{path}:1: the line is longer than {LONGEST} bytes: no header of a table.")
     if "" in names:
         raise DataError(f"{path}:1: column {names.index('') + 1} of the header has no name.")
-    check_names(names, f"{path}:1")
+    places.check_names(names, f"{path}:1")
     optional = (*system.optional_inputs, *_inferable(system, names))
     needed = (TIME, *system.state_names, *system.input_names, *system.exogenous)
     missing = [n for n in needed if n not in names and n not in optional]
     if missing:
-        free = [n for n in names if n not in needed]
-        hints = []
-        for name in missing:
-            close = difflib.get_close_matches(name.lower(), [n.lower() for n in free], n=1, cutoff=0.6)
-            if close:
-                spelt = next(n for n in free if n.lower() == close[0])
-                hints.append(f"is {spelt!r} meant as {name!r}?")
-        hint = (" " + " ".join(hints)) if hints else ""
+        free = {n.lower(): n for n in names if n not in needed}
+        close = ((n, difflib.get_close_matches(n.lower(), list(free), n=1)) for n in missing)
+        hint = "".join(f" is {free[spelt]!r} meant as {name!r}?" for name, found in close for spelt in found)
         raise DataError(
             f"{path}:1: the columns {missing} of the system {system.name!r} are missing.{hint} Expected "
             f"{list(needed)}; got {names}. Rename or add the columns, or read them through a mapping: "
@@ -151,31 +138,19 @@ def _explain(path: Path, names: Sequence[str]) -> DataError:
     )
 
 
-def _missing_as_nan(cell: str) -> float:
-    return float("nan") if cell.strip() in NOTHING else float(cell)
-
-
 def _table(path: Path, names: Sequence[str]) -> Array:
     """The numbers of a file, (n, columns); an empty cell is missing."""
-    refuse_larger(path, 8.0 * count_rows(path) * len(names))
+    places.refuse_larger(path, 8.0 * places.count_rows(path) * len(names))
+    read = partial(np.loadtxt, path, delimiter=",", skiprows=1, ndmin=2, comments=None, encoding="utf-8-sig")
     try:
         with path.open(encoding="utf-8-sig") as file:
             file.readline()
             if not any(line.strip() for line in file):
                 raise DataError(f"{path} has a header and no rows; a run needs at least two rows.")
         try:
-            table = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2, comments=None, encoding="utf-8-sig")
+            table = read()
         except ValueError:  # empty cells are rare: only then the slower way through Python
-            table = np.loadtxt(
-                path,
-                delimiter=",",
-                skiprows=1,
-                ndmin=2,
-                comments=None,
-                encoding="utf-8-sig",
-                quotechar='"',
-                converters=_missing_as_nan,
-            )
+            table = read(quotechar='"', converters=lambda c: np.nan if c.strip() in NOTHING else float(c))
     except DataError:
         raise
     except (ValueError, IndexError) as error:
@@ -204,16 +179,13 @@ def read_csv_file(path: str | Path, system: SystemInfo) -> RawRun:
         raise DataError(
             f"{path}:{row + 2}: column {names[column]!r} is infinite; write `nan` where a value is missing."
         )
-    column_of = {name: k for k, name in enumerate(names)}
-    known = (TIME, *system.state_names, *system.input_names)
-    nothing = np.full(len(table), np.nan)
-    x = np.column_stack([table[:, column_of[n]] if n in column_of else nothing for n in system.state_names])
+    columns = dict(zip(names, table.T, strict=True))
+    t, nothing = columns.pop(TIME).copy(), np.full(len(table), np.nan)
+    x = np.stack([columns.pop(name, nothing) for name in system.state_names], axis=1)
     u = np.zeros((len(table), len(system.input_names)))
     for k, name in enumerate(system.input_names):
-        if name in column_of:
-            u[:, k] = table[:, column_of[name]]
-    extra = {name: table[:, k].copy() for name, k in column_of.items() if name not in known}
-    t = table[:, column_of[TIME]].copy()
+        u[:, k] = columns.pop(name, 0.0)
+    extra = {name: values.copy() for name, values in columns.items()}
     return RawRun(path.stem, t, x, u, extra=extra, source=str(path), first_line=2)
 
 
@@ -232,7 +204,7 @@ def read_csv(system: SystemInfo, *, path: str | Path) -> list[RawRun]:
     log_place(folder, "a folder with one CSV file for each run")
     files = files_of(folder, (".csv",))
     if not files:
-        held = [p.name for p in entries(folder)][:5]
+        held = [p.name for p in places.entries(folder)][:5]
         raise DataError(
             f"`path`: {folder} holds no .csv file (it holds {held or 'nothing'}); expected one for each run."
         )

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 
@@ -30,10 +29,6 @@ class InputRank:
     """Root-mean-square of the inputs along each direction, descending (units of the input)."""
     null_directions: list[list[float]]
     """Unit vectors along which the inputs are zero throughout, (channels - rank, channels)."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain containers, for JSON."""
-        return asdict(self)
 
 
 def input_rank(inputs: Sequence[Array]) -> InputRank:
@@ -73,36 +68,23 @@ def check_inputs(inputs: Sequence[Array], names: Sequence[str], report: Report) 
     constant = [(n, float(a)) for n, a, b in zip(names, low, high, strict=True) if a == b]
     if constant:
         shown = ", ".join(f"{n} = {a:.4g}" for n, a in constant)
-        report(
-            Finding(
-                "constant_input",
-                "",
-                len(constant),
-                f"inputs that never change: {shown}; what they do cannot be learned",
-                "reported",
-                {"inputs": [n for n, _ in constant]},
-            )
-        )
+        text = f"inputs that never change: {shown}; what they do cannot be learned"
+        values = {"inputs": [n for n, _ in constant]}
+        report(Finding("constant_input", "", len(constant), text, "reported", values))
     rank = input_rank(inputs)
     if rank.rank < rank.channels and len(constant) < rank.channels:
-        vectors = "; ".join(_combination(row, names) for row in rank.null_directions)
-        report(
-            Finding(
-                "rank_deficient_inputs",
-                "",
-                rank.channels - rank.rank,
-                f"the {rank.channels} inputs span {rank.rank} dimensions; always zero: {vectors}. "
-                "Coefficients of single inputs are not identifiable",
-                "reported",
-                rank.as_dict(),
-            )
+        terms = (
+            (f"{c:+.2f} {n}" for c, n in zip(row, names, strict=True) if abs(c) > 0.005)
+            for row in rank.null_directions
         )
+        vectors = "; ".join(f"{' '.join(row)} = 0" for row in terms)
+        text = (
+            f"the {rank.channels} inputs span {rank.rank} dimensions; always zero: {vectors}. "
+            "Coefficients of single inputs are not identifiable"
+        )
+        missing = rank.channels - rank.rank
+        report(Finding("rank_deficient_inputs", "", missing, text, "reported", asdict(rank)))
     return rank
-
-
-def _combination(row: Sequence[float], names: Sequence[str]) -> str:
-    terms = [f"{c:+.2f} {n}" for c, n in zip(row, names, strict=True) if abs(c) > 0.005]
-    return " ".join(terms) + " = 0"
 
 
 def check_range(inputs: Array, names: Sequence[str], where: str) -> None:
@@ -122,6 +104,5 @@ def check_range(inputs: Array, names: Sequence[str], where: str) -> None:
             elif 10 < high <= 110:
                 guess = "this looks like percent: divide by 100"
             raise DataError(
-                f"{where}: motor command {name!r} runs from {low:.4g} to {high:.4g}; expected 0 to 1; "
-                f"{guess}."
+                f"{where}: motor command {name!r} runs from {low:.4g} to {high:.4g}; expected 0 to 1; {guess}."
             )

@@ -27,9 +27,8 @@ Assumed and not checked: velocities are means of nothing (point samples), and wh
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from math import log10, sqrt
-from typing import Any
+from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,10 +62,6 @@ class Slope:
     error: float  # standard error of the value
     intervals: int  # number of intervals
     r2: float  # share of the variance of the increments that the integral explains at the fitted slope
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain containers, for JSON."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -115,17 +110,12 @@ ATTITUDE = "attitude"
 def axis_groups(system: SystemInfo, x: Array, dt: float) -> list[tuple[str, list[str], Array, Array]]:
     """(group, axis names, increments (n-1, k), integrals of the rate (n-1, k)) over single steps."""
     out = []
-    for group, (i, j) in derivative_columns(system).items():
-        v = x[:, j]
-        out.append(
-            (group, [system.state_names[k] for k in i], np.diff(x[:, i], axis=0), 0.5 * dt * (v[1:] + v[:-1]))
-        )
-    rates = rate_columns(system)
-    if rates is not None and system.quaternion is not None:
-        w = x[:, rates]
-        out.append(
-            (ATTITUDE, list(RATE_NAMES), increments(x[:, system.quaternion]), 0.5 * dt * (w[1:] + w[:-1]))
-        )
+    for group, (positions, rates) in pairs_of(system).items():
+        turns = group == ATTITUDE
+        p = x[:, [system.state_names.index(name) for name in positions]]
+        v = rates_of(system, group, x)
+        change = increments(p) if turns else np.diff(p, axis=0)
+        out.append((group, rates if turns else positions, change, 0.5 * dt * (v[1:] + v[:-1])))
     return out
 
 
@@ -151,11 +141,8 @@ def find_jumps(system: SystemInfo, x: Array, *, dt: float) -> list[Jump]:
         sigma = 1.4826 * float(np.median(size))
         travel = float(np.quantile(speed, 0.95))
         candidates = np.flatnonzero(size > max(JUMP_SIGMAS * sigma, travel, 1e-12))
-        if not len(candidates):
-            continue
-        if len(candidates) > 0.01 * len(
-            size
-        ):  # a rate of another quantity; the clock check speaks about that
+        # many are a rate of another quantity; the clock check speaks about that
+        if not 0 < len(candidates) <= 0.01 * len(size):
             continue
         usual = percentile_filter(size, 90, size=2 * NEIGHBOURHOOD + 1, mode="nearest")
         back = np.linalg.norm(rest[1:] + rest[:-1], axis=1) < _BACK * size[1:]
@@ -163,9 +150,7 @@ def find_jumps(system: SystemInfo, x: Array, *, dt: float) -> list[Jump]:
         for row in candidates[(size[candidates] > JUMP_ISOLATION * usual[candidates]) & ~returns[candidates]]:
             near = slice(max(0, row - 3), row + 4)
             missing = dt * float(size[row]) / max(float(np.median(speed[near])), 1e-12)
-            jump = Jump(int(row), group, float(size[row]), missing)
-            if int(row) not in found:
-                found[int(row)] = jump
+            found.setdefault(int(row), Jump(int(row), group, float(size[row]), missing))
     return [found[k] for k in sorted(found)]
 
 
@@ -197,12 +182,9 @@ def clock_slopes(system: SystemInfo, name: str, segments: Sequence[Array], *, dt
         if len(x) <= length:
             continue
         edges = np.arange(0, len(x), length)
-        edges = edges[edges < len(x)]
-        for group, axes, increment, integral in axis_groups(system, x, dt):
-            del integral
+        for group, axes, increment, _ in axis_groups(system, x, dt):
             rate = rates_of(system, group, x)
-            total = np.add.reduceat(increment, edges[:-1], axis=0)
-            total[-1] = increment[edges[-2] : edges[-1]].sum(axis=0)
+            total = _sums(np.append(increment, increment[-1:], axis=0), edges)
             # trapezoid over the even samples (ends halved), midpoint rule over the odd samples; both span the
             # interval
             even = rate.copy()
@@ -262,11 +244,7 @@ def pairs_of(system: SystemInfo) -> dict[str, tuple[list[str], list[str]]]:
 
 
 def rates_of(system: SystemInfo, group: str, x: Array) -> Array:
-    if group == ATTITUDE:
-        rates = rate_columns(system)
-        assert rates is not None
-        return x[:, rates]
-    return x[:, derivative_columns(system)[group][1]]
+    return x[:, [system.state_names.index(name) for name in pairs_of(system)[group][1]]]
 
 
 def called(group: str, axes: Sequence[str]) -> str:
@@ -307,29 +285,7 @@ _LARGEST = 30.0  # tracking index: the position as it is
 _FIRST = 30  # rows at the start of a stretch that do not judge a filter
 
 
-@dataclass(frozen=True)
-class AlphaBeta:
-    """An alpha-beta filter; its gains are those of the equations above."""
-
-    alpha: float
-    beta: float
-
-    def unknown(self, square: float, dt: float) -> float:
-        """Standard deviation of the unknown part of the rate, from the mean square of e and the step."""
-        kept = max(1.0 - self.alpha, 1e-9)
-        share = max(self.beta * (2.0 * self.alpha - self.beta) / (2.0 * kept), 0.0)
-        return sqrt(share * kept * square) / dt
-
-
-def gains(dt: float, count: int) -> list[AlphaBeta]:
-    """Filters from the slowest one to one that takes positions as they are, for a step [s]."""
-    low = min((dt / _SLOWEST_S) ** 2, 0.1)
-    out = []
-    for index in np.logspace(log10(low), log10(_LARGEST), count).tolist():
-        r = (4.0 + index - sqrt(8.0 * index + index * index)) / 4.0
-        alpha = 1.0 - r * r
-        out.append(AlphaBeta(alpha, 2.0 * (2.0 - alpha) - 4.0 * sqrt(1.0 - alpha)))
-    return out
+_FILTERS = 17  # from the slowest one to one that takes positions as they are
 
 
 def rates(stretches: Sequence[Array], dt: float) -> tuple[list[Array], float]:
@@ -337,25 +293,27 @@ def rates(stretches: Sequence[Array], dt: float) -> tuple[list[Array], float]:
 
     The stretches have no gap, and one step [s].
     """
-    best, chosen = np.inf, gains(dt, 1)[0]
-    for one in gains(dt, 17):
-        errors = [_filtered(q, dt, one)[0][_FIRST:] for q in stretches if len(q) > 2 * _FIRST]
-        square = float(np.square(np.concatenate(errors)).mean()) if errors else 0.0
-        if square < best:
-            best, chosen = square, one
-    out = []
-    for q in stretches:
-        after = -_filtered(q[::-1], dt, chosen)[1][::-1]
-        out.append(0.5 * (_filtered(q, dt, chosen)[1] + after))
-    return out, chosen.unknown(best, dt) * sqrt(0.5)
+    tried = []
+    for index in np.geomspace(min((dt / _SLOWEST_S) ** 2, 0.1), _LARGEST, _FILTERS).tolist():
+        r = (4.0 + index - sqrt(8.0 * index + index * index)) / 4.0
+        alpha = 1.0 - r * r
+        gains = alpha, 2.0 * (2.0 - alpha) - 4.0 * sqrt(1.0 - alpha)
+        errors = [_filtered(q, dt, *gains)[0][_FIRST:] for q in stretches if len(q) > 2 * _FIRST]
+        tried.append((float(np.square(np.concatenate(errors)).mean()) if errors else 0.0, gains))
+    square, (alpha, beta) = min(tried, key=lambda one: one[0])
+    both = [(_filtered(q, dt, alpha, beta)[1], _filtered(q[::-1], dt, alpha, beta)[1]) for q in stretches]
+    kept = max(1.0 - alpha, 1e-9)
+    share = max(beta * (2.0 * alpha - beta) / (2.0 * kept), 0.0)
+    unknown = sqrt(share * kept * square) / dt
+    return [0.5 * (before - after[::-1]) for before, after in both], unknown * sqrt(0.5)
 
 
-def _filtered(q: Array, dt: float, g: AlphaBeta) -> tuple[Array, Array]:
+def _filtered(q: Array, dt: float, alpha: float, beta: float) -> tuple[Array, Array]:
     """Errors of prediction and rates (n,)."""
     first = min(len(q), 10)
     slope = float(np.polyfit(np.arange(first), q[:first], 1)[0]) if first > 1 else 0.0
     left = q - q[0] - slope * np.arange(len(q))  # it starts at rest where the stretch does
-    poles = [1.0, g.alpha + g.beta - 2.0, 1.0 - g.alpha]
+    poles = [1.0, alpha + beta - 2.0, 1.0 - alpha]
     e = lfilter([1.0, -2.0, 1.0], poles, left)
-    v = lfilter([g.beta / dt, -g.beta / dt], poles, left)
+    v = lfilter([beta / dt, -beta / dt], poles, left)
     return np.asarray(e), np.asarray(v + slope / dt)

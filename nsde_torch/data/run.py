@@ -55,12 +55,11 @@ def split(
             "run, or set `test` to [] to train on it and test on nothing."
         )
     held = resolve(runs, [len(runs) - 1] if test is None else test)
-    _refuse_repeats(held, runs, "test")
-    if train is None:
-        kept = [k for k in range(len(runs)) if k not in held]
-    else:
-        kept = resolve(runs, train)
-        _refuse_repeats(kept, runs, "train")
+    kept = [k for k in range(len(runs)) if k not in held] if train is None else resolve(runs, train)
+    for side, indices in (("test", held), ("train", kept)):
+        twice = sorted({runs[k].name for k in indices if indices.count(k) > 1})
+        if twice:
+            raise DataError(f"`{side}` names the runs {twice} more than once.")
     if not kept:
         names = ", ".join(run.name for run in runs)
         raise DataError(
@@ -88,12 +87,6 @@ def split(
                 "training data says nothing. Hold out both, or remove one."
             )
     return Split(train=tuple(runs[k] for k in sorted(kept)), test=tuple(runs[k] for k in sorted(held)))
-
-
-def _refuse_repeats(indices: Sequence[int], runs: Sequence[Run], side: str) -> None:
-    twice = sorted({runs[k].name for k in indices if list(indices).count(k) > 1})
-    if twice:
-        raise DataError(f"`{side}` names the runs {twice} more than once.")
 
 
 def _frozen(name: str, value: object, ndim: int) -> Array:
@@ -175,8 +168,7 @@ class Run:
                 )
             previous = stop
         for name, array in (("t", self.t), ("x", self.x), ("u", self.u), *self.extra.items()):
-            # the sum is finite exactly when all entries are (barring overflow), and needs no mask of their
-            # size
+            # the sum is finite exactly when all entries are (barring overflow), and needs no mask of their size
             if not np.isfinite(array.sum()) and not np.isfinite(array).all():
                 row = int(np.argwhere(~np.isfinite(array))[0][0])
                 raise DataError(
@@ -232,16 +224,8 @@ class Run:
         rows = slice(start, stop)
         extra = {k: v[rows] for k, v in self.extra.items()}
         new = f"{self.name}[{start}:{stop}]" if name is None else name
-        return replace(
-            self,
-            name=new,
-            t=self.t[rows],
-            x=self.x[rows],
-            u=self.u[rows],
-            segments=segments,
-            extra=extra,
-            unbroken=(),
-        )
+        part: dict[str, Any] = {"t": self.t[rows], "x": self.x[rows], "u": self.u[rows], "extra": extra}
+        return replace(self, name=new, segments=segments, unbroken=(), **part)
 
 
 def fingerprint(runs: Sequence[Run], *, system_name: str, dt: float, clock_scale: float) -> str:
@@ -303,10 +287,8 @@ class DataSet:
                 )
 
     def __repr__(self) -> str:
-        seconds = sum(run.duration for run in self.runs)
-        return (
-            f"<DataSet of {self.system_name}: {len(self.runs)} runs, {seconds:.1f} s at {1 / self.dt:.4g} Hz>"
-        )
+        size = f"{len(self.runs)} runs, {self.duration:.1f} s at {1 / self.dt:.4g} Hz"
+        return f"<DataSet of {self.system_name}: {size}>"
 
     def _repr_html_(self) -> str:
         return preformatted(str(self.summary))
@@ -370,9 +352,7 @@ def resolve(runs: Sequence[Run], keys: Sequence[int | str]) -> list[int]:
         except ValueError:
             index = len(runs)
         if isinstance(key, bool) or not -len(runs) <= index < len(runs):
-            choices = ", ".join(f"{i}: {n}" for i, n in enumerate(names[:20])) + (
-                ", ..." if len(names) > 20 else ""
-            )
+            choices = ", ".join(f"{i}: {n}" for i, n in enumerate(names[:20])) + ", ..." * (len(names) > 20)
             raise DataError(f"no run {key!r}; choose by index or name among the {len(runs)} runs: {choices}.")
         out.append(index % len(runs))
     return out

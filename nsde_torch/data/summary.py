@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -45,8 +45,7 @@ class RunSummary:
 class FlightEnvelope:
     """Flight envelope of a multirotor (the figures of the supplement's Figure 15): 95 % quantiles and maxima.
 
-    Speed in m/s, magnitudes of roll, pitch and yaw in degrees. Yaw is relative to the mean heading of each
-    run.
+    Speed in m/s, magnitudes of roll, pitch and yaw in degrees; the heading is relative to the mean yaw of each run.
     """
 
     speed_q95: float
@@ -109,12 +108,12 @@ class DataSummary:
                 "scale": pooled.value if self.slopes else None,
                 "standard_error": pooled.error if self.slopes else None,
                 "spread": pooled.spread,
-                "axes": [s.as_dict() for s in self.slopes],
+                "axes": [asdict(s) for s in self.slopes],
             },
             "runs": [vars(run) | {"segments": [list(s) for s in run.segments]} for run in self.runs],
             "channels": [vars(channel) for channel in self.channels],
             "envelope": None if self.envelope is None else _with_units(self.envelope),
-            "input_rank": self.input_rank.as_dict(),
+            "input_rank": asdict(self.input_rank),
             "findings": [finding.as_dict() for finding in self.findings],
         }
 
@@ -154,8 +153,8 @@ class DataSummary:
         lines += _columns(table)
         e = self.envelope
         if e is not None:
-            table = [("envelope", "95 %", "max")]
-            table += [
+            table = [
+                ("envelope", "95 %", "max"),
                 ("speed [m/s]", f"{e.speed_q95:.2f}", f"{e.speed_max:.2f}"),
                 ("|roll| [deg]", f"{e.roll_q95:.1f}", f"{e.roll_max:.1f}"),
                 ("|pitch| [deg]", f"{e.pitch_q95:.1f}", f"{e.pitch_max:.1f}"),
@@ -180,8 +179,7 @@ def _with_units(envelope: FlightEnvelope) -> dict[str, float]:
 def _grouped(findings: Sequence[Finding]) -> list[str]:
     """One line a finding; a kind that many runs share is reported once, with the first run as the example."""
     out = []
-    kinds = list(dict.fromkeys(f.kind for f in findings))
-    for kind in kinds:
+    for kind in dict.fromkeys(f.kind for f in findings):
         same = [f for f in findings if f.kind == kind]
         out += [str(f) for f in same[:3]]
         if len(same) > 3:
@@ -191,28 +189,20 @@ def _grouped(findings: Sequence[Finding]) -> list[str]:
 
 def _columns(table: Sequence[tuple[str, ...]]) -> list[str]:
     """Rows as text, first column left, the others right aligned."""
-    widths = [max(len(row[k]) for row in table) for k in range(len(table[0]))]
-    return [
-        "  "
-        + "  ".join(
-            c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in table
-    ]
+    first, *widths = (max(map(len, column)) for column in zip(*table, strict=True))
+    rows = ([name.ljust(first), *map(str.rjust, cells, widths)] for name, *cells in table)
+    return ["  " + "  ".join(row) for row in rows]
 
 
 def _inside(run: Run, column: Array) -> Array:
     """Rows of all segments of a run."""
-    if len(run.segments) == 1:
-        a, b = run.segments[0]
-        return column[a:b]
     return np.concatenate([column[a:b] for a, b in run.segments])
 
 
 def _channel(name: str, unit: str, parts: Sequence[Array]) -> ChannelSummary:
-    values = np.concatenate(list(parts))
-    low, q05, median, q95, high = np.quantile(values, [0.0, 0.05, 0.5, 0.95, 1.0]).tolist()
-    return ChannelSummary(name, unit, low, q05, median, q95, high)
+    return ChannelSummary(
+        name, unit, *np.quantile(np.concatenate(parts), [0.0, 0.05, 0.5, 0.95, 1.0]).tolist()
+    )
 
 
 def envelope(runs: Sequence[Run], system: SystemInfo) -> FlightEnvelope | None:
@@ -245,16 +235,14 @@ def summarise(
     findings: Sequence[Finding],
 ) -> DataSummary:
     """Figures of checked runs together with what the checks found."""
+    states = enumerate(zip(system.state_names, system.state_units, strict=True))
+    inputs = enumerate(zip(system.input_names, system.input_units, strict=True))
+    others = dict.fromkeys(name for run in runs for name in run.extra)
     channels = [
-        _channel(name, unit, [_inside(run, run.x[:, k]) for run in runs])
-        for k, (name, unit) in enumerate(zip(system.state_names, system.state_units, strict=True))
+        *(_channel(*names, [_inside(run, run.x[:, k]) for run in runs]) for k, names in states),
+        *(_channel(*names, [_inside(run, run.u[:, k]) for run in runs]) for k, names in inputs),
+        *(_channel(n, "", [_inside(run, run.extra[n]) for run in runs if n in run.extra]) for n in others),
     ]
-    for k, (name, unit) in enumerate(zip(system.input_names, system.input_units, strict=True)):
-        channels.append(_channel(name, unit, [_inside(run, run.u[:, k]) for run in runs]))
-    for name in dict.fromkeys(n for run in runs for n in run.extra):
-        channels.append(
-            _channel(name, "", [_inside(run, run.extra[name]) for run in runs if name in run.extra])
-        )
     return DataSummary(
         kind=kind,
         system=system.name,

@@ -35,108 +35,91 @@ MAX_ITEMS = 1_000_000
 """Most entries that the containers of a pickle may hold together (shared references count each time)."""
 
 
+class _RefusedError(ValueError):
+    """What a pickle holds and must not, in words."""
+
+
 class _Dtype:
     """Stands for a dtype while the pickle is read; only plain numbers, and only the byte order can be set."""
 
-    def __init__(self, name: object, where: str) -> None:
+    def __init__(self, name: object) -> None:
         try:
             self.dtype = np.dtype(str(name)[:16] if isinstance(name, str) else "V")
         except TypeError as error:
-            raise DataError(f"{where}: the pickle asks for an unknown dtype {name!r}.") from error
-        self._where = where
+            raise _RefusedError(f"the pickle asks for an unknown dtype {name!r}.") from error
         if self.dtype.kind not in "biuf" or self.dtype.fields is not None or self.dtype.subdtype is not None:
-            raise DataError(
-                f"{where}: the pickle holds values of dtype {name!r}; only plain numbers (bool, int, float) "
+            raise _RefusedError(
+                f"the pickle holds values of dtype {name!r}; only plain numbers (bool, int, float) "
                 "are admitted. Save the data as float arrays."
             )
 
     def __setstate__(self, state: object) -> None:
         if not (isinstance(state, tuple) and len(state) >= 5 and state[1] in ("<", ">", "|", "=")):
-            raise DataError(f"{self._where}: a dtype in the pickle is damaged.")
+            raise _RefusedError("a dtype in the pickle is damaged.")
         if any(part is not None for part in state[2:5]):
-            raise DataError(
-                f"{self._where}: the pickle holds a structured dtype; only plain numbers are admitted."
-            )
+            raise _RefusedError("the pickle holds a structured dtype; only plain numbers are admitted.")
         self.dtype = self.dtype.newbyteorder(state[1])
 
 
-def _dtype(value: object, where: str) -> np.dtype[Any]:
-    if not isinstance(value, _Dtype):
-        raise DataError(f"{where}: an array in the pickle is damaged (no dtype).")
-    return value.dtype
-
-
-def _array(data: object, dtype: np.dtype[Any], shape: object, order: str, where: str) -> np.ndarray[Any, Any]:
+def _array(data: object, kind: object, shape: object, order: str) -> np.ndarray[Any, Any]:
     """An array from its bytes, once the shape has been found to fit them."""
+    if not isinstance(kind, _Dtype):
+        raise _RefusedError("an array in the pickle is damaged (no dtype).")
     axes = shape if isinstance(shape, tuple) else (shape,)
     if len(axes) > 32 or not all(isinstance(axis, int) and axis >= 0 for axis in axes):
-        raise DataError(f"{where}: an array in the pickle claims the shape {shape!r}.")
-    size = dtype.itemsize * math.prod(axes)
+        raise _RefusedError(f"an array in the pickle claims the shape {shape!r}.")
+    size = kind.dtype.itemsize * math.prod(axes)
     if size > MAX_ARRAY_BYTES:
-        raise DataError(
-            f"{where}: an array in the pickle claims {size} bytes; at most {MAX_ARRAY_BYTES} are admitted. "
-            "Split the file."
+        raise _RefusedError(
+            f"an array in the pickle claims {size} bytes; at most {MAX_ARRAY_BYTES} are admitted. Split the file."
         )
     if not isinstance(data, bytes | bytearray) or len(data) != size:
         held = f"{len(data)} bytes" if isinstance(data, bytes | bytearray) else type(data).__name__
-        raise DataError(
-            f"{where}: an array of shape {axes} in the pickle needs {size} bytes; it holds {held}."
-        )
-    flat = np.frombuffer(data, dtype)
-    return flat.reshape(axes, order="F" if order == "F" else "C")
+        raise _RefusedError(f"an array of shape {axes} in the pickle needs {size} bytes; it holds {held}.")
+    return np.frombuffer(data, kind.dtype).reshape(axes, order="F" if order == "F" else "C")
 
 
 class _Array:
     """Stands for an array while the pickle is read; NumPy never sees an unchecked state."""
 
-    def __init__(self, where: str) -> None:
-        self._where = where
-        self.array: np.ndarray[Any, Any] | None = None
+    array: np.ndarray[Any, Any] | None = None
 
     def __setstate__(self, state: object) -> None:
         if not isinstance(state, tuple) or len(state) != 5:
-            raise DataError(
-                f"{self._where}: an array in the pickle is damaged (state of {type(state).__name__})."
-            )
+            raise _RefusedError(f"an array in the pickle is damaged (state of {type(state).__name__}).")
         _, shape, dtype, fortran, data = state
-        self.array = _array(data, _dtype(dtype, self._where), shape, "F" if fortran else "C", self._where)
+        self.array = _array(data, dtype, shape, "F" if fortran else "C")
 
 
 class _Unpickler(pickle.Unpickler):
     """`find_class` is the only door of a pickle to code; it opens for the names below alone."""
 
-    def __init__(self, file: BinaryIO, where: str) -> None:
+    def __init__(self, file: BinaryIO) -> None:
         super().__init__(file)
-        self._where = where
 
-        def reconstruct(subtype: object, shape: object, dtype: object) -> _Array:
-            del (
-                subtype,
-                shape,
-                dtype,
-            )  # NumPy always writes ndarray, (0,), b"b" here; the state brings the rest
-            return _Array(where)
+        # functions of this reading alone: what a pickle does to one of them is gone with it
+        def reconstruct(*given: object) -> _Array:
+            return _Array()  # NumPy always writes ndarray, (0,), b"b" here; the state brings the rest
 
         def make_dtype(name: object, align: object = False, copy: object = False) -> _Dtype:
-            del align, copy
-            return _Dtype(name, where)
+            return _Dtype(name)
 
         def scalar(dtype: object, data: object = b"") -> np.generic:
-            number: np.generic = _array(data, _dtype(dtype, where), (1,), "C", where)[0]
+            number: np.generic = _array(data, dtype, (1,), "C")[0]
             return number
 
         def from_buffer(data: object, dtype: object, shape: object, order: object) -> np.ndarray[Any, Any]:
-            return _array(data, _dtype(dtype, where), shape, str(order), where)
+            return _array(data, dtype, shape, str(order))
 
         def encode(text: object, encoding: object) -> bytes:
             # protocols 0 to 2 write bytes as text in latin1
             if not isinstance(text, str) or encoding != "latin1":
-                raise DataError(f"{where}: the pickle asks for the text encoding {encoding!r}.")
+                raise _RefusedError(f"the pickle asks for the text encoding {encoding!r}.")
             return text.encode("latin1")
 
         def no_bytes(*given: object) -> bytes:
             if given:
-                raise DataError(f"{where}: the pickle calls `bytes`, which is refused.")
+                raise _RefusedError("the pickle calls `bytes`, which is refused.")
             return b""  # how protocols 0 to 2 write empty bytes
 
         # `ndarray` may be named, as the first argument of _reconstruct, but not called: an inert text stands
@@ -153,61 +136,53 @@ class _Unpickler(pickle.Unpickler):
             self._admitted[f"{core}.numeric", "_frombuffer"] = from_buffer
 
     def find_class(self, module: str, name: str) -> Any:
-        try:
-            return self._admitted[module, name]
-        except KeyError:
-            raise DataError(
-                f"{self._where}: the pickle asks for `{module}.{name}`, which is refused: only NumPy arrays "
-                "and plain lists, tuples, dicts, numbers and strings are admitted. Save the data as such, "
-                "or as CSV."
-            ) from None
+        if (module, name) not in self._admitted:
+            raise _RefusedError(
+                f"the pickle asks for `{module}.{name}`, which is refused: only NumPy arrays and plain lists, tuples, "
+                "dicts, numbers and strings are admitted. Save the data as such, or as CSV."
+            )
+        return self._admitted[module, name]
 
     def persistent_load(self, pid: object) -> Any:
-        raise DataError(
-            f"{self._where}: the pickle refers to an object outside itself ({pid!r}), which is refused."
-        )
+        raise _RefusedError(f"the pickle refers to an object outside itself ({pid!r}), which is refused.")
 
 
 class _Unwrap:
     """Replaces the stand-ins by the objects that they represent; refuses whatever is not plain data."""
 
-    def __init__(self, where: str) -> None:
-        self._where = where
+    def __init__(self) -> None:
         self._left = MAX_ITEMS
 
     def __call__(self, value: object, depth: int = 0) -> object:
         self._left -= 1
         if depth > 32 or self._left < 0:
-            raise DataError(
-                f"{self._where}: the pickle nests containers more than 32 deep or holds more than "
-                f"{MAX_ITEMS} entries."
+            raise _RefusedError(
+                f"the pickle nests containers more than 32 deep or holds more than {MAX_ITEMS} entries."
             )
         if isinstance(value, _Array):
             if value.array is None:
-                raise DataError(f"{self._where}: an array in the pickle has no content.")
+                raise _RefusedError("an array in the pickle has no content.")
             return value.array
         if isinstance(value, _Dtype):
             return value.dtype
-        if isinstance(value, list):
-            return [self(v, depth + 1) for v in value]
-        if isinstance(value, tuple):
-            return tuple(self(v, depth + 1) for v in value)
+        if isinstance(value, list | tuple):
+            return type(value)(self(v, depth + 1) for v in value)
         if isinstance(value, dict):
             return {self(k, depth + 1): self(v, depth + 1) for k, v in value.items()}
         if not isinstance(value, _PLAIN):
-            raise DataError(
-                f"{self._where}: the pickle holds a {type(value).__name__}, which is refused: only NumPy "
-                "arrays and plain lists, tuples, dicts, numbers and strings are admitted."
+            raise _RefusedError(
+                f"the pickle holds a {type(value).__name__}, which is refused: only NumPy arrays and plain lists, "
+                "tuples, dicts, numbers and strings are admitted."
             )
         return value
 
 
-def _check_memo(file: BinaryIO, where: str) -> None:
+def _check_memo(file: BinaryIO) -> None:
     """Refuse a pickle with an index into the memo that is larger than the number of opcodes before it."""
     for count, (opcode, number, _) in enumerate(pickletools.genops(file)):
         if opcode.name in ("PUT", "BINPUT", "LONG_BINPUT") and not 0 <= int(number or 0) <= count:
-            raise DataError(
-                f"{where}: the pickle's opcode {count} puts a value at index {number} of the memo, which no writer "
+            raise _RefusedError(
+                f"the pickle's opcode {count} puts a value at index {number} of the memo, which no writer "
                 "does. It is damaged, or made to fill the memory: copy it again, or save the data as CSV."
             )
 
@@ -230,11 +205,11 @@ def read_pickle(path: str | Path) -> object:
         raise DataError(f"`path`: {path} is a folder; expected a pickle file (.pkl).")
     try:
         with path.open("rb") as file:
-            _check_memo(file, str(path))
+            _check_memo(file)
             file.seek(0)
-            return _Unwrap(str(path))(_Unpickler(file, str(path)).load())
-    except DataError:
-        raise
+            return _Unwrap()(_Unpickler(file).load())
+    except _RefusedError as error:
+        raise DataError(f"{path}: {error}") from error
     except RecursionError as error:
         raise DataError(f"{path}: the pickle nests containers too deep.") from error
     except Exception as error:  # damaged opcodes raise nearly anything, also from inside NumPy
@@ -257,14 +232,13 @@ def read_pickle(path: str | Path) -> object:
 
 CARTPOLE_FORCE = 25.0  # newtons for one unit of the published cartpole input
 
-# columns of y and u in the file -> what the file is
+# columns of y and u in the file -> what the file is, and its nominal step [s]
 _KINDS = {
-    (13, 6): "hexacopter flights",
-    (13, 4): "quadrotor (iris) flights",
-    (5, 1): "cartpole episodes",
-    (2, 1): "mass-spring-damper trajectories",
+    (13, 6): ("hexacopter flights", 0.01),
+    (13, 4): ("quadrotor (iris) flights", 0.01),
+    (5, 1): ("cartpole episodes", 0.02),
+    (2, 1): ("mass-spring-damper trajectories", 0.01),
 }
-_NOMINAL_DT = {(13, 6): 0.01, (13, 4): 0.01, (5, 1): 0.02, (2, 1): 0.01}
 
 
 def _pairs(content: object, where: str) -> list[tuple[Array, Array]]:
@@ -295,21 +269,14 @@ def _pairs(content: object, where: str) -> list[tuple[Array, Array]]:
                     f"{where}: entry {len(pairs)} has shapes {x.shape} and {u.shape}; expected (n, states) "
                     "and (n or n - 1, inputs)."
                 )
-            if any(np.array_equal(x, a) and np.array_equal(u, b) for a, b in pairs):
-                continue
-            pairs.append((x, u))
+            if not any(np.array_equal(x, a) and np.array_equal(u, b) for a, b in pairs):
+                pairs.append((x, u))
     if not pairs:
         raise DataError(f"{where} holds no runs.")
     shapes = {(x.shape[1], u.shape[1]) for x, u in pairs}
     if len(shapes) > 1:
         raise DataError(f"{where} mixes runs of different widths (states, inputs): {sorted(shapes)}.")
     return pairs
-
-
-def _cartpole_state(y: Array) -> Array:
-    """x, x_dot, theta, theta_dot from x, x_dot, sin, cos, theta_dot; theta unwrapped, 0 upright."""
-    theta = np.unwrap(np.arctan2(y[:, 2], y[:, 3]))
-    return np.stack([y[:, 0], y[:, 1], theta, y[:, 4]], axis=1)
 
 
 def read_published(system: SystemInfo, *, path: str | Path, dt: float | None = None) -> list[RawRun]:
@@ -326,11 +293,12 @@ def read_published(system: SystemInfo, *, path: str | Path, dt: float | None = N
     pairs = _pairs(read_pickle(path), str(path))
     shape = pairs[0][0].shape[1], pairs[0][1].shape[1]
     if shape not in _KINDS:
-        known = "; ".join(f"{what}: {k[0]} states, {k[1]} inputs" for k, what in _KINDS.items())
+        known = "; ".join(f"{what}: {k[0]} states, {k[1]} inputs" for k, (what, _) in _KINDS.items())
         raise DataError(
             f"{path}: {shape[0]} state and {shape[1]} input columns belong to no published file ({known}). "
             "Write other data as CSV and read it with kind `csv`."
         )
+    what, nominal = _KINDS[shape]
     nx, nu = len(system.state_names), len(system.input_names)
     cartpole = shape == (5, 1)
     if (4 if cartpole else shape[0], shape[1]) != (nx, nu) or system.exogenous:
@@ -340,10 +308,10 @@ def read_published(system: SystemInfo, *, path: str | Path, dt: float | None = N
             else f"has {nx} states, {nu} inputs"
         )
         raise DataError(
-            f"{path} holds {_KINDS[shape]} ({shape[0]} state and {shape[1]} input columns); the system "
+            f"{path} holds {what} ({shape[0]} state and {shape[1]} input columns); the system "
             f"{system.name!r} {reason}. Choose the file's own system."
         )
-    step = _NOMINAL_DT[shape] if dt is None else float(dt)
+    step = nominal if dt is None else float(dt)
     if not step > 0:
         raise ConfigError(f"`dt` must be a positive step in seconds; got {dt!r}.")
     runs = []
@@ -353,7 +321,8 @@ def read_published(system: SystemInfo, *, path: str | Path, dt: float | None = N
         t = step * np.arange(before, before + len(y), dtype=np.float64)
         before += len(y)
         name = f"{path.stem}_{k:0{digits}d}"
-        if cartpole:
-            y, u = _cartpole_state(y), CARTPOLE_FORCE * u
+        if cartpole:  # theta unwrapped, 0 upright
+            theta = np.unwrap(np.arctan2(y[:, 2], y[:, 3]))
+            y, u = np.stack([y[:, 0], y[:, 1], theta, y[:, 4]], axis=1), CARTPOLE_FORCE * u
         runs.append(RawRun(name, t, y, u, source=path.name))
     return runs

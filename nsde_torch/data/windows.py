@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 import torch
@@ -25,6 +26,7 @@ from nsde_torch.data.run import Run
 from nsde_torch.errors import ConfigError, DataError
 
 Ranges = NDArray[np.int64]
+Indices = Tensor | NDArray[np.int64] | Sequence[int]
 TOLERANCE = 0.01  # share by which a step may miss a whole multiple of the data's
 
 
@@ -94,7 +96,11 @@ class Windows:
         self._x = torch.empty(total, runs[0].x.shape[1], dtype=dtype)
         self._u = torch.empty(total, runs[0].u.shape[1], dtype=dtype)
         ranges = []
-        self._interventions = _interventions(runs, self._first)
+        self._interventions: Ranges | None = None  # rows (start, stop) in the joined runs, ascending
+        if interventional(runs):
+            pairs = zip(runs, self._first, strict=True)
+            rows = [(a + at, b + at) for run, at in pairs for a, b in stretches(run) or ()]
+            self._interventions = np.array(rows, dtype=np.int64).reshape(-1, 2)
         for first, run in zip(self._first.tolist(), runs, strict=True):
             # torch.from_numpy wants a writable array; copy_ only reads it
             self._x[first : first + len(run)].numpy()[...] = run.x
@@ -128,10 +134,10 @@ class Windows:
         self._counts = np.maximum(self._ranges[:, 1] - self._ranges[:, 0] - self.span, 0)
         self._ends = np.cumsum(self._counts)
 
-    def _with(self, ranges: Ranges) -> Windows:
+    def _with(self, ranges: Ranges, horizon: int) -> Windows:
         """The same data with other row ranges; the tensors are shared."""
-        other = type(self).__new__(type(self))
-        other.__dict__.update(self.__dict__)
+        other = copy(self)
+        other.horizon = horizon
         other._set_ranges(ranges)
         return other
 
@@ -145,10 +151,7 @@ class Windows:
             raise ConfigError(
                 f"`horizon` must lie in 1..{self.horizon}, the steps of these windows; got {horizon!r}."
             )
-        other = self._with(self._ranges)
-        other.horizon = horizon
-        other._set_ranges(self._ranges)
-        return other
+        return self._with(self._ranges, horizon)
 
     def __len__(self) -> int:
         return int(self._ends[-1]) if len(self._ends) else 0
@@ -158,7 +161,7 @@ class Windows:
         """Memory of the stored columns [bytes]."""
         return sum(a.nbytes for a in (self._x, self._u, self._smooth) if a is not None)
 
-    def rows(self, indices: Tensor | NDArray[np.int64] | Sequence[int]) -> NDArray[np.int64]:
+    def rows(self, indices: Indices) -> NDArray[np.int64]:
         """Row (of the joined runs) at which each window starts, (B,)."""
         index = np.asarray(indices, dtype=np.int64).reshape(-1)
         if len(index) and not (index.min() >= 0 and index.max() < len(self)):
@@ -169,14 +172,16 @@ class Windows:
         start: NDArray[np.int64] = self._ranges[part, 1] - self.span - self._ends[part] + index
         return start
 
-    def locate(self, indices: Tensor | NDArray[np.int64] | Sequence[int]) -> list[tuple[str, int]]:
+    def locate(self, indices: Indices) -> list[tuple[str, int]]:
         """(run name, first sample in the run) of each window."""
-        rows = self.rows(indices)
-        run = np.searchsorted(self._first, rows, side="right") - 1
-        samples = rows - self._first[run]
-        return [(self.run_names[r], int(s)) for r, s in zip(run, samples, strict=True)]
+        return [(self.run_names[run], sample) for run, sample in self._places(self.rows(indices))]
 
-    def batch(self, indices: Tensor | NDArray[np.int64] | Sequence[int]) -> tuple[Tensor, Tensor, Tensor]:
+    def _places(self, rows: NDArray[np.int64]) -> list[tuple[int, int]]:
+        """Number of the run of each row, and the row in it."""
+        runs = np.searchsorted(self._first, rows, side="right") - 1
+        return list(zip(runs.tolist(), (rows - self._first[runs]).tolist(), strict=True))
+
+    def batch(self, indices: Indices) -> tuple[Tensor, Tensor, Tensor]:
         """Cuts windows.
 
         Args:
@@ -199,13 +204,10 @@ class Windows:
         u = self._u[held]
         if self.stride > 1:
             u = u.unflatten(1, (self.horizon, self.stride)).mean(dim=2)
-        run = np.searchsorted(self._first, rows, side="right") - 1
-        t0 = np.array(
-            [self._t[r][s] for r, s in zip(run, rows - self._first[run], strict=True)], dtype=np.float64
-        )
+        t0 = np.array([self._t[run][sample] for run, sample in self._places(rows)], dtype=np.float64)
         return x, u, torch.from_numpy(t0).to(device)
 
-    def before(self, indices: Tensor | NDArray[np.int64] | Sequence[int], steps: int) -> Tensor:
+    def before(self, indices: Indices, steps: int) -> Tensor:
         """Inputs before windows, (B, steps, nu): means over the model's steps that end at the first row, oldest first.
 
         They are those of the same segment; where it began later, its first input is repeated. Rows that a split has
@@ -228,7 +230,7 @@ class Windows:
         u = self._u[torch.from_numpy(at).to(self._u.device)]
         return u.unflatten(1, (steps, self.stride)).mean(dim=2)
 
-    def initial_states(self, indices: Tensor | NDArray[np.int64] | Sequence[int]) -> Tensor:
+    def initial_states(self, indices: Indices) -> Tensor:
         """States from which paths of the windows start (B, nx): the first rows, without sensor noise if asked for."""
         rows = torch.from_numpy(self.rows(indices)).to(self._x.device)
         return (self._x if self._smooth is None else self._smooth)[rows]
@@ -247,9 +249,6 @@ class Windows:
 
         Args:
             every_s: Distance between starts [s], a whole number of data steps (within 1 %).
-
-        Returns:
-            Window numbers, ascending.
         """
         steps = every_s / self.dt
         if round(steps) < 1 or abs(steps / round(steps) - 1) > 0.01:
@@ -275,11 +274,8 @@ class Windows:
         out = []
         for start, stop in stretches:
             part = int(np.searchsorted(ends, start, side="right"))
-            if (
-                part < len(ends)
-                and self._ranges[part, 0] <= start
-                and start + self.span < min(stop, ends[part])
-            ):
+            inside = part < len(ends) and self._ranges[part, 0] <= start
+            if inside and start + self.span < min(stop, ends[part]):
                 out.append(start + self.span - ends[part] + self._ends[part])
         return torch.from_numpy(np.array(out, dtype=np.int64))
 
@@ -317,8 +313,17 @@ class Windows:
         gap = round(gap_s / self.dt)
         usable = self._ranges[self._ranges[:, 1] - self._ranges[:, 0] >= need]
         edges = [_block_edges(int(a), int(b), block) for a, b in usable]
-        if len(edges) == 1 and len(edges[0]) == 2:  # one block in all: its end is held out
-            edges = [self._halves(int(usable[0, 0]), int(usable[0, 1]), fraction)]
+        if (
+            len(edges) == 1 and len(edges[0]) == 2
+        ):  # one block in all: its end, at least one window, is held out
+            a, b = edges[0]
+            cut = b - max(need, round(fraction * (b - a)))
+            if cut - a < need:
+                raise DataError(
+                    f"the only segment has {b - a} rows; a training and a validation window of {need} rows each "
+                    "do not fit. Shorten `horizon`, or use no validation."
+                )
+            edges = [[a, cut, b]]
             held = {(edges[0][1], edges[0][2])}
         else:
             held = _choose([pair for e in edges for pair in itertools.pairwise(e)], fraction, generator)
@@ -328,35 +333,13 @@ class Windows:
             spans = list(itertools.pairwise(e))
             train += _merge([s for s in spans if s not in held], set(e[1:-1]), gap)
             validation += _merge([s for s in spans if s in held], set(), 0)
-        first, second = (
-            self._with(np.array(train, dtype=np.int64)),
-            self._with(np.array(validation, dtype=np.int64)),
-        )
+        first, second = (self._with(np.array(r, dtype=np.int64), self.horizon) for r in (train, validation))
         if len(first) == 0 or len(second) == 0:
             raise DataError(
                 f"the data are too short to hold out {fraction:.0%}: {len(first)} training and {len(second)} "
                 f"validation windows of {need} rows would be left. Shorten `horizon`, or use no validation."
             )
         return first, second
-
-    def _halves(self, a: int, b: int, fraction: float) -> list[int]:
-        """A single block in two: the smaller part (at least one window) last."""
-        need = self.span + 1
-        cut = b - max(need, round(fraction * (b - a)))
-        if cut - a < need:
-            raise DataError(
-                f"the only segment has {b - a} rows; a training and a validation window of {need} rows each "
-                "do not fit. Shorten `horizon`, or use no validation."
-            )
-        return [a, cut, b]
-
-
-def _interventions(runs: Sequence[Run], first: Ranges) -> Ranges | None:
-    """Rows (start, stop) of interventions in the joined runs, ascending; None where the runs have none."""
-    if not interventional(runs):
-        return None
-    rows = [(a + at, b + at) for run, at in zip(runs, first, strict=True) for a, b in stretches(run) or ()]
-    return np.array(rows, dtype=np.int64).reshape(-1, 2)
 
 
 def _block_edges(a: int, b: int, block: int) -> list[int]:

@@ -144,19 +144,15 @@ def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:
             f"{message}. Set `clock` to `rescale` (use the measured scale) or `trust` (keep the logged "
             "time), or correct the time column."
         )
-    if policy == "trust":
-        report(Finding("clock", "", 1, message, "reported", values))
-        return 1.0
-    report(Finding("clock", "", 1, message, "rescaled", values))
-    return total.value
+    trusted = policy == "trust"
+    report(Finding("clock", "", 1, message, "reported" if trusted else "rescaled", values))
+    return 1.0 if trusted else total.value
 
 
 def of_runs(slopes: Sequence[Slope], runs: Sequence[str], *, measured: float) -> float:
-    """Clock scale as some runs alone show it: what a model may know that is to be tested on the others.
+    """Physical seconds for each logged second by some runs alone: what a model may know that is tested on the others.
 
-    Returns:
-        Physical seconds for each logged second; `measured` where slopes were taken over several short runs
-        together and none is of these runs alone.
+    It is `measured` where slopes were taken over several short runs together and none is of these runs alone.
     """
     own = [s for s in slopes if s.run in set(runs)]
     if measured == 1.0 or not own:
@@ -218,10 +214,10 @@ def _rate_biases(system: SystemInfo, runs: Sequence[Run], clock: float) -> dict[
                     parts.setdefault(name, []).append((total / (length * step), rate))
     out = {}
     for name, pieces in parts.items():
-        means = np.concatenate([m for m, _ in pieces])
+        means, rates = (np.concatenate(both) for both in zip(*pieces, strict=True))
         if len(means) < _FEWEST:
             continue
-        size = float(np.sqrt(np.mean(np.concatenate([np.square(r) for _, r in pieces]))))
+        size = float(np.sqrt(np.mean(np.square(rates))))
         # the error of a mean of telescoping sums is below that of independent ones: this one is safe
         error = max(float(means.std(ddof=1)) / len(means) ** 0.5, 1e-12)
         out[name] = Uncertain(-float(means.mean()), error, len(means) - 1), _LEAST_SHARE * size

@@ -17,10 +17,10 @@ import numpy as np
 
 from nsde_torch.arrays import Array
 from nsde_torch.data.mapping.checks import LEAN, SUSPECT, VECTORS, checks, percent
-from nsde_torch.data.quaternion import conjugate, continuous_signs, increments, rotate
+from nsde_torch.data.quaternion import conjugate, continuous_signs, increments, rotate, swap_world
 from nsde_torch.data.raw import Finding, RawRun, Report
 from nsde_torch.data.run import Run
-from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_columns
+from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_columns, rate_pairs
 from nsde_torch.errors import DataError, ShapeError
 from nsde_torch.recording.noise import white
 
@@ -47,12 +47,11 @@ def check_shapes(run: RawRun, system: SystemInfo) -> None:
             f"run {run.name!r}: `t`, `x` and `u` must have one row a sample; got {run.t.shape}, "
             f"{run.x.shape}, {run.u.shape}."
         )
-    for name in ("x", "u"):
-        array = getattr(run, name)
+    for names, array in ((system.state_names, run.x), (system.input_names, run.u)):
         beyond = np.abs(array) > _LARGEST
         if beyond.any():
             row, column = np.argwhere(beyond)[0].tolist()
-            own = (system.state_names if name == "x" else system.input_names)[column]
+            own = names[column]
             says = "is infinite" if np.isinf(array[row, column]) else f"reads {array[row, column]:.3g}"
             raise DataError(
                 f"{run.where(row)}: {own!r} {says}, which no sensor says; write `nan` where a value is missing, or "
@@ -201,13 +200,20 @@ def check_conventions(system: SystemInfo, runs: Sequence[Run]) -> None:
         return
     parts = [run.x[a:b] for run in runs for a, b in run.segments]
     rates = rate_columns(system)
+
+    def turning(read: Callable[[Array], Array]) -> _Way:
+        return lambda x: (increments(read(x[:, q])), x[:, rates])
+
+    def moving(i: list[int], j: list[int], read: Callable[[Array, Array], Array]) -> _Way:
+        return lambda x: (np.diff(x[:, i], axis=0), read(x[:, q], x[:, j]))
+
     if rates is not None:
-        turned = {remedy: _turned(q, rates, read) for remedy, read in _QUATERNIONS.items()}
+        turned = {remedy: turning(read) for remedy, read in _QUATERNIONS.items()}
         _refuse(parts, turned, runs[0].dt, _LEFT_ATTITUDE, "attitude and body rates disagree")
     for group, (i, j) in derivative_columns(system).items():
         if len(i) == 3 and "(world" in group:
             names = [system.state_names[k] for k in j]
-            ways = {remedy: _moved(q, i, j, read) for remedy, read in _velocities(names).items()}
+            ways = {remedy: moving(i, j, read) for remedy, read in _velocities(names).items()}
             _refuse(parts, ways, runs[0].dt, _LEFT_VELOCITY, "position and velocity disagree")
 
 
@@ -217,8 +223,7 @@ def check_runs(system: SystemInfo, runs: Sequence[Run]) -> None:
     Raises:
         DataError: a column that is of another run or another time.
     """
-    pairs = [(i, j) for a, b in derivative_columns(system).values() for i, j in zip(a, b, strict=True)]
-    for i, j in pairs:
+    for i, j in rate_pairs(system):
         left = [_own_share(run, i, j) for run in runs]
         for k, run in enumerate(runs):
             share, beyond = left[k]
@@ -257,27 +262,20 @@ def _own_share(run: Run, i: int, j: int) -> tuple[float, float]:
 def _velocities(names: Sequence[str]) -> dict[str, Callable[[Array, Array], Array]]:
     """Ways to read a velocity, from the quaternion and the columns of these names, by their remedies."""
 
-    def ordered(order: tuple[int, ...]) -> Callable[[Array, Array], Array]:
+    def ordered(order: Sequence[int]) -> Callable[[Array, Array], Array]:
         return lambda q, v: v[:, order]
 
-    out: dict[str, Callable[[Array, Array], Array]] = {"": lambda q, v: v}
-    for order in permutations(range(3)):
-        if order != (0, 1, 2):
-            wanted = " ".join(names[k] for k in order)
-            out[f"the columns {wanted} are {' '.join(names)}: rename them"] = ordered(order)
-    out["the velocity is NED: write east, north, up"] = lambda q, v: v[:, [1, 0, 2]] * [1.0, 1.0, -1.0]
-    out[
+    orders = {" ".join(names[k] for k in order): ordered(order) for order in permutations(range(3))}
+    as_it_is = orders.pop(" ".join(names))
+    turned = (
         "the velocity is along the body's axes: turn it into the world with the attitude, v_world = R(q) v"
-    ] = rotate
-    return out
-
-
-def _turned(q: slice, rates: slice, read: Callable[[Array], Array]) -> _Way:
-    return lambda x: (increments(read(x[:, q])), x[:, rates])
-
-
-def _moved(q: slice, i: list[int], j: list[int], read: Callable[[Array, Array], Array]) -> _Way:
-    return lambda x: (np.diff(x[:, i], axis=0), read(x[:, q], x[:, j]))
+    )
+    return {
+        "": as_it_is,
+        **{f"the columns {own} are {' '.join(names)}: rename them": way for own, way in orders.items()},
+        "the velocity is NED: write east, north, up": lambda q, v: swap_world(v),
+        turned: rotate,
+    }
 
 
 def _refuse(parts: Iterable[Array], ways: Mapping[str, _Way], dt: float, most: float, what: str) -> None:

@@ -260,8 +260,7 @@ def on_time(
         for columns, rows in filtered_by:
             x[a:b, columns] = unfiltered(x[a:b, columns], rows)
     segments = []
-    first = max((0, *(int(np.ceil(-rows - 1e-9)) for _, rows in moves)))
-    last = max((0, *(int(np.ceil(rows - 1e-9)) for _, rows in moves)))
+    first, last = (max((0, *(int(np.ceil(s * rows - 1e-9)) for _, rows in moves))) for s in (-1, 1))
     for a, b in run.segments:
         if b - a - first - last < 2:
             continue
@@ -346,10 +345,8 @@ def check_times(name: str, values: Mapping[str, float], system: SystemInfo) -> N
 
 def by_fault(late: Sequence[Latency]) -> dict[str, list[Latency]]:
     """Delays and filters, by the name of the fault and of the option that takes it out; only kinds that there are."""
-    out: dict[str, list[Latency]] = {}
-    for d in sorted(late, key=lambda d: d.filtered):
-        out.setdefault("sensor_lag" if d.filtered else "sensor_delay", []).append(d)
-    return out
+    out = {"sensor_delay": [d for d in late if not d.filtered], "sensor_lag": [d for d in late if d.filtered]}
+    return {name: some for name, some in out.items() if some}
 
 
 def latency_findings(late: Sequence[Latency], *, action: str = "reported") -> list[Finding]:
@@ -427,22 +424,23 @@ def whole_sensor_late(
     def moved_by(steps: float, pair: tuple[str, str]) -> list[Run]:
         return [on_time(run, system, dict.fromkeys(pair, steps * step)) for run in runs]
 
-    best: tuple[float, float, tuple[str, str]] | None = None
+    def misfit(steps: float, pair: tuple[str, str]) -> float:
+        return float(misfits(moved_by(steps, pair)).sum())
+
+    best = (np.inf, 0.0, pairs[0])
     for pair in pairs:
-
-        def misfit(steps: float, pair: tuple[str, str] = pair) -> float:
-            return float(misfits(moved_by(steps, pair)).sum())
-
-        at, here = 1.0, misfit(1.0)
-        while 2.0 * at <= longest and (there := misfit(2.0 * at)) < here:
+        at, here = 1.0, misfit(1.0, pair)
+        while 2.0 * at <= longest and (there := misfit(2.0 * at, pair)) < here:
             at, here = 2.0 * at, there
-        if here < other - NATS / rows and (best is None or here < best[0]):
+        if here < min(other - NATS / rows, best[0]):
             bounds = (0.5 * at, min(2.0 * at, longest))
-            nearer = minimize_scalar(misfit, bounds=bounds, method="bounded", options={"maxiter": 8})
+            nearer = minimize_scalar(
+                misfit, args=(pair,), bounds=bounds, method="bounded", options={"maxiter": 8}
+            )
             best = min((here, at, pair), (float(nearer.fun), float(nearer.x), pair))
-    if best is None or best[0] > other - _SENSOR_NATS / rows:
-        return None
     here, at, pair = best
+    if here > other - _SENSOR_NATS / rows:
+        return None
     without = tuple(moved_by(at, pair))
     if (misfits(without) > unmoved + NATS / rows).any():
         return None
@@ -484,33 +482,10 @@ FEWEST = 2  # runs that can be compared
 _LARGEST_S = 0.25  # standard error of an offset that says nothing
 
 
-@dataclass(frozen=True)
-class Offsets:
-    """Offsets of one stream against another that differ between runs."""
+def differing(offsets: Mapping[str, Uncertain], *, step: float) -> dict[str, float] | None:
+    """What to take out of each run where offsets differ by more than chance; None where one offset would do.
 
-    channel: str  # what is moved: the common name of states
-    other: str  # what it is late against
-    offsets: Mapping[str, Uncertain]  # as measured, of each run that can show it [s of the log]
-    taken: Mapping[str, float]  # what is taken out, by name of the run [s of the log]
-    p: float  # chance of such differences between runs that share one offset
-
-    def finding(self) -> Finding:
-        """What the data summary says."""
-        errors = {run: 1e3 * o.error for run, o in self.offsets.items()}
-        each = [f"{run} {1e3 * d:+.3g} +- {errors[run]:.2g} ms" for run, d in self.taken.items()]
-        shown = ", ".join(each[:8]) + (f", ... ({len(each)} runs)" if len(each) > 8 else "")
-        text = (
-            f"{self.channel} is late against {self.other} by another time in each run, by the kinematics ({shown}; "
-            "plus is late, minus early). `data.stream_offsets=keep` leaves them as they are"
-        )
-        values = {f"{run}_s": d for run, d in self.taken.items()}
-        return Finding("stream_offset", "", len(self.taken), text, "taken out", values)
-
-
-def differing(channel: str, other: str, offsets: Mapping[str, Uncertain], *, step: float) -> Offsets | None:
-    """Offsets that differ between runs by more than chance, at a `step` [s]; None where one offset would do.
-
-    By run: how late a channel is against another [s of the log]; negative where it is early.
+    By run: how late a channel is against another [s of the log]; negative where it is early. The `step` is in seconds.
     """
     offsets = {r: o for r, o in offsets.items() if np.isfinite(o.value) and 0 < o.error < _LARGEST_S}
     if len(offsets) < FEWEST:
@@ -520,14 +495,12 @@ def differing(channel: str, other: str, offsets: Mapping[str, Uncertain], *, ste
     mean = float((weight * d).sum() / weight.sum())
     # errors of few degrees of freedom: the normal deviate that is as rare
     z = [-ndtri(stdtr(o.degrees, -abs(o.value - mean) / o.error)) for o in offsets.values()]
-    p = float(chdtrc(len(offsets) - 1, float(np.square(z).sum())))
     between = _between(d, s)
-    if p > CHANCE or between**0.5 < LEAST_STEPS * step:
+    if chdtrc(len(offsets) - 1, float(np.square(z).sum())) > CHANCE or between**0.5 < LEAST_STEPS * step:
         return None
     weight = 1.0 / (between + np.square(s))
     mean = float((weight * d).sum() / weight.sum())
-    drawn = mean + between * weight * (d - mean)
-    return Offsets(channel, other, offsets, dict(zip(offsets, drawn.tolist(), strict=True)), p)
+    return dict(zip(offsets, (mean + between * weight * (d - mean)).tolist(), strict=True))
 
 
 def _between(d: Array, s: Array) -> float:
@@ -560,12 +533,23 @@ def on_one_clock(data: DataSet, system: SystemInfo, *, policy: str = "undo") -> 
         for one in latencies(system, [run], clock=data.clock_scale):
             offset = Uncertain(-one.seconds, one.error, one.degrees)
             seen.setdefault((one.other, one.channel), {})[run.name] = offset
-    found = [o for pair, offsets in seen.items() if (o := differing(*pair, offsets, step=step)) is not None]
-    if not found:
+    findings, moved = [], set()
+    for (channel, other), offsets in seen.items():
+        taken = differing(offsets, step=step)
+        if taken is None:
+            continue
+        mean = float(np.mean(list(taken.values())))  # of runs that cannot show their offset
+        runs = [on_time(run, system, {channel: taken.get(run.name, mean)}) for run in runs]
+        moved |= {f"{channel}_s", f"{other}_s"}
+        each = [f"{run} {1e3 * d:+.3g} +- {1e3 * offsets[run].error:.2g} ms" for run, d in taken.items()]
+        shown = ", ".join(each[:8]) + (f", ... ({len(each)} runs)" if len(each) > 8 else "")
+        text = (
+            f"{channel} is late against {other} by another time in each run, by the kinematics ({shown}; "
+            "plus is late, minus early). `data.stream_offsets=keep` leaves them as they are"
+        )
+        values = {f"{run}_s": d for run, d in taken.items()}
+        findings.append(Finding("stream_offset", "", len(taken), text, "taken out", values))
+    if not findings:
         return data
-    for these in found:
-        mean = float(np.mean(list(these.taken.values())))  # of runs that cannot show their offset
-        runs = [on_time(run, system, {these.channel: these.taken.get(run.name, mean)}) for run in runs]
-    moved = {f"{channel}_s" for these in found for channel in (these.channel, these.other)}
-    findings = [f for f in data.summary.findings if not (f.kind == "late_sensor" and set(f.values) <= moved)]
-    return data.changed(runs, [*findings, *(these.finding() for these in found)])
+    kept = [f for f in data.summary.findings if not (f.kind == "late_sensor" and set(f.values) <= moved)]
+    return data.changed(runs, [*kept, *findings])

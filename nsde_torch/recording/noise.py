@@ -80,8 +80,7 @@ def white(x: Array) -> float:
 
 def quantum(x: Array) -> float:
     """The step that values of a column come in [its unit]; the median of `grains`, 0 where there is none."""
-    all_of = grains(x)
-    return float(np.median(all_of)) if len(all_of) else 0.0
+    return float(np.median(grains(x))) if len(x) else 0.0
 
 
 def grains(x: Array) -> Array:
@@ -144,8 +143,7 @@ def _even(t: Array) -> Mask:
 
 def _mended(column: Array, even: Mask, rate: Array | None, t: Array) -> tuple[Array, dict[int, float]]:
     """The column without glitches, and their sizes by row."""
-    size = np.abs(off_curve(column))
-    changes = np.abs(np.diff(column))
+    size, changes = np.abs(off_curve(column)), np.abs(np.diff(column))
     off: dict[int, float] = {}
     if not (changes > 0).any() or not even.any():
         return column, off
@@ -165,8 +163,8 @@ def _mended(column: Array, even: Mask, rate: Array | None, t: Array) -> tuple[Ar
         by = float(off_curve(column[k - 2 : k + 3])[2])  # what was mended nearby no longer counts
         if abs(by) <= least:
             continue
-        without = column[max(0, k - 4) : k + 5].copy()
-        at = k - max(0, k - 4)
+        at = min(k, 4)
+        without = column[k - at : k + 5].copy()
         without[at] -= by
         left = np.abs(off_curve(without))
         back = abs(column[k + 1] - column[k - 1])
@@ -181,9 +179,8 @@ def _mended(column: Array, even: Mask, rate: Array | None, t: Array) -> tuple[Ar
 
 def _moves(position: Array, off: float, rate: Array, t: Array, k: int) -> bool:
     """Whether the rate says that the position went there and back."""
-    gap = np.diff(position[k - 1 : k + 2]) - 0.5 * np.diff(t[k - 1 : k + 2]) * (
-        rate[k - 1 : k + 1] + rate[k : k + 2]
-    )
+    step, rates = np.diff(t[k - 1 : k + 2]), rate[k - 1 : k + 1] + rate[k : k + 2]
+    gap = np.diff(position[k - 1 : k + 2]) - 0.5 * step * rates
     mended = gap - np.array([off, -off])
     return float(gap @ gap) < float(mended @ mended)
 
@@ -201,8 +198,8 @@ def shares(speed: Array, most: float, *, name: str, where: str) -> tuple[Array, 
     if not 0.05 * most < usual < _BEYOND * most:
         raise DataError(
             f"{where}: rotor speed {name!r} is at most {usual:.4g} in nine rows of ten, where {most:.4g} is full "
-            "thrust. "
-            "Give `data.rotor_speed` in the unit of the column (electrical turns are the rotor's times its pole pairs)."
+            "thrust. Give `data.rotor_speed` in the unit of the column (electrical turns are the rotor's times its "
+            "pole pairs)."
         )
     bad = rotor_glitches(speed, most)
     if bad.mean() > _MOST_ROTOR:

@@ -35,7 +35,7 @@ from nsde_torch.arrays import Array
 from nsde_torch.data.quaternion import increments
 from nsde_torch.data.raw import Finding, RawRun, Report, holes
 from nsde_torch.data.run import Run
-from nsde_torch.data.system_info import SystemInfo, rate_columns, rate_pairs
+from nsde_torch.data.system_info import RATE_NAMES, SystemInfo, rate_columns, rate_pairs
 from nsde_torch.errors import DataError
 from nsde_torch.recording.noise import quantum, white
 from nsde_torch.recording.times import GAP_STEPS
@@ -149,16 +149,14 @@ def _contradicted(run: RawRun, system: SystemInfo) -> Iterator[tuple[str, Array,
     x, names, steps = run.x, system.state_names, np.diff(run.t)
     for a, b in rate_pairs(system):
         changes, fine = np.diff(x[:, a]), quantum(x[:, a])
-        for c, held_rate in ((a, False), (b, True)):
+        for c in (a, b):
             held = np.diff(x[:, c]) == 0
-            yield repr(names[c]), x[:, c], _false(held, changes, x[:, b], steps, fine, held_rate=held_rate)
+            yield repr(names[c]), x[:, c], _false(held, changes, x[:, b], steps, fine, held_rate=c == b)
     rates, q = rate_columns(system), system.quaternion
     if rates is not None and q is not None:
-        turned = increments(x[:, q])
         fine = 2.0 * max(quantum(v) for v in x[:, q].T)
-        for k, c in enumerate(range(rates.start, rates.stop)):
-            held = np.diff(x[:, c]) == 0
-            yield repr(names[c]), x[:, c], _false(held, turned[:, k], x[:, c], steps, fine, held_rate=True)
+        for w, turned, name in zip(x[:, rates].T, increments(x[:, q]).T, RATE_NAMES, strict=True):
+            yield repr(name), w, _false(np.diff(w) == 0, turned, w, steps, fine, held_rate=True)
 
 
 def _false(same: Mask, changes: Array, rate: Array, steps: Array, fine: float, *, held_rate: bool) -> Mask:
@@ -195,7 +193,7 @@ def check_constant(system: SystemInfo, runs: Sequence[Run], report: Report) -> N
     Raises:
         DataError: a column that contradicts its partner.
     """
-    names = list(system.state_names)
+    names = system.state_names
     for run in runs:
         for column, other, still, moving in _pairs(system, run):
             if len(moving) >= _FEWEST_ROWS and _still(still) and _moves(moving):
@@ -203,13 +201,8 @@ def check_constant(system: SystemInfo, runs: Sequence[Run], report: Report) -> N
                     f"run {run.name!r}: {column} never changes ({still.flat[0]:.4g} in all {len(still)} rows), while "
                     f"{other} does, so that it is no measurement. Write what the sensor measured, or leave the run out."
                 )
-    q = system.quaternion
-    fixed = [
-        k
-        for k in range(len(names))
-        if not (q is not None and q.start <= k < q.stop)
-        and all(_still(run.x[:, k]) and run.x[0, k] == runs[0].x[0, k] for run in runs)
-    ]
+    free = np.delete(np.arange(len(names)), system.quaternion or [])
+    fixed = [k for k in free.tolist() if all((run.x[:, k] == runs[0].x[0, k]).all() for run in runs)]
     if fixed:
         shown = ", ".join(f"{names[k]} = {runs[0].x[0, k]:.4g}" for k in fixed)
         text = (
@@ -229,10 +222,9 @@ def _pairs(system: SystemInfo, run: Run) -> Iterator[tuple[str, str, Array, Arra
     rates, q = rate_columns(system), system.quaternion
     if rates is None or q is None:
         return
-    turned = np.cumsum(increments(x[:, q]), 0)
-    for k, c in enumerate(range(rates.start, rates.stop)):
-        yield "the quaternion", repr(names[c]), x[:, q], x[:, c]
-        yield repr(names[c]), "the attitude about its axis", x[:, c], turned[:, k]
+    for w, turned, name in zip(x[:, rates].T, increments(x[:, q]).T, RATE_NAMES, strict=True):
+        yield "the quaternion", repr(name), x[:, q], w
+        yield repr(name), "the attitude about its axis", w, np.cumsum(turned)
 
 
 def _still(column: Array) -> bool:

@@ -54,14 +54,12 @@ def order(run: RawRun, report: Report) -> None:
             raise DataError(f"{run.where(int(back[0]) + 1)}: {refused}")
         report(Finding("out_of_order", run.name, late, f"{late} rows out of order in time", "sorted"))
         run.rows(np.argsort(run.t, kind="stable"))
-    keep = np.concatenate([[True], np.diff(run.t) > 0])
-    if not keep.all():
-        count = int((~keep).sum())
-        again = np.flatnonzero(~keep)
+    again = np.flatnonzero(np.diff(run.t, prepend=-np.inf) <= 0)
+    if len(again):
         differ = int((run.x[again] != run.x[again - 1]).any(axis=1).sum())
-        text = f"{count} rows repeat a time ({differ} with other values); the first is kept"
-        report(Finding("duplicate_time", run.name, count, text, "dropped", {"differing": differ}))
-        run.rows(keep)
+        text = f"{len(again)} rows repeat a time ({differ} with other values); the first is kept"
+        report(Finding("duplicate_time", run.name, len(again), text, "dropped", {"differing": differ}))
+        run.rows(np.delete(np.arange(len(run.t)), again))
     if len(run.t) < 2:
         raise DataError(
             f"{run.label} has {len(run.t)} row(s) with a time `t` of their own ({dropped} without a time); a run needs "
@@ -103,15 +101,11 @@ def fill_missing(run: RawRun, system: SystemInfo, *, gap: float, report: Report)
         return
     n = len(run.t)
     drop = np.zeros(n, dtype=bool)
-    filled = 0
     for a, b in holes(np.asarray(row_bad)):
-        if a == 0 or b == n or run.t[b] - run.t[a - 1] > gap:
-            drop[a:b] = True
-        else:
-            filled += b - a
+        drop[a:b] = a == 0 or b == n or run.t[b] - run.t[a - 1] > gap
+    good, some = ~row_bad, row_bad & ~drop
+    filled = int(some.sum())
     if filled:
-        good = ~row_bad
-        some = row_bad & ~drop
         run.x, run.u = run.x.copy(), run.u.copy()
         for k, bad in enumerate(bad_x.T):
             mend = some & bad
@@ -222,8 +216,7 @@ def uniform(
     Raises:
         DataError: no segment is left.
     """
-    edges = np.concatenate([[0], np.asarray(cuts, dtype=np.int64) + 1, [len(run.t)]])
-    bounds = [(int(a), int(b)) for a, b in itertools.pairwise(edges)]
+    bounds = list(itertools.pairwise([0, *(cuts + 1).tolist(), len(run.t)]))
     whole = [(a, b) for a, b in bounds if b - a >= 2 and run.t[b - 1] - run.t[a] >= dt * (1 - JITTER)]
     short = sum(b - a for a, b in bounds) - sum(b - a for a, b in whole)
     if short:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +16,12 @@ def flight(
     seconds: float, *, dt: float = 0.01, motors: int = 6, seed: int = 0, clock: float = 1.0
 ) -> tuple[Array, Array, Array]:
     """t (n,), x (n, 13), u (n, motors); each logged second holds `clock` physical seconds."""
+    t, x, u = _flight(seconds, dt, motors, seed, clock)
+    return t.copy(), x.copy(), u.copy()
+
+
+@lru_cache
+def _flight(seconds: float, dt: float, motors: int, seed: int, clock: float) -> tuple[Array, Array, Array]:
     rng = np.random.default_rng(seed)
     t = dt * np.arange(round(seconds / dt) + 1)
     true = clock * t

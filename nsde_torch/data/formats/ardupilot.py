@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.arrays import Array
 from nsde_torch.data.formats.log import StreamLog, parsing
 from nsde_torch.data.streams import Stream, ordered
 from nsde_torch.errors import DataError
@@ -130,10 +129,8 @@ def _parameters(log: Any) -> dict[str, float]:
     for kind, form in log.formats.items():
         if form.name == "PARM" and {"Name", "Value"} <= set(form.columns):
             table = _records(log, kind)
-            if table is None:
-                return {}
-            names, values = (table[f"f{form.columns.index(c)}"] for c in ("Name", "Value"))
-            return {n.decode("ascii", "replace"): float(v) for n, v in zip(names, values, strict=True)}
+            columns = () if table is None else (table[f"f{form.columns.index(c)}"] for c in ("Name", "Value"))
+            return {n.decode("ascii", "replace"): float(v) for n, v in zip(*columns, strict=True)}
     return {}
 
 
@@ -154,9 +151,9 @@ def _meaning(streams: dict[str, Stream], parameters: dict[str, float]) -> dict[s
         out["w"] = {"from": [f"IMU/{c}" for c in ("GyrX", "GyrY", "GyrZ")], "unit": "rad/s"}
     if "RCOU" in streams:
         function = {parameters.get(f"SERVO{k}_FUNCTION"): k for k in range(1, 17)}
-        motors = [function[f] for f in _MOTORS if f in function] or [
-            k for k in range(1, 9) if _moves(streams["RCOU"].fields.get(f"C{k}"))
-        ]
+        outputs = streams["RCOU"].fields
+        moving = (k for k in range(1, 9) if f"C{k}" in outputs and np.ptp(outputs[f"C{k}"]) > 50)
+        motors = [function[f] for f in _MOTORS if f in function] or list(moving)
         if motors:
             out["u"] = {
                 "from": [f"RCOU/C{k}" for k in motors],
@@ -169,7 +166,3 @@ def _meaning(streams: dict[str, Stream], parameters: dict[str, float]) -> dict[s
     if battery:
         out["battery_voltage"] = {"from": f"{battery}/Volt", "unit": "V"}
     return out
-
-
-def _moves(values: Array | None) -> bool:
-    return values is not None and bool(np.ptp(values) > 50)

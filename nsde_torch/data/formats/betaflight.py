@@ -40,7 +40,8 @@ def open_betaflight(path: Path, *, index: int = 1) -> StreamLog:
         names, headers = list(parser.field_names), dict(parser.headers)
         main = [k for k, name in enumerate(names) if name not in _STATES]
         for frame in parser.frames():
-            rows.append([_number(frame.data[k]) for k in main])
+            values = (frame.data[k] for k in main)  # None of what no slow frame has given yet
+            rows.append([float(v) if isinstance(v, int | float) else float("nan") for v in values])
             if len(rows) >= _TOGETHER:  # numbers of Python take four times the memory
                 parts.append(np.array(rows))
                 rows.clear()
@@ -57,11 +58,6 @@ def open_betaflight(path: Path, *, index: int = 1) -> StreamLog:
     units = {name: "deg/s" for name in fields if name.startswith("gyro")}
     stream = ordered(Stream("", t, fields, units))
     return StreamLog(path.stem, str(path), [stream], _meaning(fields, headers), {"body": "FLU"})
-
-
-def _number(value: Any) -> float:
-    """A value of a frame; of one that no slow frame has given yet, nan."""
-    return float(value) if isinstance(value, int | float) else float("nan")
 
 
 def logs_of(path: Path) -> int:

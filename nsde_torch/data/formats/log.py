@@ -59,10 +59,8 @@ def found(fields: Mapping[str, Array], clock: ClockOf) -> ClockOf | None:
     """The clock of a table with what was left open filled in; None where there is none."""
     if clock.rate is not None:
         return clock
-    given = clock.source.split("/")[-1] if clock.source else None
-    column = (
-        given if given in fields else clock.source if clock.source in fields else time_column(list(fields))
-    )
+    said = (clock.source.split("/")[-1], clock.source) if clock.source else ()
+    column = next((name for name in said if name in fields), None) or time_column(list(fields))
     if column is None:  # of a table without names, times are what is usually in front and increases
         first = [name for name in fields if name == f"{UNNAMED}1" or name.endswith("[0]")]
         column = next((name for name in first if _ticks(name, fields[name])), None)

@@ -77,8 +77,7 @@ def _messages(file: IO[bytes]) -> Iterator[tuple[Any, Any, Any]]:
     from mcap.records import Channel, Chunk, Message, Schema
     from mcap.stream_reader import StreamReader, breakup_chunk
 
-    schemas: dict[int, Any] = {}
-    channels: dict[int, Any] = {}
+    schemas, channels = dict[int, Any](), dict[int, Any]()
     for record in StreamReader(file, emit_chunks=True, record_size_limit=_CHUNK).records:
         if isinstance(record, Chunk) and _unpacked(record) > _CHUNK:
             raise McapError(f"a chunk of {_unpacked(record)} bytes; at most {_CHUNK} are unpacked")

@@ -148,12 +148,9 @@ def columns_of(messages: Sequence[bytes], kind: str, types: Fields, *, aligned: 
     Raises:
         UnsupportedMessageError: none could be read.
     """
-    left = np.arange(len(messages))
-    sizes = np.array([len(m) for m in messages])
+    left, sizes = np.arange(len(messages)), np.array([len(m) for m in messages])
     out: dict[str, Array] = {}
-    bad = 0
-    why = "no messages"
-    layouts = 0
+    bad, layouts, why = 0, 0, "no messages"
     while len(left):
         first = messages[left[0]]
         same = left[sizes[left] == len(first)]
@@ -267,19 +264,16 @@ def log_of(
         raise DataError(f"{source} holds no topic of numbers{f' ({told})' if told else ''}.")
     px4 = any(kind.startswith(_PX4) for kind in kinds.values())
     frames = {"world": "NED", "body": "FRD"} if px4 else {"world": "ENU", "body": "FLU"}
-    columns: dict[str, dict[str, object]] = {}
-    offers: dict[str, list[tuple[int, dict[str, object]]]] = {}
+    said: dict[bool, dict[str, list[dict[str, Any]]]] = {True: {}, False: {}}  # by odometries, and by others
     for topic, stream in streams.items():
         for meant, entry in _meaning(topic, kinds[topic], stream).items():
-            offers.setdefault(meant, []).append((0 if "Odometry" in kinds[topic] else 1, entry))
-    for meant, found in offers.items():
-        first = [entry for rank, entry in found if rank == min(rank for rank, _ in found)]
-        if len(first) == 1:  # of several, none is said to be the one
-            columns[meant] = first[0]
+            said["Odometry" in kinds[topic]].setdefault(meant, []).append(entry)
+    # of several, none is said to be the one
+    columns = {meant: found[0] for meant, found in (said[False] | said[True]).items() if len(found) == 1}
     return StreamLog(name, source, list(streams.values()), columns, frames, list(notes))
 
 
-def _meaning(topic: str, kind: str, stream: Stream) -> dict[str, dict[str, object]]:
+def _meaning(topic: str, kind: str, stream: Stream) -> dict[str, dict[str, Any]]:
     """Entries of a mapping that follow from the type of a topic."""
 
     def of(group: str, axes: str = "xyz") -> list[str]:
@@ -288,7 +282,7 @@ def _meaning(topic: str, kind: str, stream: Stream) -> dict[str, dict[str, objec
     def numbered(group: str, numbers: Iterable[int]) -> list[str]:
         return [f"{topic}/{group}[{k}]" for k in numbers]
 
-    out: dict[str, dict[str, object]] = {}
+    out: dict[str, dict[str, Any]] = {}
     if kind in _POSES:
         position, orientation = _POSES[kind]
         out["p"] = {"from": of(position), "unit": "m"}
@@ -307,15 +301,11 @@ def _meaning(topic: str, kind: str, stream: Stream) -> dict[str, dict[str, objec
         used = [k for k in range(12) if np.isfinite(stream.fields.get(f"control[{k}]", np.nan)).any()]
         out["u"] = {"from": numbered("control", used), "unit": "1", "numbering": "px4"}
     if kind == f"{_PX4}BatteryStatus":
-        out["battery_voltage"] = {"from": f"{topic}/voltage_v", "unit": "V"}
+        out["battery_voltage"] = {"from": [f"{topic}/voltage_v"], "unit": "V"}
     if kind == "sensor_msgs/msg/BatteryState":
-        out["battery_voltage"] = {"from": f"{topic}/voltage", "unit": "V"}
-    return {name: entry for name, entry in out.items() if _there(entry["from"], topic, stream)}
-
-
-def _there(sources: object, topic: str, stream: Stream) -> bool:
-    names = [sources] if isinstance(sources, str) else list(sources) if isinstance(sources, list) else []
-    return bool(names) and all(name.removeprefix(f"{topic}/") in stream.fields for name in names)
+        out["battery_voltage"] = {"from": [f"{topic}/voltage"], "unit": "V"}
+    there = {f"{topic}/{name}" for name in stream.fields}
+    return {name: entry for name, entry in out.items() if entry["from"] and set(entry["from"]) <= there}
 
 
 def open_rosbag(path: Path) -> StreamLog:

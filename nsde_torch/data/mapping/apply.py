@@ -66,6 +66,10 @@ SLOWEST = 4.0  # slowest rate of a state, or of an input of a machine without mo
 MOTOR_RATE = 50.0  # slowest rate of motors [Hz], which answer within 50 ms
 _FASTEST = 2e4  # rate of a log [Hz]
 _FAR = 0.8  # share of the rows' rate below which a stream is reported as slow
+_BEYOND = 0.05
+"""Share of the readings of inputs that may lie outside their range (Neural-Fly's flights in still air: 46 % of their
+pulses are below 1000, and were taken for 0)."""
+_VALUES = 10  # number of values from which readings outside the range are no resting value
 
 
 def apply(log: StreamLog, mapping: LogMapping, system: SystemInfo) -> RawRun:
@@ -97,10 +101,8 @@ class _Applied:
         for name, entry in self.mapping.columns.items():
             if name != quaternion:
                 self._fill(name, entry)
-        n = len(self.t)
-        nothing = np.full(n, np.nan)
+        nothing, zero = np.full(len(self.t), np.nan), np.zeros(len(self.t))
         x = np.column_stack([self.columns.get(name, nothing) for name in system.state_names])
-        zero = np.zeros(n)
         u = np.column_stack([self.columns.get(name, zero) for name in system.input_names])
         own = (*system.state_names, *system.input_names)
         extra = {name: values for name, values in self.columns.items() if name not in own}
@@ -218,12 +220,10 @@ class _Applied:
         for source in entry.source:
             stream, column = self.log.find(source)
             values = stream.fields[column][:, None]
-            if stream is self.base:
-                out.append(values[:, 0])
-            else:
-                out.append((commands if held else linear)(stream, values, self.t)[:, 0])
-        signs = np.array(entry.sign or (1.0,) * len(entry.source))
-        return np.stack(out, axis=1) * signs * entry.scale
+            out.append(
+                values if stream is self.base else (commands if held else linear)(stream, values, self.t)
+            )
+        return np.concatenate(out, axis=1) * np.array(entry.sign or 1.0) * entry.scale
 
     def _attitude(self) -> str | None:
         """Read the quaternion; the name of its entry."""
@@ -239,7 +239,7 @@ class _Applied:
             )
         stream = self._stream(entry)
         values = stream.columns(*(self.log.find(source)[1] for source in entry.source))
-        values = values * np.array(entry.sign or (1.0,) * len(entry.source)) * entry.scale
+        values = values * np.array(entry.sign or 1.0) * entry.scale
         if len(entry.source) == 3:
             values = from_euler_zyx(values * factor(entry.unit or "rad", "rad", what=f"columns.{name}"))
         else:
@@ -247,20 +247,15 @@ class _Applied:
             values = np.where(length > 0.5, values, np.nan)  # before the first fix, quaternions are zero
             if entry.order == "xyzw":
                 values = values[:, [3, 0, 1, 2]]
-        if entry.turns == TURNED:
+        if entry.turns == "world to body":
             values = conjugate(values)
-        values = attitude_between(values, ned=self._world(entry) == "NED", frd=self._body(entry) == "FRD")
+        ned, frd = self.mapping.axes_of(entry)
+        values = attitude_between(values, ned=ned, frd=frd)
         if stream is not self.base:
             values = attitudes(stream, values, self.t)
         for place, column in enumerate(self.system.state_names[q]):
             self.columns[column] = values[:, place]
         return name
-
-    def _world(self, entry: ColumnEntry) -> str:
-        return entry.world or self.mapping.world
-
-    def _body(self, entry: ColumnEntry) -> str:
-        return entry.body or self.mapping.body
 
     def _fill(self, name: str, entry: ColumnEntry) -> None:
         system, names = self.system, self.names[name]
@@ -279,19 +274,19 @@ class _Applied:
 
     def _turned(self, names: Sequence[str], entry: ColumnEntry, values: Array) -> Array:
         """Vectors of the world to ENU, those of the body to FLU; a velocity of the body to the world."""
-        system = self.system
+        system, (ned, frd) = self.system, self.mapping.axes_of(entry)
         if tuple(names) == RATE_NAMES:
-            return swap_body(values) if self._body(entry) == "FRD" else values
+            return swap_body(values) if frd else values
         if system.quaternion is None or len(names) != 3:
             return values
         moved = {one for p, v, frame in system.position_derivatives if frame == "world" for one in (p, v)}
         if not set(names) <= moved:
             return values
         if entry.axes == "body":
-            values = swap_body(values) if self._body(entry) == "FRD" else values
+            values = swap_body(values) if frd else values
             q = np.stack([self.columns[c] for c in system.state_names[system.quaternion]], axis=1)
             return rotate(q / np.linalg.norm(q, axis=1, keepdims=True), values)
-        return swap_world(values) if self._world(entry) == "NED" else values
+        return swap_world(values) if ned else values
 
     def _commands(self, name: str, entry: ColumnEntry, values: Array) -> Array:
         """Inputs in the system's unit and order."""
@@ -321,10 +316,3 @@ class _Applied:
         if entry.numbering is not None:
             values = values[:, list(order(entry.numbering, values.shape[1]))]
         return values
-
-
-_BEYOND = 0.05
-"""Share of the readings of inputs that may lie outside their range (Neural-Fly's flights in still air: 46 % of their
-pulses are below 1000, and were taken for 0)."""
-_VALUES = 10  # number of values from which readings outside the range are no resting value
-TURNED = "world to body"

@@ -23,6 +23,7 @@ from nsde_torch.data.mapping.kinematic import (
     VelocityWay,
     attitude_left,
     lean,
+    motion_left,
     noise_share,
     read_attitude,
     velocity_left,
@@ -64,7 +65,7 @@ def percent(share: float) -> str:
 
 def pair_left(t: Array, p: Array, v: Array) -> float:
     """Share of the movement of one position (n,) over 0.25 s that its rate (n,) leaves; nan of too little motion."""
-    return velocity_left(t, None, p[:, None], v[:, None], VelocityWay("world", (0,), (1.0,)))  # type: ignore[arg-type]
+    return motion_left(t, np.diff(p)[:, None], 0.5 * (v[1:] + v[:-1])[:, None])
 
 
 def times_misread(system: SystemInfo, run: RawRun, mapping: LogMapping | None) -> Misread | None:
@@ -121,8 +122,8 @@ def _all_sound(system: SystemInfo, run: RawRun, size: float) -> bool:
     left = [(pair_left(t, run.x[:, i], run.x[:, j]), NOISY_VELOCITY) for i, j in rate_pairs(system)]
     rates = rate_columns(system)
     if system.quaternion is not None and rates is not None:
-        way = AttitudeWay("wxyz", "body to world", "rad/s", (1.0, 1.0, 1.0))
-        left.append((attitude_left(t, run.x[:, system.quaternion], run.x[:, rates], way), SOUND_ATTITUDE))
+        turning = attitude_left(t, run.x[:, system.quaternion], run.x[:, rates], AttitudeWay())
+        left.append((turning, SOUND_ATTITUDE))
     known = [(share, most) for share, most in left if np.isfinite(share)]
     return bool(known) and all(share <= most for share, most in known)
 
@@ -133,10 +134,8 @@ def exchanged(system: SystemInfo, run: RawRun) -> list[list[tuple[str, str]]]:
     pairs = [(names[i], names[j]) for i, j in rate_pairs(system)]
     columns = {name: run.x[:, names.index(name)] for pair in pairs for name in pair}
     free = system.quaternion is None  # axes of one vector are exchanged by a frame, of which others speak
-    if free:
-        columns |= {
-            name: run.u[:, k] for k, name in enumerate(system.input_names) if len(run.u) == len(run.t)
-        }
+    if free and len(run.u) == len(run.t):
+        columns |= zip(system.input_names, run.u.T, strict=True)
 
     def left(pair: tuple[str, str], moved: Mapping[str, str]) -> float:
         p, v = (columns[moved.get(name, name)] for name in pair)
@@ -236,9 +235,8 @@ class LogCheck:
         return self.passed is False or bool(self.remedy)
 
 
-@np.errstate(
-    over="ignore", invalid="ignore"
-)  # of numbers that no sensor says: the checks of all data refuse them
+# overflows are of numbers that no sensor says: the checks of all data refuse them
+@np.errstate(over="ignore", invalid="ignore")
 def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -> list[LogCheck]:
     """What kinematics and gravity say of a run: `nsde_torch.read` and `nsde inspect` ask the same.
 
@@ -269,9 +267,9 @@ def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -
         if len(i) == 3 and attitude is not None and "(world" in group:
             if moved & {system.state_names[k] for k in (*i, *j)}:
                 continue
-            out += _velocity(run.t, attitude, run.x[:, i], run.x[:, j])
-            if not any(
-                check.passed is False for check in out
+            out.append(_velocity(run.t, attitude, run.x[:, i], run.x[:, j]))
+            if all(
+                check.passed is not False for check in out
             ):  # else the tilt shows the same fault once more
                 out.append(_lean(run.t, attitude, run.x[:, i]))
         else:
@@ -319,29 +317,19 @@ class _Logged:
         raw = attitude_between(q, ned=self.ned, frd=self.frd)  # twice is once too often by a sign at most
         raw = conjugate(raw) if self.turns == "world to body" else raw
         raw = raw[:, [1, 2, 3, 0]] if self.order == "xyzw" else raw
-        way = AttitudeWay(order, turns, "rad/s", (1.0, 1.0, 1.0))
-        return attitude_between(read_attitude(raw, way), ned=self.ned, frd=self.frd)
+        return attitude_between(read_attitude(raw, AttitudeWay(order, turns)), ned=self.ned, frd=self.frd)
 
 
 def _logged(names: Sequence[str], mapping: LogMapping | None) -> _Logged:
-    if mapping is None:
-        return _Logged()
-    entry = next((e for n, e in mapping.columns.items() if n in (names[0].partition("_")[0], *names)), None)
-    if entry is None:
-        return _Logged()
-    world, body = entry.world or mapping.world, entry.body or mapping.body
-    return _Logged(
-        entry.order or "wxyz",
-        entry.turns or "body to world",
-        world == "NED",
-        body == "FRD",
-        len(entry.source) == 3,
-    )
+    for name, entry in () if mapping is None else mapping.columns.items():
+        if mapping is not None and name in (names[0].partition("_")[0], *names):
+            turns, angles = entry.turns or "body to world", len(entry.source) == 3
+            return _Logged(entry.order or "wxyz", turns, *mapping.axes_of(entry), angles)
+    return _Logged()
 
 
 def _attitude(t: Array, q: Array, w: Array, logged: _Logged) -> LogCheck:
-    plain = AttitudeWay("wxyz", "body to world", "rad/s", (1.0, 1.0, 1.0))
-    own = attitude_left(t, q, w, plain)
+    own = attitude_left(t, q, w, AttitudeWay())
     if not np.isfinite(own):
         return LogCheck(ATTITUDE, None, "too little turning to compare the attitude with the rates.")
     told = f"the rates leave {own:.1%} of the attitude's turning over 0.25 s"
@@ -353,17 +341,15 @@ def _attitude(t: Array, q: Array, w: Array, logged: _Logged) -> LogCheck:
             other = logged.read(q, order, turns)
             for factor, unit in ((1.0, ""), (np.pi / 180.0, "deg/s"), (180.0 / np.pi, "rad/s")):
                 for sign in (1.0, -1.0):
-                    way = AttitudeWay("wxyz", "body to world", "rad/s", (1.0, sign, sign))
-                    left = attitude_left(t, other, factor * w, way)
+                    left = attitude_left(t, other, factor * w, AttitudeWay(signs=(1.0, sign, sign)))
                     if left < best:
                         best, words = left, _attitude_words(logged, order, turns, unit, sign)
     if BETTER * best < own:
         text = f"the rates leave {own:.0%} of the attitude's turning, and {best:.1%} if {words}."
         return LogCheck(ATTITUDE, False, text, f"read or write the attitude and the rates so: {words}")
     text = f"{told}, whatever their order, direction and unit: of another body or time."
-    return LogCheck(
-        ATTITUDE, None, text, "look at the attitude and the rates: one is of another body or time"
-    )
+    remedy = "look at the attitude and the rates: one is of another body or time"
+    return LogCheck(ATTITUDE, None, text, remedy)
 
 
 def _attitude_words(logged: _Logged, order: str, turns: str, unit: str, sign: float) -> str:
@@ -381,36 +367,30 @@ def _attitude_words(logged: _Logged, order: str, turns: str, unit: str, sign: fl
     return " and ".join(words)
 
 
-def _velocity(t: Array, q: Array, p: Array, v: Array) -> list[LogCheck]:
+def _velocity(t: Array, q: Array, p: Array, v: Array) -> LogCheck:
     ways = list(velocity_ways())
     left = [velocity_left(t, q, p, v, way) for way in ways]
     sizes = [velocity_left(t, q, p, factor * v, ways[0]) for factor in _SIZES]
-    out = []
     if not np.isfinite(left[0]):
-        out.append(LogCheck(VELOCITY, None, "too little movement to compare position and velocity."))
-    else:
-        k, size = int(np.nanargmin(left)), int(np.nanargmin(sizes))
-        other = min(left[k], sizes[size])
-        if left[0] > SOUND_VELOCITY and BETTER * other < left[0]:
-            by = f"{_SIZES[size]:g} times as large: a unit of one of them (`unit`)"
-            words = _velocity_words(ways[k]) if left[k] <= sizes[size] else f"they are {by}"
-            text = f"velocities leave {percent(left[0])} of the movement, and {other:.1%} if {words}."
-            remedy = f"read or write the velocities so: {words}"
-            out.append(LogCheck(VELOCITY, False, text, remedy))
-        elif left[0] <= NOISY_VELOCITY:
-            text = f"velocities leave {left[0]:.1%} of the movement over 0.25 s."
-            out.append(LogCheck(VELOCITY, True, text))
-        elif _noise_alone(t, p, left[0]):
-            text = "too little movement beside the noise to compare position and velocity."
-            out.append(LogCheck(VELOCITY, None, text))
-        else:
-            text = (
-                f"velocities leave {percent(left[0])} of the movement over 0.25 s, and no other reading of these "
-                "columns does much better: another unit, time or body."
-            )
-            remedy = "look at the positions and the velocities: one is of another unit, time or body"
-            out.append(LogCheck(VELOCITY, None, text, remedy))
-    return out
+        return LogCheck(VELOCITY, None, "too little movement to compare position and velocity.")
+    k, size = int(np.nanargmin(left)), int(np.nanargmin(sizes))
+    other = min(left[k], sizes[size])
+    if left[0] > SOUND_VELOCITY and BETTER * other < left[0]:
+        by = f"{_SIZES[size]:g} times as large: a unit of one of them (`unit`)"
+        words = _velocity_words(ways[k]) if left[k] <= sizes[size] else f"they are {by}"
+        text = f"velocities leave {percent(left[0])} of the movement, and {other:.1%} if {words}."
+        return LogCheck(VELOCITY, False, text, f"read or write the velocities so: {words}")
+    if left[0] <= NOISY_VELOCITY:
+        return LogCheck(VELOCITY, True, f"velocities leave {left[0]:.1%} of the movement over 0.25 s.")
+    if _noise_alone(t, p, left[0]):
+        text = "too little movement beside the noise to compare position and velocity."
+        return LogCheck(VELOCITY, None, text)
+    text = (
+        f"velocities leave {percent(left[0])} of the movement over 0.25 s, and no other reading of these "
+        "columns does much better: another unit, time or body."
+    )
+    remedy = "look at the positions and the velocities: one is of another unit, time or body"
+    return LogCheck(VELOCITY, None, text, remedy)
 
 
 def _lean(t: Array, q: Array, p: Array) -> LogCheck:

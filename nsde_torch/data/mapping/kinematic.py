@@ -79,7 +79,7 @@ def attitude_left(t: Array, q: Array, w: Array, way: AttitudeWay) -> float:
     size = np.pi / 180.0 if way.unit == "deg/s" else 1.0
     turned = increments(read_attitude(q, way))
     rate = size * w * np.array(way.signs)
-    return _left(t, turned, 0.5 * (rate[1:] + rate[:-1]))
+    return motion_left(t, turned, 0.5 * (rate[1:] + rate[:-1]))
 
 
 def velocity_left(t: Array, q: Array | None, p: Array, v: Array, way: VelocityWay) -> float:
@@ -93,7 +93,7 @@ def velocity_left(t: Array, q: Array | None, p: Array, v: Array, way: VelocityWa
         if q is None:
             return float("nan")
         rate = rotate(q, rate)
-    return _left(t, np.diff(p, axis=0), 0.5 * (rate[1:] + rate[:-1]))
+    return motion_left(t, np.diff(p, axis=0), 0.5 * (rate[1:] + rate[:-1]))
 
 
 def noise_share(t: Array, p: Array) -> float:
@@ -104,7 +104,8 @@ def noise_share(t: Array, p: Array) -> float:
     return float(2.0 * np.square(noise).sum() / max(np.nanvar(moved, axis=0).sum(), 1e-300))
 
 
-def _left(t: Array, change: Array, rate: Array) -> float:
+def motion_left(t: Array, change: Array, rate: Array) -> float:
+    """Share of changes from row to row (n - 1, k), over 0.25 s, that mean rates leave; nan of too little motion."""
     dt = np.diff(t)
     usual = float(np.median(dt))
     length = max(1, round(INTERVAL_S / usual))
@@ -115,15 +116,10 @@ def _left(t: Array, change: Array, rate: Array) -> float:
     whole = good[: n * length].reshape(n, length).all(axis=1)
     if whole.sum() < _FEWEST:
         return float("nan")
-    moved = np.where(good[:, None], change, 0.0)[: n * length].reshape(n, length, -1).sum(axis=1)[whole]
-    told = (
-        np.where(good[:, None], rate * dt[:, None], 0.0)[: n * length]
-        .reshape(n, length, -1)
-        .sum(axis=1)[whole]
-    )
-    told = told + (moved - told).mean(axis=0) * (
-        np.abs((moved - told).mean(axis=0)) < 0.2 * moved.std(axis=0)
-    )
+    parts = (np.where(good[:, None], values, 0.0)[: n * length] for values in (change, rate * dt[:, None]))
+    moved, told = (part.reshape(n, length, -1).sum(axis=1)[whole] for part in parts)
+    bias = (moved - told).mean(axis=0)
+    told = told + bias * (np.abs(bias) < 0.2 * moved.std(axis=0))
     size = float(np.square(moved - moved.mean(axis=0)).sum())
     rounding = 1e-18 * float(np.square(moved).sum())
     return float(np.square(moved - told).sum()) / size if size > rounding else float("nan")

@@ -32,11 +32,6 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.lookup import did_you_mean
 from nsde_torch.plain_yaml import read_yaml
 
-WORLDS, BODIES = ("ENU", "NED"), ("FLU", "FRD")
-AXES = ("world", "body")
-ORDERS = ("wxyz", "xyzw")
-TURNS = ("body to world", "world to body")
-
 
 @dataclass(frozen=True)
 class ColumnEntry:
@@ -97,6 +92,10 @@ class LogMapping:
     world: str = "ENU"
     body: str = "FLU"
 
+    def axes_of(self, entry: ColumnEntry) -> tuple[bool, bool]:
+        """Whether the world of an entry is NED, and its body FRD."""
+        return (entry.world or self.world) == "NED", (entry.body or self.body) == "FRD"
+
     def changed(self, name: str, **values: Any) -> LogMapping:
         """The mapping with values of one entry changed."""
         return replace(self, columns={**self.columns, name: replace(self.columns[name], **values)})
@@ -105,7 +104,8 @@ class LogMapping:
 _KEYS = ("system", "kind", "time", "frames", "columns")
 _ENTRY = {"from": "source", **{f.name: f.name for f in fields(ColumnEntry) if f.name != "source"}}
 _CHOICES: dict[str, Sequence[str]] = {
-    "axes": AXES, "order": ORDERS, "turns": TURNS, "world": WORLDS, "body": BODIES,
+    "axes": ("world", "body"), "order": ("wxyz", "xyzw"), "turns": ("body to world", "world to body"),
+    "world": ("ENU", "NED"), "body": ("FLU", "FRD"),
 }  # fmt: skip
 
 
@@ -128,11 +128,8 @@ def mapping_of(content: Any, source: str = "the mapping") -> LogMapping:
     Raises:
         ConfigError: as `read_mapping`.
     """
-    if (
-        not isinstance(content, dict)
-        or not isinstance(content.get("columns"), dict)
-        or not content["columns"]
-    ):
+    columns = content.get("columns") if isinstance(content, dict) else None
+    if not isinstance(columns, dict) or not columns:
         raise ConfigError(f"{source} must hold `columns:` with an entry for each state and input.")
     _known(content, _KEYS, source)
     frames = _table(content.get("frames") or {}, f"{source}: `frames`")
@@ -146,15 +143,12 @@ def mapping_of(content: Any, source: str = "the mapping") -> LogMapping:
         raise ConfigError(f"{source}: `rate` of the time must be rows a second, > 0; got {rate!r}.")
     clock = ClockOf(None if time.get("from") is None else str(time["from"]), unit, rate)
     return LogMapping(
-        {
-            str(name): _entry(value, f"{source}: `columns.{name}`")
-            for name, value in content["columns"].items()
-        },
+        {str(name): _entry(value, f"{source}: `columns.{name}`") for name, value in columns.items()},
         system=str(content.get("system") or ""),
         kind=str(content.get("kind") or ""),
         time=clock,
-        world=_choice(frames.get("world", "ENU"), WORLDS, f"{source}: `frames.world`"),
-        body=_choice(frames.get("body", "FLU"), BODIES, f"{source}: `frames.body`"),
+        world=_choice(frames.get("world", "ENU"), "world", f"{source}: `frames.world`"),
+        body=_choice(frames.get("body", "FLU"), "body", f"{source}: `frames.body`"),
     )
 
 
@@ -162,9 +156,8 @@ def _entry(value: Any, what: str) -> ColumnEntry:
     given = {"from": value} if isinstance(value, str | list) else dict(_table(value, what))
     _known(given, tuple(_ENTRY), what)
     source = given.pop("from", None)
-    names = (
-        (source,) if isinstance(source, str) else tuple(source) if isinstance(source, list | tuple) else ()
-    )
+    source = [source] if isinstance(source, str) else source
+    names = tuple(source) if isinstance(source, list | tuple) else ()
     if not names or not all(isinstance(name, str) for name in names):
         raise ConfigError(f"{what} needs `from:`, the column of the log or a list of them.")
     out: dict[str, Any] = {}
@@ -172,7 +165,7 @@ def _entry(value: Any, what: str) -> ColumnEntry:
         if one is None:
             continue
         if key in _CHOICES:
-            out[key] = _choice(one, _CHOICES[key], f"{what}: `{key}`")
+            out[key] = _choice(one, key, f"{what}: `{key}`")
         elif key in ("unit", "numbering"):
             out[key] = str(one)
         elif key == "sign":
@@ -195,20 +188,21 @@ def _entry(value: Any, what: str) -> ColumnEntry:
 
 def plain(mapping: LogMapping) -> dict[str, Any]:
     """A mapping as plain containers; what is as it always is left out."""
-    out: dict[str, Any] = {"system": mapping.system, "kind": mapping.kind}
     clock = mapping.time
-    told = {"from": clock.source, "unit": clock.unit, "rate": clock.rate}
-    if any(value is not None for value in told.values()):
-        out["time"] = {key: value for key, value in told.items() if value is not None}
-    if (mapping.world, mapping.body) != ("ENU", "FLU"):
-        out["frames"] = {"world": mapping.world, "body": mapping.body}
-    out["columns"] = {name: _plain_entry(entry) for name, entry in mapping.columns.items()}
+    time = {"from": clock.source, "unit": clock.unit, "rate": clock.rate}
+    usual = (mapping.world, mapping.body) == ("ENU", "FLU")
+    out = {
+        "system": mapping.system,
+        "kind": mapping.kind,
+        "time": {key: value for key, value in time.items() if value is not None},
+        "frames": {} if usual else {"world": mapping.world, "body": mapping.body},
+        "columns": {name: _plain_entry(entry) for name, entry in mapping.columns.items()},
+    }
     return {key: value for key, value in out.items() if value}
 
 
 def _plain_entry(entry: ColumnEntry) -> dict[str, Any]:
-    first: Any = entry.source[0] if len(entry.source) == 1 else list(entry.source)
-    out: dict[str, Any] = {"from": first}
+    out: dict[str, Any] = {"from": entry.source[0] if len(entry.source) == 1 else list(entry.source)}
     for one in fields(ColumnEntry)[1:]:
         value = getattr(entry, one.name)
         if value != one.default:
@@ -219,17 +213,18 @@ def _plain_entry(entry: ColumnEntry) -> dict[str, Any]:
 def text(mapping: LogMapping) -> str:
     """A mapping as YAML, an entry a line."""
     content = plain(mapping)
+
+    def flow(value: Any) -> str:
+        dumped = yaml.safe_dump(
+            value, default_flow_style=True, sort_keys=False, width=10_000, allow_unicode=True
+        )
+        return str(dumped).strip()
+
     lines = [f"{key}: {content[key]}" for key in ("system", "kind") if key in content]
-    lines += [f"{key}: {_flow(content[key])}" for key in ("time", "frames") if key in content]
+    lines += [f"{key}: {flow(content[key])}" for key in ("time", "frames") if key in content]
     lines.append("columns:")
-    lines += [f"  {name}: {_flow(entry)}" for name, entry in content["columns"].items()]
+    lines += [f"  {name}: {flow(entry)}" for name, entry in content["columns"].items()]
     return "\n".join(lines) + "\n"
-
-
-def _flow(value: Any) -> str:
-    return yaml.safe_dump(
-        value, default_flow_style=True, sort_keys=False, width=10_000, allow_unicode=True
-    ).strip()
 
 
 def targets(system: SystemInfo, name: str) -> tuple[str, ...]:
@@ -255,9 +250,9 @@ def _table(value: Any, what: str) -> Table[str, Any]:
     return value
 
 
-def _choice(value: Any, choices: Sequence[str], what: str) -> str:
-    if value not in choices:
-        raise ConfigError(f"{what} must be one of {', '.join(choices)}; got {value!r}.")
+def _choice(value: Any, key: str, what: str) -> str:
+    if value not in _CHOICES[key]:
+        raise ConfigError(f"{what} must be one of {', '.join(_CHOICES[key])}; got {value!r}.")
     return str(value)
 
 

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from nsde_torch.data.streams import Stream
 from nsde_torch.effects.units import powers
@@ -16,36 +17,18 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.lookup import did_you_mean
 
 GRAVITY = 9.80665  # standard acceleration of gravity [m/s2], of which `g` is the unit
+_FORCE, _ACCELERATION = {"kg": 1, "m": 1, "s": -2}, {"m": 1, "s": -2}
 SIZES: dict[str, tuple[float, dict[str, int]]] = {
-    "m": (1.0, {"m": 1}),
-    "mm": (1e-3, {"m": 1}),
-    "cm": (1e-2, {"m": 1}),
-    "km": (1e3, {"m": 1}),
+    "m": (1.0, {"m": 1}), "mm": (1e-3, {"m": 1}), "cm": (1e-2, {"m": 1}), "km": (1e3, {"m": 1}),
     "ft": (0.3048, {"m": 1}),
-    "s": (1.0, {"s": 1}),
-    "ms": (1e-3, {"s": 1}),
-    "us": (1e-6, {"s": 1}),
-    "ns": (1e-9, {"s": 1}),
-    "min": (60.0, {"s": 1}),
-    "h": (3600.0, {"s": 1}),
-    "rad": (1.0, {}),
-    "mrad": (1e-3, {}),
-    "deg": (math.pi / 180.0, {}),
-    "cdeg": (math.pi / 18000.0, {}),
-    "rev": (2.0 * math.pi, {}),
-    "rpm": (2.0 * math.pi / 60.0, {"s": -1}),
-    "g": (GRAVITY, {"m": 1, "s": -2}),
-    "kg": (1.0, {"kg": 1}),
-    "N": (1.0, {"kg": 1, "m": 1, "s": -2}),
-    "mN": (1e-3, {"kg": 1, "m": 1, "s": -2}),
-    "V": (1.0, {"V": 1}),
-    "mV": (1e-3, {"V": 1}),
-    "A": (1.0, {"A": 1}),
-    "mA": (1e-3, {"A": 1}),
-    "W": (1.0, {"kg": 1, "m": 2, "s": -3}),
-    "Pa": (1.0, {"kg": 1, "m": -1, "s": -2}),
-    "%": (0.01, {}),
-}
+    "s": (1.0, {"s": 1}), "ms": (1e-3, {"s": 1}), "us": (1e-6, {"s": 1}), "ns": (1e-9, {"s": 1}),
+    "min": (60.0, {"s": 1}), "h": (3600.0, {"s": 1}),
+    "rad": (1.0, {}), "mrad": (1e-3, {}), "deg": (math.pi / 180.0, {}), "cdeg": (math.pi / 18000.0, {}),
+    "rev": (2.0 * math.pi, {}), "rpm": (2.0 * math.pi / 60.0, {"s": -1}), "g": (GRAVITY, _ACCELERATION),
+    "kg": (1.0, {"kg": 1}), "N": (1.0, _FORCE), "mN": (1e-3, _FORCE),
+    "V": (1.0, {"V": 1}), "mV": (1e-3, {"V": 1}), "A": (1.0, {"A": 1}), "mA": (1e-3, {"A": 1}),
+    "W": (1.0, {"kg": 1, "m": 2, "s": -3}), "Pa": (1.0, {"kg": 1, "m": -1, "s": -2}), "%": (0.01, {}),
+}  # fmt: skip
 """Size in SI and dimension of each unit; angles have none."""
 ALIASES = {
     "dps": "deg/s", "degrees": "deg", "degree": "deg", "radians": "rad", "meters": "m", "meter": "m", "metres": "m",
@@ -101,7 +84,6 @@ _SUFFIXES = {
     "rad_s": "rad/s",
     "mps": "m/s",
     "m_s": "m/s",
-    "pwm": "",
 }
 
 POSITION, VELOCITY, QUATERNION, EULER, RATES, ACCELERATION, MOTORS = (
@@ -169,8 +151,8 @@ def bare(name: str) -> tuple[str, str | None]:
     low = name.lower()
     ending = _SUFFIX.search(low)
     if ending:
-        unit = _SUFFIXES.get(ending[1], ending[1])
-        return name[: ending.start()], unit or None
+        unit = None if ending[1] == "pwm" else _SUFFIXES.get(ending[1], ending[1])
+        return name[: ending.start()], unit
     return name, None
 
 
@@ -189,10 +171,9 @@ def vectors(stream: Stream) -> list[Named]:
             key = (stem, joint, tail)
             groups.setdefault(key, {})[axis] = column
             units[key] = stream.units.get(column) or unit
-    out: list[Named] = []
-    for key, axes in groups.items():
-        out += _named(stream.name, key, axes, units[key])
-    return sorted(out, key=lambda one: list(stream.fields).index(one.columns[0]))
+    found = [_named(stream.name, key, axes, units[key]) for key, axes in groups.items()]
+    places = list(stream.fields)
+    return sorted((one for one in found if one is not None), key=lambda one: places.index(one.columns[0]))
 
 
 def _splits(name: str) -> Iterator[tuple[str, str, str, str]]:
@@ -215,71 +196,50 @@ def _splits(name: str) -> Iterator[tuple[str, str, str, str]]:
         yield "pqr", "", {"p": "x", "q": "y", "r": "z"}[name], ""
 
 
-def _named(stream: str, key: tuple[str, str, str], axes: dict[str, str], unit: str | None) -> Iterator[Named]:
+def _named(stream: str, key: tuple[str, str, str], axes: dict[str, str], unit: str | None) -> Named | None:
     stem, _, tail = key
     word = _word(stem)
     if word in _PLAIN and _word(stream.replace("/", ".")) in _WORDS[MOTORS] and "x" not in axes:
         word = "motors"
     word = word or ("" if not stem.strip("._/ ") else stem)
     whole = f"{stream}/{stem.rstrip('._/ ~')}{tail}".lower()
-    measured = is_measured(whole)
+    there = set(axes)
+
+    def of(kind: str, in_order: Iterable[str] = "xyz", **more: Any) -> Named:
+        given = {"unit": unit, "measured": is_measured(whole), **more}
+        return Named(kind, stream, tuple(axes[a] for a in in_order), **given)
+
     if stem.endswith("~"):
-        if set("xyz") <= set(axes):
-            columns = tuple(axes[a] for a in "xyz")
-            kind = RATES if tail or _word(stem[:-1]) in _WORDS[RATES] else EULER
-            yield Named(kind, stream, columns, unit, measured=measured)
-        return
+        kind = RATES if tail or _word(stem[:-1]) in _WORDS[RATES] else EULER
+        return of(kind) if set("xyz") <= there else None
     if stem == "pqr":
-        if len(axes) == 3:
-            yield Named(RATES, stream, tuple(axes[a] for a in "xyz"), unit)
-        return
-    if set("ned") <= set(axes):
-        kind = POSITION if stem.endswith("p") else VELOCITY
-        yield Named(kind, stream, tuple(axes[a] for a in "ned"), unit, down=True, measured=measured)
-        return
-    if set("wxyz") <= set(axes) and word in _WORDS[QUATERNION] | {""}:
-        first = min(axes.values(), key=list(axes.values()).index)
-        order = "wxyz" if first == axes["w"] else "xyzw"
-        yield Named(QUATERNION, stream, tuple(axes[a] for a in order), None, order=order, measured=measured)
-        return
-    if set("xyz") <= set(axes):
-        columns = tuple(axes[a] for a in "xyz")
-        for kind in (POSITION, VELOCITY, RATES, ACCELERATION):
-            if word in _WORDS[kind]:
-                yield Named(kind, stream, columns, unit, measured=measured)
-                return
-        return
-    numbers = sorted(int(a) for a in axes if a.isdigit())
+        return of(RATES, measured=True) if len(axes) == 3 else None
+    if set("ned") <= there:
+        return of(POSITION if stem.endswith("p") else VELOCITY, "ned", down=True)
+    if set("wxyz") <= there and word in _WORDS[QUATERNION] | {""}:
+        order = "wxyz" if next(iter(axes.values())) == axes["w"] else "xyzw"
+        return of(QUATERNION, order, unit=None, order=order)
+    vectors = (POSITION, VELOCITY, RATES, ACCELERATION)
+    if set("xyz") <= there:
+        return next((of(kind) for kind in vectors if word in _WORDS[kind]), None)
+    digits = sorted((a for a in axes if a.isdigit()), key=int)
+    numbers = [int(a) for a in digits]
     if not numbers or numbers != list(range(numbers[0], numbers[0] + len(numbers))) or numbers[0] > 1:
-        return
-    columns = tuple(
-        axes[str(k)] if str(k) in axes else next(axes[a] for a in axes if a.isdigit() and int(a) == k)
-        for k in numbers
-    )
-    kinds = {3: (POSITION, VELOCITY, RATES, ACCELERATION, EULER), 4: (QUATERNION,)}.get(len(columns), ())
-    for kind in kinds:
+        return None
+    for kind in {3: (*vectors, EULER), 4: (QUATERNION,)}.get(len(digits), ()):
         if word in _WORDS[kind] - {""}:
-            yield Named(kind, stream, columns, unit, measured=measured)
-            return
-    if word in _WORDS[MOTORS] and len(columns) >= 2:
-        yield Named(
-            MOTORS, stream, columns, unit, measured=not re.search(r"(^|[^a-z])(sp|setpoint)([^a-z]|$)", whole)
-        )
+            return of(kind, digits)
+    if word in _WORDS[MOTORS] and len(digits) >= 2:
+        return of(MOTORS, digits, measured=not re.search(r"(^|[^a-z])(sp|setpoint)([^a-z]|$)", whole))
+    return None
 
 
 def _word(stem: str) -> str:
     """The last word of a stem, without what joins words; two words where the last says too little."""
-    words = [w for w in re.split(r"[./\s]+", stem.strip("._/ ")) if w]
-    if not words:
-        return ""
-    last = words[-1]
-    parts = [p for p in last.split("_") if p]
+    parts = [p for p in re.split(r"[./\s]+", stem.strip("._/ "))[-1].split("_") if p]
     squeezed = "".join(parts)
     every = set().union(*_WORDS.values())
-    for candidate in (squeezed, parts[-1] if parts else "", *([parts[0]] if parts else [])):
-        if candidate in every:
-            return candidate
-    return squeezed
+    return next((word for word in (squeezed, *parts[-1:], *parts[:1]) if word in every), squeezed)
 
 
 def pick(found: Sequence[Named], kind: str) -> list[Named]:

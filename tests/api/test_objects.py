@@ -53,6 +53,9 @@ def test_each_has_a_line_and_a_page_of_its_own(data: DataSet, model: Model, scor
     assert repr(scores).startswith("<Comparison of fitted on mass_spring_damper: ")
     assert "rms error, inputs replayed" in scores._repr_html_()
     assert data._repr_html_().startswith("<pre>data: ")
+    assert "found: nothing amiss" in data._repr_html_()
+    assert repr(data) == "<DataSet of mass_spring_damper: 3 runs, 15.0 s at 100 Hz>"
+    assert repr(data.runs[1]) == "<Run 'run_1': 501 rows, 5 s>"
     found = model.predict(data[2], horizon=0.5)
     assert repr(found) == "<RunPrediction of 'run_2': 10 starts, 0.5 s each, 90 % intervals>"
     assert "no intervals, as the model has no noise" in found._repr_html_()

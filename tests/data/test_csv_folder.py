@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import nsde_torch
 from nsde_torch.data import RawRun, write_csv
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import assemble, read
@@ -67,9 +66,10 @@ def test_bom_spaces_crlf_quotes_and_any_column_order_are_read(tmp_path: Path) ->
     np.testing.assert_allclose(read("csv", MSD, path=str(tmp_path))[0].x[5], [np.sin(0.05), np.cos(0.05)])
 
 
-def test_empty_cells_and_nan_are_missing_values(tmp_path: Path) -> None:
+@pytest.mark.parametrize("cell", ["", "nan", "N/A", "NA", "null", "-"])
+def test_cells_that_say_nothing_are_missing_values(tmp_path: Path, cell: str) -> None:
     rows = list(ROWS)
-    rows[20], rows[40] = "0.20,,1.0,0", "0.40,nan,nan,0"
+    rows[20], rows[40] = f"0.20,{cell},1.0,0", f"0.40,{cell},{cell},0"
     data = read("csv", MSD, path=folder(tmp_path, lines(rows=rows)))
     assert data[0].x[20, 0] == pytest.approx(np.sin(0.2), abs=1e-4)
     assert data[0].x[40, 0] == pytest.approx(np.sin(0.4), abs=1e-4)
@@ -100,13 +100,6 @@ def test_a_faulty_file_is_refused_with_place_and_remedy(tmp_path: Path, text: st
         read("csv", MSD, path=folder(tmp_path, text))
 
 
-@pytest.mark.parametrize("cell", ["", "nan", "N/A", "NA", "null", "-"])
-def test_a_cell_that_says_nothing_is_missing(tmp_path: Path, cell: str) -> None:
-    data = read("csv", MSD, path=folder(tmp_path, lines(rows=[*ROWS[:7], f"0.07,{cell},1,0", *ROWS[8:]])))
-    assert any(one.kind == "missing" or "missing" in one.message for one in data.summary.findings)
-    assert np.isfinite(data[0].x).all()
-
-
 def test_a_step_far_below_that_of_the_data_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"`dt` must be at least 1/1000 of the data's step of 0.01 s"):
         read("csv", MSD, path=folder(tmp_path, lines()), dt=1e-9)
@@ -133,11 +126,3 @@ def test_unknown_kinds_and_options_list_the_choices(tmp_path: Path) -> None:
         read("csv", MSD, path=folder(tmp_path, lines()), clock="maybe")
     with pytest.raises(ConfigError, match="`gap` must be longer than the step"):
         read("csv", MSD, path=str(tmp_path), gap=0.001)
-
-
-def test_a_data_set_and_its_runs_are_shown_in_a_line_and_in_a_notebook_by_the_summary() -> None:
-    made = nsde_torch.simulate("mass_spring_damper", durations=[4.0, 4.0], seed=1)
-    data = nsde_torch.read(made, system="mass_spring_damper")
-    assert repr(data) == "<DataSet of mass_spring_damper: 2 runs, 8.0 s at 100 Hz>"
-    assert repr(data.runs[1]) == "<Run 'run_1': 401 rows, 4 s>"
-    assert "found: nothing amiss" in data._repr_html_()

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from scipy.spatial.transform import Rotation
 
 from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.mapping.apply import apply, order
-from nsde_torch.data.mapping.checks import checks
+from nsde_torch.data.mapping.checks import LogCheck, checks
 from nsde_torch.data.mapping.kinematic import lean
 from nsde_torch.data.mapping.mapping import LogMapping, mapping_of, read_mapping, text
 from nsde_torch.data.mapping.names import factor
+from nsde_torch.data.quaternion import conjugate, rotate
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.streams import Stream, commands
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.systems import make_system
-from tests.helpers.leaning import leaning_flight
+from tests.helpers.leaning import leaning_flight, same_flight
 from tests.helpers.log_writers import NED_MAPPING, ned_columns
+
+QUADROTOR, SPRING = make_system("quadrotor"), make_system("mass_spring_damper")
 
 
 def _mapping(content: str = NED_MAPPING) -> LogMapping:
@@ -38,12 +43,9 @@ def flight() -> RawRun:
 
 
 def test_a_log_in_other_axes_units_and_orders_gives_the_run_back(flight: RawRun) -> None:
-    run = apply(_log(ned_columns(flight)), _mapping(), make_system("quadrotor"))
+    run = apply(_log(ned_columns(flight)), _mapping(), QUADROTOR)
     assert np.abs(run.t - flight.t).max() < 1e-5
-    q = run.x[:, 6:10] * np.sign((run.x[:, 6:10] * flight.x[:, 6:10]).sum(axis=1))[:, None]
-    assert np.abs(q - flight.x[:, 6:10]).max() < 1e-12
-    rest = [0, 1, 2, 3, 4, 5, 10, 11, 12]
-    assert np.abs(run.x[:, rest] - flight.x[:, rest]).max() < 1e-12
+    assert same_flight(run, flight, 1e-12)
     assert np.abs(run.u - flight.u).max() < 1e-12
 
 
@@ -59,8 +61,6 @@ def test_every_pair_of_axes_is_read(flight: RawRun, world: str, body: str) -> No
     ned = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
     frd = np.diag([1.0, -1, -1])
     w, b = ned if world == "NED" else np.eye(3), frd if body == "FRD" else np.eye(3)
-    from scipy.spatial.transform import Rotation
-
     matrix = w @ Rotation.from_quat(flight.x[:, [7, 8, 9, 6]]).as_matrix() @ b
     q = Rotation.from_matrix(matrix).as_quat()
     parts = {"p": flight.x[:, :3] @ w.T, "v": flight.x[:, 3:6] @ w.T, "w": flight.x[:, 10:] @ b.T}
@@ -70,17 +70,8 @@ def test_every_pair_of_axes_is_read(flight: RawRun, world: str, body: str) -> No
     columns = {n: {"from": [f"{n}_{a}" for a in "xyz"]} for n in parts}
     columns["q"] = {"from": [f"q{k}" for k in range(4)], "order": "xyzw"}
     columns["u"] = {"from": [f"u{k}" for k in range(4)]}
-    run = apply(
-        log,
-        mapping_of({"frames": {"world": world, "body": body}, "columns": columns}),
-        make_system("quadrotor"),
-    )
-    turn = Rotation.from_quat(run.x[:, [7, 8, 9, 6]]) * Rotation.from_quat(flight.x[:, [7, 8, 9, 6]]).inv()
-    assert turn.magnitude().max() < 1e-7
-    assert (
-        np.abs(run.x[:, [0, 1, 2, 3, 4, 5, 10, 11, 12]] - flight.x[:, [0, 1, 2, 3, 4, 5, 10, 11, 12]]).max()
-        < 1e-12
-    )
+    mapping = mapping_of({"frames": {"world": world, "body": body}, "columns": columns})
+    assert same_flight(apply(log, mapping, QUADROTOR), flight, 1e-12)
 
 
 WRONG = {
@@ -100,39 +91,30 @@ def test_a_mapping_that_contradicts_the_log_is_told_by_name(flight: RawRun, faul
     assert before in NED_MAPPING
     columns = ned_columns(flight)
     mapping = _mapping(NED_MAPPING.replace(before, after))
-    run = apply(_log(columns), mapping, make_system("quadrotor"))
-    failed = [check.text for check in checks(make_system("quadrotor"), run, mapping) if check.passed is False]
-    assert failed or words is None
-    if words is not None:
-        import re
+    run = apply(_log(columns), mapping, QUADROTOR)
+    failed = [check.text for check in checks(QUADROTOR, run, mapping) if check.passed is False]
+    assert words is None or re.search(words, " ".join(failed))
+    right = apply(_log(columns), _mapping(), QUADROTOR)
+    assert all(check.passed is not False for check in checks(QUADROTOR, right))
 
-        assert re.search(words, " ".join(failed))
-    right = apply(_log(columns), _mapping(), make_system("quadrotor"))
-    assert all(check.passed is not False for check in checks(make_system("quadrotor"), right))
+
+def _failed(flight: RawRun, x: np.ndarray) -> list[LogCheck]:
+    return [c for c in checks(QUADROTOR, RawRun("r", flight.t, x, flight.u)) if c.passed is False]
 
 
 def test_velocities_along_the_body_are_told(flight: RawRun) -> None:
-    from nsde_torch.data.quaternion import conjugate, rotate
-
     x = flight.x.copy()
     x[:, 3:6] = rotate(conjugate(x[:, 6:10]), x[:, 3:6])
-    found = [
-        c.text
-        for c in checks(make_system("quadrotor"), RawRun("r", flight.t, x, flight.u))
-        if c.passed is False
-    ]
-    assert any("axes: body" in one for one in found)
+    assert any("axes: body" in check.text for check in _failed(flight, x))
 
 
 def test_gravity_tells_axes_that_kinematics_cannot(flight: RawRun) -> None:
     """Positions and velocities exchanged together agree with each other, and not with the lean of the attitude."""
     x = flight.x.copy()
     x[:, [0, 1, 3, 4]] = x[:, [1, 0, 4, 3]]
-    found = [
-        c for c in checks(make_system("quadrotor"), RawRun("r", flight.t, x, flight.u)) if c.passed is False
-    ]
-    assert [c.name for c in found] == ["lean and acceleration"]
-    assert "exchanged" in found[0].text
+    (found,) = _failed(flight, x)
+    assert found.name == "lean and acceleration"
+    assert "exchanged" in found.text
 
 
 BAD = {
@@ -154,9 +136,7 @@ def test_a_faulty_mapping_is_one_sentence(flight: RawRun, fault: str) -> None:
     before, after, message = BAD[fault]
     assert before in NED_MAPPING
     with pytest.raises(ConfigError, match=message):
-        apply(
-            _log(ned_columns(flight)), _mapping(NED_MAPPING.replace(before, after)), make_system("quadrotor")
-        )
+        apply(_log(ned_columns(flight)), _mapping(NED_MAPPING.replace(before, after)), QUADROTOR)
 
 
 def test_a_file_that_is_no_mapping(tmp_path: Path) -> None:
@@ -201,16 +181,11 @@ def test_streams_of_other_rates_come_onto_one_grid(flight: RawRun) -> None:
     columns = {"p": [0, 1, 2], "v": [3, 4, 5], "q": [6, 7, 8, 9]}
     content = {n: {"from": [f"att/x{k}" for k in ks]} for n, ks in columns.items()}
     content |= {"w": {"from": [f"w{k}" for k in range(3)]}, "u": {"from": [f"motors/m{k}" for k in range(4)]}}
-    run = apply(StreamLog("r", "r", streams), mapping_of({"columns": content}), make_system("quadrotor"))
+    run = apply(StreamLog("r", "r", streams), mapping_of({"columns": content}), QUADROTOR)
     assert len(run.t) == len(flight.t)
     assert np.nanmax(np.abs(run.x - flight.x)) < 1e-9
-    t = flight.t[100:-100]
-    mean = (
-        0.5
-        + 0.2
-        * (np.cos(40 * t[:, None] + np.arange(4)) - np.cos(40 * (t[:, None] + 0.01) + np.arange(4)))
-        / 0.4
-    )
+    at = 40.0 * flight.t[100:-100, None] + np.arange(4)
+    mean = 0.5 + 0.2 * (np.cos(at) - np.cos(at + 0.4)) / 0.4
     held = 0.2 * 40 / 300  # what holding over a third of a step can be off
     assert np.abs(run.u[100:-100] - mean).max() < held
 
@@ -234,9 +209,9 @@ def test_slow_motors_are_refused_and_can_be_let_in(flight: RawRun) -> None:
     }
     columns |= {"q": {"from": [f"x{k}" for k in (6, 7, 8, 9)]}, "u": {"from": [f"m{k}" for k in range(4)]}}
     with pytest.raises(DataError, match=r"'u' \(m\) was logged at 10 Hz; at least 50 Hz .*slowest: 10"):
-        apply(StreamLog("r", "r", streams), mapping_of({"columns": columns}), make_system("quadrotor"))
+        apply(StreamLog("r", "r", streams), mapping_of({"columns": columns}), QUADROTOR)
     columns["u"]["slowest"] = 10  # type: ignore[assignment]
-    run = apply(StreamLog("r", "r", streams), mapping_of({"columns": columns}), make_system("quadrotor"))
+    run = apply(StreamLog("r", "r", streams), mapping_of({"columns": columns}), QUADROTOR)
     assert np.array_equal(run.u[:-10:10], flight.u[:-10:10])
 
 
@@ -244,14 +219,14 @@ def test_clocks_that_share_no_time_are_refused(flight: RawRun) -> None:
     streams = [Stream("a", flight.t, {"q": flight.t}), Stream("b", flight.t + 1e9, {"u": flight.t})]
     mapping = mapping_of({"columns": {"q": "a/q", "force": "b/u"}})
     with pytest.raises(DataError, match="have no time in common"):
-        apply(StreamLog("r", "r", streams), mapping, make_system("mass_spring_damper"))
+        apply(StreamLog("r", "r", streams), mapping, SPRING)
 
 
 def test_rotor_speeds_and_scales() -> None:
     t = np.arange(0, 5, 0.01)
     log = StreamLog("r", "r", [Stream("", t, {"q": t, "volt": np.sin(t)})])
     columns = {"q": "q", "force": {"from": "volt", "scale": 35.0, "sign": -1}}
-    run = apply(log, mapping_of({"columns": columns}), make_system("mass_spring_damper"))
+    run = apply(log, mapping_of({"columns": columns}), SPRING)
     assert np.allclose(run.u[:, 0], -35 * np.sin(t))
     assert np.isnan(run.x[:, 1]).all()  # the rate is inferred later
 
@@ -262,7 +237,7 @@ def test_inputs_that_their_range_does_not_hold_are_refused() -> None:
 
     def read(pwm: np.ndarray) -> RawRun:
         log = StreamLog("r", "r", [Stream("", t, {"q": t, "pwm": pwm})])
-        return apply(log, mapping_of({"columns": columns}), make_system("mass_spring_damper"))
+        return apply(log, mapping_of({"columns": columns}), SPRING)
 
     with pytest.raises(DataError, match=r"inputs are 800 to 1200, and 50% of them lie outside `low: 1000`"):
         read(1000.0 + 200.0 * np.cos(t * np.pi / 4.99))
@@ -272,7 +247,7 @@ def test_inputs_that_their_range_does_not_hold_are_refused() -> None:
 
 def test_a_channel_that_one_log_lacks_is_told_and_left_out(flight: RawRun) -> None:
     content = NED_MAPPING + "  battery_voltage: {from: vbat, unit: V}\n"
-    run = apply(_log(ned_columns(flight)), _mapping(content), make_system("quadrotor"))
+    run = apply(_log(ned_columns(flight)), _mapping(content), QUADROTOR)
     assert "battery_voltage" not in run.extra
     assert [note.message for note in run.notes] == ["no column vbat for the channel 'battery_voltage'"]
 

@@ -79,10 +79,13 @@ def test_a_step_that_is_not_positive_is_refused(tmp_path: Path) -> None:
         read("published", HEXACOPTER, path=write(tmp_path / "trajs.pkl", flights(6)), dt=-0.01)
 
 
+FLIGHTS = str(PUBLISHED / "hexacopter" / "trajs.pkl")
+
+
 @needs_files
 @pytest.mark.published
 def test_published_hexacopter_flights_hide_two_gaps_and_a_slow_clock() -> None:
-    data = read("published", HEXACOPTER, path=str(PUBLISHED / "hexacopter" / "trajs.pkl"))
+    data = read("published", HEXACOPTER, path=FLIGHTS)
     assert [run.segments for run in data] == [
         ((0, 4641), (4641, 6498)),
         ((0, 5871),),
@@ -94,16 +97,16 @@ def test_published_hexacopter_flights_hide_two_gaps_and_a_slow_clock() -> None:
     envelope = data.summary.envelope
     assert envelope is not None
     assert envelope.speed_q95 == pytest.approx(1.71, abs=0.1)
-    kept = read("published", HEXACOPTER, path=str(PUBLISHED / "hexacopter" / "trajs.pkl"), clock="trust")
+    kept = read("published", HEXACOPTER, path=FLIGHTS, clock="trust")
     assert kept.clock_scale == 1.0
     with pytest.raises(DataError, match="clock runs wrong"):
-        read("published", HEXACOPTER, path=str(PUBLISHED / "hexacopter" / "trajs.pkl"), clock="refuse")
+        read("published", HEXACOPTER, path=FLIGHTS, clock="refuse")
 
 
 @needs_files
 @pytest.mark.published
 def test_evaluation_starts_are_those_of_the_reference_script() -> None:
-    data = read("published", HEXACOPTER, path=str(PUBLISHED / "hexacopter" / "trajs.pkl"))
+    data = read("published", HEXACOPTER, path=FLIGHTS)
     for run in data:
         jump = np.flatnonzero(np.linalg.norm(np.diff(run.x[:, :3], axis=0), axis=1) > 0.05)
         expected = [i for i in range(0, len(run) - 200, 25) if not ((jump >= i) & (jump < i + 200)).any()]

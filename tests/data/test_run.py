@@ -1,12 +1,14 @@
-"""Runs and data sets refuse what does not fit, and equal content has equal hashes."""
+"""Runs refuse what does not fit; splits are by whole run and never let training data into the test."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from nsde_torch.data import Run
+from nsde_torch.data import DataSet, RawRun, Run, split
 from nsde_torch.errors import DataError, ShapeError
+from nsde_torch.recording import assemble
+from tests.helpers.data_systems import MSD
 
 
 def make(name: str = "a", n: int = 20, **changes: object) -> Run:
@@ -33,16 +35,12 @@ def test_arrays_are_float64_and_read_only_without_freezing_the_callers() -> None
         ({"segments": ((0, 5), (4, 9))}, DataError, "segments must be increasing"),
         ({"segments": ((0, 21),)}, DataError, "segments must be increasing"),
         ({"segments": ((0, 1),)}, DataError, "segments must be increasing"),
+        ({"n": 1}, DataError, "needs at least two"),
     ],
 )
 def test_what_does_not_fit_is_refused_by_name(change: dict, error: type[Exception], text: str) -> None:
     with pytest.raises(error, match=text):
         make(**change)
-
-
-def test_one_row_is_no_run() -> None:
-    with pytest.raises(DataError, match="needs at least two"):
-        make(n=1)
 
 
 def test_duration_and_step_leave_gaps_out() -> None:
@@ -67,3 +65,47 @@ def test_content_hash_sees_values_and_shape_but_not_name_or_clock() -> None:
     changed = np.arange(40.0).reshape(20, 2)
     changed[3, 1] += 1e-12
     assert make(x=changed).content_hash != make().content_hash
+
+
+def data(count: int, twins: bool = False) -> DataSet:
+    raw, t = [], 0.01 * np.arange(100)
+    for k in range(count):
+        at = t if twins else t + k
+        raw.append(RawRun(f"run_{k}", t, np.stack([np.sin(at), np.cos(at)], 1), np.ones((100, 1))))
+    return assemble(raw, MSD, kind="test")
+
+
+def test_runs_are_chosen_by_index_negative_index_digits_or_name() -> None:
+    d = data(4)
+    for key in (1, -3, "1", "run_1"):
+        parts = split(d, [key])
+        assert [r.name for r in parts.test] == ["run_1"]
+        assert [r.name for r in parts.train] == ["run_0", "run_2", "run_3"]
+    assert [r.name for r in split(d).test] == ["run_3"]
+    assert split(d, []).test == ()
+    assert [r.name for r in split(d, [0], train=["run_2"]).train] == ["run_2"]
+
+
+@pytest.mark.parametrize(
+    ("test", "train", "text"),
+    [
+        ([7], None, "no run 7; choose by index or name among the 3 runs: 0: run_0"),
+        (["flight"], None, "no run 'flight'"), ([0, 1, 2], None, "no run is left for training"),
+        ([1], ["run_1", 2], r"\['run_1'\] are in both"), ([1, "run_1"], None, r"\['run_1'\] more than once"),
+        (1, None, "must be a list"), ([True], None, "no run True"),
+    ],
+)  # fmt: skip
+def test_faulty_splits_are_refused(test: list, train: list | None, text: str) -> None:
+    with pytest.raises(DataError, match=text):
+        split(data(3), test, train=train)
+
+
+def test_equal_content_on_both_sides_is_refused_under_any_name() -> None:
+    with pytest.raises(DataError, match="'run_1' has the same content as the training run 'run_0'"):
+        split(data(2, twins=True), [1])
+
+
+def test_a_single_run_cannot_be_on_both_sides() -> None:
+    with pytest.raises(DataError, match=r"holds one run .* set `test` to \[\]"):
+        split(data(1))
+    assert len(split(data(1), []).train) == 1

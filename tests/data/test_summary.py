@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tracemalloc
 
 import numpy as np
 import pytest
+import torch
 
-from nsde_torch.data import RawRun
+from nsde_torch.data import RawRun, Windows
 from nsde_torch.recording import assemble
 from tests.helpers.data_systems import HEXACOPTER
 from tests.helpers.flights import flight
@@ -50,11 +52,9 @@ def test_roll_pitch_yaw_are_those_of_the_attitude() -> None:
     x = np.zeros((200, 13))
     half = np.radians(20) / 2
     x[:, 6:10] = np.cos(half), np.sin(half), 0, 0
-    envelope = assemble([RawRun("a", t, x, np.full((200, 6), 0.4))], HEXACOPTER, kind="test").summary.envelope
-    assert envelope is not None
-    assert (envelope.roll_max, envelope.pitch_max, envelope.yaw_max) == pytest.approx(
-        (20.0, 0.0, 0.0), abs=1e-9
-    )
+    e = assemble([RawRun("a", t, x, np.full((200, 6), 0.4))], HEXACOPTER, kind="test").summary.envelope
+    assert e is not None
+    assert (e.roll_max, e.pitch_max, e.yaw_max) == pytest.approx((20.0, 0.0, 0.0), abs=1e-9)
 
 
 def test_reading_data_needs_no_torch() -> None:
@@ -63,3 +63,23 @@ def test_reading_data_needs_no_torch() -> None:
         "assert 'torch' not in sys.modules; d.Windows"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_checking_and_windowing_take_at_most_four_times_the_data() -> None:
+    n = 100_000
+    t = 0.01 * np.arange(n)  # of ten hours at 100 Hz: 1.4 GiB
+    x = np.zeros((n, 13))
+    x[:, 0], x[:, 3], x[:, 6] = np.sin(t), np.cos(t), 1.0
+    u = 0.4 + 0.1 * np.sin(np.outer(t, np.arange(1, 7)))
+    size = t.nbytes + x.nbytes + u.nbytes
+    raw = [RawRun("long", t, x, u)]
+    tracemalloc.start()  # the raw arrays above are not counted: they come on top, once
+    try:
+        data = assemble(raw, HEXACOPTER, kind="test", clock="trust")
+        windows = Windows(data.runs, 0.05, 20)
+        train, _ = windows.held_out(0.15, 10.0, torch.Generator().manual_seed(0))
+        train.batch(train.sample(512, torch.Generator().manual_seed(0)))
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 3 * size

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nsde_torch.data import DataSet
 from nsde_torch.data.quaternion import attitude_to_enu, rotate, swap_body, swap_world
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import read
@@ -58,6 +59,12 @@ def logged(seconds: float = 12.0) -> tuple[np.ndarray, np.ndarray, np.ndarray, d
     return t, x, u, topics
 
 
+def logged_as(tmp_path: Path, topics: dict, *, parameters: dict | None = None, **options: object) -> DataSet:
+    """The data set of a log of these topics."""
+    path = write_ulog(tmp_path / "log.ulg", topics, parameters or {})
+    return read("ulog", QUADROTOR, path=str(path), **options)  # type: ignore[arg-type]
+
+
 def same_state(run: object, x: np.ndarray, atol: float = 1e-5) -> None:
     got = run.x * 1.0  # type: ignore[attr-defined]
     got[:, 6:10] *= np.sign((got[:, 6:10] * x[:, 6:10]).sum(axis=1, keepdims=True))
@@ -66,7 +73,7 @@ def same_state(run: object, x: np.ndarray, atol: float = 1e-5) -> None:
 
 def test_odometry_in_ned_comes_out_in_enu_with_battery_voltage(tmp_path: Path) -> None:
     t, x, u, topics = logged()
-    data = read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics)))
+    data = logged_as(tmp_path, topics)
     same_state(data[0], x)
     np.testing.assert_allclose(data[0].u, u, atol=1e-6)
     np.testing.assert_allclose(data[0].t, 50 + t, atol=1e-6)
@@ -81,10 +88,10 @@ def test_the_velocity_frame_field_decides(tmp_path: Path) -> None:
     q, v = topics["vehicle_odometry"]["q"], topics["vehicle_odometry"]["velocity"]
     topics["vehicle_odometry"]["velocity"] = rotate(q * [1, -1, -1, -1], v)
     topics["vehicle_odometry"]["velocity_frame"] = np.full(len(q), 3)
-    same_state(read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics)))[0], x)
+    same_state(logged_as(tmp_path, topics)[0], x)
     topics["vehicle_odometry"]["velocity_frame"] = np.full(len(q), 2)
     with pytest.raises(DataError, match="velocities in frame 2 and poses in frame 1"):
-        read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics)))
+        logged_as(tmp_path, topics)
 
 
 def three_topics(topics: dict) -> dict:
@@ -101,7 +108,7 @@ def three_topics(topics: dict) -> dict:
 
 def test_three_slower_topics_come_onto_the_clock_of_the_attitude(tmp_path: Path) -> None:
     _, x, u, topics = logged()
-    data = read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", three_topics(topics))))
+    data = logged_as(tmp_path, three_topics(topics))
     same_state(data[0], x, atol=5e-3)
     np.testing.assert_allclose(data[0].u, u, atol=1e-6)
     (finding,) = data.summary.findings
@@ -119,7 +126,7 @@ def test_attitudes_that_the_logger_left_out_take_no_position_with_them(tmp_path:
     # positions at every fifth row; their attitudes are the ones that are missing
     keep = np.array([k % 5 != 0 or k % 2 == 0 for k in range(len(attitude["timestamp"]))])
     topics["vehicle_attitude"] = {k: v[keep] for k, v in attitude.items()}
-    run = read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics)), dt=0.05)[0]
+    run = logged_as(tmp_path, topics, dt=0.05)[0]
     np.testing.assert_allclose(run.x[:, 3], place["vy"][: len(run.x)], atol=1e-6)  # east
     np.testing.assert_allclose(run.x[:, 6:10], x[::5][: len(run.x), 6:10], atol=5e-3)
 
@@ -130,7 +137,7 @@ def test_pauses_of_a_topic_cut_the_run(tmp_path: Path) -> None:
     rates = topics["vehicle_angular_velocity"]
     keep = np.r_[0:200, 300 : len(rates["timestamp"])]
     topics["vehicle_angular_velocity"] = {k: v[keep] for k, v in rates.items()}
-    data = read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics)))
+    data = logged_as(tmp_path, topics)
     assert len(data[0].segments) == 2
     assert "time_gap" in [f.kind for f in data.summary.findings]
 
@@ -138,10 +145,9 @@ def test_pauses_of_a_topic_cut_the_run(tmp_path: Path) -> None:
 def test_time_on_the_ground_is_left_out_unless_asked_for(tmp_path: Path) -> None:
     t, _, _, topics = logged()
     topics["vehicle_land_detected"] = {"timestamp": [50.0, 52.0, 61.0], "landed": [1, 0, 1]}
-    path = str(write_ulog(tmp_path / "log.ulg", topics))
-    data = read("ulog", QUADROTOR, path=path)
+    data = logged_as(tmp_path, topics)
     assert (data[0].t[0], data[0].t[-1]) == (pytest.approx(52.0), pytest.approx(60.99))
-    assert len(read("ulog", QUADROTOR, path=path, in_air=False)[0]) == len(t)
+    assert len(logged_as(tmp_path, topics, in_air=False)[0]) == len(t)
 
 
 def _standing(topics: dict, *, after: float) -> dict:
@@ -170,10 +176,8 @@ def test_a_machine_that_stands_is_on_the_ground_before_px4_says_that_it_landed(
     end = 50.0 + t[-1]
     # `landed` ends a second before it lifts off and comes two seconds after it stands
     detected = {"timestamp": [47.0, 49.0, end + 1.0, end + 2.0], "landed": [1, 0, 0, 1]}
-    path = str(
-        write_ulog(tmp_path / "log.ulg", topics | {"vehicle_land_detected": detected | {flag: [1, 0, 1, 1]}})
-    )
-    data = read("ulog", QUADROTOR, path=path)
+    detected[flag] = [1, 0, 1, 1]
+    data = logged_as(tmp_path, topics | {"vehicle_land_detected": detected})
     assert (data[0].t[0], data[0].t[-1]) == (pytest.approx(50.0, abs=0.011), pytest.approx(end, abs=0.011))
     assert "on_ground" in [f.kind for f in data.summary.findings]
 
@@ -186,8 +190,8 @@ def test_an_estimate_that_sinks_at_touch_down_is_on_the_ground(tmp_path: Path) -
     late = topics["vehicle_odometry"]["timestamp"] > end
     sunk[late] += 0.25 * (topics["vehicle_odometry"]["timestamp"][late] - end)  # NED: down
     detected = {"timestamp": [47.0, 49.0, end + 2.5], "landed": [1, 0, 1]}
-    path = str(write_ulog(tmp_path / "log.ulg", topics | {"vehicle_land_detected": detected}))
-    assert read("ulog", QUADROTOR, path=path)[0].t[-1] == pytest.approx(end, abs=0.011)
+    data = logged_as(tmp_path, topics | {"vehicle_land_detected": detected})
+    assert data[0].t[-1] == pytest.approx(end, abs=0.011)
 
 
 @pytest.mark.parametrize("parts", [False, True])
@@ -200,7 +204,7 @@ def test_a_reset_of_the_estimate_cuts_the_run_and_is_told(tmp_path: Path, parts:
         topics["vehicle_attitude"]["quat_reset_counter"] = counter
     else:
         odometry["reset_counter"] = counter
-    data = read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics)))
+    data = logged_as(tmp_path, topics)
     assert len(data[0].segments) == 2
     assert "estimate_reset" in [f.kind for f in data.summary.findings]
     assert data[0].t[data[0].segments[0][1] - 1] == pytest.approx(55.99, abs=0.011)
@@ -214,10 +218,9 @@ def test_outputs_are_mapped_by_the_output_functions(tmp_path: Path) -> None:
     stamp = topics["vehicle_odometry"]["timestamp"]
     topics["actuator_outputs"] = {"timestamp": stamp, "output": pwm}
     parameters = {f"PWM_MAIN_FUNC{4 - k}": 101 + k for k in range(4)}
-    parameters |= {f"PWM_MAIN_MIN{k + 1}": 1100 for k in range(4)} | {
-        f"PWM_MAIN_MAX{k + 1}": 1900 for k in range(4)
-    }
-    data = read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics, parameters)))
+    for end, width in (("MIN", 1100), ("MAX", 1900)):
+        parameters |= {f"PWM_MAIN_{end}{k + 1}": width for k in range(4)}
+    data = logged_as(tmp_path, topics, parameters=parameters)
     np.testing.assert_allclose(data[0].u, u, atol=1e-4)
 
 
@@ -225,24 +228,21 @@ def test_missing_topics_are_named_with_the_remedy(tmp_path: Path) -> None:
     *_, topics = logged()
     motors = topics.pop("actuator_motors")
     with pytest.raises(DataError, match=r"lacks the topics \['actuator_motors'\].*SDLOG_PROFILE"):
-        read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics)))
+        logged_as(tmp_path, topics)
     topics = three_topics(topics) | {"actuator_motors": motors}
     topics.pop("vehicle_angular_velocity")
     with pytest.raises(
         DataError, match=r"\['vehicle_angular_velocity'\] \(or `vehicle_odometry`\).*logger_topics"
     ):
-        read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics)))
+        logged_as(tmp_path, topics)
     with pytest.raises(DataError, match=r"lacks the topics \['vehicle_odometry'\]"):
         read("ulog", QUADROTOR, path=str(tmp_path / "log.ulg"), state="odometry")
 
 
 def test_a_topic_without_its_fields_is_named(tmp_path: Path) -> None:
     t = np.arange(0.0, 4.0, 0.01)
-    path = write_ulog(
-        tmp_path / "odd.ulg", {"vehicle_odometry": {"timestamp": t, "q": np.tile([1, 0, 0, 0], (len(t), 1))}}
-    )
     with pytest.raises(DataError, match="'vehicle_odometry' has no field 'x'"):
-        read("ulog", QUADROTOR, path=path)
+        logged_as(tmp_path, {"vehicle_odometry": {"timestamp": t, "q": np.tile([1, 0, 0, 0], (len(t), 1))}})
 
 
 def test_topics_too_slow_to_interpolate_are_refused(tmp_path: Path) -> None:
@@ -250,7 +250,7 @@ def test_topics_too_slow_to_interpolate_are_refused(tmp_path: Path) -> None:
     slow = three_topics(topics)
     slow["vehicle_local_position"] = {k: v[::10] for k, v in slow["vehicle_local_position"].items()}
     with pytest.raises(DataError, match="`vehicle_local_position` was logged at 2 Hz; at least 4 Hz"):
-        read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", slow)), state="attitude")
+        logged_as(tmp_path, slow, state="attitude")
 
 
 def test_motors_as_the_default_profile_logs_them_are_refused_with_the_bit_that_logs_more(
@@ -258,12 +258,11 @@ def test_motors_as_the_default_profile_logs_them_are_refused_with_the_bit_that_l
 ) -> None:
     *_, topics = logged()
     topics["actuator_motors"] = {k: v[::10] for k, v in topics["actuator_motors"].items()}
-    path = str(write_ulog(tmp_path / "log.ulg", topics))
     with pytest.raises(
         DataError, match=r"`actuator_motors` was logged at 10 Hz.*50 Hz.*bit 4.*SDLOG_PROFILE 17"
     ):
-        read("ulog", QUADROTOR, path=path)
-    assert "held" in read("ulog", QUADROTOR, path=path, motor_rate=10.0).summary.findings[0].action
+        logged_as(tmp_path, topics)
+    assert "held" in logged_as(tmp_path, topics, motor_rate=10.0).summary.findings[0].action
 
 
 def test_what_is_no_log_and_systems_that_are_no_multirotor_are_refused(tmp_path: Path) -> None:
@@ -292,7 +291,7 @@ def test_sticks_and_setpoints_become_columns_in_our_frames(tmp_path: Path) -> No
     topics["vehicle_rates_setpoint"] = {
         "timestamp": slow, "roll": w[:, 0], "pitch": w[:, 1], "yaw": w[:, 2],
     }  # fmt: skip
-    extra = read("ulog", QUADROTOR, path=str(write_ulog(tmp_path / "log.ulg", topics)))[0].extra
+    extra = logged_as(tmp_path, topics)[0].extra
     held = np.arange(len(t)) // 4 * 4
     np.testing.assert_allclose(extra["stick_roll"], np.sin(50.0 + t[held]), atol=1e-5)
     assert "stick_pitch" not in extra  # PX4 leaves what it does not know unset

@@ -43,3 +43,11 @@ def leaning_flight(seconds: float, *, dt: float = 0.01, seed: int = 0, yaw: floa
     w = np.concatenate([step[:1], 0.5 * (step[1:] + step[:-1]), step[-1:]])
     u = 0.5 + 0.1 * np.sin(np.outer(t, rng.uniform(1, 5, 4)) + rng.uniform(0, 6, 4))
     return RawRun("run", t, np.concatenate([p, v, q, w], axis=1), u)
+
+
+def same_flight(run: RawRun, made: RawRun, atol: float) -> bool:
+    """Whether states are those of the flight that was made, an attitude up to its sign."""
+    q, own = run.x[:, 6:10], made.x[:, 6:10]
+    x = run.x.copy()
+    x[:, 6:10] = q * np.sign((q * own).sum(axis=1))[:, None]
+    return bool(np.abs(x - made.x).max() < atol)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import nsde_torch
 from nsde_torch.data import DataSet, RawRun
-from nsde_torch.data.quaternion import rotation_vector, slerp
+from nsde_torch.data.kinematics import Slope, clock_slopes
+from nsde_torch.data.quaternion import conjugate, rotate, rotation_vector, slerp
 from nsde_torch.errors import DataError
 from nsde_torch.recording import assemble
 from nsde_torch.recording.times import no_finer, resample
+from nsde_torch.systems import make_system
 from tests.helpers.data_systems import CARTPOLE, HEXACOPTER
 from tests.helpers.flights import flight
 
@@ -23,6 +26,16 @@ def one(t: np.ndarray, x: np.ndarray, u: np.ndarray, **options: object) -> DataS
 
 def kinds(data: DataSet) -> list[str]:
     return [f.kind for f in data.summary.findings]
+
+
+def noisy(x: np.ndarray, size: float, seed: int) -> np.ndarray:
+    """States with noise on all but the attitude."""
+    return (
+        x
+        + size
+        * np.random.default_rng(seed).standard_normal(x.shape)
+        * np.r_[np.ones(6), np.zeros(4), np.ones(3)]
+    )
 
 
 def test_a_sound_flight_passes_untouched() -> None:
@@ -75,8 +88,7 @@ def test_alternating_steps_are_resampled_to_one_step_without_cuts() -> None:
     data = one(*(a[index] for a in fine))
     assert data.dt in (pytest.approx(0.008), pytest.approx(0.016), pytest.approx(0.012))
     assert len(data[0].segments) == 1
-    steps = np.diff(data[0].t)
-    np.testing.assert_allclose(steps, data.dt, rtol=1e-9)
+    np.testing.assert_allclose(np.diff(data[0].t), data.dt, rtol=1e-9)
 
 
 @pytest.mark.parametrize(("rate", "digits"), [(60, 3), (104, 6)])
@@ -167,14 +179,11 @@ def test_norms_a_little_off_are_mended_and_far_off_refused() -> None:
         one(t, x, u)
 
 
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("lost", [30, 60])
+@pytest.mark.parametrize(("seed", "lost"), [(0, 30), (1, 60), (2, 30)])
 def test_a_gap_without_a_trace_in_the_clock_is_found_in_noise(seed: int, lost: int) -> None:
-    rng = np.random.default_rng(seed)
     t, x, u = flight(40.0, seed=seed)
     keep = np.r_[0:1500, 1500 + lost : 4001]
-    noisy = x[keep] + 1e-3 * rng.standard_normal((len(keep), 13)) * np.r_[np.ones(6), 0, 0, 0, 0, np.ones(3)]
-    data = one(t[: len(keep)], noisy, u[keep])
+    data = one(t[: len(keep)], noisy(x[keep], 1e-3, seed), u[keep])
     assert data[0].segments == ((0, 1500), (1500, len(keep)))
     (finding,) = [f for f in data.summary.findings if f.kind == "hidden_gap"]
     assert finding.values["rows"] == [1499]
@@ -184,9 +193,7 @@ def test_a_gap_without_a_trace_in_the_clock_is_found_in_noise(seed: int, lost: i
 @given(st.integers(0, 10_000), st.floats(0, 0.02))
 def test_noise_alone_is_never_taken_for_a_gap_or_a_wrong_clock(seed: int, noise: float) -> None:
     t, x, u = flight(25.0, seed=seed)
-    rng = np.random.default_rng(seed)
-    x = x + noise * rng.standard_normal(x.shape) * np.r_[np.ones(6), 0, 0, 0, 0, np.ones(3)]
-    data = one(t, x, u)
+    data = one(t, noisy(x, noise, seed), u)
     assert kinds(data) == []
     assert data.clock_scale == 1.0
 
@@ -196,30 +203,20 @@ def test_a_wrong_clock_is_measured_within_its_error(scale: float) -> None:
     raw = []
     for seed in range(2):
         t, x, u = flight(60.0, seed=seed, clock=scale)
-        x = (
-            x
-            + 0.01
-            * np.random.default_rng(seed).standard_normal(x.shape)
-            * np.r_[np.ones(6), [0] * 4, np.ones(3)]
-        )
-        raw.append(RawRun(f"{seed}", t, x, u))
+        raw.append(RawRun(f"{seed}", t, noisy(x, 0.01, seed), u))
     data = assemble(raw, HEXACOPTER, kind="test", clock="rescale")
     assert data.clock_scale == pytest.approx(scale, abs=0.005)
     assert data.dt == pytest.approx(0.01)
 
 
 def test_noise_in_the_velocity_does_not_pull_the_clock() -> None:
-    raw = []
+    raw, t = [], 0.02 * np.arange(201)
     for seed in range(20):
-        t = 0.02 * np.arange(201)
         rng = np.random.default_rng(seed)
-        a = rng.uniform(1, 2, 2)
-        clean = np.stack(
-            [a[0] * np.sin(2 * t), 2 * a[0] * np.cos(2 * t), np.cos(a[1] * t), -a[1] * np.sin(a[1] * t)], 1
-        )
-        raw.append(
-            RawRun(f"{seed}", t, clean + 0.3 * rng.standard_normal(clean.shape), rng.uniform(-1, 1, (201, 1)))
-        )
+        a, b = rng.uniform(1, 2, 2)
+        clean = np.stack([a * np.sin(2 * t), 2 * a * np.cos(2 * t), np.cos(b * t), -b * np.sin(b * t)], 1)
+        x = clean + 0.3 * rng.standard_normal(clean.shape)
+        raw.append(RawRun(f"{seed}", t, x, rng.uniform(-1, 1, (201, 1))))
     data = assemble(raw, CARTPOLE, kind="test", clock="refuse")
     assert data.clock_scale == 1.0
     assert len(data.summary.slopes) == 2
@@ -234,18 +231,15 @@ def test_a_velocity_that_alone_disagrees_is_reported_and_not_scaled() -> None:
 
 
 def test_a_velocity_of_another_scale_in_one_run_is_named_and_sound_runs_are_not() -> None:
-    made = nsde_torch.simulate("hexacopter", durations=[22.0] * 3, seed=4).runs
-    sound = nsde_torch.read([RawRun(r.name, r.t, r.x.copy(), r.u) for r in made], system="hexacopter")
-    assert not [f for f in sound.summary.findings if f.kind == "odd_scale"]
-    scaled = [
-        RawRun(r.name, r.t, r.x * np.where((k == 1) & (np.arange(13) == 4), 1.05, 1.0), r.u)
-        for k, r in enumerate(made)
-    ]
-    data = nsde_torch.read(scaled, system="hexacopter")
-    (found,) = [f for f in data.summary.findings if f.kind == "odd_scale"]
-    assert found.run == made[1].name
-    assert found.message.startswith("p_y changes 0.95")
-    assert "v_y" in found.message
+    for scale in (1.0, 1.05):
+        made = [(t, noisy(x, 0.005, k), u) for k in range(3) for t, x, u in [flight(30.0, seed=k)]]
+        made[1][1][:, 4] *= scale
+        raw = [RawRun(f"run_{k}", *arrays) for k, arrays in enumerate(made)]
+        data = assemble(raw, HEXACOPTER, kind="test")
+        odd = [f for f in data.summary.findings if f.kind == "odd_scale"]
+        assert [f.run for f in odd] == (["run_1"] if scale > 1.0 else [])
+    assert odd[0].message.startswith("p_y changes 0.95")
+    assert "v_y" in odd[0].message
 
 
 @pytest.mark.parametrize(
@@ -318,26 +312,27 @@ def test_slerp_stays_on_the_sphere_and_halves_the_way(values: list[float], share
 def test_an_angle_in_degrees_is_not_taken_for_a_wrapped_one() -> None:
     t = np.arange(0.0, 30.0, 0.02)
     theta, speed = 4.0 * np.sin(2.0 * t), 8.0 * np.cos(2.0 * t)
-    x = np.stack([0.0 * t, 0.0 * t, theta, speed], 1)
+    wrapped, degrees = (
+        np.stack([0.0 * t, 0.0 * t, angle, speed], 1)
+        for angle in (np.mod(theta + np.pi, 2 * np.pi) - np.pi, np.degrees(theta))
+    )
     u = np.zeros((len(t), 1))
-    wrapped = x.copy()
-    wrapped[:, 2] = np.mod(theta + np.pi, 2 * np.pi) - np.pi
-    data = assemble([RawRun("a", t, wrapped, u.copy())], CARTPOLE, kind="test")
-    assert "angle_wrap" in kinds(data)
-    x[:, 2] = np.degrees(theta)
+    assert "angle_wrap" in kinds(assemble([RawRun("a", t, wrapped, u.copy())], CARTPOLE, kind="test"))
     with pytest.raises(DataError, match="if theta is in deg"):
-        assemble([RawRun("a", t, x, u)], CARTPOLE, kind="test")
+        assemble([RawRun("a", t, degrees, u)], CARTPOLE, kind="test")
 
 
 def test_a_velocity_of_another_run_is_refused_by_name() -> None:
-    runs = []
-    for seed in range(3):
-        t, x, u = flight(30.0)
-        x[:, :3] *= 1.0 + 0.2 * seed
-        x[:, 3:6] *= 1.0 + 0.2 * seed
-        runs.append(RawRun(f"run_{seed}", t + 40.0 * seed, x, u))
-    assemble([RawRun(r.name, r.t.copy(), r.x.copy(), r.u.copy()) for r in runs], HEXACOPTER, kind="test")
-    runs[1].x[:, 4] = np.roll(runs[0].x[:, 4], 700)
+    for rolled in (False, True):
+        runs = []
+        for k in range(3):
+            t, x, u = flight(30.0)
+            if rolled and k == 1:
+                x[:, 4] = np.roll(x[:, 4], 700) / 1.2
+            x[:, :6] *= 1.0 + 0.2 * k
+            runs.append(RawRun(f"run_{k}", t + 40.0 * k, x, u))
+        if not rolled:
+            assemble(runs, HEXACOPTER, kind="test")
     with pytest.raises(DataError, match="run 'run_1': 'p_y' and 'v_y' do not belong together"):
         assemble(runs, HEXACOPTER, kind="test")
 
@@ -355,3 +350,68 @@ def test_rows_of_a_long_log_that_are_closer_than_needed_become_one(
     assert data.dt == pytest.approx(rows * dt)
     told = [f.values for f in data.summary.findings if f.kind == "short_step"]
     assert told == ([] if rows == 1 else [{"step_s": pytest.approx(dt), "rows": rows}])
+
+
+# ---- conventions -------------------------------------------------------------------------------------------
+
+ROLLED, NED = [7, 8, 9, 6], [1.0, 1.0, -1.0]
+
+
+@pytest.mark.parametrize(
+    ("columns", "spoil", "remedy"),
+    [
+        (slice(6, 10), lambda x: x[:, ROLLED], "scalar last: write w before x y z"),
+        (slice(6, 10), lambda x: conjugate(x[:, 6:10]), "world into the body: change the signs of its last three"),
+        (slice(6, 10), lambda x: conjugate(x[:, 6:10])[:, [1, 2, 3, 0]], "scalar last and turns the world into the"),
+        (slice(3, 6), lambda x: rotate(conjugate(x[:, 6:10]), x[:, 3:6]),
+         r"along the body's axes: turn it into the world .* v_world = R\(q\) v"),
+        (slice(3, 6), lambda x: x[:, [4, 3, 5]], "the columns v_y v_x v_z are v_x v_y v_z"),
+        (slice(3, 6), lambda x: x[:, [4, 3, 5]] * NED, "NED: write east, north, up"),
+    ],
+)  # fmt: skip
+def test_another_convention_is_refused_with_the_way_to_write_it(
+    columns: slice, spoil: Callable[[np.ndarray], np.ndarray], remedy: str
+) -> None:
+    t, x, u = flight(30.0)
+    x[:, columns] = spoil(x)
+    with pytest.raises(DataError, match=remedy):
+        one(t, x, u)
+
+
+def test_a_sound_flight_passes_whatever_its_noise_and_one_too_short_to_judge_does() -> None:
+    for noise in (0.0, 0.02, 0.3):
+        t, x, u = flight(30.0)
+        x[:, :6] += noise * np.random.default_rng(0).normal(size=(len(t), 6))
+        assert len(one(t, x, u)) == 1
+    t, x, u = flight(4.0)
+    x[:, 3:6] = rotate(conjugate(x[:, 6:10]), x[:, 3:6])
+    assert len(one(t, x, u)) == 1
+
+
+# ---- the clock, where rows are few for the motion ----------------------------------------------------------
+
+
+def slope(hertz: float, *, noise: float = 0.0, clock: float = 1.0) -> Slope:
+    """Of a wave, 60 s at 20 Hz by the log's clock."""
+    turn, t = 2.0 * np.pi * hertz, clock * 0.05 * np.arange(1200)
+    x = np.stack([np.sin(turn * t), turn * np.cos(turn * t)], 1)
+    x = x + noise * np.random.default_rng(1).standard_normal(x.shape) * [1.0, turn]
+    (found,) = clock_slopes(make_system("mass_spring_damper"), "a", [x], dt=0.05)
+    return found
+
+
+@pytest.mark.parametrize(("hertz", "within"), [(0.5, 1e-3), (1.1, 2e-3), (2.1, 0.015)])
+def test_a_right_clock_is_right_however_few_rows_a_wave_has(hertz: float, within: float) -> None:
+    assert slope(hertz).value == pytest.approx(1.0, abs=within)
+
+
+@pytest.mark.parametrize("hertz", [1.1, 2.1, 3.1, 4.1])
+def test_what_quadrature_leaves_is_in_the_error(hertz: float) -> None:
+    found = slope(hertz, noise=0.02)
+    assert abs(found.value - 1.0) < 3.0 * found.error
+
+
+def test_a_wrong_clock_is_still_measured_in_noise() -> None:
+    found = slope(0.9, noise=0.05, clock=1.05)
+    assert found.value == pytest.approx(1.05, abs=3.0 * found.error)
+    assert found.error < 0.02

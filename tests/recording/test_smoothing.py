@@ -54,15 +54,11 @@ def test_the_width_of_an_average_is_found_within_a_sample(kind: str, samples: in
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_raw_inputs_show_no_average(kind: str) -> None:
-    found = {seed: smoothing_width([run(commands(kind, seed))], 4) for seed in range(25)}
-    assert {seed: width for seed, width in found.items() if width} == {}
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("rows", [600, 1000, 1500])
-def test_short_raw_recordings_of_one_input_show_no_average(kind: str, rows: int) -> None:
-    found = {seed: smoothing_width([run(commands(kind, seed, rows))], 1) for seed in range(20)}
+@pytest.mark.parametrize(
+    ("rows", "inputs", "seeds"), [(N, 4, 25), (600, 1, 20), (1000, 1, 20), (1500, 1, 20)]
+)
+def test_raw_inputs_show_no_average(kind: str, rows: int, inputs: int, seeds: int) -> None:
+    found = {seed: smoothing_width([run(commands(kind, seed, rows))], inputs) for seed in range(seeds)}
     assert {seed: width for seed, width in found.items() if width} == {}
 
 

@@ -148,11 +148,7 @@ def _assembled(
 def split_runs(
     data: DataSet, test: Sequence[int | str] | None = None, *, test_data: DataSet | None = None
 ) -> Split:
-    """Training runs, and the test: `test` by index or name (None: the last), or all of `test_data`.
-
-    Raises:
-        DataError: there is no such run, no run is left on a side, or one is on both.
-    """
+    """Training runs, and the test: `test` by index or name (None: the last), or all of `test_data`; none is both."""
     if test_data is None:
         return split(data, test)
     left = split(data, test or [])
@@ -167,11 +163,7 @@ def split_runs(
 
 
 def runs_named(data: DataSet, names: Sequence[int | str | Run] | None) -> list[Run]:
-    """Runs of a data set, by index or name; None: all.
-
-    Raises:
-        DataError: there is no such run.
-    """
+    """Runs of a data set, by index or name (a DataError where there is no such run); None: all."""
     if names is None:
         return list(data.runs)
     return [name if isinstance(name, Run) else data[name] for name in names]

@@ -21,11 +21,7 @@ from nsde_torch.errors import DataError
 
 
 def csv_rows(path: Path, needed: Sequence[str], *, what: str, remedy: str) -> list[dict[str, str]]:
-    """The rows of a CSV file with a header; `what` the file is, and a `remedy`, are for messages.
-
-    Raises:
-        DataError: the file or a column is missing.
-    """
+    """The rows of a CSV file with a header; a DataError says `what` file or column is missing, and the `remedy`."""
     if path.exists() and not path.is_file():
         raise DataError(f"{what} {path} is no regular file. {remedy}")
     try:
@@ -163,8 +159,7 @@ def _table(path: Path, names: Sequence[str]) -> Array:
 def read_csv_file(path: str | Path, system: SystemInfo) -> RawRun:
     """One run from one CSV file (see the module's text for the format).
 
-    Raises:
-        DataError: wrong columns, a cell that is no number (file:line and column), fewer than two rows.
+    A DataError names wrong columns, a cell that is no number (file:line and column), or fewer than two rows.
     """
     path = Path(path)
     names = _header(path, system)
@@ -190,11 +185,7 @@ def read_csv_file(path: str | Path, system: SystemInfo) -> RawRun:
 
 
 def read_csv(system: SystemInfo, *, path: str | Path) -> list[RawRun]:
-    """All runs of a folder of CSV files, in the order of their names.
-
-    Raises:
-        DataError: no such folder, no CSV file in it, or a file that is refused (see `read_csv_file`).
-    """
+    """All runs of a folder of CSV files, in the order of their names; a DataError where there are none."""
     folder = Path(path)
     if folder.is_file():
         raise DataError(

@@ -88,11 +88,7 @@ def check_inputs(inputs: Sequence[Array], names: Sequence[str], report: Report) 
 
 
 def check_range(inputs: Array, names: Sequence[str], where: str) -> None:
-    """Refuses motor commands far outside [0, 1].
-
-    Raises:
-        DataError: a command below -0.05 or above 1.05; the message guesses the unit.
-    """
+    """Refuses motor commands below -0.05 or above 1.05; the message guesses the unit."""
     for k, name in enumerate(names):
         low, high = float(np.nanmin(inputs[:, k])), float(np.nanmax(inputs[:, k]))
         if low < -0.05 or high > 1.05:

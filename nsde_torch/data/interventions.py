@@ -26,11 +26,7 @@ COLUMN = "intervention"
 
 
 def check(runs: Sequence[RawRun]) -> None:
-    """Refuse a column that is not what it says, or that only some of the runs have.
-
-    Raises:
-        DataError: names run, row and remedy.
-    """
+    """Refuse a column that is not what it says, or that only some of the runs have."""
     having = [run for run in runs if COLUMN in run.extra]
     if not having:
         return
@@ -52,11 +48,7 @@ def check(runs: Sequence[RawRun]) -> None:
 
 
 def report_of(runs: Sequence[Run], report: Report) -> None:
-    """Tell how many interventions there are.
-
-    Raises:
-        DataError: the column is 1 somewhere, and never changes from 0 to 1.
-    """
+    """Tell how many interventions there are; refuse a column that is 1 somewhere and never changes from 0 to 1."""
     if not interventional(runs):
         return
     count = sum(len(stretches(run) or ()) for run in runs)

@@ -22,10 +22,9 @@ _HOLE = 1 << 24  # bytes of zeros at the end of a file; those of a preallocated 
 
 
 def log_place(path: str | Path, expected: str) -> Path:
-    """A file or folder of logs, which is there and can be read; links are followed.
+    """A file or folder of logs (links are followed), which is there, can be read, is not empty, and ends with no zeros.
 
-    Raises:
-        DataError: nothing is there, or what is neither a regular file nor a folder, is empty, or ends with zeros.
+    A DataError says what is wrong, and that this is what was `expected`.
     """
     path = Path(path)
     try:
@@ -58,11 +57,7 @@ def _refuse_holes(path: Path, size: int) -> None:
 
 
 def entries(folder: Path) -> list[Path]:
-    """What a folder holds and does not hide, by name.
-
-    Raises:
-        DataError: it cannot be read.
-    """
+    """What a folder holds and does not hide, by name; a DataError where it cannot be read."""
     try:
         return sorted(p for p in folder.iterdir() if not p.name.startswith("."))
     except OSError as error:
@@ -70,11 +65,7 @@ def entries(folder: Path) -> list[Path]:
 
 
 def files_of(folder: Path, suffixes: Collection[str]) -> list[Path]:
-    """Files of a folder with one of these suffixes.
-
-    Raises:
-        DataError: one of that name is no regular file, or holds zeros.
-    """
+    """Files of a folder with one of these suffixes; a DataError where one is no regular file, or holds zeros."""
     found = [p for p in entries(folder) if p.suffix.lower() in suffixes]
     for path in found:
         log_place(path, "a log")
@@ -84,11 +75,7 @@ def files_of(folder: Path, suffixes: Collection[str]) -> list[Path]:
 
 
 def count_rows(path: Path) -> int:
-    """Lines of a file of text, none of which is too long to be one.
-
-    Raises:
-        DataError: a byte that is no text, or a line without an end.
-    """
+    """Lines of a file of text; a DataError where a byte is no text, or a line is too long to be one."""
     rows = 0
     with path.open("rb") as file:
         while piece := file.read(LONGEST):
@@ -105,11 +92,7 @@ def count_rows(path: Path) -> int:
 
 
 def check_names(names: Sequence[str], place: str) -> None:
-    """Refuse a header with too many columns, or with one name for two of them; `place` is its file and line.
-
-    Raises:
-        DataError: too many, or some of them twice.
-    """
+    """Refuse a header (at a `place`, file and line) with too many columns, or with one name for two of them."""
     if len(names) > WIDEST:
         raise DataError(
             f"{place}: the table has {len(names)} columns; at most {WIDEST} are read. Keep those of the machine."
@@ -120,11 +103,7 @@ def check_names(names: Sequence[str], place: str) -> None:
 
 
 def refuse_larger(path: Path, size: float) -> None:
-    """Refuse numbers that fill more bytes than `LARGEST`.
-
-    Raises:
-        DataError: too many.
-    """
+    """Refuse numbers that fill more bytes than `LARGEST`."""
     if size > LARGEST:
         raise DataError(
             f"{path} holds {size / 2**30:.3g} GiB of numbers; at most {LARGEST >> 30} are read at once. Split it, or "

@@ -79,11 +79,7 @@ Kind: TypeAlias = str | Callable[..., Any]
 
 
 def reader(kind: Kind) -> Callable[..., Any]:
-    """The function that reads a kind of data.
-
-    Raises:
-        ConfigError: unknown kind (lists the choices), or no such module or function.
-    """
+    """The function that reads a kind of data; a ConfigError lists the choices, or says what is not there."""
     if not isinstance(kind, str):
         return kind
     if kind not in READERS and ":" not in kind:

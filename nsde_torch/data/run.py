@@ -336,11 +336,7 @@ class DataSet:
 
 
 def resolve(runs: Sequence[Run], keys: Sequence[int | str]) -> list[int]:
-    """Indices of the runs named by index (negative from the end), digits or name.
-
-    Raises:
-        DataError: an unknown run; the message lists the choices.
-    """
+    """Indices of the runs named by index (negative from the end), digits or name; a DataError lists the choices."""
     names = [run.name for run in runs]
     out = []
     for key in keys:

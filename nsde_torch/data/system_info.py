@@ -113,11 +113,7 @@ def common_name(names: Sequence[str]) -> str:
 
 
 def channel_columns(system: SystemInfo, channel: str) -> list[int]:
-    """Columns of a state, or of all whose common name this is.
-
-    Raises:
-        ConfigError: there is none, or it is a part of an attitude, which moves as one.
-    """
+    """Columns of a state, or of all whose common name this is; an attitude moves as one (else a ConfigError)."""
     names = list(system.state_names)
     of_attitude = [] if system.quaternion is None else names[system.quaternion]
     if channel in of_attitude:

@@ -186,11 +186,7 @@ def _fields(topic: Any) -> dict[str, Array]:
 
 
 def open_ulog(path: Path) -> StreamLog:
-    """All topics of one log as streams, to look at; `read_ulog` reads what a multirotor needs by itself.
-
-    Raises:
-        DataError: not such a log.
-    """
+    """All topics of one log as streams, to look at; `read_ulog` reads what a multirotor needs by itself."""
     streams = []
     for topic in sorted(_parsed(path).data_list, key=lambda one: (one.name, int(one.multi_id))):
         fields = _fields(topic)

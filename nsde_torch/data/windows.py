@@ -37,7 +37,6 @@ class Windows:
         runs: The runs, all on one step.
         dt_model: Step of the model [s], a whole multiple of the step of the data (within 1 %).
         horizon: Model steps in a window.
-        dt: Step of the data [s]; default: that of the first run.
         dtype: Type of the tensors.
         device: Where the data live and the batches are cut.
         denoise: Whether white sensor noise is taken out of `initial_states`.
@@ -60,7 +59,6 @@ class Windows:
         dt_model: float,
         horizon: int,
         *,
-        dt: float | None = None,
         dtype: torch.dtype = torch.float32,
         device: str | torch.device = "cpu",
         denoise: bool = False,
@@ -70,9 +68,9 @@ class Windows:
             raise DataError("`runs` is empty; windows need at least one run.")
         if isinstance(horizon, bool) or horizon < 1 or int(horizon) != horizon:
             raise ConfigError(f"`horizon` must be a whole number of steps, at least 1; got {horizon!r}.")
-        data_dt = runs[0].dt if dt is None else float(dt)
+        data_dt = runs[0].dt
         for run in runs:
-            if abs(run.dt / data_dt - 1) > 0.01:
+            if abs(run.dt / data_dt - 1) > TOLERANCE:
                 raise DataError(
                     f"run {run.name!r} has a step of {run.dt:.6g} s, the others {data_dt:.6g} s; read them "
                     "as one data set, which resamples them."
@@ -155,11 +153,6 @@ class Windows:
 
     def __len__(self) -> int:
         return int(self._ends[-1]) if len(self._ends) else 0
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of the stored columns [bytes]."""
-        return sum(a.nbytes for a in (self._x, self._u, self._smooth) if a is not None)
 
     def rows(self, indices: Indices) -> NDArray[np.int64]:
         """Row (of the joined runs) at which each window starts, (B,)."""
@@ -251,10 +244,9 @@ class Windows:
             every_s: Distance between starts [s], a whole number of data steps (within 1 %).
         """
         steps = every_s / self.dt
-        if round(steps) < 1 or abs(steps / round(steps) - 1) > 0.01:
+        if round(steps) < 1 or abs(steps / round(steps) - 1) > TOLERANCE:
             raise ConfigError(
-                f"`every_s` must be a whole multiple of the data's step of {self.dt:.6g} s; got "
-                f"{every_s:.6g}."
+                f"`every_s` must be a whole multiple of the data's step of {self.dt:.6g} s; got {every_s:.6g}."
             )
         if self._interventions is not None:
             return self._at(self._interventions)
@@ -280,7 +272,7 @@ class Windows:
         return torch.from_numpy(np.array(out, dtype=np.int64))
 
     def held_out(
-        self, fraction: float, block_s: float, generator: torch.Generator, *, gap_s: float = 0.0
+        self, fraction: float, block_s: float, generator: torch.Generator
     ) -> tuple[Windows, Windows]:
         """Splits into training and validation windows that share no row.
 
@@ -291,7 +283,6 @@ class Windows:
             fraction: Share of the rows to hold out, in (0, 1).
             block_s: Length of a block [s]; at least one window fits in it, else it is made as long.
             generator: Chooses the blocks.
-            gap_s: Time on each side of a held-out block that training leaves out as well [s].
 
         Returns:
             Training and validation windows; both share the stored data.
@@ -304,15 +295,15 @@ class Windows:
             raise ConfigError(
                 f"`fraction` must lie between 0 and 1; got {fraction!r}. Use no validation instead of 0."
             )
-        if not (block_s > 0 and gap_s >= 0):
-            raise ConfigError(
-                f"`block_s` must be positive and `gap_s` not negative; got {block_s!r} and {gap_s!r}."
-            )
+        if not block_s > 0:
+            raise ConfigError(f"`block_s` must be positive; got {block_s!r}.")
         need = self.span + 1
         block = max(round(block_s / self.dt), need)
-        gap = round(gap_s / self.dt)
         usable = self._ranges[self._ranges[:, 1] - self._ranges[:, 0] >= need]
-        edges = [_block_edges(int(a), int(b), block) for a, b in usable]
+        # borders of equal blocks of at least so many rows, one block at least
+        edges = [
+            np.linspace(a, b, max(1, (b - a) // block) + 1).round().astype(int).tolist() for a, b in usable
+        ]
         if (
             len(edges) == 1 and len(edges[0]) == 2
         ):  # one block in all: its end, at least one window, is held out
@@ -331,8 +322,8 @@ class Windows:
         validation: list[tuple[int, int]] = []
         for e in edges:
             spans = list(itertools.pairwise(e))
-            train += _merge([s for s in spans if s not in held], set(e[1:-1]), gap)
-            validation += _merge([s for s in spans if s in held], set(), 0)
+            train += _merge([s for s in spans if s not in held])
+            validation += _merge([s for s in spans if s in held])
         first, second = (self._with(np.array(r, dtype=np.int64), self.horizon) for r in (train, validation))
         if len(first) == 0 or len(second) == 0:
             raise DataError(
@@ -340,13 +331,6 @@ class Windows:
                 f"validation windows of {need} rows would be left. Shorten `horizon`, or use no validation."
             )
         return first, second
-
-
-def _block_edges(a: int, b: int, block: int) -> list[int]:
-    """Borders of equal blocks of at least `block` rows between a and b (at least one)."""
-    count = max(1, (b - a) // block)
-    edges: list[int] = np.linspace(a, b, count + 1).round().astype(int).tolist()
-    return edges
 
 
 def _choose(
@@ -365,12 +349,12 @@ def _choose(
     return held
 
 
-def _merge(spans: Sequence[tuple[int, int]], borders: set[int], gap: int) -> list[tuple[int, int]]:
-    """Neighbouring blocks joined; `gap` rows are left out at the inner borders that remain."""
-    out: list[list[int]] = []
+def _merge(spans: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Neighbouring blocks joined."""
+    out: list[tuple[int, int]] = []
     for a, b in spans:
         if out and out[-1][1] == a:
-            out[-1][1] = b
+            out[-1] = (out[-1][0], b)
         else:
-            out.append([a, b])
-    return [(a + (gap if a in borders else 0), b - (gap if b in borders else 0)) for a, b in out]
+            out.append((a, b))
+    return out

@@ -54,11 +54,7 @@ _CAUSES = (
 
 
 def check_units(slopes: Sequence[Slope], names: tuple[str, ...]) -> None:
-    """Refuses pairs of columns that cannot be a position and its rate.
-
-    Raises:
-        DataError: the slope of a well-excited axis is far from 1.
-    """
+    """Refuses pairs of columns that cannot be a position and its rate: a well-excited slope is far from 1."""
     low, high = IMPLAUSIBLE
     for slope in slopes:
         sure = slope.error < 0.1 * abs(slope.value) and slope.r2 > 0.5
@@ -238,11 +234,7 @@ def found_biases(fault: Fault, log: LoggedRuns) -> Detected | None:
 
 
 def without_biases(run: Run | RawRun, system: SystemInfo, values: Mapping[str, Any]) -> Array:
-    """States (n, nx) of a run less what their sensors read too much: in all runs, or in this one (`{RUN: {STATE: b}}`).
-
-    Raises:
-        ConfigError: no such state, or no such size.
-    """
+    """States (n, nx) of a run less what sensors read too much: in all runs, or in this one (`{RUN: {STATE: b}}`)."""
     x, biases = run.x.copy(), {k: v for k, v in values.items() if not isinstance(v, Mapping)}
     here = values.get(run.name)
     for name, value in here.items() if isinstance(here, Mapping) else ():

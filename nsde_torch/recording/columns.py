@@ -129,11 +129,7 @@ def unwrap_angles(run: RawRun, system: SystemInfo, report: Report) -> None:
 
 
 def check_norms(run: RawRun, columns: slice, names: tuple[str, ...], report: Report) -> None:
-    """Renormalises small departures of the norm from 1 and reports them.
-
-    Raises:
-        DataError: a norm is off by more than 0.05; the message names the first row and a likely cause.
-    """
+    """Renormalises small departures of the norm from 1 and reports them; refuses those of more than 0.05."""
     q = run.x[:, columns]
     norm = np.linalg.norm(q, axis=1)
     error = np.abs(norm - 1.0)
@@ -190,11 +186,7 @@ _QUATERNIONS: dict[str, Callable[[Array], Array]] = {
 
 
 def check_conventions(system: SystemInfo, runs: Sequence[Run]) -> None:
-    """Refuses columns that another convention explains.
-
-    Raises:
-        DataError: a quaternion or a velocity follows another convention; the message says how to write it.
-    """
+    """Refuses a quaternion or a velocity that another convention explains, and says how to write it."""
     q = system.quaternion
     if q is None or not runs:
         return
@@ -218,11 +210,7 @@ def check_conventions(system: SystemInfo, runs: Sequence[Run]) -> None:
 
 
 def check_runs(system: SystemInfo, runs: Sequence[Run]) -> None:
-    """Refuses a run whose position and rate do not belong together, where those of the other runs do.
-
-    Raises:
-        DataError: a column that is of another run or another time.
-    """
+    """Refuses a run whose position and rate do not belong together, where those of the other runs do."""
     for i, j in rate_pairs(system):
         left = [_own_share(run, i, j) for run in runs]
         for k, run in enumerate(runs):

@@ -329,11 +329,7 @@ def changed(
 
 
 def check_times(name: str, values: Mapping[str, float], system: SystemInfo) -> None:
-    """Refuse times of an option that are of no state, or below 0 s.
-
-    Raises:
-        ConfigError: names the option, and what it was given.
-    """
+    """Refuse times of an option that are of no state, or below 0 s."""
     for channel, value in values.items():
         channel_columns(system, channel)
         if not (isfinite(value) and value >= 0):
@@ -518,9 +514,6 @@ def on_one_clock(data: DataSet, system: SystemInfo, *, policy: str = "undo") -> 
     """A data set whose streams are on one clock in every run, with a finding for each that was moved.
 
     The data set itself is returned where nothing differs.
-
-    Raises:
-        ConfigError: an unknown policy.
     """
     if policy not in POLICIES:
         raise ConfigError(f"`stream_offsets` must be one of {', '.join(POLICIES)}; got {policy!r}.")

@@ -188,8 +188,7 @@ def _moves(position: Array, off: float, rate: Array, t: Array, k: int) -> bool:
 def shares(speed: Array, most: float, *, name: str, where: str) -> tuple[Array, list[int]]:
     """Shares of the largest thrust (n,) from speeds, in the unit of `most` of full thrust; and rows that were glitches.
 
-    Raises:
-        DataError: speeds that are not of this range, or more glitches than a column has.
+    A DataError refuses speeds that are not of this range, or more glitches than a column has.
     """
     seen = speed[np.isfinite(speed)]
     if not len(seen):

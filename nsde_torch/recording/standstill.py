@@ -188,11 +188,7 @@ def _false(same: Mask, changes: Array, rate: Array, steps: Array, fine: float, *
 
 
 def check_constant(system: SystemInfo, runs: Sequence[Run], report: Report) -> None:
-    """Refuses a column that stands still while its partner moves; reports one that stands still in every run.
-
-    Raises:
-        DataError: a column that contradicts its partner.
-    """
+    """Refuses a column that stands still while its partner moves; reports one that stands still in every run."""
     names = system.state_names
     for run in runs:
         for column, other, still, moving in _pairs(system, run):
@@ -252,10 +248,9 @@ def commands_in_motion(runs: Sequence[RawRun], system: SystemInfo) -> float | No
 
 
 def cut_ground(run: RawRun, system: SystemInfo, commands: float, report: Report) -> None:
-    """Drops rows in which a multirotor stands, or touches, the ground; `commands` is the mean command in motion.
+    """Drops rows in which a multirotor stands, or touches, the ground; refuses a run in which it stands throughout.
 
-    Raises:
-        DataError: it stands there throughout.
+    `commands` is the mean command in motion.
     """
     rows = _touching(run, system, _grounded(run, system, commands))
     if not rows.any():

@@ -36,11 +36,9 @@ _ROUNDED = 0.4
 
 
 def order(run: RawRun, report: Report) -> None:
-    """Rows with a time, each time once, in increasing order; a clock that starts again is refused.
+    """Rows with a time, each time once, in increasing order.
 
-    Raises:
-        DataError: the clock goes back for good, or too many rows are out of order, or fewer than two are
-            left.
+    A DataError refuses a clock that starts again, too many rows out of order, or fewer than two that are left.
     """
     timed = np.isfinite(run.t)
     dropped = int((~timed).sum())
@@ -71,10 +69,7 @@ def fill_missing(run: RawRun, system: SystemInfo, *, gap: float, report: Report)
     """Fills holes between rows at most `gap` seconds apart (states linear, inputs held); drops other rows.
 
     Dropped rows leave a step in time longer than `gap`, at which the run is then cut. Slow further channels,
-    such as a battery voltage logged at 1 Hz, are interpolated over any hole.
-
-    Raises:
-        DataError: a column has no value at all, or no two rows are complete.
+    such as a battery voltage logged at 1 Hz, are interpolated over any hole. A column without any value is refused.
     """
     bad_x, bad_u = np.isnan(run.x), np.isnan(run.u)
     for names, bad, data in ((system.state_names, bad_x, run.x), (system.input_names, bad_u, run.u)):
@@ -211,11 +206,7 @@ def joined(pieces: Sequence[RawRun]) -> tuple[RawRun, tuple[tuple[int, int], ...
 def uniform(
     run: RawRun, cuts: NDArray[np.int64], *, dt: float, quaternion: slice | None, report: Report
 ) -> tuple[RawRun, tuple[tuple[int, int], ...]]:
-    """The run on the step `dt` in every segment between cuts, and its segments; those below two rows are left out.
-
-    Raises:
-        DataError: no segment is left.
-    """
+    """The run on the step `dt` in every segment between cuts, and its segments; those below two rows are left out."""
     bounds = list(itertools.pairwise([0, *(cuts + 1).tolist(), len(run.t)]))
     whole = [(a, b) for a, b in bounds if b - a >= 2 and run.t[b - 1] - run.t[a] >= dt * (1 - JITTER)]
     short = sum(b - a for a, b in bounds) - sum(b - a for a, b in whole)
@@ -260,11 +251,7 @@ def is_longer(dt: float | None, own: float) -> bool:
 
 
 def on_longer_step(data: DataSet, system: SystemInfo, dt: float, *, late: Sequence[Latency] = ()) -> DataSet:
-    """The data set on a longer step `dt` [s]; `late` channels are moved first, if runs are long enough for it.
-
-    Raises:
-        DataError: no stretch of a run is as long as a step.
-    """
+    """The data set on a longer step `dt` [s]; `late` channels are moved first, if runs are long enough for it."""
     findings, runs = list(data.summary.findings), list(data.runs)
     lags, delays = (
         {d.channel: d.seconds for d in by_fault(late).get(name, ())}

@@ -151,9 +151,7 @@ def _filtered(parts: Sequence[tuple[Array, Array, Array]]) -> tuple[str, float] 
 def to_infer(system: SystemInfo, raw: Sequence[RawRun], *, policy: str, report: Report) -> tuple[str, ...]:
     """Rates to infer, derived ones unless `keep`; their columns hold something until `inferred` fills them.
 
-    Raises:
-        ConfigError: an unknown policy.
-        DataError: a rate is missing in some runs only.
+    A rate that is missing in some runs only is refused.
     """
     if policy not in POLICIES:
         raise ConfigError(f"`derived_rates` must be {' or '.join(POLICIES)}; got {policy!r}.")

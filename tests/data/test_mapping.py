@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.mapping.apply import apply, order
-from nsde_torch.data.mapping.checks import LogCheck, checks
-from nsde_torch.data.mapping.kinematic import lean
+from nsde_torch.data.mapping.checks import LogCheck, checks, lean
 from nsde_torch.data.mapping.mapping import LogMapping, mapping_of, read_mapping, text
 from nsde_torch.data.mapping.names import factor
 from nsde_torch.data.quaternion import conjugate, rotate

@@ -51,11 +51,7 @@ _MOTORS = [*range(33, 41), *range(82, 86)]
 
 
 def open_ardupilot(path: Path) -> StreamLog:
-    """The messages of one log, each a stream; where several sensors log one, a stream each.
-
-    Raises:
-        DataError: not such a log, or one without messages.
-    """
+    """The messages of one log, each a stream; where several sensors log one, a stream each."""
     from pymavlink import DFReader
 
     class Index(DFReader.DFReader_binary):

@@ -26,12 +26,7 @@ _MOST = 20_000_000  # frames of a log
 
 
 def open_betaflight(path: Path, *, index: int = 1) -> StreamLog:
-    """One of the logs of a file, by its number from 1.
-
-    Raises:
-        DataError: not such a file, or a log without frames.
-        ConfigError: the package is not installed.
-    """
+    """One of the logs of a file, by its number from 1."""
     parser_of = optional("orangebox", "betaflight", path).Parser.load
     rows: list[list[float]] = []
     parts: list[Array] = []

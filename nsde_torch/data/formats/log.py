@@ -75,12 +75,7 @@ def _ticks(name: str, values: Array) -> bool:
 
 
 def timed(name: str, fields: dict[str, Array], clock: ClockOf, *, source: str) -> Stream:
-    """A table with its clock taken out of its columns, which are all of one length.
-
-    Raises:
-        ConfigError: no such column, or an unknown unit.
-        DataError: the column is no clock.
-    """
+    """A table with its clock taken out of its columns, all of one length; a DataError where it is no clock."""
     rows = len(next(iter(fields.values())))
     if clock.rate is not None:
         return Stream(name, np.arange(rows) / clock.rate, fields)
@@ -168,11 +163,7 @@ def full(stream: Stream, column: str) -> str:
 
 
 def optional(module: str, extra: str, path: Path) -> Any:
-    """A module of an optional package, which a file needs.
-
-    Raises:
-        ConfigError: it is not installed.
-    """
+    """A module of an optional package, which a file needs; a ConfigError where it is not installed."""
     try:
         return import_module(module)
     except ImportError as error:

@@ -28,12 +28,7 @@ _DEEPEST, _WIDEST = 8, 64
 
 
 def open_mcap(path: Path) -> StreamLog:
-    """The channels of one file; one that ends in the middle is read up to there.
-
-    Raises:
-        DataError: not such a file, or one without channels of numbers.
-        ConfigError: a package is not installed.
-    """
+    """The channels of one file; one that ends in the middle is read up to there."""
     damage = optional("mcap.exceptions", "mcap", path).McapError
     messages: dict[str, list[bytes]] = defaultdict(list)
     stamps: dict[str, list[int]] = defaultdict(list)

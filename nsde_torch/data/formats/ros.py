@@ -141,12 +141,7 @@ class _Walk:
 def columns_of(messages: Sequence[bytes], kind: str, types: Fields, *, aligned: bool) -> dict[str, Array]:
     """Numbers of messages of one type, a column (n,) for each; what a message lacks is nan there.
 
-    Args:
-        types: The types that the log defines.
-        aligned: Whether messages are CDR (ROS 2), else ROS 1.
-
-    Raises:
-        UnsupportedMessageError: none could be read.
+    The types are those that the log defines; messages are `aligned` in CDR (ROS 2), and not in ROS 1.
     """
     left, sizes = np.arange(len(messages)), np.array([len(m) for m in messages])
     out: dict[str, Array] = {}
@@ -216,15 +211,9 @@ def stream_of(
     aligned: bool,
     since: int,
 ) -> Stream:
-    """The messages of one topic, with the times [ns] at which they were logged.
+    """The messages of one topic (see `columns_of`), with the times [ns] at which they were logged.
 
-    Args:
-        types: The types that the log defines.
-        aligned: Whether messages are CDR (ROS 2), else ROS 1.
-        since: Second from which times are counted [s]: those since 1970 have no digits left for microseconds.
-
-    Raises:
-        UnsupportedMessageError: the messages cannot be read as numbers.
+    Times are counted from a second `since` 1970 [s]: whole ones have no digits left for microseconds.
     """
     columns = columns_of(messages, kind, types, aligned=aligned)
     t = seconds_since(stamps, since)
@@ -254,11 +243,7 @@ def seconds_since(stamps: Sequence[int], since: int) -> NDArray[np.float64]:
 def log_of(
     name: str, source: str, streams: Mapping[str, Stream], kinds: Mapping[str, str], notes: Sequence[str]
 ) -> StreamLog:
-    """A log of topics, with what their types (`kinds`) say of them; `notes` are of what was left out.
-
-    Raises:
-        DataError: no topic holds numbers.
-    """
+    """A log of topics, with what their types (`kinds`) say of them; `notes` are of what was left out."""
     if not streams:
         told = "; ".join(notes[:3])
         raise DataError(f"{source} holds no topic of numbers{f' ({told})' if told else ''}.")
@@ -309,12 +294,7 @@ def _meaning(topic: str, kind: str, stream: Stream) -> dict[str, dict[str, Any]]
 
 
 def open_rosbag(path: Path) -> StreamLog:
-    """The topics of one bag, with the types that it defines.
-
-    Raises:
-        DataError: not a bag, a damaged one, or one without topics of numbers.
-        ConfigError: the package is not installed.
-    """
+    """The topics of one bag, with the types that it defines."""
     reader, typesys = (optional(f"rosbags.{name}", "rosbag", path) for name in ("highlevel", "typesys"))
     streams: dict[str, Stream] = {}
     kinds: dict[str, str] = {}

@@ -42,11 +42,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def read_npz(path: Path) -> Arrays:
-    """Arrays of an .npz file; one of objects is left out, as nothing is unpickled.
-
-    Raises:
-        DataError: not such a file, or too large.
-    """
+    """Arrays of an .npz file; one of objects is left out, as nothing is unpickled."""
     out: Arrays = {}
     with parsing(path, ".npz file"):
         with zipfile.ZipFile(path) as archive:
@@ -62,11 +58,7 @@ def read_npz(path: Path) -> Arrays:
 
 
 def read_mat(path: Path) -> Arrays:
-    """Arrays of a .mat file, structures and cells flattened with dots; Simulink's signals by their labels.
-
-    Raises:
-        DataError: not such a file, too large, or of objects alone.
-    """
+    """Arrays of a .mat file, structures and cells flattened with dots; Simulink's signals by their labels."""
     from scipy.io import loadmat, whosmat
 
     with path.open("rb") as file:
@@ -142,12 +134,7 @@ def _label(fields: Mapping[str, NDArray[Any]]) -> str:
 
 
 def read_hdf5(path: Path) -> Arrays:
-    """Data sets of an HDF5 file by their paths with dots; what lies in other files is not followed.
-
-    Raises:
-        DataError: not such a file, too large, or it asks for other files.
-        ConfigError: the package is not installed.
-    """
+    """Data sets of an HDF5 file by their paths with dots; what lies in other files is not followed."""
     h5py = optional("h5py", "tables", path)
     out: Arrays = {}
     size = 0
@@ -185,12 +172,7 @@ def read_hdf5(path: Path) -> Arrays:
 
 
 def read_parquet(path: Path) -> Arrays:
-    """Columns of numbers and of times of a Parquet file.
-
-    Raises:
-        DataError: not such a file, or too large.
-        ConfigError: the package is not installed.
-    """
+    """Columns of numbers and of times of a Parquet file."""
     pyarrow, parquet = (optional(name, "tables", path) for name in ("pyarrow", "pyarrow.parquet"))
     out: Arrays = {}
     with parsing(path, "Parquet file"), parquet.ParquetFile(path, memory_map=True) as file:
@@ -237,9 +219,6 @@ def read_text(path: Path, notes: list[str] | None = None) -> dict[str, Array]:
     """Columns of numbers by name; an empty cell is nan, a column of words is left out.
 
     `notes` takes what was assumed, and what is missing because it is no number.
-
-    Raises:
-        DataError: no text, no numbers, or rows of another width (with the line).
     """
     notes = [] if notes is None else notes
     layout = _layout(path)
@@ -436,12 +415,7 @@ _WIDEST = 64  # columns of one array
 
 
 def open_table(path: Path, *, clock: ClockOf | None = None) -> StreamLog:
-    """The streams of one file, or of a folder whose files are streams of one run; a clock that is not given is found.
-
-    Raises:
-        DataError: a file that cannot be read, or one without a table of numbers.
-        ConfigError: a package is not installed, or the clock is not there.
-    """
+    """The streams of one file, or of a folder whose files are streams of one run; a clock not given is found."""
     clock = clock or ClockOf()
     notes: list[str] = []
     if path.is_dir():

@@ -46,11 +46,7 @@ hexacopters right, left, front left, rear right, front right, rear left."""
 
 
 def order(numbering: str, motors: int) -> tuple[int, ...]:
-    """Places, from 0, of a firmware's motors in the order of PX4's.
-
-    Raises:
-        ConfigError: an unknown numbering, or one without a frame of so many motors.
-    """
+    """Places, from 0, of a firmware's motors in the order of PX4's; a ConfigError where they are not known."""
     if numbering not in NUMBERINGS:
         raise ConfigError(f"`numbering` must be one of {', '.join(NUMBERINGS)}; got {numbering!r}.")
     frames = NUMBERINGS[numbering]

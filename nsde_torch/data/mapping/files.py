@@ -29,12 +29,7 @@ class LogFile:
     index: int = 1  # which log of the file, from 1
 
     def open(self, clock: ClockOf | None = None) -> StreamLog:
-        """The streams; tables are told how they give the time, other formats say so themselves.
-
-        Raises:
-            DataError: the file cannot be read.
-            ConfigError: a package is not installed.
-        """
+        """The streams; tables are told how they give the time, other formats say so themselves."""
         module, _, name = str(READERS[self.kind].streams).partition(":")
         opener = cast("Callable[..., StreamLog]", getattr(importlib.import_module(module), name))
         given: dict[str, Any] = {"clock": clock} if self.kind == "table" else {}
@@ -46,12 +41,7 @@ class LogFile:
 
 
 def log_files(kind: str, path: str | Path) -> list[LogFile]:
-    """The runs of a file or folder, in the order of their names.
-
-    Raises:
-        DataError: nothing there, or nothing of that kind.
-        ConfigError: a kind that has no streams.
-    """
+    """The runs of a file or folder, in the order of their names; a DataError where there is none of that kind."""
     path = Path(path)
     if kind not in READERS or READERS[kind].streams is None:
         raise ConfigError(f"data of kind {kind!r} are read without a mapping.")

@@ -123,11 +123,7 @@ def read_mapping(path: str | Path) -> LogMapping:
 
 
 def mapping_of(content: Any, source: str = "the mapping") -> LogMapping:
-    """A mapping from plain containers as in the YAML file; `source` names that file in messages.
-
-    Raises:
-        ConfigError: as `read_mapping`.
-    """
+    """A mapping from plain containers as in the YAML file, `source` in messages; errors are those of `read_mapping`."""
     columns = content.get("columns") if isinstance(content, dict) else None
     if not isinstance(columns, dict) or not columns:
         raise ConfigError(f"{source} must hold `columns:` with an entry for each state and input.")

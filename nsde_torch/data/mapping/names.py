@@ -43,11 +43,7 @@ def known(unit: str) -> bool:
 
 
 def factor(unit: str, target: str, *, what: str) -> float:
-    """What numbers in `unit` are multiplied by to be in `target`; `what` has it, for messages.
-
-    Raises:
-        ConfigError: a unit that is unknown, or of another dimension.
-    """
+    """What numbers in `unit` are multiplied by to be in `target`; a ConfigError says `what` has a wrong unit."""
     own, wanted = _size(unit), _size(target)
     if own is None:
         raise ConfigError(

@@ -18,8 +18,7 @@ import numpy as np
 from nsde_torch.arrays import Array
 from nsde_torch.data.formats.log import UNNAMED, ClockOf, StreamLog, full
 from nsde_torch.data.mapping import names as kinds
-from nsde_torch.data.mapping.files import LogFile
-from nsde_torch.data.mapping.kinematic import (
+from nsde_torch.data.mapping.checks import (
     INTERVAL_S,
     NOISY_VELOCITY,
     SOUND_ATTITUDE,
@@ -33,6 +32,7 @@ from nsde_torch.data.mapping.kinematic import (
     velocity_left,
     velocity_ways,
 )
+from nsde_torch.data.mapping.files import LogFile
 from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping, mapping_of, targets
 from nsde_torch.data.mapping.names import Named, bare, is_measured
 from nsde_torch.data.quaternion import from_euler_zyx, rotate

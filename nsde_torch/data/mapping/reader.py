@@ -25,11 +25,7 @@ from nsde_torch.errors import ConfigError, DataError
 
 
 def format_of(path: str | Path, system: SystemInfo | None = None) -> str:
-    """Kind of the logs in a file or folder; CSV with a mapping or without the system's columns is a table.
-
-    Raises:
-        DataError: nothing there.
-    """
+    """Kind of the logs in a file or folder; CSV with a mapping or without the system's columns is a table."""
     path = log_place(path, "a log or a folder of logs")
     kind = kind_of(path)
     if kind == "csv" and (path.is_file() or system is None or mapping_beside(path) or not fits(path, system)):

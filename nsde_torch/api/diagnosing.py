@@ -84,7 +84,7 @@ def diagnose(
     Example:
         >>> import nsde_torch
         >>> dry = [{"coulomb_friction": {"size": 0.3}}]
-        >>> made = nsde_torch.simulate("mass_spring_damper", effects=dry, durations=[6.0] * 3, seed=1)
+        >>> made = nsde_torch.simulate("mass_spring_damper", effects=dry, durations=[5.0] * 2, seed=1)
         >>> found = nsde_torch.diagnose(
         ...     made, system="mass_spring_damper", candidates=["coulomb_friction", "quadratic_damping"]
         ... )

@@ -33,11 +33,10 @@ MAX_NORM_ERROR = 0.05  # departure from unit norm above which the columns cannot
 
 
 def check_shapes(run: RawRun, system: SystemInfo) -> None:
-    nx, nu = len(system.state_names), len(system.input_names)
-    if run.x.ndim != 2 or run.x.shape[1] != nx:
-        raise ShapeError(f"run {run.name!r}: `x` must be (n, {nx}) {system.state_names}; got {run.x.shape}.")
-    if run.u.ndim != 2 or run.u.shape[1] != nu:
-        raise ShapeError(f"run {run.name!r}: `u` must be (n, {nu}) {system.input_names}; got {run.u.shape}.")
+    for name, array, columns in (("x", run.x, system.state_names), ("u", run.u, system.input_names)):
+        if array.ndim != 2 or array.shape[1] != len(columns):
+            size = f"(n, {len(columns)}) {columns}"
+            raise ShapeError(f"run {run.name!r}: `{name}` must be {size}; got {array.shape}.")
     if len(run.u) == len(run.x) - 1:  # no input follows the last row; nothing reads the copy
         run.u = np.concatenate([run.u, run.u[-1:]])
     if len(run.t) < 2:

@@ -134,6 +134,7 @@ class Fault(ABC):
     option: ClassVar[Any]
     """Its size in a simulation, declared by `nsde_torch.options.key`; the default is that there is none of it."""
     annotation: ClassVar[Any] = float  # type of the size
+    truth: ClassVar[str] = ""  # its name in the truth of a simulation, with its unit; empty: `name`
     remedy: ClassVar[Any] = None
     """The option of a reader that takes it out, declared by `key`, by name of a state; None: a reader cannot."""
     remedy_first: ClassVar[bool] = False  # whether a reader takes it out before it looks at anything
@@ -177,7 +178,8 @@ class Fault(ABC):
 
     def describe(self, value: Any, *, dt: float) -> dict[str, Any]:
         """The fault as it was applied, for the truth of a simulation, with units in the keys."""
-        return {self.name: value}
+        some = {k: v for k, v in value.items() if v} if isinstance(value, Mapping) else value
+        return {self.truth or self.name: some}
 
     # in a log
 

@@ -62,9 +62,6 @@ class _Latency(Fault):
     def check(self, value: Any, system: SystemInfo) -> None:
         latency.check_times(self.name, value, system)
 
-    def describe(self, value: Any, *, dt: float) -> dict[str, Any]:
-        return {f"{self.name}_s": {k: v for k, v in value.items() if v}}
-
     def detect(self, log: LoggedRuns) -> Detected | None:
         return latency.found_latency(log, filtered=self.filtered)
 
@@ -74,6 +71,7 @@ class SensorLag(_Latency):
     """A filtered sensor: T x_log' + x_log = x for some of the states."""
 
     name = "sensor_lag"
+    truth = "sensor_lag_s"
     rank = 20
     option = key(
         {}, "time constant of a filter that a state goes through, recording.sensor_lag.STATE=0.02", unit="s"
@@ -93,6 +91,7 @@ class SensorDelay(_Latency):
     """A late sensor: x_log(t) = x(t - d) for some of the states."""
 
     name = "sensor_delay"
+    truth = "sensor_delay_s"
     rank = 30
     option = key(
         {},
@@ -173,9 +172,6 @@ class SensorBias(Fault):
         for name, bias in value.items():
             run.x[:, list(system.state_names).index(name)] += bias
 
-    def describe(self, value: Any, *, dt: float) -> dict[str, Any]:
-        return {self.name: {k: v for k, v in value.items() if v}}
-
     def detect(self, log: LoggedRuns) -> Detected | None:
         return clock_and_biases.found_biases(self, log)
 
@@ -195,6 +191,7 @@ class DerivedRate(Fault):
     """
 
     name = "derived_rate"
+    truth = "derived_rate_rows"
     rank = 55
     option = key(
         0,
@@ -224,9 +221,6 @@ class DerivedRate(Fault):
                 np.diff(q, prepend=q[0]) / dt if value == 2 else savgol_filter(q, value, 2, deriv=1, delta=dt)
             )
             run.x[:, names.index(rate)] = made
-
-    def describe(self, value: Any, *, dt: float) -> dict[str, Any]:
-        return {"derived_rate_rows": value}
 
     def detect(self, log: LoggedRuns) -> Detected | None:
         """The reader has found it, and the rates are inferred: nothing is left to undo."""
@@ -363,8 +357,7 @@ class RotorSpeed(Fault):
         """Values by name of an input, or by the common name of several."""
         from nsde_torch.data.raw import Finding
 
-        names = list(system.input_names)
-        u = run.u.copy()
+        names, u = system.input_names, run.u.copy()
         for channel, most in values.items():
             columns = [k for k, name in enumerate(names) if name == channel or name.startswith(channel + "_")]
             if not columns:

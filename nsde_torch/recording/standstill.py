@@ -192,7 +192,7 @@ def check_constant(system: SystemInfo, runs: Sequence[Run], report: Report) -> N
     names = system.state_names
     for run in runs:
         for column, other, still, moving in _pairs(system, run):
-            if len(moving) >= _FEWEST_ROWS and _still(still) and _moves(moving):
+            if len(moving) >= _FEWEST_ROWS and (still == still[0]).all() and _moves(moving):
                 raise DataError(
                     f"run {run.name!r}: {column} never changes ({still.flat[0]:.4g} in all {len(still)} rows), while "
                     f"{other} does, so that it is no measurement. Write what the sensor measured, or leave the run out."
@@ -221,10 +221,6 @@ def _pairs(system: SystemInfo, run: Run) -> Iterator[tuple[str, str, Array, Arra
     for w, turned, name in zip(x[:, rates].T, increments(x[:, q]).T, RATE_NAMES, strict=True):
         yield "the quaternion", repr(name), x[:, q], w
         yield repr(name), "the attitude about its axis", w, np.cumsum(turned)
-
-
-def _still(column: Array) -> bool:
-    return bool((column == column[0]).all())
 
 
 def _moves(column: Array) -> bool:

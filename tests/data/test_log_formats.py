@@ -91,7 +91,7 @@ def test_two_sources_of_one_quantity_are_not_chosen_unseen(
     columns |= {f"ekf_vel_{a}": columns[f"vel_{a}"] + 0.01 for a in "xyz"}
     log_writers.write_table(tmp_path / "run.npz", columns)
     with pytest.raises(
-        DataError, match=r"velocity may be vel_x.* or ekf_vel_x.* Run `nsde inspect .*quadrotor`"
+        DataError, match=r"velocity may be vel_x.* or ekf_vel_x.* Run `nsde inspect .*quadrotor"
     ):
         read_log(quadrotor, path=tmp_path)
 
@@ -102,7 +102,7 @@ def test_a_mapping_that_contradicts_the_log_is_refused(
     log_writers.write_table(tmp_path / "run.csv", log_writers.ned_columns(flight))
     wrong = log_writers.NED_MAPPING.replace("unit: deg/s", "unit: rad/s")
     with pytest.raises(
-        DataError, match=r"run 'run': the mapping contradicts the log: .*unit: deg/s.*nsde inspect"
+        DataError, match=r"'run': the mapping contradicts the log: .*unit: deg/s.*nsde inspect"
     ):
         read_mapped(quadrotor, path=tmp_path, kind="table", mapping=mapping_of(yaml.safe_load(wrong)))
 
@@ -249,7 +249,7 @@ def test_betaflight_logs_give_rates_and_motors(tmp_path: Path, flight: RawRun) -
     assert log.columns["u"]["low"] == 48.0
     assert log.columns["u"]["numbering"] == "betaflight"
     with pytest.raises(
-        DataError, match=r"no columns are an attitude .*, a position, a velocity, which .*nsde inspect"
+        DataError, match=r"no columns are an attitude .*, a position, a velocity.*nsde inspect"
     ):
         read_log(make_system("quadrotor"), path=tmp_path)
 
@@ -309,7 +309,5 @@ def test_a_chunk_that_would_fill_the_memory_is_not_unpacked(tmp_path: Path) -> N
     body = place - 8 - len("zstd") - 4 - 4 - 3 * 8
     record = content[body : place - 8] + struct.pack("<Q", len(packed)) + packed
     (tmp_path / "run.mcap").write_bytes(content[: body - 8] + struct.pack("<Q", len(record)) + record)
-    with pytest.raises(
-        DataError, match=r"run\.mcap is not a readable MCAP file \(McapError: a chunk of 536870912"
-    ):
+    with pytest.raises(DataError, match=r"run\.mcap is not a readable MCAP file \(.*a chunk of 536870912"):
         log_files("mcap", tmp_path)[0].open()

@@ -54,9 +54,7 @@ def test_cartpole_inputs_become_newtons_and_the_angle_is_unwrapped(tmp_path: Pat
 
 def test_the_wrong_system_is_named_with_what_the_file_holds(tmp_path: Path) -> None:
     path = write(tmp_path / "trajs.pkl", flights(6))
-    with pytest.raises(
-        DataError, match=r"holds hexacopter flights .* the system 'quadrotor' has 13 states, 4 inputs"
-    ):
+    with pytest.raises(DataError, match=r"holds hexacopter flights .* 'quadrotor' has 13 states, 4 inputs"):
         read("published", QUADROTOR, path=path)
 
 

@@ -231,9 +231,7 @@ def test_missing_topics_are_named_with_the_remedy(tmp_path: Path) -> None:
         logged_as(tmp_path, topics)
     topics = three_topics(topics) | {"actuator_motors": motors}
     topics.pop("vehicle_angular_velocity")
-    with pytest.raises(
-        DataError, match=r"\['vehicle_angular_velocity'\] \(or `vehicle_odometry`\).*logger_topics"
-    ):
+    with pytest.raises(DataError, match=r"\['vehicle_angular_velocity'\] \(or `vehicle_odometry`\).*logger"):
         logged_as(tmp_path, topics)
     with pytest.raises(DataError, match=r"lacks the topics \['vehicle_odometry'\]"):
         read("ulog", QUADROTOR, path=str(tmp_path / "log.ulg"), state="odometry")
@@ -258,9 +256,7 @@ def test_motors_as_the_default_profile_logs_them_are_refused_with_the_bit_that_l
 ) -> None:
     *_, topics = logged()
     topics["actuator_motors"] = {k: v[::10] for k, v in topics["actuator_motors"].items()}
-    with pytest.raises(
-        DataError, match=r"`actuator_motors` was logged at 10 Hz.*50 Hz.*bit 4.*SDLOG_PROFILE 17"
-    ):
+    with pytest.raises(DataError, match=r"`actuator_motors` was logged at 10 Hz.*50 Hz.*bit 4.*PROFILE 17"):
         logged_as(tmp_path, topics)
     assert "held" in logged_as(tmp_path, topics, motor_rate=10.0).summary.findings[0].action
 

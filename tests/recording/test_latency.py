@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,7 +14,7 @@ from nsde_torch.data.system_info import channel_columns
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import Recorded, Recording
 from nsde_torch.recording.chain import instead_of_effects
-from nsde_torch.recording.latency import late_channels, moved, on_time
+from nsde_torch.recording.latency import late_channels, on_time
 from nsde_torch.systems import make_system
 
 SPRING = make_system("mass_spring_damper")
@@ -33,9 +34,8 @@ def run(seed: int, *, position: float = 0.0, velocity: float = 0.0, noise: float
     t = DT * np.arange(3000)
     rng = np.random.default_rng(100 + seed)
     x = np.stack([waves(t - position, seed)[0], waves(t - velocity, seed)[1]], 1)
-    return Run(
-        f"run_{seed}", t, x + noise * np.array([0.1, 1.0]) * rng.normal(size=x.shape), np.zeros((3000, 1))
-    )
+    x = x + noise * np.array([0.1, 1.0]) * rng.normal(size=x.shape)
+    return Run(f"run_{seed}", t, x, np.zeros((3000, 1)))
 
 
 @pytest.mark.parametrize("seconds", [0.013, 0.04, 0.1])
@@ -65,9 +65,8 @@ def test_a_filter_is_told_from_a_delay(seconds: float, column: int, filtered: bo
     assert late.channel == ("q", "q_dot")[column]
     assert late.seconds == pytest.approx(seconds, rel=0.05)
     assert late.filtered == filtered
-    back = on_time(
-        runs[0], SPRING, *([{}, {late.channel: seconds}] if filtered else [{late.channel: seconds}])
-    )
+    times = {late.channel: seconds}
+    back = on_time(runs[0], SPRING, *([{}, times] if filtered else [times]))
     assert late_channels(SPRING, [back])[0].seconds < 0.2 * seconds
 
 
@@ -105,9 +104,7 @@ def test_a_channel_that_was_moved_back_is_on_time_and_the_ends_are_gone() -> Non
     there = on_time(back, SPRING, {"q_dot": -0.025})
     assert there.segments == ((3, 2997),)
     assert np.abs(there.x - late.x)[10:2980].max() < 1e-4
-    with pytest.raises(
-        DataError, match=r"no stretch that is long enough to take delays out of it \(.* ms of "
-    ):
+    with pytest.raises(DataError, match=r"no stretch that is long enough to take delays out of it \(.* ms"):
         on_time(late.slice(0, 5), SPRING, {"q_dot": 0.1})
 
 
@@ -132,12 +129,6 @@ def test_noise_of_an_undone_channel_is_white_again_over_the_rows_that_the_run_sa
         assert max(abs(correlation(k)) for k in (1, 2, 3)) > 0.09
 
 
-def test_rows_move_by_whole_and_broken_steps() -> None:
-    x = np.arange(10.0)[:, None] ** 2
-    np.testing.assert_allclose(moved(x, 2.0)[:8], x[2:])
-    np.testing.assert_allclose(moved(x, -0.5)[1:, 0], (np.arange(1, 10) - 0.5) ** 2)
-
-
 def test_names_of_channels_are_states_or_what_several_share() -> None:
     hexacopter = make_system("hexacopter")
     assert channel_columns(hexacopter, "v") == [3, 4, 5]
@@ -154,11 +145,9 @@ def test_names_of_channels_are_states_or_what_several_share() -> None:
 def test_no_sensor_is_late_by_a_step_of_half_a_second() -> None:
     t, cart = 0.5 * np.arange(60), make_system("cartpole")
     run = Run("slow", t, np.sin(t[:, None] * np.arange(1, 5)), np.zeros((60, 1)))
-
-    asked: list[Sequence[Run]] = []
+    better = itertools.count(1)
 
     def misfits(runs: Sequence[Run]) -> np.ndarray:
-        asked.append(runs)
-        return np.array([-float(len(asked)), 0.0])
+        return np.array([-float(next(better)), 0.0])
 
     assert instead_of_effects(Recorded((run,), 1.0, ()), cart, misfits, rows=60, other=100.0) is None

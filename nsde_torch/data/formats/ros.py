@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -48,33 +47,24 @@ class UnsupportedMessageError(ValueError):
     """A message whose layout cannot be worked out; the topic is left out."""
 
 
-@dataclass
 class _Layout:
-    columns: dict[str, tuple[int, str]] = field(default_factory=dict)
-    lengths: list[tuple[int, int]] = field(default_factory=list)
+    """Where one message has its numbers (place and type by column) and its lengths (place and value)."""
 
-
-class _Walk:
-    """One message, read for its layout."""
-
-    def __init__(self, raw: bytes, types: Fields, *, aligned: bool) -> None:
+    def __init__(self, raw: bytes, kind: str, types: Fields, *, aligned: bool) -> None:
         self.raw, self.types, self.aligned = raw, types, aligned
-        self.order = "<"
-        self.start = 0
-        if aligned:
-            if len(raw) < 4 or raw[0] or raw[1] > 1:
-                raise UnsupportedMessageError("an encoding other than plain CDR")
-            self.order = "<" if raw[1] == 1 else ">"
-            self.start = 4
-        self.at = self.start
-        self.out = _Layout()
+        if aligned and (len(raw) < 4 or raw[0] or raw[1] > 1):
+            raise UnsupportedMessageError("an encoding other than plain CDR")
+        self.order = ">" if aligned and raw[1] == 0 else "<"
+        self.at = self.start = 4 if aligned else 0
+        self.columns: dict[str, tuple[int, str]] = {}
+        self.lengths: list[tuple[int, int]] = []
+        self.message(kind)
 
-    def message(self, kind: str, before: str = "", depth: int = 0) -> _Layout:
+    def message(self, kind: str, before: str = "", depth: int = 0) -> None:
         if depth > _DEEPEST or kind not in self.types:
             raise UnsupportedMessageError(f"the type {kind} is not defined in the log")
         for name, what in self.types[kind]:
             self.one(what, before + name, depth)
-        return self.out
 
     def one(self, what: tuple[int, Any], name: str, depth: int) -> None:
         kind, of = int(what[0]), what[1]
@@ -94,7 +84,7 @@ class _Walk:
             self.align(size) if count else None
             if count <= _LONGEST:
                 for k in range(count):
-                    self.out.columns[f"{name}[{k}]"] = (self.at + k * size, self.order + _NUMBERS[base])
+                    self.columns[f"{name}[{k}]"] = (self.at + k * size, self.order + _NUMBERS[base])
             self.move(size * count)
             return
         if count > LARGEST:
@@ -116,7 +106,7 @@ class _Walk:
             raise UnsupportedMessageError(f"numbers of the type {kind}")
         size = np.dtype(_NUMBERS[kind]).itemsize
         self.align(size)
-        self.out.columns[name] = (self.at, self.order + _NUMBERS[kind])
+        self.columns[name] = (self.at, self.order + _NUMBERS[kind])
         self.move(size)
 
     def length(self) -> int:
@@ -124,7 +114,7 @@ class _Walk:
         if self.at + 4 > len(self.raw):
             raise UnsupportedMessageError("a message that is cut short")
         value = int(struct.unpack_from(f"{self.order}I", self.raw, self.at)[0])
-        self.out.lengths.append((self.at, value))
+        self.lengths.append((self.at, value))
         self.move(4)
         return value
 
@@ -153,7 +143,7 @@ def columns_of(messages: Sequence[bytes], kind: str, types: Fields, *, aligned: 
             raise UnsupportedMessageError("messages of many layouts, or large ones")
         layouts += 1
         try:
-            layout = _Walk(first, types, aligned=aligned).message(kind)
+            layout = _Layout(first, kind, types, aligned=aligned)
         except (UnsupportedMessageError, struct.error, RecursionError) as error:
             why = str(error)
             bad += 1
@@ -161,7 +151,6 @@ def columns_of(messages: Sequence[bytes], kind: str, types: Fields, *, aligned: 
             if bad > 100 and not out:
                 break
             continue
-        order = ">" if aligned and first[1] == 0 else "<"
         read = [same[:0]]
         for start in range(0, len(same), _TOGETHER):
             rows = same[start : start + _TOGETHER]
@@ -169,7 +158,7 @@ def columns_of(messages: Sequence[bytes], kind: str, types: Fields, *, aligned: 
             table = table.reshape(len(rows), len(first))
             fits = (table[:, :2] == np.frombuffer(first[:2], dtype=np.uint8)).all(axis=1) | (not aligned)
             for at, value in layout.lengths:
-                fits &= _at(table, at, f"{order}u4") == value
+                fits &= _at(table, at, f"{layout.order}u4") == value
             if not fits.all():
                 rows, table = rows[fits], table[fits]
             read.append(rows)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from nsde_torch.data.formats.betaflight import logs_of
 from nsde_torch.data.formats.log import ClockOf, StreamLog
@@ -14,6 +13,7 @@ from nsde_torch.data.formats.table import TEXT, are_runs
 from nsde_torch.data.places import entries, files_of, log_place
 from nsde_torch.data.readers import READERS
 from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.lookup import function_by_name
 
 MAPPING_FILE = "mapping.yaml"
 """Name of the mapping beside the logs, which is read where none is given."""
@@ -30,12 +30,10 @@ class LogFile:
 
     def open(self, clock: ClockOf | None = None) -> StreamLog:
         """The streams; tables are told how they give the time, other formats say so themselves."""
-        module, _, name = str(READERS[self.kind].streams).partition(":")
-        opener = cast("Callable[..., StreamLog]", getattr(importlib.import_module(module), name))
         given: dict[str, Any] = {"clock": clock} if self.kind == "table" else {}
         if self.kind == "betaflight":
             given["index"] = self.index
-        log = opener(self.path, **given)
+        log: StreamLog = function_by_name(str(READERS[self.kind].streams), kind="reader")(self.path, **given)
         log.name = self.name
         return log
 

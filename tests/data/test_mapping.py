@@ -18,6 +18,7 @@ from nsde_torch.data.mapping.names import factor
 from nsde_torch.data.quaternion import conjugate, rotate
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.streams import Stream, commands
+from nsde_torch.data.system_info import changed
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.systems import make_system
 from tests.helpers.leaning import leaning_flight, same_flight
@@ -228,6 +229,14 @@ def test_rotor_speeds_and_scales() -> None:
     run = apply(log, mapping_of({"columns": columns}), SPRING)
     assert np.allclose(run.u[:, 0], -35 * np.sin(t))
     assert np.isnan(run.x[:, 1]).all()  # the rate is inferred later
+
+
+def test_a_machine_without_inputs_is_read() -> None:
+    t = np.arange(0, 5, 0.01)
+    log = StreamLog("r", "r", [Stream("", t, {"q": np.sin(t), "v": np.cos(t)})])
+    free = changed(SPRING, input_names=(), input_units=())
+    run = apply(log, mapping_of({"columns": {"q": "q", "q_dot": "v"}}), free)
+    assert run.u.shape == (500, 0)
 
 
 def test_inputs_that_their_range_does_not_hold_are_refused() -> None:

@@ -97,9 +97,11 @@ class _Applied:
         for name, entry in self.mapping.columns.items():
             if name != quaternion:
                 self._fill(name, entry)
-        nothing, zero = np.full(len(self.t), np.nan), np.zeros(len(self.t))
+        nothing = np.full(len(self.t), np.nan)
         x = np.column_stack([self.columns.get(name, nothing) for name in system.state_names])
-        u = np.column_stack([self.columns.get(name, zero) for name in system.input_names])
+        u = np.zeros((len(self.t), len(system.input_names)))
+        for k, name in enumerate(system.input_names):
+            u[:, k] = self.columns.get(name, 0.0)
         own = (*system.state_names, *system.input_names)
         extra = {name: values for name, values in self.columns.items() if name not in own}
         run = RawRun(self.log.name, self.t - self.t[0], x, u, extra=extra, source=self.log.source)

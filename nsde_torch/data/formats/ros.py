@@ -296,16 +296,16 @@ def open_rosbag(path: Path) -> StreamLog:
             connections = [c for c in bag.connections if c.topic == topic]
             stamps: list[int] = []
             messages: list[bytes] = []
-            size = 0
+            size, large = 0, False
             for _, stamp, raw in bag.messages(connections=connections):
                 size += len(raw)
-                if len(raw) > LARGEST or size > MEMORY:
+                large = len(raw) > LARGEST or size > MEMORY
+                if large:
                     break
                 stamps.append(stamp)
                 messages.append(bytes(raw))
-            if size > MEMORY or len(messages) < 2:
-                why = "too large" if messages or size else "fewer than two messages"
-                notes.append(f"{topic}: left out ({why})")
+            if large or len(messages) < 2:
+                notes.append(f"{topic}: left out ({'too large' if large else 'fewer than two messages'})")
                 continue
             kind, since = connections[0].msgtype, bag.start_time // 10**9
             try:

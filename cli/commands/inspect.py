@@ -64,8 +64,7 @@ def _inspect(path: str, given: dict[str, str], folder: Path | None) -> int:
     import torch
 
     from nsde_torch.api.inspecting import inspect
-    from nsde_torch.data.mapping.files import mapping_beside
-    from nsde_torch.data.mapping.reader import format_of
+    from nsde_torch.data.mapping.reader import format_of, mapping_beside
     from nsde_torch.data.readers import READERS
     from nsde_torch.systems.options import SystemOptions
 

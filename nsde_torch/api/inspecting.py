@@ -11,17 +11,15 @@ from typing import Any
 import numpy as np
 
 from nsde_torch.api.reading import REFUSED, check_physics
-from nsde_torch.data.formats.log import ClockOf, StreamLog
 from nsde_torch.data.mapping.apply import apply
 from nsde_torch.data.mapping.checks import LogCheck, checks
-from nsde_torch.data.mapping.files import LogFile, log_files
 from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping, read_mapping, targets, text
-from nsde_torch.data.mapping.proposal import Proposal, full_of_all, propose
-from nsde_torch.data.mapping.reader import format_of
+from nsde_torch.data.mapping.proposal import Proposal, propose
+from nsde_torch.data.mapping.reader import LogFile, format_of, full_of_all, log_files
 from nsde_torch.data.places import files_of, log_place
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.readers import READERS, reader
-from nsde_torch.data.streams import moving
+from nsde_torch.data.streams import ClockOf, StreamLog, moving
 from nsde_torch.data.ulog import open_ulog
 from nsde_torch.errors import ConfigError, DataError, NsdeError
 from nsde_torch.systems.base import System

@@ -21,11 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.formats.log import StreamLog, parsing
 from nsde_torch.data.places import files_of, log_place
 from nsde_torch.data.quaternion import attitude_to_enu, euler_zyx, rotate, swap_body, swap_world
 from nsde_torch.data.raw import Finding, RawRun, holes
-from nsde_torch.data.streams import Stream, attitudes, held, linear, ordered
+from nsde_torch.data.streams import Stream, StreamLog, attitudes, held, linear, ordered, parsing
 from nsde_torch.data.system_info import SystemInfo, rate_columns
 from nsde_torch.errors import ConfigError, DataError
 

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from nsde_torch.data.mapping.files import log_files
 from nsde_torch.data.mapping.mapping import mapping_of
-from nsde_torch.data.mapping.reader import format_of, read_log, read_mapped
+from nsde_torch.data.mapping.reader import format_of, log_files, read_log, read_mapped
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError, DataError, NsdeError
 from nsde_torch.systems import System, make_system

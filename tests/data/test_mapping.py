@@ -10,14 +10,13 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from nsde_torch.data.formats.log import StreamLog
 from nsde_torch.data.mapping.apply import apply, order
 from nsde_torch.data.mapping.checks import LogCheck, checks, lean
 from nsde_torch.data.mapping.mapping import LogMapping, mapping_of, read_mapping, text
 from nsde_torch.data.mapping.names import factor
 from nsde_torch.data.quaternion import conjugate, rotate
 from nsde_torch.data.raw import RawRun
-from nsde_torch.data.streams import Stream, commands
+from nsde_torch.data.streams import Stream, StreamLog, commands
 from nsde_torch.data.system_info import changed
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.systems import make_system

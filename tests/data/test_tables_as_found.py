@@ -12,8 +12,8 @@ from scipy.io import savemat
 import nsde_torch
 from nsde_torch.data.formats.table import open_table
 from nsde_torch.data.mapping.apply import apply
-from nsde_torch.data.mapping.files import log_files
 from nsde_torch.data.mapping.proposal import propose
+from nsde_torch.data.mapping.reader import log_files
 from nsde_torch.errors import DataError
 from tests.helpers.data_systems import MSD, QUADROTOR
 from tests.helpers.leaning import leaning_flight

@@ -4,6 +4,6 @@ What the streams mean to a machine is the business of `nsde_torch.data.mapping`.
 streams, is a DataError; an optional package that is not installed a ConfigError.
 """
 
-from nsde_torch.data.formats.log import StreamLog
+from nsde_torch.data.streams import StreamLog
 
 __all__ = ["StreamLog"]

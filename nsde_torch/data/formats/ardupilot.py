@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nsde_torch.data.formats.log import StreamLog, parsing
-from nsde_torch.data.streams import Stream, ordered
+from nsde_torch.data.streams import Stream, StreamLog, ordered, parsing
 from nsde_torch.errors import DataError
 
 _TYPES = {

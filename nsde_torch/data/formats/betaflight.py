@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.formats.log import StreamLog, optional, parsing, unreadable
-from nsde_torch.data.streams import Stream, ordered
+from nsde_torch.data.streams import Stream, StreamLog, optional, ordered, parsing, unreadable
 from nsde_torch.errors import DataError
 
 # it reports every file, and every event that it does not know

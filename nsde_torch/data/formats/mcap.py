@@ -11,7 +11,6 @@ from typing import IO, Any
 import numpy as np
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.formats.log import StreamLog, optional, parsing
 from nsde_torch.data.formats.ros import (
     LARGEST,
     MEMORY,
@@ -21,7 +20,7 @@ from nsde_torch.data.formats.ros import (
     seconds_since,
     stream_of,
 )
-from nsde_torch.data.streams import Stream, ordered
+from nsde_torch.data.streams import Stream, StreamLog, optional, ordered, parsing
 
 _CHUNK = 1 << 28  # bytes of a chunk
 _DEEPEST, _WIDEST = 8, 64

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.formats.log import StreamLog, optional, parsing
-from nsde_torch.data.streams import Stream, ordered
+from nsde_torch.data.streams import Stream, StreamLog, optional, ordered, parsing
 from nsde_torch.errors import DataError
 
 # Messages of ROS to columns, many at a time.

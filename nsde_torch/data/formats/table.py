@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.formats.log import (
+from nsde_torch.data.places import LONGEST, NOTHING, check_names, count_rows, files_of, refuse_larger
+from nsde_torch.data.streams import (
     UNNAMED,
     ClockOf,
     StreamLog,
@@ -32,7 +33,6 @@ from nsde_torch.data.formats.log import (
     timed,
     unreadable,
 )
-from nsde_torch.data.places import LONGEST, NOTHING, check_names, count_rows, files_of, refuse_larger
 from nsde_torch.errors import DataError
 
 _DEPTH = 8  # of groups and structures

@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.formats.log import SECONDS, StreamLog
 from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping, targets
 from nsde_torch.data.mapping.names import factor
 from nsde_torch.data.quaternion import (
@@ -24,7 +23,7 @@ from nsde_torch.data.quaternion import (
     swap_world,
 )
 from nsde_torch.data.raw import Finding, RawRun
-from nsde_torch.data.streams import Stream, attitudes, commands, linear
+from nsde_torch.data.streams import SECONDS, Stream, StreamLog, attitudes, commands, linear
 from nsde_torch.data.system_info import RATE_NAMES, SystemInfo
 from nsde_torch.errors import ConfigError, DataError
 

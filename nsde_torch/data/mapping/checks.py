@@ -14,10 +14,10 @@ from math import pi
 import numpy as np
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.formats.log import SECONDS
 from nsde_torch.data.mapping.mapping import LogMapping
 from nsde_torch.data.quaternion import attitude_between, conjugate, increments, rotate
 from nsde_torch.data.raw import RawRun
+from nsde_torch.data.streams import SECONDS
 from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_columns, rate_pairs
 
 # What kinematics and gravity say of conventions, before any physics of a machine is known.

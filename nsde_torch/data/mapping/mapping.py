@@ -26,7 +26,7 @@ from typing import Any
 
 import yaml
 
-from nsde_torch.data.formats.log import SECONDS, ClockOf
+from nsde_torch.data.streams import SECONDS, ClockOf
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError
 from nsde_torch.lookup import did_you_mean

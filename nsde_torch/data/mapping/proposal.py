@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.formats.log import UNNAMED, ClockOf, StreamLog, full
 from nsde_torch.data.mapping import names as kinds
 from nsde_torch.data.mapping.checks import (
     INTERVAL_S,
@@ -32,11 +31,10 @@ from nsde_torch.data.mapping.checks import (
     velocity_left,
     velocity_ways,
 )
-from nsde_torch.data.mapping.files import LogFile
 from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping, mapping_of, targets
 from nsde_torch.data.mapping.names import Named, bare, is_measured
 from nsde_torch.data.quaternion import from_euler_zyx, rotate
-from nsde_torch.data.streams import Stream, attitudes, linear, moving
+from nsde_torch.data.streams import UNNAMED, ClockOf, Stream, StreamLog, attitudes, full, linear, moving
 from nsde_torch.data.system_info import SystemInfo
 
 _Columns = dict[str, ColumnEntry]
@@ -589,25 +587,10 @@ def _in_unit(entry: ColumnEntry, values: Array, unit: str | None) -> ColumnEntry
         return replace(entry, unit="us", low=1000.0, high=2000.0)
     if not speeds and 30000.0 < top <= 65535.0:  # a duty cycle in 16 bits
         return replace(entry, low=0.0, high=65535.0)
-    return replace(entry, unit=unit, full=_rounded(float(flat.max())))
+    return replace(entry, unit=unit, full=rounded_up(float(flat.max())))
 
 
-def full_of_all(mapping: LogMapping, files: Sequence[LogFile]) -> LogMapping:
-    """The mapping with the speed of full thrust at least as large as any in the logs: a greater one is refused."""
-    entry = mapping.columns.get("u")
-    if entry is None or entry.full is None:
-        return mapping
-    most = entry.full
-    for file in files[1:]:
-        log = file.open(mapping.time)
-        for source in entry.source:
-            if log.has(source):
-                stream, column = log.find(source)
-                most = max(most, _rounded(float(np.nanmax(stream.fields[column], initial=1e-3))))
-    return mapping.changed("u", full=most)
-
-
-def _rounded(value: float) -> float:
+def rounded_up(value: float) -> float:
     """A speed a little above one that was read."""
     size = 10.0 ** (np.floor(np.log10(value)) - 1)
     return float(np.ceil(value / size) * size)

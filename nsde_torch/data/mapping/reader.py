@@ -1,27 +1,106 @@
 """Logs of whichever format, by the names of the files, and through a mapping: given, beside the logs, or proposed.
 
-A proposal is used where nothing is missing or open in it and its checks pass; else the error says what to run. A
-mapping that kinematics or gravity contradict is refused.
+One log is one run, but for tables that are streams of one. A proposal is used where nothing is missing or open in it
+and its checks pass; else the error says what to run. A mapping that kinematics or gravity contradict is refused.
 """
 
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from nsde_torch.data.csv_folder import fits
-from nsde_torch.data.formats.log import StreamLog
+from nsde_torch.data.formats.betaflight import logs_of
+from nsde_torch.data.formats.table import TEXT, are_runs
 from nsde_torch.data.mapping.apply import apply
 from nsde_torch.data.mapping.checks import checks
-from nsde_torch.data.mapping.files import log_files, mapping_beside
 from nsde_torch.data.mapping.mapping import LogMapping, read_mapping
-from nsde_torch.data.mapping.proposal import full_of_all, propose
-from nsde_torch.data.places import log_place
+from nsde_torch.data.mapping.proposal import propose, rounded_up
+from nsde_torch.data.places import entries, files_of, log_place
 from nsde_torch.data.raw import Finding, RawRun
 from nsde_torch.data.readers import READERS, kind_of, reader
+from nsde_torch.data.streams import ClockOf, StreamLog
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.lookup import function_by_name
+
+MAPPING_FILE = "mapping.yaml"
+"""Name of the mapping beside the logs, which is read where none is given."""
+
+
+@dataclass(frozen=True)
+class LogFile:
+    """One run that can be opened."""
+
+    name: str  # of the run
+    path: Path  # file or folder
+    kind: str  # its reader
+    index: int = 1  # which log of the file, from 1
+
+    def open(self, clock: ClockOf | None = None) -> StreamLog:
+        """The streams; tables are told how they give the time, other formats say so themselves."""
+        given: dict[str, Any] = {"clock": clock} if self.kind == "table" else {}
+        if self.kind == "betaflight":
+            given["index"] = self.index
+        log: StreamLog = function_by_name(str(READERS[self.kind].streams), kind="reader")(self.path, **given)
+        log.name = self.name
+        return log
+
+
+def log_files(kind: str, path: str | Path) -> list[LogFile]:
+    """The runs of a file or folder, in the order of their names; a DataError where there is none of that kind."""
+    path = Path(path)
+    if kind not in READERS or READERS[kind].streams is None:
+        raise ConfigError(f"data of kind {kind!r} are read without a mapping.")
+    suffixes = tuple(dict.fromkeys((*READERS[kind].suffixes, *(TEXT if kind == "table" else ()))))
+    log_place(path, f"a file ({', '.join(suffixes)}) or a folder of them")
+    files = [path] if path.is_file() or _is_bag(path) else _inside(path, suffixes, kind)
+    if not files:
+        held = ", ".join(p.name for p in entries(path)[:5]) or "nothing"
+        raise DataError(
+            f"`path`: {path} holds no file of the kind {kind!r} ({', '.join(suffixes)}); it holds {held}."
+        )
+    if kind == "betaflight":
+        return [
+            LogFile(file.stem if count == 1 else f"{file.stem}_{k}", file, kind, k)
+            for file in files
+            for count in [logs_of(file)]
+            for k in range(1, count + 1)
+        ]
+    return [LogFile(file.stem, file, kind) for file in files]
+
+
+def _is_bag(path: Path) -> bool:
+    return path.is_dir() and (path / "metadata.yaml").is_file() and bool(list(path.glob("*.db3")))
+
+
+def _inside(folder: Path, suffixes: Sequence[str], kind: str) -> list[Path]:
+    found = entries(folder)
+    folders = [p for p in found if p.is_dir()]
+    if kind == "rosbag":
+        files = [p for p in found if p.is_file() and p.suffix.lower() in suffixes]
+        return files + [p for p in folders if _is_bag(p)]
+    files = files_of(folder, suffixes)
+    if kind != "table":
+        return files
+    text = [p for p in files if p.suffix.lower() in TEXT]
+    if len(text) > 1 and len(text) == len(files) and not are_runs(text):
+        return [folder]  # streams of one run
+    if not files:
+        return [p for p in folders if any(q.suffix.lower() in suffixes for q in p.iterdir())]
+    return files
+
+
+def mapping_beside(path: str | Path) -> Path | None:
+    """The mapping file that lies with the logs; None where there is none."""
+    path = Path(path)
+    file = (path if path.is_dir() else path.parent) / MAPPING_FILE
+    return file if file.is_file() else None
 
 
 def format_of(path: str | Path, system: SystemInfo | None = None) -> str:
@@ -51,6 +130,21 @@ def read_log(system: SystemInfo, *, path: str | Path, mapping: str | None = None
         raise ConfigError(f"`mapping`: data of kind {kind!r} are read without one.")
     runs: list[RawRun] = reader(kind)(system, path=path, **given)
     return runs
+
+
+def full_of_all(mapping: LogMapping, files: Sequence[LogFile]) -> LogMapping:
+    """The mapping with the speed of full thrust at least as large as any in the logs: a greater one is refused."""
+    entry = mapping.columns.get("u")
+    if entry is None or entry.full is None:
+        return mapping
+    most = entry.full
+    for file in files[1:]:
+        log = file.open(mapping.time)
+        for source in entry.source:
+            if log.has(source):
+                stream, column = log.find(source)
+                most = max(most, rounded_up(float(np.nanmax(stream.fields[column], initial=1e-3))))
+    return mapping.changed("u", full=most)
 
 
 def read_mapped(

@@ -97,7 +97,7 @@ class Peer:
     def _step(ca: Any, p: Predictor, z: Any, u: Any) -> Any:
         values = {k: float(v) for k, (v, _) in p.system.declared_parameters().items()}
         mix = np.array(type(p.system).mixing)  # type: ignore[attr-defined]
-        if p.system.nz != 13 or type(p._step).__name__ != "Turning":
+        if p.system.nz != 13 or not p._turns:
             raise SystemExit("the peer knows models of multirotors without memory")
         v, (w, x, y, q), omega = z[3:6], (z[i] for i in range(6, 10)), z[10:13]
         r = ca.vertcat(x, y, q)

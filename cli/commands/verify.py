@@ -71,7 +71,7 @@ def run(config: DictConfig, job: Job) -> None:
     import torch
 
     from nsde_torch.control.autopilots import EstimatorOptions, PredictivePilot
-    from nsde_torch.control.loop import DECLARED, knowledge
+    from nsde_torch.control.loop import DECLARED, knowledge, percentiles
     from nsde_torch.errors import ExportError
     from nsde_torch.export import verify
     from nsde_torch.export.exported import ExportedController
@@ -133,7 +133,7 @@ def run(config: DictConfig, job: Job) -> None:
         )
     verify.attack(exported, reference, config.adversarial, out, seed=config.seed + 1)
     print(f"{out.adversarial} adversarial states: {len(out.unsafe)} answers not finite or out of bounds")
-    clock, cpu = (verify.percentiles(t) for t in (out.wall_ms, out.cpu_ms))
+    clock, cpu = (percentiles(t) for t in (out.wall_ms, out.cpu_ms))
     print(f"time of a step: {_row(clock)}; of the processor alone: {_row(cpu)}")
     print(verify.histogram(out.cpu_ms))
     print(f"memory: {out.memory_mb[1] - out.memory_mb[0]:.0f} MB more after loading and the first steps")

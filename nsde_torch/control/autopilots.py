@@ -11,7 +11,7 @@ from typing import Protocol, final
 import torch
 from torch import Tensor, nn
 
-from nsde_torch.control.cascade import Cascade, Gains
+from nsde_torch.control.cascade import Cascade
 from nsde_torch.control.codegen.library import NoCompiler
 from nsde_torch.control.compiled import compiled_estimator
 from nsde_torch.control.controller import Plan, Planner
@@ -57,6 +57,20 @@ class Foresight(Protocol):
         """States (N, nx) with the memory that is stationary under inputs (N, nu): (N, nz)."""
 
 
+def whole_samples(name: str, time: float, dt: float) -> int:
+    """A time [s] in samples of `dt` [s]; a period is at least one.
+
+    Raises:
+        ConfigError: it is no multiple.
+    """
+    steps = round(time / dt)
+    if steps < 0 or abs(steps * dt - time) > 1e-6 or (name == "period" and steps < 1):
+        raise ConfigError(
+            f"`{name}` must be a multiple of {dt:g} s, the sample of the plant; got {time:g} s."
+        )
+    return steps
+
+
 @final
 class Estimator(nn.Module):
     """One update, `forward`: plain tensors in and out.
@@ -73,23 +87,15 @@ class Estimator(nn.Module):
     def __init__(self, predictor: Foresight, options: EstimatorOptions, *, period: float) -> None:
         super().__init__()
         self.predictor, self.options = predictor, options
-        self.past, self.ahead = (
-            _multiple(name, time, predictor.dt)
-            for name, time in (("period", period), ("latency", options.latency))
-        )
-        if min(options.force_time, options.moment_time) < 0:
-            raise ConfigError(
-                "`force_time` and `moment_time` must be times of 0 s or more; got "
-                f"{options.force_time!r}, {options.moment_time!r}."
-            )
+        self.past = whole_samples("period", period, predictor.dt)
+        self.ahead = whole_samples("latency", options.latency, predictor.dt)
 
     def forward(self, x: Tensor, z: Tensor, d: Tensor, commands: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Take a measurement.
 
         Args:
             x: Measured states (N, nx).
-            z: States with memory at the measurement before (N, nz).
-            d: Pushes (N, nd).
+            z, d: States with memory at the measurement before (N, nz), and pushes (N, nd).
             commands: Inputs by the step, (N, past + ahead, nu): those that acted since the measurement before, then
                 those that act until the next command does.
 
@@ -121,46 +127,23 @@ class Estimator(nn.Module):
         return torch.cat(parts, 1) if parts else d
 
 
-def _multiple(name: str, time: float, dt: float) -> int:
-    steps = round(time / dt)
-    if steps < 0 or abs(steps * dt - time) > 1e-6:
-        raise ConfigError(
-            f"`{name}` must be a multiple of {dt:g} s, the sample of the plant; got {time:g} s."
-        )
-    return steps
-
-
 @dataclass(frozen=True)
 class Decision:
-    """What an autopilot did at one sample; costs and times only where there is a plan.
+    """What an autopilot did at one sample; costs and times only where there is a plan."""
 
-    Args:
-        u: Commands (N, nu).
-        status: One word or two per row.
-        cost: (N,)
-        gap: (N,)
-        solve_ms: Time of the solver.
-        total_ms: Time of everything between state and command.
-        iterations: Of the solver.
-    """
-
-    u: Tensor
-    status: tuple[str, ...] = ()
-    cost: Tensor | None = None
-    gap: Tensor | None = None
-    solve_ms: float = 0.0
-    total_ms: float = 0.0
-    iterations: int = 0
+    u: Tensor  # commands (N, nu)
+    status: tuple[str, ...] = ()  # one word or two per row
+    cost: Tensor | None = None  # (N,)
+    gap: Tensor | None = None  # (N,)
+    solve_ms: float = 0.0  # time of the solver
+    total_ms: float = 0.0  # time of everything between state and command
+    iterations: int = 0  # of the solver
 
 
 class Autopilot(ABC):
-    """Flies a batch of machines along a reference.
+    """Flies a batch of machines along a reference."""
 
-    Attributes:
-        period: Time between commands [s].
-    """
-
-    period: float
+    period: float  # time between commands [s]
 
     @abstractmethod
     def reset(self, x: Tensor) -> Tensor:
@@ -224,11 +207,6 @@ class PredictivePilot(Autopilot):
                 if say is not None:
                     say(f"the estimator runs without compilation: {error}")
 
-    @property
-    def plan(self) -> Plan | None:
-        """The newest plan."""
-        return self._plan
-
     def reset(self, x: Tensor) -> Tensor:
         c, e = self.controller, self._estimator
         u = c.hover.expand(c.batch, -1).contiguous()
@@ -244,13 +222,14 @@ class PredictivePilot(Autopilot):
         started = time.perf_counter()
         measured = x.to(self._dtype)
         z, d, z0 = self._update(measured, self._z, self._d, self._commands)
-        good = torch.isfinite(measured).all(1, keepdim=True) & torch.isfinite(z0).all(1, keepdim=True)
+        good = torch.isfinite(torch.cat((measured, z0), 1)).all(1, keepdim=True)
         if bool(good.all()):
             self._z, self._d = z, d
         else:  # rows without a usable measurement go on as predicted
-            free = self._predicted()
-            self._z = torch.where(good, z, free)
-            self._d = torch.where(good, d, self._d)
+            free = self._z
+            for k in range(e.past):
+                free = e.predictor(free, self._commands[:, k], self._d)
+            self._z, self._d = torch.where(good, z, free), torch.where(good, d, self._d)
         nx = e.predictor.nx
         window = self.reference.window(t + self._ahead, dt=c.options.dt, steps=c.options.steps)
         self._plan = c.plan(
@@ -274,35 +253,20 @@ class PredictivePilot(Autopilot):
             iterations=self._plan.iterations,
         )
 
-    def _predicted(self) -> Tensor:
-        e, z = self._estimator, self._z
-        for k in range(e.past):
-            z = e.predictor(z, self._commands[:, k], self._d)
-        return z
-
 
 @final
 class CascadePilot(Autopilot):
-    """The cascade of proportional loops, as an autopilot in position mode.
-
-    Args:
-        system: Declared physics that mixing and hover thrust come from.
-        reference: Where to fly.
-        batch: Machines at a time.
-        period: Time between commands [s].
-        gains: Gains.
+    """The cascade of proportional loops, as an autopilot in position mode of `batch` machines at a time.
 
     Raises:
         ConfigError: the system is no multirotor.
     """
 
-    def __init__(
-        self, system: System, reference: Reference, *, batch: int, period: float, gains: Gains | None = None
-    ) -> None:
+    def __init__(self, system: System, reference: Reference, *, batch: int, period: float) -> None:
         if not isinstance(system, Multirotor):
             raise ConfigError(f"the cascade flies multirotors; got system {system.name!r}.")
         self.reference, self.period, self._batch = reference, period, batch
-        self._cascade = Cascade(system, dt=period, gains=gains)
+        self._cascade = Cascade(system, dt=period)
         path = reference.path
         self._a = torch.from_numpy(path.a.copy())
         self._yaw = torch.from_numpy(path.yaw.copy())
@@ -316,18 +280,8 @@ class CascadePilot(Autopilot):
         started = time.perf_counter()
         wanted = self.reference.at(torch.tensor(t))
         row = min(max(round(t / self.reference.dt), 0), len(self._yaw) - 1)
-
-        def all_rows(value: Tensor) -> Tensor:
-            return value.expand(self._batch, *value.shape)
-
-        u = self._cascade(
-            x.double(),
-            all_rows(wanted[:3]),
-            all_rows(wanted[3:6]),
-            all_rows(self._a[row]),
-            all_rows(self._yaw[row]),
-            all_rows(self._yaw_rate[row]),
-        )
+        rows = (wanted[:3], wanted[3:6], self._a[row], self._yaw[row], self._yaw_rate[row])
+        u = self._cascade(x.double(), *(value.expand(self._batch, *value.shape) for value in rows))
         bad = ~torch.isfinite(u).all(1)
         u = torch.where(bad[:, None], self._cascade.hover(self._batch), u)
         status = tuple("hover" if b else "cascade" for b in bad.tolist())

@@ -1,9 +1,9 @@
 """A cascade of proportional loops that flies a multirotor, as an autopilot in position mode does.
 
-    a_sp   = a_ref + kv (v_ref + kp (p_ref - p) - v) + integral           position and velocity ->
-    acceleration q_sp   : body z along a_sp + g, heading as wanted                      acceleration ->
-    attitude and thrust w_sp   = ka * rotation vector from q to q_sp                           attitude ->
-    rates u      = pinv(mixing) (thrust, kw (w_sp - w) / gains), clipped         rates -> motors
+    a_sp = a_ref + kv (v_ref + kp (p_ref - p) - v) + integral     position and velocity -> acceleration
+    q_sp : body z along a_sp + g, heading as wanted                acceleration -> attitude and thrust
+    w_sp = ka * rotation vector from q to q_sp                                     attitude -> rates
+    u    = pinv(mixing) (thrust, kw (w_sp - w) / gains), clipped                    rates -> motors
 
 (Structure of PX4's multicopter controllers, docs.px4.io, "Controller diagrams".) It knows the declared
 physics of the machine and nothing of lag, drag or gusts.
@@ -18,6 +18,7 @@ from typing import final
 import torch
 from torch import Tensor
 
+from nsde_torch.control.reference import attitude_along
 from nsde_torch.rotation import rotation_between
 from nsde_torch.systems import Multirotor
 from nsde_torch.systems.multirotor import GRAVITY
@@ -25,37 +26,26 @@ from nsde_torch.systems.multirotor import GRAVITY
 
 @dataclass(frozen=True)
 class Gains:
-    """Gains of the cascade, each in 1/s; horizontal and vertical, or roll, pitch and yaw.
+    """Gains of the cascade, each in 1/s; horizontal and vertical, or roll, pitch and yaw."""
 
-    Args:
-        position: Velocity per position error.
-        velocity: Acceleration per velocity error.
-        integral: Growth of the integral per velocity error [1/s2].
-        attitude: Rate per attitude error.
-        rate: Angular acceleration per rate error.
-        tilt: Largest tilt [rad].
-        integral_limit: Largest integral [m/s2].
-    """
-
-    position: tuple[float, float, float] = (0.8, 0.8, 1.5)
-    velocity: tuple[float, float, float] = (1.6, 1.6, 3.5)
-    integral: tuple[float, float, float] = (0.25, 0.25, 0.8)
-    attitude: tuple[float, float, float] = (6.0, 6.0, 2.5)
-    rate: tuple[float, float, float] = (11.0, 11.0, 5.0)
-    tilt: float = radians(40.0)
-    integral_limit: float = 2.0
+    position: tuple[float, float, float] = (0.8, 0.8, 1.5)  # velocity per position error
+    velocity: tuple[float, float, float] = (1.6, 1.6, 3.5)  # acceleration per velocity error
+    integral: tuple[float, float, float] = (0.25, 0.25, 0.8)  # growth per velocity error [1/s2]
+    attitude: tuple[float, float, float] = (6.0, 6.0, 2.5)  # rate per attitude error
+    rate: tuple[float, float, float] = (11.0, 11.0, 5.0)  # angular acceleration per rate error
+    tilt: float = radians(40.0)  # largest tilt [rad]
+    integral_limit: float = 2.0  # largest integral [m/s2]
 
 
 @final
 class Cascade:
-    """Flies a batch of multirotors along what a pilot or a reference wants.
+    """Flies a batch of multirotors along what a pilot or a reference wants, in double precision.
 
     Args:
         system: Declared physics that the mixing and the hover thrust come from.
         dt: Sample [s].
         gains: Gains.
         device: Where the states are.
-        dtype: Precision.
     """
 
     def __init__(
@@ -65,10 +55,9 @@ class Cascade:
         dt: float,
         gains: Gains | None = None,
         device: torch.device | str = "cpu",
-        dtype: torch.dtype = torch.float64,
     ) -> None:
         def row(values: tuple[float, ...]) -> Tensor:
-            return torch.tensor(values, dtype=dtype, device=device)
+            return torch.tensor(values, dtype=torch.float64, device=device)
 
         gains = gains or Gains()
         self._dt, self._limit, self._sin_tilt = dt, gains.integral_limit, sin(gains.tilt)
@@ -77,7 +66,7 @@ class Cascade:
         values = {k: float(v) for k, (v, _) in system.declared_parameters().items() if v.numel() == 1}
         self._offset = values["thrust_offset"]
         per_unit = row((values["thrust_gain"], values["roll_gain"], values["pitch_gain"], values["yaw_gain"]))
-        mix = torch.tensor(system.mixing, dtype=dtype, device=device)
+        mix = torch.tensor(system.mixing, dtype=torch.float64, device=device)
         self._allocation = torch.linalg.pinv(mix).T / per_unit[:, None]  # (4, nu): demands @ this = commands
         self._gravity = row((0.0, 0.0, GRAVITY))
         self._sum = row((0.0, 0.0, 0.0))
@@ -88,24 +77,18 @@ class Cascade:
 
     def hover(self, batch: int) -> Tensor:
         """Commands that hold the machine level in still air, (B, nu)."""
-        demand = torch.zeros(batch, 4, dtype=self._kp.dtype, device=self._kp.device)
+        demand = self._kp.new_zeros(batch, 4)
         demand[:, 0] = GRAVITY - self._offset
         return demand @ self._allocation
 
     @torch.no_grad()
     def __call__(self, x: Tensor, p: Tensor, v: Tensor, a: Tensor, yaw: Tensor, yaw_rate: Tensor) -> Tensor:
-        """Commands of one sample.
+        """Commands (B, nu) in [0, 1] of one sample.
 
         Args:
             x: Measured states (B, 13).
-            p: Wanted positions (B, 3) [m].
-            v: Wanted velocities (B, 3) [m/s].
-            a: Wanted accelerations (B, 3) [m/s2].
-            yaw: Wanted headings (B,) [rad].
-            yaw_rate: Their rates (B,) [rad/s].
-
-        Returns:
-            Commands (B, nu) in [0, 1].
+            p, v, a: Wanted positions [m], velocities [m/s] and accelerations [m/s2] (B, 3).
+            yaw, yaw_rate: Wanted headings [rad] and their rates [rad/s] (B,).
         """
         error = v + self._kp * (p - x[:, :3]) - x[:, 3:6]
         self._sum = (self._sum + self._ki * self._dt * error).clamp(-self._limit, self._limit)
@@ -118,13 +101,7 @@ class Cascade:
         side = side * (most / size.clamp_min(1e-9)).clamp_max(1.0)
         force = torch.cat((side, up), 1)
         thrust = torch.linalg.vector_norm(force, dim=1, keepdim=True)
-        zx, zy, zz = (force / thrust).unbind(1)
-        # the shortest turn from up to the thrust axis, after the turn to the heading
-        c = torch.sqrt(0.5 * (1.0 + zz))
-        tx, ty = -0.5 * zy / c, 0.5 * zx / c
-        cy, sy = torch.cos(0.5 * yaw), torch.sin(0.5 * yaw)
-        wanted = torch.stack((c * cy, tx * cy + ty * sy, ty * cy - tx * sy, c * sy), 1)
-        rates = self._ka * rotation_between(x[:, 6:10], wanted)
+        rates = self._ka * rotation_between(x[:, 6:10], attitude_along(force / thrust, yaw))
         rates[:, 2] += yaw_rate
         moment = self._kw * (rates - x[:, 10:13])
         return (torch.cat((thrust - self._offset, moment), 1) @ self._allocation).clamp(0.0, 1.0)

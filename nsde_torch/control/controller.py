@@ -35,40 +35,23 @@ KEPT, HOVER = "kept", "hover"
 
 @dataclass(frozen=True)
 class Plan:
-    """What the controller wants to do; one row per machine.
+    """What the controller wants to do; one row per machine."""
 
-    Args:
-        u: Inputs (N, K, nu), finite and within bounds; u[:, k] holds from k dt to (k + 1) dt.
-        x: States that it expects, (N, K + 1, nx).
-        cost: What it costs (N,); infinite for hovering.
-        gap: Estimated share of the cost that a better plan would save (N,).
-        status: One word or two per row.
-        solve_ms: Time that it took.
-        iterations: Iterations of the solver.
-        dt: Step of the plan [s].
-        age: Time since it was solved for [s], (N,).
-        z: States with memory (N, P, K + 1, nz), to start the next solve from.
-    """
-
-    u: Tensor
-    x: Tensor
-    cost: Tensor
-    gap: Tensor
-    status: tuple[str, ...]
-    solve_ms: float
-    iterations: int
-    dt: float
-    age: Tensor
-    z: Tensor
+    u: Tensor  # inputs (N, K, nu), finite and within bounds; u[:, k] holds from k dt to (k + 1) dt
+    x: Tensor  # states that it expects, (N, K + 1, nx)
+    cost: Tensor  # what it costs (N,); infinite for hovering
+    gap: Tensor  # estimated share of the cost that a better plan would save (N,)
+    status: tuple[str, ...]  # one word or two per row
+    solve_ms: float  # time that it took
+    iterations: int  # iterations of the solver
+    dt: float  # step of the plan [s]
+    age: Tensor  # time since it was solved for [s], (N,)
+    z: Tensor  # states with memory (N, P, K + 1, nz), to start the next solve from
 
     def shifted(self, time: float) -> Plan:
         """The same plan, seen a time [s] later; its end is held."""
-        return replace(
-            self,
-            u=_shift(self.u, time / self.dt),
-            z=_shift(self.z, time / self.dt, axis=2),
-            age=self.age + time,
-        )
+        steps = time / self.dt
+        return replace(self, u=_shift(self.u, steps), z=_shift(self.z, steps, axis=2), age=self.age + time)
 
 
 def hovering_plan(
@@ -79,14 +62,13 @@ def hovering_plan(
     *,
     batch: int,
 ) -> Plan:
-    """A plan that hovers, level and at the origin.
+    """A plan of `batch` rows that hovers, level and at the origin.
 
     Args:
         hover: Inputs that hover (nu,).
         augment: States with memory (N, nz) of states (N, nx) and inputs (N, nu).
         nx: States.
         options: Its steps.
-        batch: Rows N.
     """
     u = hover.expand(batch, options.steps, -1).contiguous()
     x = u.new_zeros(batch, nx)
@@ -192,17 +174,12 @@ class Controller:
         self.predictor = Predictor(model, dt=self.options.dt, dtype=dtype)
         self.horizon = Horizon(self.predictor, self.options)
         self.solver = Solver(self.horizon, solver or SolverOptions(), batch=batch, say=say, clock=clock)
-        self.batch, self._dtype = batch, dtype
+        self.batch, self.dtype = batch, dtype
         low, high = self.options.low, self.options.high
         self.hover = hover_input(self.predictor).clamp(low, high)
         if not bool(torch.isfinite(self.hover).all()):
             raise ConfigError("the model has no hovering input: its rates are not finite. Train it anew.")
         self._jumped = [0] * batch
-
-    @property
-    def dtype(self) -> torch.dtype:
-        """Precision of plans."""
-        return self._dtype
 
     def hovering(self) -> Plan:
         """A plan that hovers, level and where it is: what there is before the first solve."""
@@ -236,7 +213,7 @@ class Controller:
             ShapeError: wrong axes or columns. Bad numbers raise nothing: see the status of the plan.
         """
         n, k, nx = self.batch, self.options.steps, self.predictor.nx
-        x, reference = x.to(self._dtype), reference.to(self._dtype)
+        x, reference = x.to(self.dtype), reference.to(self.dtype)
         if x.shape != (n, nx):
             raise ShapeError(f"`x` must be (batch={n}, nx={nx}); got {tuple(x.shape)}.")
         if reference.shape != (n, k, nx):
@@ -244,8 +221,8 @@ class Controller:
                 f"`reference` must be (batch={n}, steps={k}, nx={nx}); got {tuple(reference.shape)}."
             )
         start = self.hovering() if before is None else before.shifted(elapsed)
-        last = start.u[:, 0] if last is None else last.to(self._dtype)
-        push = x.new_zeros(n, self.predictor.nd) if push is None else push.to(self._dtype)
+        last = start.u[:, 0] if last is None else last.to(self.dtype)
+        push = x.new_zeros(n, self.predictor.nd) if push is None else push.to(self.dtype)
         trouble = self._trouble(x, reference, start, known=before is not None)
         if any(trouble):
             bad = torch.tensor([word is not None for word in trouble])
@@ -253,7 +230,7 @@ class Controller:
             reference = torch.where(bad[:, None, None], start.z[:, 0, 1:, :nx], reference)
         p, q, w = x.split((6, 4, nx - 10), 1)
         x = torch.cat((p, q / torch.linalg.vector_norm(q, dim=1, keepdim=True).clamp_min(1e-12), w), 1)
-        z0 = self.predictor.augment(x, last) if memory is None else torch.cat((x, memory.to(self._dtype)), 1)
+        z0 = self.predictor.augment(x, last) if memory is None else torch.cat((x, memory.to(self.dtype)), 1)
         if all(trouble):  # there is nothing to plan from
             found = self.solver.nothing(start.u, start.z)
         else:
@@ -272,7 +249,7 @@ class Controller:
             solve_ms=1e3 * found.seconds,
             iterations=len(found.costs) - 1,
             dt=self.options.dt,
-            age=torch.zeros(n, dtype=self._dtype),
+            age=torch.zeros(n, dtype=self.dtype),
             z=found.z,
         )
         return made if all(safe) else self._mended(made, start, z0)
@@ -293,10 +270,8 @@ class Controller:
 
     def _mended(self, made: Plan, start: Plan, z0: Tensor) -> Plan:
         """A plan whose rows in trouble are those of the plan before, or hover where they are."""
-        n = self.batch
-        kept = torch.tensor([word.endswith(KEPT) for word in made.status])
-        hover = torch.tensor([word.endswith(HOVER) for word in made.status])
-        still = self.hovering()
+        n, still = self.batch, self.hovering()
+        kept, hover = (torch.tensor([w.endswith(done) for w in made.status]) for done in (KEPT, HOVER))
         known = torch.isfinite(z0).all(1).view(n, 1, 1, 1)
         stays = z0[:, None, None].expand_as(still.z)
 
@@ -322,15 +297,13 @@ class Controller:
         rows = zip(x.tolist(), start.z[:, 0, 0, :nx].tolist(), start.age.tolist(), strict=True)
         out: list[str | None] = []
         for row, (now, expected, age) in enumerate(rows):
-            finite, q = all(map(isfinite, now)), now[6:10]
-            turned = (
-                2.0 * acos(min(abs(sum(a * b for a, b in zip(q, expected[6:10], strict=True))), 1.0))
-                if finite
-                else nan
-            )
+            finite, turned = all(map(isfinite, now)), nan
+            if finite:
+                along = sum(a * b for a, b in zip(now[6:10], expected[6:10], strict=True))
+                turned = 2.0 * acos(min(abs(along), 1.0))
             far = dist(now[:3], expected[:3]) > s.jump or turned > s.jump_attitude
             self._jumped[row] = self._jumped[row] + 1 if known and finite and age <= s.keep and far else 0
-            if not finite or abs(hypot(*q) - 1.0) > s.quaternion:
+            if not finite or abs(hypot(*now[6:10]) - 1.0) > s.quaternion:
                 out.append(BAD_STATE)
             elif not sane[row]:
                 out.append(BAD_REFERENCE)
@@ -356,25 +329,14 @@ def _shift(table: Tensor, steps: float, *, axis: int = 1) -> Tensor:
 
 
 class Setpoints(NamedTuple):
-    """Wanted by a plan at the beginning of each of its steps.
+    """Wanted by a plan at the beginning of each of its steps."""
 
-    Args:
-        rates: Body rates, FLU (N, K, 3) [rad/s].
-        thrust: Collective thrust over mass (N, K) [m/s2].
-    """
-
-    rates: Tensor
-    thrust: Tensor
+    rates: Tensor  # body rates, FLU (N, K, 3) [rad/s]
+    thrust: Tensor  # collective thrust over mass (N, K) [m/s2]
 
 
 def setpoints(plan: Plan, system: Multirotor, *, ahead: float) -> Setpoints:
-    """Rates and thrust along a plan.
-
-    Args:
-        plan: The plan.
-        system: Its machine.
-        ahead: How far ahead the rates are taken from [s], because they are reached late.
-    """
+    """Rates and thrust along a plan of a machine; rates are reached late, and taken from `ahead` [s] on."""
     later = plan.shifted(max(ahead, 0.0))
     n, steps, _ = plan.u.shape
     thrust = system.quantity("thrust", plan.x[:, :-1].flatten(0, 1), plan.u.flatten(0, 1))

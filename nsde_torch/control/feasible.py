@@ -7,6 +7,7 @@ must lie within the bounds, and some of their range must be left to control with
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 
 import torch
 from torch import Tensor
@@ -22,16 +23,14 @@ from nsde_torch.errors import ConfigError
 # of least norm.
 
 _STEPS = 6
+_RESERVE = 0.05  # share of the range of the inputs that must be left on both sides
 
 
 @torch.no_grad()
 def inputs_for(predictor: Predictor, x: Tensor, wanted: Tensor) -> Tensor:
     """Inputs (N, nu), not clipped, that give states (N, 13) their wanted rates.
 
-    Args:
-        predictor: What knows the machine.
-        x: States.
-        wanted: Accelerations in the world and angular accelerations in the body (N, 6) [m/s2, rad/s2].
+    `wanted` are accelerations in the world and angular accelerations in the body (N, 6) [m/s2, rad/s2].
     """
     x, wanted = x.to(predictor.dtype), wanted.to(predictor.dtype)
     n, nu = len(x), predictor.nu
@@ -63,22 +62,14 @@ def hover_input(predictor: Predictor) -> Tensor:
 
 @dataclass(frozen=True)
 class Envelope:
-    """What a reference asks of a machine.
+    """What a reference asks of a machine."""
 
-    Args:
-        speed: Largest speed [m/s].
-        tilt: Largest tilt [deg].
-        lowest: Lowest height [m].
-        input_low, input_high: Least and largest input.
-        when: Time of each of speed, tilt, lowest, input_low, input_high [s].
-    """
-
-    speed: float
-    tilt: float
-    lowest: float
-    input_low: float
-    input_high: float
-    when: dict[str, float]
+    speed: float  # largest speed [m/s]
+    tilt: float  # largest tilt [deg]
+    lowest: float  # lowest height [m]
+    input_low: float  # least input
+    input_high: float  # largest input
+    when: dict[str, float]  # time of each of them [s]
 
 
 def envelope(reference: Reference, predictor: Predictor) -> Envelope:
@@ -91,20 +82,13 @@ def envelope(reference: Reference, predictor: Predictor) -> Envelope:
     values = {
         "speed": x[:, 3:6].norm(dim=1),
         "tilt": tilt,
-        "lowest": -x[:, 2],
-        "input_low": -u.min(1).values,
+        "lowest": x[:, 2],
+        "input_low": u.min(1).values,
         "input_high": u.max(1).values,
     }
-    worst = {name: int(v.argmax()) for name, v in values.items()}
+    worst = {name: int((-v if "low" in name else v).argmax()) for name, v in values.items()}
     most = {name: float(v[worst[name]]) for name, v in values.items()}
-    return Envelope(
-        speed=most["speed"],
-        tilt=most["tilt"],
-        lowest=-most["lowest"],
-        input_low=-most["input_low"],
-        input_high=most["input_high"],
-        when={name: row * reference.dt for name, row in worst.items()},
-    )
+    return Envelope(**most, when={name: row * reference.dt for name, row in worst.items()})
 
 
 def check(
@@ -114,7 +98,6 @@ def check(
     low: float,
     high: float,
     tilt: float = 60.0,
-    reserve: float = 0.05,
 ) -> Envelope:
     """Refuse a reference that the machine cannot fly.
 
@@ -123,16 +106,14 @@ def check(
         predictor: What knows the machine.
         low, high: Bounds of the inputs.
         tilt: Largest tilt [deg].
-        reserve: Share of the range of the inputs that must be left on both sides.
 
     Raises:
         ConfigError: names what is too much, when, and the remedy.
     """
     found = envelope(reference, predictor)
-    margin = reserve * (high - low)
+    margin, name = _RESERVE * (high - low), reference.name
     remedy = "Fly slower, or give it more time; reference.check=false flies it all the same."
-    name = reference.name
-    if not _finite(found):
+    if not all(isfinite(value) for key, value in vars(found).items() if key != "when"):
         raise ConfigError(f"reference {name!r} is not finite. {remedy}")
     if found.tilt > tilt:
         raise ConfigError(
@@ -155,8 +136,3 @@ def check(
             "s. Raise it; reference.check=false flies it all the same."
         )
     return found
-
-
-def _finite(found: Envelope) -> bool:
-    values = torch.tensor([found.speed, found.tilt, found.lowest, found.input_low, found.input_high])
-    return bool(Tensor.isfinite(values).all())

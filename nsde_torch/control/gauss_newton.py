@@ -31,40 +31,38 @@ SHARES = (1.0, 0.5, 0.2, 0.05)
 """Shares of a step that are tried, beside none of it."""
 LEFT = 1e-3
 """Share of the quadratic's saving (and of a tenth of the cost) that an iteration may leave to the next."""
+CHANGES = 8
+"""Most changes of the active set in an iteration."""
 
 
 class Iterate(NamedTuple):
-    """Plans after an iteration.
+    """Plans after an iteration."""
 
-    Args:
-        u: Inputs (N, K, nu), within bounds.
-        z: States (N, P, K + 1, nz).
-        cost: Their cost (N,).
-        before: Cost of the inputs that the iteration began with (N,).
-        gap: Share of the cost that the quadratic could have saved and the model did not (N,).
-        worst: Largest gap, 0-d.
-    """
-
-    u: Tensor
-    z: Tensor
-    cost: Tensor
-    before: Tensor
-    gap: Tensor
-    worst: Tensor
+    u: Tensor  # inputs (N, K, nu), within bounds
+    z: Tensor  # states (N, P, K + 1, nz)
+    cost: Tensor  # their cost (N,)
+    before: Tensor  # cost of the inputs that the iteration began with (N,)
+    gap: Tensor  # share of the cost that the quadratic could have saved and the model did not (N,)
+    worst: Tensor  # largest gap, 0-d
 
 
 @final
 class GaussNewton(nn.Module):
     """An iteration in three stages, each from plain tensors to plain tensors; between them only numbers are compared.
 
-    Args:
-        horizon: The problem.
-        active_set_steps: Most changes of the active set in an iteration.
+    The arguments of stages and iterations are
+
+        z0      states with memory now (N, nz)
+        u       inputs to start from (N, K, nu), within bounds
+        z       states to linearise about (N, P, K + 1, nz)
+        ref     references at the ends of the steps (N, K, nx)
+        last    inputs before the plan (N, nu)
+        d       pushes (N, nd)
     """
 
-    def __init__(self, horizon: Horizon, *, active_set_steps: int = 8) -> None:
+    def __init__(self, horizon: Horizon) -> None:
         super().__init__()
-        self.horizon, self.active_set_steps = horizon, active_set_steps
+        self.horizon = horizon
         n = horizon.steps * horizon.nu
         self.eye: Tensor
         self.steps: Tensor
@@ -83,51 +81,25 @@ class GaussNewton(nn.Module):
         """Memory before the first iteration: there is none."""
         return ()
 
-    def forward(self, z0: Tensor, u: Tensor, z: Tensor, ref: Tensor, last: Tensor, d: Tensor) -> Iterate:
-        """Improve plans, with a fixed number of changes of the active set.
-
-        Args:
-            z0: States with memory now (N, nz).
-            u: Inputs to start from (N, K, nu), within bounds.
-            z: States to linearise about (N, P, K + 1, nz).
-            ref: References at the ends of the steps (N, K, nx).
-            last: Inputs before the plan (N, nu).
-            d: Pushes (N, nd).
-        """
-        quadratic, state = self._split(self.prepare(z0, u, z, ref, last, d))
-        for _ in range(self.active_set_steps):
-            state = list(self.active_set(*quadratic, *state)[:4])
-        return Iterate(*self.finish(z0, u, ref, last, d, *state[2:]))
-
     def iterate(
         self, arguments: Sequence[Tensor], memory: tuple[Tensor, ...]
     ) -> tuple[Iterate, tuple[Tensor, ...]]:
-        """Improve plans, with as many changes of the active set as are needed.
-
-        Args:
-            arguments: Those of `forward`.
-            memory: Not used.
-        """
+        """Improve plans, with as many changes of the active set as are needed."""
         z0, u, _, ref, last, d = arguments
-        quadratic, state = self._split(self.prepare(*arguments))
-        for _ in range(self.active_set_steps):
+        *quadratic, best, least = self.prepare(*arguments)
+        state = [torch.zeros_like(best), quadratic[1], best, least]
+        for _ in range(CHANGES):
             *state, left = self.active_set(*quadratic, *state)
             if float(left) <= LEFT:
                 break
         return self.finish(z0, u, ref, last, d, *state[2:]), ()
 
-    @staticmethod
-    def _split(prepared: Sequence[Tensor]) -> tuple[list[Tensor], list[Tensor]]:
-        hessian, gradient, low, high, scale, best, least = prepared
-        return [hessian, gradient, low, high, scale], [torch.zeros_like(best), gradient, best, least]
-
     def prepare(
         self, z0: Tensor, u: Tensor, z: Tensor, ref: Tensor, last: Tensor, d: Tensor
     ) -> tuple[Tensor, ...]:
-        """The quadratic, its box, and a first step.
+        """The quadratic and its box (H, g, low - u, high - u, the cost at u (N,)), and a first step.
 
-        Returns:
-            H, g, low - u, high - u, the cost at u (N,), a step (N, K nu) and the value of the quadratic there (N,).
+        That is a step (N, K nu) and the value of the quadratic there (N,).
         """
         o = self.horizon.options
         hessian, gradient, cost = self.quadratic(z0, u, z, ref, last, d)
@@ -153,14 +125,11 @@ class GaussNewton(nn.Module):
         best: Tensor,
         least: Tensor,
     ) -> tuple[Tensor, ...]:
-        """One change of the active set.
+        """One change of the active set, of a quadratic as `prepare` has it.
 
         Args:
-            hessian, gradient, low, high, cost: As `prepare` has them.
-            step: The step before (N, K nu), perhaps outside the box.
-            slope: H step + g (N, K nu).
-            best: The best step on the box so far (N, K nu).
-            least: The value of the quadratic there (N,).
+            step, slope: The step before, perhaps outside the box, and H step + g there (N, K nu).
+            best, least: The best step on the box so far (N, K nu), and the value of the quadratic there (N,).
 
         Returns:
             step, slope, best, least, and the largest share of the saving that a better step could add, 0-d.
@@ -189,13 +158,7 @@ class GaussNewton(nn.Module):
     def finish(
         self, z0: Tensor, u: Tensor, ref: Tensor, last: Tensor, d: Tensor, step: Tensor, least: Tensor
     ) -> Iterate:
-        """Roll out shares of a step, and keep the best.
-
-        Args:
-            z0, u, ref, last, d: As in `forward`.
-            step: Step on the box (N, K nu).
-            least: The value of the quadratic there (N,).
-        """
+        """Roll out shares of a step on the box (N, K nu), and keep the best; `least` is the quadratic there (N,)."""
         h, s = self.horizon, len(self.shares)
         tried = self.tries(u, step)
         paths = h.rollout(_repeat(z0, s), tried, _repeat(d, s))
@@ -208,13 +171,9 @@ class GaussNewton(nn.Module):
         return tried.clamp(o.low, o.high).view(n * len(self.shares), k, nu)
 
     def choose(self, paths: Tensor, tried: Tensor, ref: Tensor, last: Tensor, least: Tensor) -> Iterate:
-        """The best candidate.
+        """The best candidate, of states (N S, P, K + 1, nz) that inputs (N S, K, nu) lead to.
 
-        Args:
-            paths: States (N S, P, K + 1, nz) that inputs lead to.
-            tried: Inputs (N S, K, nu), the last of each S those before the step.
-            ref, last: As in `forward`.
-            least: The value of the quadratic at the whole step (N,).
+        The last of each S inputs are those before the step; `least` is the quadratic at the whole step (N,).
         """
         h, s = self.horizon, len(self.shares)
         n = len(tried) // s
@@ -267,11 +226,7 @@ class GaussNewton(nn.Module):
         return out.flatten(1)
 
     def linearise(self, u: Tensor, z: Tensor, ref: Tensor, d: Tensor) -> tuple[Tensor, ...]:
-        """Steps, roots and their slopes of all steps of all paths.
-
-        Returns:
-            F (N P, K, nz), r (N P, K, nr), A (N P, K, nz, nz), B (.., nz, nu), C (.., nr, nz), D (.., nr, nu).
-        """
+        """F (N P, K, nz), r (N P, K, nr), A (N P, K, nz, nz), B (.., nz, nu), C (.., nr, nz), D (.., nr, nu)."""
         h = self.horizon
         n, k, nu, nz, p = len(u), h.steps, h.nu, h.nz, h.particles
         rows = n * p * k
@@ -326,15 +281,9 @@ FIRST_STEP = 1e-3
 
 @final
 class AcceleratedGradient(nn.Module):
-    """An iteration.
+    """An iteration; its slopes are those that `newton` linearises with.
 
     The memory between iterations is the plan before (N, K, nu), the momentum's counter (N,) and the step (N,).
-
-    Args:
-        horizon: The problem.
-
-    Attributes:
-        newton: Linearises it.
     """
 
     def __init__(self, horizon: Horizon) -> None:
@@ -352,53 +301,26 @@ class AcceleratedGradient(nn.Module):
     def iterate(
         self, arguments: Sequence[Tensor], memory: tuple[Tensor, ...]
     ) -> tuple[Iterate, tuple[Tensor, ...]]:
-        """Improve plans; see `GaussNewton.iterate`."""
+        """Roll out steps of several sizes, and keep the best plan; see `GaussNewton.iterate`."""
+        h, o = self.horizon, self.horizon.options
         z0, u, _, ref, last, d = arguments
         before, counter, size = memory
-        y, gradient, later = self.slope(z0, u, ref, last, d, before, counter)
-        out = self.search(z0, u, ref, last, d, y, gradient, later, size)
-        return Iterate(*out[:6]), tuple(out[6:])
-
-    def slope(
-        self, z0: Tensor, u: Tensor, ref: Tensor, last: Tensor, d: Tensor, before: Tensor, counter: Tensor
-    ) -> tuple[Tensor, ...]:
-        """Extrapolated plans (N, K, nu), the gradient there, and the momentum's next counter (N,)."""
-        o = self.horizon.options
+        n, s = len(u), len(FACTORS) + 1
         later = 0.5 * (1.0 + torch.sqrt(1.0 + 4.0 * counter * counter))
         y = (u + ((counter - 1.0) / later)[:, None, None] * (u - before)).clamp(o.low, o.high)
-        return y, self.gradient(z0, y, ref, last, d), later
-
-    def search(
-        self,
-        z0: Tensor,
-        u: Tensor,
-        ref: Tensor,
-        last: Tensor,
-        d: Tensor,
-        y: Tensor,
-        gradient: Tensor,
-        later: Tensor,
-        size: Tensor,
-    ) -> tuple[Tensor, ...]:
-        """Roll out steps of several sizes, and keep the best plan; returns an `Iterate`, then the memory."""
-        h, o = self.horizon, self.horizon.options
-        n, k, nu = len(u), h.steps, h.nu
+        gradient = self.gradient(z0, y, ref, last, d)
         steps = size[:, None] * self.factors
         tried = (y[:, None] - steps[..., None, None] * gradient[:, None]).clamp(o.low, o.high)
-        s = len(FACTORS) + 1
-        candidates = torch.cat((tried, u[:, None]), 1).reshape(n * s, k, nu)
+        candidates = torch.cat((tried, u[:, None]), 1).flatten(0, 1)
         paths = h.rollout(_repeat(z0, s), candidates, _repeat(d, s))
         costs = h.cost(paths, candidates, _repeat(ref, s), _repeat(last, s)).view(n, s)
         costs = torch.nan_to_num(costs, nan=torch.inf)
         best = costs.argmin(1)
-        row = best[:, None, None]
-        new = candidates.view(n, s, -1).gather(1, row.expand(n, 1, k * nu)).view(n, k, nu)
-        path = paths.view(n, s, -1).gather(1, row.expand(n, 1, paths[0].numel())).view(n, *paths.shape[1:])
-        cost = costs.gather(1, best[:, None])[:, 0]
+        new = _pick(candidates.view(n, s, -1), best).view_as(u)
+        path = _pick(paths.view(n, s, -1), best).view(n, *paths.shape[1:])
+        cost = _pick(costs[..., None], best)[:, 0]
         stuck = best == s - 1  # nothing was better: without momentum, and with shorter steps, from here
-        chosen = (
-            torch.cat((self.factors, self.factors[-1:])).expand(n, s).gather(1, best[:, None])[:, 0] * size
-        )
+        chosen = torch.cat((self.factors, self.factors[-1:]))[best] * size
         chosen = chosen.clamp(1e-7, 1.0)
         # the input terms alone curve J by 2 R, which bounds what is left by the projected gradient; a loose bound
         moved = (y - (y - gradient * chosen[:, None, None]).clamp(o.low, o.high)) / chosen[:, None, None]
@@ -406,7 +328,7 @@ class AcceleratedGradient(nn.Module):
         gap = left / cost.abs().clamp_min(1e-9)
         counter = torch.where(stuck, torch.ones_like(later), later)
         kept = torch.where(stuck[:, None, None], new, u)
-        return new, path, cost, costs[:, -1].clone(), gap, gap.max(), kept, counter, chosen
+        return Iterate(new, path, cost, costs[:, -1], gap, gap.max()), (kept, counter, chosen)
 
     def gradient(self, z0: Tensor, u: Tensor, ref: Tensor, last: Tensor, d: Tensor) -> Tensor:
         """Gradient of the costs (N, K, nu): slopes of all steps in one batch, put together backwards in time."""

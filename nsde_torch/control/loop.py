@@ -13,9 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nsde_torch.control.autopilots import Autopilot, Decision
+from nsde_torch.control.autopilots import Autopilot, Decision, whole_samples
 from nsde_torch.control.reference import Reference
-from nsde_torch.errors import ConfigError
 from nsde_torch.models import Model
 from nsde_torch.models.run_directory import load
 from nsde_torch.rotation import rotation_between
@@ -27,12 +26,9 @@ DECLARED = "declared"
 
 
 def knowledge(run: str, system: str, *, effects: Effects = ()) -> Model | System:
-    """A model, or the declared physics.
+    """A model by its run directory, or the declared physics of a machine by its name.
 
-    Args:
-        run: Run directory of a model, or `declared`.
-        system: Name of the machine, for the declared physics.
-        effects: Effects beside the declared ones, with their values (see `make_plant_system`).
+    `effects` are those beside the declared ones, with their values (see `make_plant_system`).
 
     Raises:
         CheckpointError: no such run directory, or a damaged one.
@@ -74,27 +70,15 @@ Fault = Callable[[float, Tensor], Tensor]
 
 @dataclass(frozen=True)
 class Flight:
-    """What happened in a closed loop.
+    """What happened in a closed loop."""
 
-    Args:
-        t: Times of the samples (T,) [s].
-        x: True states (T, N, nx).
-        measured: Measured states (T, N, nx).
-        u: Commands given at the samples (T, N, nu).
-        ref: Reference (T, nx).
-        decisions: One per command.
-        period: Time between commands [s].
-        lost: When each machine was lost [s], infinite if never (N,).
-    """
-
-    t: Tensor
-    x: Tensor
-    measured: Tensor
-    u: Tensor
-    ref: Tensor
-    decisions: tuple[Decision, ...] = field(repr=False)
-    period: float
-    lost: Tensor
+    t: Tensor  # times of the samples (T,) [s]
+    x: Tensor  # true states (T, N, nx)
+    measured: Tensor  # measured states (T, N, nx)
+    u: Tensor  # commands given at the samples (T, N, nu)
+    ref: Tensor  # reference (T, nx)
+    decisions: tuple[Decision, ...] = field(repr=False)  # one per command
+    lost: Tensor  # when each machine was lost [s], infinite if never (N,)
 
 
 def fly(
@@ -105,11 +89,9 @@ def fly(
     machines: int = 1,
     state_latency: float = 0.0,
     duration: float | None = None,
-    start: Tensor | None = None,
     faults: Sequence[Fault] = (),
-    progress: Callable[[float], None] | None = None,
 ) -> Flight:
-    """Fly machines along a reference.
+    """Fly machines along a reference, from its first state.
 
     Args:
         autopilot: What flies.
@@ -118,22 +100,18 @@ def fly(
         machines: Machines at a time.
         state_latency: Age of a measured state when the autopilot gets it [s], a multiple of the plant's sample.
         duration: How long [s]; None: as long as the reference.
-        start: First true states (N, nx); None: those of the reference.
         faults: What happens to measurements on their way.
-        progress: Called with the time [s] now and then.
 
     Raises:
         ConfigError: times that are no multiples of the plant's sample.
     """
     dt = plant.dt
-    every, late = (
-        _multiple(n, v, dt) for n, v in (("period", autopilot.period), ("state_latency", state_latency))
-    )
-    length = reference.duration if duration is None else duration
-    samples = round(length / dt)
+    every = whole_samples("period", autopilot.period, dt)
+    late = whole_samples("state_latency", state_latency, dt)
+    samples = round((reference.duration if duration is None else duration) / dt)
     times = dt * torch.arange(samples + 1, dtype=torch.float64)
     wanted = reference.at(times)
-    x0 = wanted[:1].repeat(machines, 1) if start is None else start.double()
+    x0 = wanted[:1].repeat(machines, 1)
     u = autopilot.reset(x0)
     measured = plant.reset(x0, u)
     lost = torch.full((machines,), torch.inf, dtype=torch.float64)
@@ -146,8 +124,6 @@ def fly(
             decision = autopilot.command(k * dt, newest)
             decisions.append(decision)
             u = decision.u
-            if progress is not None:
-                progress(k * dt)
         commands.append(u.double())
         away = (plant.state[:, :3] - wanted[k, :3]).norm(dim=1)
         gone = ~(away <= LOST) & torch.isinf(lost)
@@ -163,21 +139,8 @@ def fly(
         u=torch.stack(commands),
         ref=wanted,
         decisions=tuple(decisions),
-        period=autopilot.period,
         lost=lost,
     )
-
-
-def _multiple(name: str, time: float, dt: float) -> int:
-    steps = round(time / dt)
-    if steps < 0 or abs(steps * dt - time) > 1e-6 or (name == "period" and steps < 1):
-        raise ConfigError(
-            f"`{name}` must be a multiple of {dt:g} s, the sample of the plant; got {time:g} s."
-        )
-    return steps
-
-
-PERCENTILES = (50.0, 90.0, 99.0, 99.9)
 
 
 def summarise(flights: Sequence[Flight]) -> dict[str, Any]:
@@ -204,13 +167,17 @@ def summarise(flights: Sequence[Flight]) -> dict[str, Any]:
     }
     solves = [d for f in flights for d in f.decisions[1:] if d.cost is not None]
     if solves:
-        out["solve_ms"] = _percentiles([d.solve_ms for d in solves])
+        out["solve_ms"] = _times([d.solve_ms for d in solves])
         out["iterations_mean"] = float(np.mean([d.iterations for d in solves]))
         gaps = torch.cat([d.gap for d in solves if d.gap is not None])
         gaps = gaps[torch.isfinite(gaps)]
         out["gap_p99"] = float(gaps.double().quantile(0.99)) if len(gaps) else None
-    out["command_ms"] = _percentiles([d.total_ms for f in flights for d in f.decisions[1:]])
+    out["command_ms"] = _times([d.total_ms for f in flights for d in f.decisions[1:]])
     return out
+
+
+def _times(values: Sequence[float]) -> dict[str, float]:
+    return {**percentiles(values), "mean": float(np.mean(values))} if values else {}
 
 
 def _machines(flight: Flight) -> list[dict[str, Any]]:
@@ -219,9 +186,8 @@ def _machines(flight: Flight) -> list[dict[str, Any]]:
     turn = torch.rad2deg(rotation_between(ref[..., 6:10], flight.x[..., 6:10]))
     speed = flight.x[..., 3:6].norm(dim=-1)
     tilt = torch.rad2deg(torch.arccos((1 - 2 * (flight.x[..., 7] ** 2 + flight.x[..., 8] ** 2)).clamp(-1, 1)))
-    out = []
+    out: list[dict[str, Any]] = []
     for n in range(flight.x.shape[1]):
-        gone = float(flight.lost[n])
         out.append(
             {
                 "rmse_m": _plain(error[:, n].square().sum(-1).mean().sqrt()),
@@ -232,22 +198,22 @@ def _machines(flight: Flight) -> list[dict[str, Any]]:
                 "attitude_rmse_deg": _plain(turn[:, n].square().sum(-1).mean().sqrt()),
                 "speed_max_m_s": _plain(speed[:, n].max()),
                 "tilt_max_deg": _plain(tilt[:, n].max()),
-                "lost_s": gone if np.isfinite(gone) else None,
+                "lost_s": _plain(flight.lost[n]),
             }
         )
     return out
 
 
-def _plain(value: torch.Tensor) -> float | None:
-    number = float(value)
-    return number if np.isfinite(number) else None
+def _plain(value: Tensor) -> float | None:
+    return float(value) if bool(torch.isfinite(value)) else None
 
 
-def _percentiles(values: Sequence[float]) -> dict[str, float]:
+def percentiles(values: Sequence[float]) -> dict[str, float]:
+    """p50, p90, p99, p99.9 and the largest."""
     if not values:
         return {}
-    found = {f"p{p:g}": float(np.percentile(values, p)) for p in PERCENTILES}
-    return {**found, "max": float(np.max(values)), "mean": float(np.mean(values))}
+    found = {f"p{p:g}": float(np.percentile(values, p)) for p in (50, 90, 99, 99.9)}
+    return {**found, "max": float(max(values))}
 
 
 def write_log(flights: Sequence[Flight], system: System, folder: Path) -> list[Path]:

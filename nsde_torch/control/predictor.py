@@ -12,8 +12,8 @@ they were trained with, its noise left out.
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
-from typing import final
+from collections.abc import Callable
+from typing import Any, final
 
 import torch
 from torch import Tensor, nn
@@ -42,38 +42,23 @@ _FEW = 16
 
 @final
 class JointNetwork(nn.Module):
-    """One tanh network in the place of several.
+    """One tanh network in the place of the residual networks of a model, from raw features to accelerations.
 
     Args:
-        weights: Weights of its layers, (n_out, n_in) each.
-        biases: Their biases (n_out,).
-        ports: What its outputs push.
-        widths: How many outputs each port has.
+        model: The model.
+
+    Attributes:
+        ports, widths: What its outputs push, and how many outputs each port has.
     """
 
-    def __init__(
-        self,
-        weights: Sequence[Tensor],
-        biases: Sequence[Tensor],
-        ports: Sequence[Port],
-        widths: Sequence[int],
-    ) -> None:
+    def __init__(self, model: NeuralSDE) -> None:
         super().__init__()
-        self.ports, self.widths = tuple(ports), tuple(widths)
-        self.depth = len(weights)
-        for k, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
-            self.register_buffer(f"weight_{k}", weight)
-            self.register_buffer(f"bias_{k}", bias)
-
-    @classmethod
-    def of(cls, model: NeuralSDE) -> JointNetwork:
-        """The residual networks of a model, from raw features to accelerations."""
-        networks = {Port(name): network for name, network in model.residuals.items()}
-        layers = [[layer for layer in n.layers if isinstance(layer, nn.Linear)] for n in networks.values()]  # type: ignore[union-attr]
+        self.ports = model.residual_ports
+        networks: list[Any] = list(model.residuals.values())
+        layers = [[layer for layer in n.layers if isinstance(layer, nn.Linear)] for n in networks]
+        self.widths, self.depth = [n[-1].out_features for n in layers], len(layers[0])
         scale = model.residual_inputs.scale.double()
         mean = model.residual_inputs.mean.double()
-        sizes = [model.residual_scale(port) for port in networks]
-        weights, biases = [], []
         for k, same in enumerate(zip(*layers, strict=True)):
             w = [layer.weight.detach().double() for layer in same]
             b = torch.cat([layer.bias.detach().double() for layer in same])
@@ -82,14 +67,12 @@ class JointNetwork(nn.Module):
                 b = b - joined @ mean
             else:
                 joined = torch.block_diag(*w)
-            if k == len(layers[0]) - 1:
-                size = torch.cat(
-                    [torch.full((len(x),), s, dtype=torch.float64) for x, s in zip(w, sizes, strict=True)]
-                )
+            if k == self.depth - 1:
+                sizes = [model.residual_scale(port) for port in self.ports]
+                size = torch.tensor(sizes, dtype=torch.float64).repeat_interleave(torch.tensor(self.widths))
                 joined, b = size[:, None] * joined, size * b
-            weights.append(joined)
-            biases.append(b)
-        return cls(weights, biases, tuple(networks), [n[-1].out_features for n in layers])
+            self.register_buffer(f"weight_{k}", joined)
+            self.register_buffer(f"bias_{k}", b)
 
     def forward(self, features: Tensor) -> Tensor:
         """Accelerations (N, sum of widths) from raw features (N, nr)."""
@@ -121,41 +104,25 @@ def _affine(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
 # circle, 8 mm every 50 ms, which a plan makes up for by flying inside the circle.
 
 _PARTS = (3, 3, 4, 3)  # position, velocity, quaternion, rates
+Advance = Callable[["_Pushed", Time, Tensor, Tensor, float, None], Tensor]
 
 
-@final
-class Turning(Step):
-    """See the module.
-
-    Args:
-        system: The machine, whose `gravity` does not turn with the body.
-    """
-
-    name = "turning"
-    calculus = "none"
-    strong_order = 2.0
-    condition = "a multirotor, sigma = 0; forces in body axes change little within a step"
-    summary = "no noise, order 2 in what turns, one drift"
-    deterministic = True
-
-    def __init__(self, system: Multirotor) -> None:
-        self._system = system
-
-    def advance(self, sde: object, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
-        gravity, memory = self._system.gravity, z.shape[1] - sum(_PARTS)
-        p, v, q, w, m = split_columns(z, *_PARTS, memory)
-        _, a, _, turn, change = split_columns(sde.drift(t, z, u), *_PARTS, memory)  # type: ignore[attr-defined]
-        after = q + dt * quaternion_rate(q, w + (0.5 * dt) * turn)
-        after = after * torch.rsqrt((after * after).sum(-1, keepdim=True))
-        later = rotate(after, rotate_back(q, a - gravity)) + gravity
-        parts = (
-            p + dt * v + (dt * dt / 6.0) * (2.0 * a + later),
-            v + (0.5 * dt) * (a + later),
-            after,
-            w + dt * turn,
-            m + dt * change,
-        )
-        return torch.cat(parts, 1)
+def _turning(sde: _Pushed, t: Time, z: Tensor, u: Tensor, dt: float, dw: None) -> Tensor:
+    gravity: Tensor = sde.system.gravity  # type: ignore[assignment]
+    memory = z.shape[1] - sum(_PARTS)
+    p, v, q, w, m = split_columns(z, *_PARTS, memory)
+    _, a, _, turn, change = split_columns(sde.drift(t, z, u), *_PARTS, memory)
+    after = q + dt * quaternion_rate(q, w + (0.5 * dt) * turn)
+    after = after * torch.rsqrt((after * after).sum(-1, keepdim=True))
+    later = rotate(after, rotate_back(q, a - gravity)) + gravity
+    parts = (
+        p + dt * v + (dt * dt / 6.0) * (2.0 * a + later),
+        v + (0.5 * dt) * (a + later),
+        after,
+        w + dt * turn,
+        m + dt * change,
+    )
+    return torch.cat(parts, 1)
 
 
 @final
@@ -207,22 +174,21 @@ class Predictor(nn.Module):
         self._learned = learned
         self._residual = None
         if learned is not None and learned.black_box is None and len(learned.residuals):
-            self._residual = JointNetwork.of(learned).to(dtype)
+            self._residual = JointNetwork(learned).to(dtype)
         self.dt, self.dtype = float(dt), dtype
         self.nx, self.nu, self.nz = self.system.nx, self.system.nu, self.system.nz
         knows_ports = learned is None or learned.black_box is None
         self.ports = {p: s.width for p, s in self.system.residual_ports.items()} if knows_ports else {}
         self.nd = sum(self.ports.values())
-        own = self.system
-        self._step = Turning(own) if isinstance(own, Multirotor) and knows_ports else _without_noise(step)
+        self._turns = isinstance(self.system, Multirotor) and knows_ports
+        self._advance = _turning if self._turns else _without_noise(step)
         self._equation = _Pushed(self)
 
     def forward(self, z: Tensor, u: Tensor, d: Tensor) -> Tensor:
         """States after a step (N, nz), from states (N, nz), inputs (N, nu) and pushes (N, nd)."""
         self._equation.push = d
-        after = self._step.advance(self._equation, 0.0, z, u, self.dt, None)
-        # `turning` leaves quaternions of unit length
-        return after if isinstance(self._step, Turning) else self.system.project(after)
+        after = self._advance(self._equation, 0.0, z, u, self.dt, None)
+        return after if self._turns else self.system.project(after)
 
     def drift(self, z: Tensor, u: Tensor, d: Tensor) -> Tensor:
         """Rates (N, nz) per physical second."""
@@ -270,8 +236,7 @@ class _Pushed:
 
     def __init__(self, predictor: Predictor) -> None:
         self._drift = predictor.drift
-        self._project = predictor.system.project
-        self._system = predictor.system
+        self.system = predictor.system
         self.push = torch.empty(0)
 
     def drift(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
@@ -281,48 +246,26 @@ class _Pushed:
         return torch.zeros_like(z)
 
     def project(self, z: Tensor) -> Tensor:
-        return self._project(z)
+        return self.system.project(z)
 
     def set_step(self, dt: float) -> None:
-        self._system.set_step(dt)
+        self.system.set_step(dt)
 
     def inner(self, z: Tensor, y: Tensor) -> Tensor:
-        return self._system.inner(z, y)
+        return self.system.inner(z, y)
 
 
-@final
-class _Euler(Step):
-    """z' = z + f dt: what every stochastic step of order one becomes without its noise."""
-
-    name = "euler"
-    calculus = "none"
-    strong_order = 1.0
-    condition = "sigma = 0"
-    summary = "no noise, order 1, one drift"
-    deterministic = True
-
-    def advance(self, sde: object, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
-        return z + sde.drift(t, z, u) * dt  # type: ignore[attr-defined]
+def _euler(sde: _Pushed, t: Time, z: Tensor, u: Tensor, dt: float, dw: None) -> Tensor:
+    return z + sde.drift(t, z, u) * dt
 
 
-@final
-class _Trapezoid(Step):
-    """Heun's step without its noise."""
-
-    name = "trapezoid"
-    calculus = "none"
-    strong_order = 2.0
-    condition = "sigma = 0"
-    summary = "no noise, order 2, two drifts"
-    deterministic = True
-
-    def advance(self, sde: object, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
-        f = sde.drift(t, z, u)  # type: ignore[attr-defined]
-        y = within(sde, z, z + f * dt)  # type: ignore[arg-type]
-        return z + 0.5 * dt * (f + sde.drift(t, y, u))  # type: ignore[attr-defined]
+def _trapezoid(sde: _Pushed, t: Time, z: Tensor, u: Tensor, dt: float, dw: None) -> Tensor:
+    f = sde.drift(t, z, u)
+    return z + 0.5 * dt * (f + sde.drift(t, within(sde, z, z + f * dt), u))
 
 
-def _without_noise(step: Step) -> Step:
+def _without_noise(step: Step) -> Advance:
+    """What a step becomes without its noise; every stochastic one of order one is then Euler's."""
     if step.deterministic:
-        return step
-    return _Trapezoid() if step.name in ("heun", "milstein_heun") else _Euler()
+        return step.advance
+    return _trapezoid if step.name in ("heun", "milstein_heun") else _euler

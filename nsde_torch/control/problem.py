@@ -31,11 +31,7 @@ _PARTS = (3, 3, 4, 3)
 
 @final
 class Residual(nn.Module):
-    """Roots of the cost of a state.
-
-    Args:
-        predictor: What knows the machine, a multirotor.
-        options: What a plan pays for.
+    """Roots of the cost of a state of a multirotor.
 
     Raises:
         ConfigError: the machine has no reference to track, or weights of another length than its error channels.
@@ -151,43 +147,20 @@ class Horizon(nn.Module):
         push = torch.cat((push, push.new_zeros(len(z), self.nz - self.nx)), 1) if self.nz > self.nx else push
         return self.predictor.system.project(after + push)
 
-    def increments(self, k: int, rows: int) -> Tensor | None:
-        """Noise of step k for that many plans (rows * P, nx), the paths of a plan together; None without noise."""
-        if self.particles == 1:
-            return None
-        return self.noise[k].repeat(rows, 1)
-
     def rollout(self, z0: Tensor, u: Tensor, d: Tensor) -> Tensor:
-        """States of plans.
-
-        Args:
-            z0: First states (N, nz).
-            u: Inputs (N, K, nu).
-            d: Pushes (N, nd), held.
-
-        Returns:
-            States (N, P, K + 1, nz).
-        """
+        """States (N, P, K + 1, nz) of plans, from first ones (N, nz), inputs (N, K, nu) and held pushes (N, nd)."""
         n, p = len(u), self.particles
         z, d = _repeat(z0, p), _repeat(d, p)
         states = [z]
         for k in range(self.steps):
-            z = self.advance(z, _repeat(u[:, k], p), d, self.increments(k, n))
+            # the paths of a plan lie together
+            noise = self.noise[k].repeat(n, 1) if p > 1 else None
+            z = self.advance(z, _repeat(u[:, k], p), d, noise)
             states.append(z)
         return torch.stack(states, 1).view(n, p, self.steps + 1, self.nz)
 
     def cost(self, z: Tensor, u: Tensor, ref: Tensor, last: Tensor) -> Tensor:
-        """Costs of plans.
-
-        Args:
-            z: States (N, P, K + 1, nz).
-            u: Inputs (N, K, nu).
-            ref: References at the ends of the steps (N, K, nx).
-            last: Inputs before the plan (N, nu).
-
-        Returns:
-            J (N,).
-        """
+        """Costs J (N,) of plans: states (N, P, K + 1, nz) and inputs (N, K, nu), see `GaussNewton` for the rest."""
         n, p, k = len(u), self.particles, self.steps
         x = z[:, :, 1:, : self.nx].reshape(n * p * k, self.nx)
         wanted = ref[:, None].expand(n, p, k, self.nx).reshape(n * p * k, self.nx)

@@ -23,30 +23,29 @@ from nsde_torch.systems.multirotor import GRAVITY
 
 @dataclass(frozen=True)
 class FlightPath:
-    """A path on a grid of time.
+    """A path on a grid of time."""
 
-    Args:
-        name: What it is called in messages and figures.
-        dt: Step of the grid [s].
-        p: Positions (n, 3) [m].
-        v: Velocities (n, 3) [m/s].
-        a: Accelerations (n, 3) [m/s2].
-        yaw: Headings (n,) [rad], without jumps of 2 pi.
-        about: What it was made of, for the record.
-    """
-
-    name: str
-    dt: float
-    p: Array
-    v: Array
-    a: Array
-    yaw: Array
-    about: dict[str, object] = field(default_factory=dict)
+    name: str  # what it is called in messages and figures
+    dt: float  # step of the grid [s]
+    p: Array  # positions (n, 3) [m]
+    v: Array  # velocities (n, 3) [m/s]
+    a: Array  # accelerations (n, 3) [m/s2]
+    yaw: Array  # headings (n,) [rad], without jumps of 2 pi
+    about: dict[str, object] = field(default_factory=dict)  # what it was made of, for the record
 
     @property
     def duration(self) -> float:
         """Length [s]."""
         return (len(self.p) - 1) * self.dt
+
+
+def attitude_along(axis: Tensor, yaw: Tensor) -> Tensor:
+    """Quaternions (n, 4): the shortest turn from up to a thrust axis (n, 3), after the turn to a heading (n,) [rad]."""
+    zx, zy, zz = axis.unbind(1)
+    c = torch.sqrt(0.5 * (1.0 + zz))
+    tx, ty = -0.5 * zy / c, 0.5 * zx / c
+    cy, sy = torch.cos(0.5 * yaw), torch.sin(0.5 * yaw)
+    return torch.stack((c * cy, tx * cy + ty * sy, ty * cy - tx * sy, c * sy), 1)
 
 
 def states_of(path: FlightPath) -> Tensor:
@@ -63,12 +62,7 @@ def states_of(path: FlightPath) -> Tensor:
             f"reference {path.name!r} falls freely at {at * path.dt:.2f} s, where no attitude follows from it. "
             "Fly slower."
         )
-    zx, zy, zz = (force / size[:, None]).T
-    # the shortest turn from up to the thrust axis, after the turn to the heading
-    c = np.sqrt(0.5 * (1.0 + zz))
-    tx, ty = -0.5 * zy / c, 0.5 * zx / c
-    cy, sy = np.cos(0.5 * path.yaw), np.sin(0.5 * path.yaw)
-    q = torch.from_numpy(np.stack((c * cy, tx * cy + ty * sy, ty * cy - tx * sy, c * sy), 1))
+    q = attitude_along(torch.from_numpy(force / size[:, None]), torch.from_numpy(path.yaw))
     turn = rotation_between(q[:-2], q[2:]) / (2.0 * path.dt)
     omega = torch.cat((turn[:1], turn, turn[-1:]))
     return torch.cat((torch.from_numpy(np.hstack((path.p, path.v))), q, omega), 1)

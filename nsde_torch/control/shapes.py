@@ -51,6 +51,12 @@ def _check(name: str, **positive: float) -> None:
         raise ConfigError(
             f"reference {name!r}: {', '.join(f'`{k}`={v:g}' for k, v in wrong.items())} must be above 0."
         )
+    duration, ramp = positive["duration"], positive.get("ramp", 0.0)
+    if duration < 2.0 * ramp:
+        raise ConfigError(
+            f"reference {name!r}: `duration`={duration:g} s is shorter than two ramps of {ramp:g} s. Give "
+            "more time, or a shorter `ramp`."
+        )
 
 
 def circle(
@@ -62,21 +68,12 @@ def circle(
     yaw: float = _CIRCLE.yaw,
     ramp: float = _CIRCLE.ramp,
 ) -> FlightPath:
-    """A circle at constant speed, while the heading turns once to `yaw` and back.
-
-    Args:
-        speed: Speed after the start [m/s].
-        duration: From rest to rest [s].
-        radius: Radius [m].
-        height: Height [m].
-        yaw: Farthest heading [deg].
-        ramp: Time to reach the speed, and to lose it [s].
+    """A circle at constant speed, while the heading turns once to `yaw` and back; see `CircleOptions`.
 
     Raises:
         ConfigError: a size is not positive, or the flight is shorter than its two ramps.
     """
     _check("circle", speed=speed, duration=duration, radius=radius, ramp=ramp)
-    _long_enough("circle", duration, ramp)
     f, df, ddf = _phase(duration, ramp, speed / radius)
     c, s, zero = np.cos(f), np.sin(f), np.zeros_like(f)
     p = np.stack((radius * c, radius * s, zero + height), 1)
@@ -84,8 +81,8 @@ def circle(
     a = radius * np.stack((-c * df**2 - s * ddf, -s * df**2 + c * ddf, zero), 1)
     share = np.linspace(0.0, 1.0, len(f))
     heading = np.deg2rad(yaw) * 0.5 * (1.0 - np.cos(2.0 * np.pi * share))
-    about: dict[str, object] = {"speed": speed, "radius": radius, "height": height, "yaw": yaw}
-    return FlightPath("circle", GRID, p, v, a, heading, about)
+    sizes = {"speed": speed, "radius": radius, "height": height, "yaw": yaw}
+    return FlightPath("circle", GRID, p, v, a, heading, {**sizes})
 
 
 def lemniscate(
@@ -98,63 +95,31 @@ def lemniscate(
     yaw: float = _LEMNISCATE.yaw,
     ramp: float = _LEMNISCATE.ramp,
 ) -> FlightPath:
-    """A figure of eight (Gerono's lemniscate), while the heading oscillates.
-
-    Args:
-        speed: Largest speed, where the branches cross [m/s].
-        duration: From rest to rest [s].
-        length: Half of its extent along x [m].
-        width: Twice its half extent along y [m].
-        height: Height [m].
-        yaw: Farthest heading [deg].
-        ramp: Time to reach the speed, and to lose it [s].
+    """A figure of eight (Gerono's lemniscate), while the heading oscillates; see `LemniscateOptions`.
 
     Raises:
         ConfigError: a size is not positive, or the flight is shorter than its two ramps.
     """
     _check("lemniscate", speed=speed, duration=duration, length=length, width=width, ramp=ramp)
-    _long_enough("lemniscate", duration, ramp)
     f, df, ddf = _phase(duration, ramp, speed / float(np.hypot(length, width)))
     c, s, c2, s2, zero = np.cos(f), np.sin(f), np.cos(2 * f), np.sin(2 * f), np.zeros_like(f)
     p = np.stack((length * s, 0.5 * width * s2, zero + height), 1)
     v = np.stack((length * c * df, width * c2 * df, zero), 1)
     a = np.stack((length * (c * ddf - s * df**2), width * (c2 * ddf - 2.0 * s2 * df**2), zero), 1)
     heading = np.deg2rad(yaw) * np.sin(2.0 * np.pi * np.linspace(0.0, 3.0, len(f)))
-    about: dict[str, object] = {
-        "speed": speed,
-        "length": length,
-        "width": width,
-        "height": height,
-        "yaw": yaw,
-    }
-    return FlightPath("lemniscate", GRID, p, v, a, heading, about)
+    sizes = {"speed": speed, "length": length, "width": width, "height": height, "yaw": yaw}
+    return FlightPath("lemniscate", GRID, p, v, a, heading, {**sizes})
 
 
 def hover(
     *, duration: float = _HOVER.duration, height: float = _HOVER.height, yaw: float = _HOVER.yaw
 ) -> FlightPath:
-    """Standing still.
-
-    Args:
-        duration: How long [s].
-        height: Height [m].
-        yaw: Heading [deg].
-    """
+    """Standing still; see `HoverOptions`."""
     _check("hover", duration=duration)
     n = round(duration / GRID) + 1
-    zero = np.zeros((n, 3))
+    zero, heading = np.zeros((n, 3)), np.full(n, np.deg2rad(yaw))
     p = zero + np.array([0.0, 0.0, height])
-    return FlightPath(
-        "hover", GRID, p, zero, zero, np.full(n, np.deg2rad(yaw)), {"height": height, "yaw": yaw}
-    )
-
-
-def _long_enough(name: str, duration: float, ramp: float) -> None:
-    if duration < 2.0 * ramp:
-        raise ConfigError(
-            f"reference {name!r}: `duration`={duration:g} s is shorter than two ramps of {ramp:g} s. Give "
-            "more time, or a shorter `ramp`."
-        )
+    return FlightPath("hover", GRID, p, zero, zero, heading, {"height": height, "yaw": yaw})
 
 
 # Paths through points by minimum snap: of all paths through the points at their times, that of least integral
@@ -241,12 +206,10 @@ def from_csv(file: str | Path, *, speed: float = _LIMITS.speed, tilt: float = _L
             [*(float(row[n]) for n in ("p_x", "p_y", "p_z")), float(np.rad2deg(float(row.get("yaw") or 0.0)))]
             for row in rows
         ]
-        times = [float(row["t"]) for row in rows] if "t" in rows[0] else None
+        times = [float(row["t"]) - float(rows[0]["t"]) for row in rows] if "t" in rows[0] else None
     except (TypeError, ValueError) as error:
         raise DataError(f"reference {path} holds something that is no number ({error}).") from error
-    start = times[0] if times else 0.0
-    shifted = None if times is None else [t - start for t in times]
-    return waypoints(points, times=shifted, speed=speed, tilt=tilt, name=path.stem)
+    return waypoints(points, times=times, speed=speed, tilt=tilt, name=path.stem)
 
 
 def _checked(times: Sequence[float], n: int, name: str) -> Array:

@@ -23,44 +23,26 @@ Clock = Callable[[], float]
 
 
 class Problem(NamedTuple):
-    """Plain tensors that a solve starts from.
+    """Plain tensors that a solve starts from."""
 
-    Args:
-        z0: States with memory now (N, nz).
-        ref: References at the ends of the steps (N, K, nx).
-        last: Inputs before the plan (N, nu).
-        d: Pushes (N, nd).
-    """
-
-    z0: Tensor
-    ref: Tensor
-    last: Tensor
-    d: Tensor
+    z0: Tensor  # states with memory now (N, nz)
+    ref: Tensor  # references at the ends of the steps (N, K, nx)
+    last: Tensor  # inputs before the plan (N, nu)
+    d: Tensor  # pushes (N, nd)
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Best plans found.
+    """Best plans found."""
 
-    Args:
-        u: Inputs (N, K, nu).
-        z: States (N, P, K + 1, nz).
-        cost: Costs (N,).
-        gap: Estimated share of the cost that a better plan would save (N,).
-        costs: Costs after each iteration, the first those of the start (iterations + 1, N).
-        seconds: Time that it took.
-        in_time: Whether the deadline was kept.
-        converged: Whether the tolerance was reached (N,).
-    """
-
-    u: Tensor
-    z: Tensor
-    cost: Tensor
-    gap: Tensor
-    costs: tuple[Tensor, ...] = field(repr=False)
-    seconds: float
-    in_time: bool
-    converged: Tensor
+    u: Tensor  # inputs (N, K, nu)
+    z: Tensor  # states (N, P, K + 1, nz)
+    cost: Tensor  # costs (N,)
+    gap: Tensor  # estimated share of the cost that a better plan would save (N,)
+    costs: tuple[Tensor, ...] = field(repr=False)  # after each iteration, the first those of the start (N,)
+    seconds: float  # time that it took
+    in_time: bool  # whether the deadline was kept
+    converged: Tensor  # whether the tolerance was reached (N,)
 
 
 @final
@@ -87,10 +69,9 @@ class Solver:
         say: Callable[[str], None] | None = None,
         clock: Clock = time.perf_counter,
     ) -> None:
-        if options.name not in SOLVERS:
-            raise ConfigError(f"`solver` must be one of {', '.join(SOLVERS)}; got {options.name!r}.")
         self.horizon, self.options, self._clock = horizon, options, clock
-        self._method: GaussNewton | AcceleratedGradient | CompiledMethod = SOLVERS[options.name](horizon)
+        self._method: GaussNewton | AcceleratedGradient | CompiledMethod
+        self._method = (GaussNewton if options.name == "gauss_newton" else AcceleratedGradient)(horizon)
         self.compiled = False
         self._longest = 0.0
         if options.compile == "on" or (options.compile == "auto" and batch == 1):
@@ -148,9 +129,3 @@ class Solver:
         """Plans as they are, without a solve."""
         nothing = u.new_full((len(u),), torch.inf)
         return Solution(u, z, nothing, nothing, (nothing,), 0.0, True, torch.zeros(len(u), dtype=torch.bool))
-
-
-SOLVERS: dict[str, Callable[[Horizon], GaussNewton | AcceleratedGradient]] = {
-    "gauss_newton": GaussNewton,
-    "apg": AcceleratedGradient,
-}

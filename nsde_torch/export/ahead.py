@@ -40,7 +40,7 @@ _FUSED = ("finish",)
 def has_compiler() -> bool:
     """Whether a C++ compiler is found."""
     named = os.environ.get("CXX")
-    return any(shutil.which(c) for c in ([named] if named else []) + ["g++", "clang++"])
+    return any(shutil.which(c) for c in ([named] if named else ["g++", "clang++"]))
 
 
 @contextmanager
@@ -68,11 +68,7 @@ def quick_indices() -> Iterator[None]:
 
 
 def compiled(step: ExportedStep, *, say: Callable[[str], None]) -> dict[str, bytes]:
-    """Members of a package with all stages.
-
-    Args:
-        step: The step.
-        say: Called with a line when something takes long.
+    """Members of a package with all stages; `say` is called with a line when something takes long.
 
     Raises:
         ExportError: there is no compiler, or it refuses.
@@ -165,11 +161,7 @@ def _is_loaded(member: str) -> bool:
 def loaded(
     path: Path, loops: Mapping[str, float]
 ) -> tuple[Callable[..., Sequence[Tensor]], Callable[..., Sequence[Tensor]]]:
-    """`step` and `predict` of a package; it is machine code, and runs when called.
-
-    Args:
-        path: The package.
-        loops: What `Loops` is made of.
+    """`step` and `predict` of a package, with the numbers of its `Loops`; it is machine code, and runs when called.
 
     Raises:
         ExportError: the package cannot be loaded here.
@@ -179,7 +171,7 @@ def loaded(
         for name in WHOLE:
             # (path, name, single threaded, runners, device)
             loader: Any = torch._C._aoti.AOTIModelPackageLoader(str(path), name, True, 1, -1)
-            stages[name] = _function(loader)
+            stages[name] = functools.partial(_call, loader)
     except Exception as error:
         raise ExportError(
             f"its machine code cannot be loaded here ({str(error).splitlines()[0]}). Export it here with format=aoti."
@@ -187,9 +179,6 @@ def loaded(
     return functools.partial(run, stages, Loops(**loops)), stages["predict"]  # type: ignore[arg-type]
 
 
-def _function(loader: Any) -> Stage:
-    def call(*arguments: Tensor) -> Sequence[Tensor]:
-        out: Sequence[Tensor] = loader.run(list(arguments))
-        return out
-
-    return call
+def _call(loader: Any, *arguments: Tensor) -> Sequence[Tensor]:
+    out: Sequence[Tensor] = loader.run(list(arguments))
+    return out

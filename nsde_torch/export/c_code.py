@@ -27,13 +27,7 @@ _TEMPLATES = Path(__file__).parent / "templates"
 def sources(
     step: ExportedStep, name: str, about: Mapping[str, Any], options: EstimatorOptions
 ) -> tuple[str, str]:
-    """Source and header, whose last lines await the record in the place of `@RECORD@`.
-
-    Args:
-        step: What is exported.
-        name: Of the files, without their endings.
-        about: The record.
-        options: Latency, and how fast pushes are learned.
+    """Source and header named so, whose last lines await the record `about` in the place of `@RECORD@`.
 
     Raises:
         ConfigError: a plan over several paths, or names and times that cannot be.
@@ -63,13 +57,13 @@ def sources(
         **vars(s),
         **{k: number(float(v)) for k, v in vars(step.safety).items()},
         **{k: number(getattr(step.options, k)) for k in ("low", "high")},
-        "tolerance": number(step.tolerance),
+        "tolerance": number(step.loops.tolerance),
         "PREDICTION": "\n".join((*for_step, parts["PREDICTION"])),
         "NAME": name,
         "VERSION": about["versions"]["nsde_torch"],
         "keep_s": step.safety.keep,
         "hover": ", ".join(map(number, about["hover"])),
-        "iterations": step.iterations,
+        "iterations": step.loops.iterations,
         "system": system.name,
         "memory": s.nz - s.nx,
         "model_sha256": about["model"]["weights_sha256"],
@@ -81,7 +75,6 @@ def sources(
         + " [m/s2, rad/s2]",
         "status_doc": "\n".join(status),
     }  # fmt: skip
-
     source, header = (template(_TEMPLATES / f"controller.{end}", values) for end in "ch")
     return source, header
 

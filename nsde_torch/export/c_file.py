@@ -7,9 +7,8 @@ The record of what they are is the last comment of the header. The hash in it is
 from __future__ import annotations
 
 import ctypes
-import json
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, final
 
@@ -33,23 +32,11 @@ def is_c(path: Path) -> bool:
 
 
 def write(path: Path, source: str, header: str, record: Mapping[str, Any]) -> str:
-    """Write both files; returns their hash (hex).
-
-    Args:
-        path: The source file; the header lies beside it.
-        source, header: Their text, with `MARK` in the place of the record.
-        record: What they are, plain values.
-    """
-
-    def text(digest: str) -> bytes:
-        about = {"format": container.FORMAT, "sha256": digest, **record}
-        # no end of a comment within
-        return json.dumps(about, indent=1, allow_nan=False).replace("*/", "*\\/").encode()
-
+    """Write a source file and the header beside it, with their record in the place of `MARK`; their hash (hex)."""
     members = {"controller.c": source.encode(), "controller.h": header.encode()}
-    digest = container.digest_of({**members, container.RECORD: text("")})
+    text, digest = container.signed(members, record)
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.with_suffix(".h").write_text(header.replace(MARK, text(digest).decode()), encoding="utf-8")
+    path.with_suffix(".h").write_text(header.replace(MARK, text.decode()), encoding="utf-8")
     path.write_text(source, encoding="utf-8")
     return digest
 
@@ -76,12 +63,8 @@ def read(path: Path) -> dict[str, Any]:
     return container.checked(path, {**members, container.RECORD: text.encode()})
 
 
-def library(path: Path, *, flags: Sequence[str] = ()) -> ctypes.CDLL:
+def library(path: Path) -> ctypes.CDLL:
     """The controller, compiled for this computer and loaded; it is machine code, and runs when called.
-
-    Args:
-        path: The source file.
-        flags: More for the compiler.
 
     Raises:
         ExportError: there is no C compiler, or it refuses.
@@ -89,7 +72,7 @@ def library(path: Path, *, flags: Sequence[str] = ()) -> ctypes.CDLL:
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "controller.so"
         try:
-            compiled(path.resolve(), made, (*FLAGS, *flags))
+            compiled(path.resolve(), made, FLAGS)
         except NoCompiler as error:
             raise ExportError(
                 f"to run a controller in C here needs a C compiler: {error}. Install one (apt install gcc), or verify "
@@ -100,12 +83,7 @@ def library(path: Path, *, flags: Sequence[str] = ()) -> ctypes.CDLL:
 
 @final
 class CController:
-    """A controller in C behind the face of the exported step: `step` and `predict` of plain tensors, see `layout`.
-
-    Args:
-        built: The library.
-        about: The record.
-    """
+    """A controller in C behind the face of the exported step: `step` and `predict` of plain tensors, see `layout`."""
 
     def __init__(self, built: ctypes.CDLL, about: Mapping[str, Any]) -> None:
         s = self._sizes = Sizes(**about["sizes"])
@@ -123,9 +101,10 @@ class CController:
 
         self._command = Command()
         self._numbers = torch.from_numpy(np.ctypeslib.as_array(self._command.numbers))
-        self._work = ctypes.create_string_buffer(ctypes.c_uint.in_dll(built, "nsde_work_bytes").value)
-        pilot = ctypes.c_uint.in_dll(built, "nsde_pilot_bytes").value
-        self._pilot = ctypes.create_string_buffer(pilot)
+        self._work, self._pilot = (
+            ctypes.create_string_buffer(ctypes.c_uint.in_dll(built, f"nsde_{k}_bytes").value)
+            for k in ("work", "pilot")
+        )
         self._built, self._real = built, number
 
     def step(self, state: Tensor, valid: Tensor, elapsed: Tensor, *rest: Tensor) -> tuple[Tensor, ...]:
@@ -145,9 +124,9 @@ class CController:
 
     def predict(self, z: Tensor, u: Tensor, push: Tensor) -> tuple[Tensor]:
         """See `layout.predict_inputs`."""
-        tables = [*map(self._given, (z, u, push)), torch.empty(self._sizes.nz, dtype=self._dtype)]
+        after = torch.empty(self._sizes.nz, dtype=self._dtype)
+        tables = [*map(self._given, (z, u, push)), after]
         self._built.nsde_predict(*map(_at, tables))
-        after = tables[-1]
         return (after.double(),)
 
     def reset(self, state: Tensor) -> None:
@@ -155,18 +134,14 @@ class CController:
         state = self._given(state)
         self._built.nsde_reset(self._pilot, _at(state))
 
-    def command(self, state: Tensor, reference: Tensor, *, valid: bool = True) -> tuple[Tensor, ...]:
+    def command(self, state: Tensor, reference: Tensor) -> tuple[Tensor, ...]:
         """The answer, without `after`, of the controller with its estimator.
 
-        Args:
-            state: The newest measured state (nx,).
-            reference: States to track from the time on at which the command acts (steps, nx).
-            valid: Whether the state may be used.
+        `state` (nx,) is the newest measured one; `reference` (steps, nx) are the states to track from the time on at
+        which the command acts.
         """
         state, reference = self._given(state), self._given(reference)
-        self._built.nsde_command_of(
-            self._pilot, _at(state), int(valid), _at(reference), ctypes.byref(self._command)
-        )
+        self._built.nsde_command_of(self._pilot, _at(state), 1, _at(reference), ctypes.byref(self._command))
         return self._answer(torch.empty(0))[:-1]
 
     def _given(self, x: Tensor) -> Tensor:

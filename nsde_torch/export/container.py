@@ -88,22 +88,23 @@ def plain(members: Mapping[str, bytes]) -> dict[str, bytes]:
     return out
 
 
-def write(path: Path, members: Mapping[str, bytes], record: Mapping[str, Any]) -> str:
-    """Write a file; returns its hash (hex).
-
-    Args:
-        path: Where.
-        members: Everything but the record.
-        record: What it is, plain values.
-    """
+def signed(members: Mapping[str, bytes], record: Mapping[str, Any]) -> tuple[bytes, str]:
+    """The text of a record of plain values with the hash of it and everything else, and the hash (hex)."""
 
     def text(digest: str) -> bytes:
-        return json.dumps({"format": FORMAT, "sha256": digest, **record}, indent=1, allow_nan=False).encode()
+        made = json.dumps({"format": FORMAT, "sha256": digest, **record}, indent=1, allow_nan=False)
+        return made.replace("*/", "*\\/").encode()  # in C it stands in a comment
 
     digest = digest_of({**members, RECORD: text("")})
+    return text(digest), digest
+
+
+def write(path: Path, members: Mapping[str, bytes], record: Mapping[str, Any]) -> str:
+    """Write a file of a record and everything else in it; returns its hash (hex)."""
+    text, digest = signed(members, record)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(path.name + ".partial")
-    temporary.write_bytes(archive_of({**members, RECORD: text(digest)}))
+    temporary.write_bytes(archive_of({**members, RECORD: text}))
     temporary.replace(path)
     return digest
 

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
 import torch
 from torch import Tensor, nn
 
-from nsde_torch.control.controller import LATE, Plan, SafetyOptions, hovering_plan
-from nsde_torch.control.problem import ProblemOptions
+from nsde_torch.control.controller import LATE, Plan, hovering_plan
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.effects import Port
 from nsde_torch.errors import ExportError, ShapeError
@@ -55,13 +55,12 @@ class Prediction(nn.Module):
         return self.system.augment(x, u)
 
 
+@dataclass
 class _NotCompiled:
     """In the place of a solver: what is in the file is compiled or not, and nothing else is to be."""
 
-    compiled = False
-
-    def __init__(self, options: SolverOptions) -> None:
-        self.options = options
+    options: SolverOptions
+    compiled: bool = False
 
 
 @final
@@ -75,7 +74,7 @@ class ExportedController:
         record: What the file says of itself.
         known: Declared physics with the model's values.
         pilot: The file's own estimator and controller, which files in C have; else None.
-
+        step: The step itself; see `layout.step_inputs` and `layout.step_outputs`.
     Raises:
         ExportError: the file is damaged, changed, of another version or for another processor, or it is in C and there
             is no compiler here.
@@ -89,18 +88,16 @@ class ExportedController:
             archive, self.record = b"", c_file.read(self.path)
         else:
             archive, self.record = container.read(self.path)
-        self._step: Function
+        self.step: Function
         predict: Function
         try:
             record.check(self.record)
             self.pilot: c_file.CController | None = None
             if self.record["kind"] == record.C:
                 self.pilot = c_file.CController(c_file.library(self.path), self.record)
-                self._step, predict = self.pilot.step, self.pilot.predict
+                self.step, predict = self.pilot.step, self.pilot.predict
             else:
-                self._step, predict = _functions(self.record, archive, self.path)
-            self.options: ProblemOptions
-            self.safety: SafetyOptions
+                self.step, predict = _functions(self.record, archive, self.path)
             self.options, solver, self.safety = record.options_of(self.record)
             self.sizes = Sizes(**self.record["sizes"])
             self.known = record.system_of(self.record)
@@ -115,10 +112,6 @@ class ExportedController:
         self.predictor = Prediction(predict, self.record, self.known, self.options.dt)
         self.sample = Prediction(predict, self.record, self.known, sample)
         self._jumped = 0.0
-
-    def step(self, *arguments: Tensor) -> Sequence[Tensor]:
-        """The step itself; see `layout.step_inputs` and `layout.step_outputs`."""
-        return self._step(*arguments)
 
     def hovering(self) -> Plan:
         """A plan that hovers, level and where it is: what there is before the first solve."""
@@ -156,17 +149,17 @@ class ExportedController:
             return table[0].double().contiguous()
 
         arguments = (
-            *(x[0].double().contiguous(), torch.ones((), dtype=torch.float64)),
-            *(torch.tensor(elapsed, dtype=torch.float64), reference[0].double().contiguous()),
-            *(
-                given(last, s.nu, torch.nan),
-                given(push, s.nd, 0.0),
-                given(memory, s.nz - s.nx, torch.nan),
-                old,
-            ),
+            x[0].double().contiguous(),
+            torch.ones((), dtype=torch.float64),
+            torch.tensor(elapsed, dtype=torch.float64),
+            reference[0].double().contiguous(),
+            given(last, s.nu, torch.nan),
+            given(push, s.nd, 0.0),
+            given(memory, s.nz - s.nx, torch.nan),
+            old,
         )
         started = time.perf_counter()
-        u, _, _, _, states, cost, gap, status, iterations, after = self._step(*arguments)
+        u, _, _, _, states, cost, gap, status, iterations, after = self.step(*arguments)
         seconds = time.perf_counter() - started
         self._jumped = float(after[JUMPED])
         word, dtype = STATUS[int(status)], self.hover.dtype

@@ -26,18 +26,16 @@ from nsde_torch.columns import few_operations
 #
 # Parts of no width are constants, and are left out when parts are put together and cut.
 
-_aten_op = torch.ops.aten
-_CAT, _SPLIT = _aten_op.cat.default, _aten_op.split_with_sizes.default
-_ADD, _SUB, _MUL, _MM = _aten_op.add.Tensor, _aten_op.sub.Tensor, _aten_op.mul.Tensor, _aten_op.mm.default
+_aten = torch.ops.aten
+_CAT, _SPLIT = _aten.cat.default, _aten.split_with_sizes.default
+_ADD, _SUB, _MUL, _MM = _aten.add.Tensor, _aten.sub.Tensor, _aten.mul.Tensor, _aten.mm.default
 Shapes = Callable[[fx.Node], Sequence[int] | None]
 
 
 def rewrite(graph: fx.Graph, values: Mapping[fx.Node, object]) -> None:
-    """One pass over a graph.
+    """One pass over a graph none of whose operations changes a tensor in place.
 
-    Args:
-        graph: Of torch's operations, none of which changes a tensor in place.
-        values: Values of its nodes for an example, for their shapes.
+    `values` are those of its nodes for an example, for their shapes.
     """
     made: dict[fx.Node, Sequence[int]] = {}
 
@@ -124,23 +122,18 @@ def _join(node: fx.Node, shape: Shapes, values: Mapping[fx.Node, object]) -> Non
     if node.kwargs or len(node.args) != 2:
         return
     first, second = node.args
-    sides = [(first, second), (second, first)] if node.target is _ADD else [(first, second)]
-    for rest, other in sides:
+    for rest, other in ((first, second), (second, first))[: 2 if node.target is _ADD else 1]:
         if not isinstance(rest, fx.Node) or not isinstance(other, fx.Node) or len(other.users) != 1:
             continue
-        if shape(rest) is None or not _same_type(values, rest, other):
+        a, b = values.get(rest), values.get(other)
+        if not (isinstance(a, Tensor) and isinstance(b, Tensor) and a.dtype == b.dtype):
             continue
         if other.target is _MUL and isinstance(other.args[1], (int, float)):
             node.args, node.kwargs = (rest, other.args[0]), {"alpha": other.args[1]}
             return
         if other.target is _MM and node.target is _ADD and shape(other) == shape(node):
-            node.target, node.args = _aten_op.addmm.default, (rest, *other.args)
+            node.target, node.args = _aten.addmm.default, (rest, *other.args)
             return
-
-
-def _same_type(values: Mapping[fx.Node, object], a: fx.Node, b: fx.Node) -> bool:
-    of_a, of_b = values.get(a), values.get(b)
-    return isinstance(of_a, Tensor) and isinstance(of_b, Tensor) and of_a.dtype == of_b.dtype
 
 
 def _parts(cat: fx.Node) -> list[fx.Node]:
@@ -148,7 +141,6 @@ def _parts(cat: fx.Node) -> list[fx.Node]:
     return list(parts)
 
 
-_aten = torch.ops.aten
 _SAME = {_aten.alias.default, _aten.detach.default, _aten.lift_fresh_copy.default, _aten.clone.default}
 """Give their argument back, in a graph that changes no tensor in place."""
 _FILLED = {
@@ -164,32 +156,29 @@ _FOLDED = "folded_"
 def graph_of(
     function: Callable[..., Sequence[Tensor]], example: Sequence[Tensor], *, few: bool = True
 ) -> fx.GraphModule:
-    """A function as a graph of torch's operations.
+    """A function of tensors, without branches on their values, as a graph of torch's operations.
 
     Args:
-        function: From tensors to tensors, without branches on their values.
+        function: The function.
         example: Arguments, whose shapes and types are fixed.
         few: Write it with as few operations as there can be; else as the function is.
-
-    Returns:
-        A module of the same arguments, which returns a tuple.
     """
 
     def run(*arguments: Tensor) -> tuple[Tensor, ...]:
         return tuple(function(*arguments))
 
     with torch.no_grad():
-        if few:
+        if not few:
+            made = make_fx(run)(*example)
+            made.graph = fx_graph_cse(made.graph)
+            made.graph.eliminate_dead_code()
+        else:
             with few_operations():
                 made = make_fx(run)(*example)
             size = 0
             while size != len(made.graph.nodes):
                 size = len(made.graph.nodes)
                 _fold(made, example)
-        else:
-            made = make_fx(run)(*example)
-            made.graph = fx_graph_cse(made.graph)
-            made.graph.eliminate_dead_code()
     made.recompile()
     return made
 
@@ -204,14 +193,14 @@ def _fold(module: fx.GraphModule, example: Sequence[Tensor]) -> None:
     for node in list(graph.nodes):
         if node.op == "get_attr":
             constant.add(node)
-            known[node] = _attribute(module, node)
+            known[node] = own_value = _attribute(module, node)
             if not str(node.target).startswith(_FOLDED):
                 # a copy: tensors of the model are shared by stages, and constants of a graph are its own
-                own = _replace_by_constant(module, node, _attribute(module, node), constant)
-                known[own] = known[node]
+                own = _replace_by_constant(module, node, own_value, constant)
+                known[own] = own_value
                 seen.setdefault(_content(_attribute(module, own)), own)
                 continue
-            same = seen.setdefault(_content(_attribute(module, node)), node)
+            same = seen.setdefault(_content(own_value), node)
             if same is not node:
                 node.replace_all_uses_with(same)
                 graph.erase_node(node)
@@ -236,8 +225,8 @@ def _fold(module: fx.GraphModule, example: Sequence[Tensor]) -> None:
             graph.erase_node(node)
         elif (
             node.target is getitem
-            and inputs[0].target is _aten.split_with_sizes.default
-            and _same_shape(known[inputs[0].all_input_nodes[0]], value)
+            and inputs[0].target is _SPLIT
+            and getattr(known[inputs[0].all_input_nodes[0]], "shape", None) == value.shape
         ):
             # the one part of a table cut into one
             node.replace_all_uses_with(inputs[0].all_input_nodes[0])
@@ -265,9 +254,8 @@ def _fold(module: fx.GraphModule, example: Sequence[Tensor]) -> None:
 def _replace_by_constant(
     module: fx.GraphModule, node: fx.Node, value: Tensor, constant: set[fx.Node]
 ) -> fx.Node:
-    name = next(
-        f"folded_{k}" for k in range(len(module._buffers) + 1) if f"folded_{k}" not in module._buffers
-    )
+    names = (f"{_FOLDED}{k}" for k in range(len(module._buffers) + 1))
+    name = next(name for name in names if name not in module._buffers)
     module.register_buffer(name, value.clone().contiguous())
     with module.graph.inserting_before(node):
         new = module.graph.get_attr(name)
@@ -285,18 +273,12 @@ def _is_nothing(node: fx.Node, before: object, after: Tensor) -> bool:
         return before.stride() == after.stride()
     if before.shape != after.shape:
         return False
-    if node.target in (*_SHAPED, _aten.expand.default):
+    if node.target in (*_SHAPED, _aten.expand.default, _aten.slice.Tensor):
         return True
     if node.target is _aten.permute.default:
         order: Any = node.args[1]
         return all(before.shape[k] == 1 or k == place for place, k in enumerate(order))
-    if node.target is _aten.slice.Tensor:
-        return True
-    return node.target in (_aten.mul.Tensor, _aten.div.Tensor) and node.args[1] in (1, 1.0)
-
-
-def _same_shape(before: object, after: Tensor) -> bool:
-    return isinstance(before, Tensor) and before.shape == after.shape
+    return node.target in (_MUL, _aten.div.Tensor) and node.args[1] in (1, 1.0)
 
 
 def _attribute(module: fx.GraphModule, node: fx.Node) -> Tensor:

@@ -1,17 +1,68 @@
-"""TorchScript, in one place: torch deprecates it and says so at every call, and files of it are what libtorch loads."""
+"""TorchScript, in one place: graphs of the stages of the step, and the loops between them in its own language.
+
+The loops are those of `step.run`. Interpreting a graph costs 1 to 2 us an operation, whatever its size. torch
+deprecates TorchScript and says so at every call, and files of it are what libtorch loads.
+"""
 
 from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from dataclasses import asdict
 
 import torch
-from torch import Tensor, fx
+from torch import Tensor
+
+from nsde_torch.export.layout import step_outputs
+from nsde_torch.export.step import ExportedStep
 
 Function = Callable[..., Sequence[Tensor]]
+_STEP = """
+def step(self, state: Tensor, valid: Tensor, elapsed: Tensor, reference: Tensor, last: Tensor, push: Tensor,
+         memory: Tensor, before: Tensor) -> {results}:
+    z0, start_u, start_z, ref, now, d, head, trouble = self.begin(
+        state, valid, elapsed, reference, last, push, memory, before)
+    u = start_u
+    z = start_z
+    cost = self.infinite
+    gap = self.infinite
+    iterations = 0
+    if bool(trouble < 0.5):
+        if bool(head[0] < 0.5):
+            _, z, _, _ = self.finish(z0, u, ref, now, d, self.no_step, self.nothing)
+        going = True
+        while going:
+            hessian, gradient, low, high, value, best, least = self.prepare(z0, u, z, ref, now, d)
+            step = self.no_step
+            slope = gradient
+            change = 0
+            changing = True
+            while changing:
+                step, slope, best, least, left = self.active_set(
+                    hessian, gradient, low, high, value, step, slope, best, least)
+                change += 1
+                changing = change < {changes} and not bool(left <= {left!r})
+            u, z, cost, gap = self.finish(z0, u, ref, now, d, best, least)
+            iterations += 1
+            going = iterations < {iterations} and not bool(gap <= {tolerance!r})
+    return self.end(u, z, cost, gap, self.counts[iterations], z0, start_u, start_z, head, trouble)
+"""
+_FINISH = """
+def finish(self, z0: Tensor, u: Tensor, ref: Tensor, now: Tensor, d: Tensor, step: Tensor,
+           least: Tensor) -> Tuple[Tensor, Tensor, Tensor, Tensor]:
+    tried, by_step, row, noise = self.tries(z0, u, step)
+    states = [row]
+    for own, increment in zip(by_step.unbind(0), noise.unbind(0)):
+        row = self.advance(row, own, d, increment)
+        states.append(row)
+    return self.choose(torch.stack(states, 1), tried, ref, now, least)
+"""
+_PREDICT = """
+def predict(self, z: Tensor, u: Tensor, push: Tensor) -> Tuple[Tensor]:
+    return self.foresee(z, u, push)
+"""
 
 
 @contextmanager
@@ -24,44 +75,40 @@ def _quiet() -> Iterator[None]:
         yield
 
 
-def traced(graph: fx.GraphModule, example: Sequence[Tensor]) -> Any:
-    """A graph as a TorchScript module of the same arguments and results."""
-    with _quiet(), torch.no_grad():
-        return torch.jit.trace(graph.eval(), tuple(example), check_trace=False)
+def scripted(step: ExportedStep) -> bytes:
+    """The bytes of a file with the step as a frozen module of the methods `step` and `predict` (see `layout`)."""
+    from nsde_torch.export.graph import (
+        graph_of,  # with torch's tracer, which those who load a file do without
+    )
 
-
-def assembled(
-    parts: Mapping[str, Any], tensors: Mapping[str, Tensor], source: Sequence[str], methods: Sequence[str]
-) -> Any:
-    """A frozen TorchScript module of parts, tensors and methods written in its language.
-
-    Args:
-        parts: Modules, by the name that the methods call them by.
-        tensors: Constants.
-        source: Methods.
-        methods: Names of those that stay.
-    """
+    buffer, examples, s = io.BytesIO(), step.examples(), step.sizes
+    results = f"Tuple[{', '.join(['Tensor'] * len(step_outputs(s)))}]"
+    tensors = {
+        "infinite": torch.full((1,), torch.inf, dtype=step.dtype),
+        "no_step": torch.zeros(1, s.steps * s.nu, dtype=step.dtype),
+        "nothing": torch.zeros(1, dtype=step.dtype),
+        "counts": torch.arange(step.loops.iterations + 1, dtype=torch.float64),
+    }
     with _quiet(), torch.no_grad():
 
         class Assembly(torch.jit.ScriptModule):
             def __init__(self) -> None:
                 super().__init__()
-                for name, part in parts.items():
-                    setattr(self, name, part)
+                for name, example in examples.items():
+                    graph = graph_of(step.stage(name), example)
+                    if name == "advance":  # its one result is returned as it is and not as a tuple
+                        (output,) = (n for n in graph.graph.nodes if n.op == "output")
+                        output.args = (output.args[0][0],)
+                        graph.recompile()
+                    part = torch.jit.trace(graph.eval(), tuple(example), check_trace=False)
+                    setattr(self, "foresee" if name == "predict" else name, part)
                 for name, tensor in tensors.items():
                     self.register_buffer(name, tensor)
-                for text in source:
+                for text in (_FINISH, _STEP.format(**asdict(step.loops), results=results), _PREDICT):
                     self.define(text)
 
-        made = Assembly().eval()
-        return torch.jit.freeze(made, preserved_attrs=list(methods))
-
-
-def saved(module: Any) -> bytes:
-    """The bytes of a file that holds a module."""
-    buffer = io.BytesIO()
-    with _quiet():
-        torch.jit.save(module, buffer)
+        made = torch.jit.freeze(Assembly().eval(), preserved_attrs=["step", "predict"])
+        torch.jit.save(made, buffer)
     return buffer.getvalue()
 
 

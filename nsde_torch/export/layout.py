@@ -9,7 +9,6 @@ to world. `after` is what the next step takes as `before`; the first step takes 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from nsde_torch.control.controller import (
     BAD_REFERENCE,
@@ -55,23 +54,12 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Entry:
-    """One tensor.
+    """One tensor."""
 
-    Args:
-        name: What it is called.
-        shape: Its axes.
-        unit: Unit, or one per column.
-        help: What it is.
-    """
-
-    name: str
-    shape: tuple[int, ...]
-    unit: str
-    help: str
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain containers."""
-        return {"name": self.name, "shape": list(self.shape), "unit": self.unit, "help": self.help}
+    name: str  # what it is called
+    shape: tuple[int, ...]  # its axes
+    unit: str  # its unit, or one per column
+    help: str  # what it is
 
 
 _STATE = "m, m/s, 1, rad/s"

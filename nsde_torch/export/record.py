@@ -7,9 +7,9 @@ import json
 import os
 import platform
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
-from math import inf, isinf
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from nsde_torch.control.solve import SolverOptions
 from nsde_torch.errors import ExportError
 from nsde_torch.export.layout import (
     STATUS,
+    Entry,
     predict_inputs,
     predict_outputs,
     step_inputs,
@@ -38,15 +39,10 @@ TORCHSCRIPT, AOTI, C = "torchscript", "aoti", "c"
 def record_of(
     step: ExportedStep, known: Model | System, *, kind: str, run: Path | None, period: float, latency: float
 ) -> dict[str, Any]:
-    """The record.
+    """What a controller is made of and what it was tuned for.
 
-    Args:
-        step: What is exported.
-        known: What the controller knows of the machine.
-        kind: Form of the file.
-        run: Run directory of the model; None for declared physics.
-        period: Time between steps that it was tuned for [s].
-        latency: Time from a measurement to the effect of the command that follows from it [s], that it was tuned for.
+    That is the time between steps, `period` [s], and that from a measurement to the effect of the command that follows
+    from it, `latency` [s]. The run directory of a model gives its hashes; None for declared physics.
     """
     system = known if isinstance(known, System) else known.system
     s = step.sizes
@@ -63,22 +59,20 @@ def record_of(
         "step_s": step.options.dt,
         "latency_s": latency,
         "sizes": asdict(s),
-        "step": {
-            "inputs": [e.as_dict() for e in step_inputs(s)],
-            "outputs": [e.as_dict() for e in step_outputs(s)],
-        },
-        "predict": {
-            "inputs": [e.as_dict() for e in predict_inputs(s)],
-            "outputs": [e.as_dict() for e in predict_outputs(s)],
-        },
+        "step": {"inputs": _listed(step_inputs(s)), "outputs": _listed(step_outputs(s))},
+        "predict": {"inputs": _listed(predict_inputs(s)), "outputs": _listed(predict_outputs(s))},
         "status": list(STATUS),
         "loops": asdict(step.loops),
         "hover": step.hover_u[0, 0].double().tolist(),
         "ports": {port.value: width for port, width in step.predictor.ports.items()},
         "state_names": list(system.state_names),
         "input_names": list(system.input_names),
-        "problem": _plain(asdict(step.options)),
-        "solver": {"name": "gauss_newton", "iterations": step.iterations, "tolerance": step.tolerance},
+        "problem": {k: None if v == inf else v for k, v in asdict(step.options).items()},
+        "solver": {
+            "name": "gauss_newton",
+            "iterations": step.loops.iterations,
+            "tolerance": step.loops.tolerance,
+        },
         "safety": asdict(step.safety),
         "model": {
             "spec": None if isinstance(known, System) else known.spec.as_dict(),
@@ -87,6 +81,10 @@ def record_of(
             **hashes(known, run),
         },
     }
+
+
+def _listed(entries: Sequence[Entry]) -> list[dict[str, Any]]:
+    return [asdict(entry) for entry in entries]
 
 
 def hashes(known: Model | System, run: Path | None) -> dict[str, str]:
@@ -165,7 +163,3 @@ def _series(text: str) -> tuple[str, ...]:
 
 def _processor() -> str:
     return f"{platform.system()} {platform.machine()} {torch.backends.cpu.get_cpu_capability()}"
-
-
-def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    return {k: None if isinstance(v, float) and isinf(v) else v for k, v in values.items()}

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from nsde_torch.control.controller import Controller, Plan
-from nsde_torch.control.gauss_newton import LEFT, GaussNewton
+from nsde_torch.control.gauss_newton import CHANGES, LEFT, GaussNewton
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import _repeat
 from nsde_torch.errors import ConfigError
@@ -35,19 +35,12 @@ WHOLE = ("begin", "prepare", "active_set", "finish", "end", "predict")
 
 @dataclass(frozen=True)
 class Loops:
-    """What the loops between the stages go by.
+    """What the loops between the stages go by."""
 
-    Args:
-        changes: Most changes of the active set in an iteration.
-        left: Share of the quadratic's saving that an iteration may leave.
-        iterations: Most iterations.
-        tolerance: Share of the cost that may be left.
-    """
-
-    changes: int
-    left: float
-    iterations: int
-    tolerance: float
+    changes: int  # most changes of the active set in an iteration
+    left: float  # share of the quadratic's saving that an iteration may leave
+    iterations: int  # most iterations
+    tolerance: float  # share of the cost that may be left
 
 
 @final
@@ -59,8 +52,7 @@ class ExportedStep(nn.Module):
         sample: Predicts the state over a sample of the fine grid of time.
 
     Attributes:
-        sizes, iterations, changes, left, tolerance: Sizes; most iterations and changes of the active set; what may be
-            left by them.
+        sizes, loops: Sizes, and what the loops between the stages go by.
 
     Raises:
         ConfigError: a controller of several machines, or with a solver that cannot be exported.
@@ -82,11 +74,9 @@ class ExportedStep(nn.Module):
             controller.options,
         )
         self.dtype, self._system = controller.predictor.dtype, system
-        p, o = self.predictor, self.options
+        p, o, solver = self.predictor, self.options, controller.solver.options
         self.sizes = Sizes(p.nx, p.nu, p.nz, p.nd, o.steps, o.particles)
-        self.iterations = controller.solver.options.iterations
-        self.tolerance, self.left = controller.solver.options.tolerance, LEFT
-        self.changes = method.active_set_steps
+        self.loops = Loops(CHANGES, LEFT, solver.iterations, solver.tolerance)
         self.hover_u: Tensor
         self.hover_z: Tensor
         still = controller.hovering()
@@ -211,7 +201,7 @@ class ExportedStep(nn.Module):
         safe = (trouble < 0.5) & torch.isfinite(cost).all() & torch.isfinite(found_u).all()
         trouble = torch.where(trouble < 0.5, float(len(TROUBLES)), trouble)
         usable = (head[KNOWN] > 0.5) & (head[AGE].to(self.dtype) <= self.safety.keep)
-        good = (gap[0] > self.tolerance).to(dtype)  # 0: converged, 1: improved
+        good = (gap[0] > self.loops.tolerance).to(dtype)  # 0: converged, 1: improved
         good = torch.where(torch.isnan(gap[0]), 1.0, good)
         status = torch.where(safe, good, 2.0 * trouble + 1.0 - usable.to(dtype))
         rest_z = torch.where(
@@ -262,11 +252,7 @@ class ExportedStep(nn.Module):
     # ---- what is between them ---------------------------------------------------------------------------
 
     def examples(self, names: Sequence[str] = STAGES) -> dict[str, list[Tensor]]:
-        """Arguments of stages, of the shapes and types that they are run with.
-
-        Args:
-            names: `STAGES` or `WHOLE`.
-        """
+        """Arguments of stages (`STAGES` or `WHOLE`), of the shapes and types that they are run with."""
         seen: dict[str, list[Tensor]] = {}
 
         def watched(name: str) -> Stage:
@@ -295,16 +281,6 @@ class ExportedStep(nn.Module):
         made["last"].fill_(torch.nan)
         made["memory"].fill_(torch.nan)
         return list(made.values())
-
-    @property
-    def loops(self) -> Loops:
-        """The numbers that the loops between the stages go by."""
-        return Loops(
-            changes=self.changes,
-            left=self.left,
-            iterations=self.iterations,
-            tolerance=self.tolerance,
-        )
 
     def run(self, stages: Mapping[str, Stage], *given: Tensor) -> tuple[Tensor, ...]:
         """The step, in Python: see `run`."""
@@ -370,12 +346,7 @@ def _composed(stages: Mapping[str, Stage]) -> Stage:
 
 
 def packed(plan: Plan, jumped: float) -> Tensor:
-    """A plan of one machine as the `before` of a step.
-
-    Args:
-        plan: The plan.
-        jumped: How many samples have jumped.
-    """
+    """A plan of one machine as the `before` of a step, with how many samples have jumped."""
     head = torch.stack((torch.ones(()), plan.age[0], torch.tensor(jumped), plan.cost[0], plan.gap[0]))
     return torch.cat([part.double().flatten() for part in (head, plan.u, plan.z)])
 

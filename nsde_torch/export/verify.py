@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import resource
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from torch import Tensor
 
 from nsde_torch.control.autopilots import PredictivePilot
 from nsde_torch.control.controller import Controller, Plan
+from nsde_torch.control.loop import percentiles
 from nsde_torch.control.reference import Reference
 from nsde_torch.errors import DataError
 from nsde_torch.export.exported import ExportedController
@@ -37,36 +38,22 @@ _EVERY = 50
 
 @dataclass
 class Verification:
-    """What was found.
+    """What was found."""
 
-    Args:
-        states: States that both were given.
-        worst: Largest difference of inputs.
-        differing: Samples whose status differs, with both words.
-        words: Status words of the file and how often they came.
-        cost_ratio: Largest ratio of the costs of both, minus one, in size.
-        adversarial: Adversarial states.
-        unsafe: Of these, answers that were not finite or not within bounds, in words.
-        wall_ms, cpu_ms: Times of steps over the states, sorted; of the clock, and of the processor for this thread.
-        memory_mb: Memory of the process before and after loading the file and stepping, its largest resident size.
-        allowed: Largest difference of inputs that passes.
-        estimated: States that both were given with their estimators, each with its own plans before.
-        estimated_worst: Largest difference of inputs there.
-    """
-
-    states: int = 0
-    worst: float = 0.0
-    differing: list[str] = field(default_factory=list)
-    words: dict[str, int] = field(default_factory=dict)
-    cost_ratio: float = 0.0
-    adversarial: int = 0
-    unsafe: list[str] = field(default_factory=list)
-    wall_ms: list[float] = field(default_factory=list)
-    cpu_ms: list[float] = field(default_factory=list)
+    states: int = 0  # states that both were given
+    worst: float = 0.0  # largest difference of inputs
+    differing: list[str] = field(default_factory=list)  # samples whose status differs, with both words
+    words: dict[str, int] = field(default_factory=dict)  # status words of the file and how often they came
+    cost_ratio: float = 0.0  # largest ratio of the costs of both, minus one, in size
+    adversarial: int = 0  # adversarial states
+    unsafe: list[str] = field(default_factory=list)  # of their answers, those not finite or not within bounds
+    wall_ms: list[float] = field(default_factory=list)  # times of steps over the states, of the clock
+    cpu_ms: list[float] = field(default_factory=list)  # the same of the processor for this thread
     memory_mb: tuple[float, float] = (0.0, 0.0)
-    allowed: float = TOLERANCE
-    estimated: int = 0
-    estimated_worst: float = 0.0
+    """Largest resident size of the process before and after loading the file and stepping."""
+    allowed: float = TOLERANCE  # largest difference of inputs that passes
+    estimated: int = 0  # states that both were given with their estimators, each with its own plans before
+    estimated_worst: float = 0.0  # largest difference of inputs there
 
     @property
     def passed(self) -> bool:
@@ -94,24 +81,16 @@ class Verification:
         }
 
 
-def percentiles(times: Sequence[float]) -> dict[str, float]:
-    """p50, p90, p99, p99.9 and the largest."""
-    if not times:
-        return {}
-    out = {f"p{p:g}": float(np.percentile(times, p)) for p in (50, 90, 99, 99.9)}
-    return {**out, "max": float(max(times))}
-
-
-def histogram(times: Sequence[float], *, width: int = 40, bins: int = 12) -> str:
-    """Times [ms] in lines of text, bins in equal ratios."""
+def histogram(times: Sequence[float]) -> str:
+    """Times [ms] in twelve lines of text, in equal ratios."""
     if not times:
         return ""
     low, high = min(times), max(max(times), 1.01 * min(times))
-    edges = np.geomspace(low, high, bins + 1)
+    edges = np.geomspace(low, high, 13)
     counts, _ = np.histogram(np.clip(times, low, high), edges)
     most = max(int(counts.max()), 1)
     rows = zip(edges[:-1], edges[1:], counts, strict=True)
-    return "\n".join(f"  {a:8.3f} to {b:8.3f} ms {n:6d} {'#' * round(width * n / most)}" for a, b, n in rows)
+    return "\n".join(f"  {a:8.3f} to {b:8.3f} ms {n:6d} {'#' * round(40 * n / most)}" for a, b, n in rows)
 
 
 def compare(
@@ -121,17 +100,10 @@ def compare(
     out: Verification,
     *,
     elapsed: float,
-    progress: Callable[[int], None] | None = None,
 ) -> None:
-    """Give both the same states and plans before, sample after sample.
+    """Give a file and what it was made of the same states (nx,), references (K, nx) and plans before.
 
-    Args:
-        exported: The file.
-        controller: What it was made of.
-        samples: State (nx,) and reference (K, nx) of each.
-        out: What is found is added here.
-        elapsed: Time between samples [s].
-        progress: Called with the number of the sample.
+    What is found is added to `out`; `elapsed` is the time between samples [s].
     """
     before: Plan | None = None
     for k, (state, reference) in enumerate(samples):
@@ -154,8 +126,6 @@ def compare(
         if bool(torch.isfinite(theirs.cost)):
             out.cost_ratio = max(out.cost_ratio, abs(float(ours.cost / theirs.cost) - 1.0))
         before = theirs
-        if progress is not None:
-            progress(k)
 
 
 def compare_estimators(
@@ -163,11 +133,8 @@ def compare_estimators(
 ) -> None:
     """Give both the same measured states, each with the disturbances that it estimates and with its own plans before.
 
-    Args:
-        exported: A file that holds its estimator.
-        pilot: The controller that it was made of, with the estimator and the latency of its record.
-        states: Measured states (nx,) along the pilot's reference, a period apart, from `_START` on.
-        out: What is found is added here.
+    The states (nx,) lie along the reference of the pilot, which has the estimator and the latency of the file's record,
+    a period apart and from `_START` on.
     """
     inside, o = exported.pilot, exported.options
     assert inside is not None
@@ -203,12 +170,7 @@ def along(
 ) -> list[tuple[Tensor, Tensor]]:
     """States along a reference, off it by the errors of a flight, which last for a while, and the references ahead.
 
-    Args:
-        reference: Where to fly.
-        count: How many.
-        dt, steps: Grid of the plans.
-        period: Time between states [s].
-        seed: Seed of the errors.
+    `dt` [s] and `steps` are the grid of the plans, and `period` is the time between states [s].
     """
     g = torch.Generator().manual_seed(seed)
     size = torch.tensor([*(0.06,) * 3, *(0.15,) * 3, *(0.05,) * 3, *(0.3,) * 3], dtype=torch.float64)
@@ -235,15 +197,9 @@ def logged(
     period: float,
     names: Sequence[str],
 ) -> list[tuple[Tensor, Tensor]]:
-    """States of a flight that `nsde track` logged, and the references ahead.
+    """States of a flight that `nsde track` logged, `count` at most, and the references ahead; see `along`.
 
-    Args:
-        file: CSV file with the time `t` in the reference and the states.
-        reference: Where it was flown.
-        count: How many at most.
-        dt, steps: Grid of the plans.
-        period: Time between states [s].
-        names: Columns of the state.
+    The CSV file has the time `t` in the reference, and the states in columns of these names.
 
     Raises:
         DataError: no such file, or columns that are not there.
@@ -267,36 +223,21 @@ def logged(
     return out
 
 
-def warm(exported: ExportedController, *, steps: int = 5) -> None:
+def warm(exported: ExportedController) -> None:
     """Some steps from hovering, so that what is timed later is none of a cold start."""
     s, before = exported.sizes, None
     x = torch.zeros(1, s.nx, dtype=torch.float64)
     x[:, 6] = 1.0
-    for _ in range(steps):
+    for _ in range(5):
         before = exported.plan(x, x[:, None].repeat(1, s.steps, 1), before, elapsed=exported.options.dt)
         exported.predictor(before.z[0, 0, :1], before.u[0, :1], torch.zeros(1, s.nd))
 
 
 @torch.no_grad()
 def attack(
-    exported: ExportedController,
-    reference: Reference,
-    count: int,
-    out: Verification,
-    *,
-    seed: int = 1,
-    progress: Callable[[int], None] | None = None,
+    exported: ExportedController, reference: Reference, count: int, out: Verification, *, seed: int = 1
 ) -> None:
-    """Give a file numbers that no sensor should send, and look at every answer.
-
-    Args:
-        exported: The file.
-        reference: What sound numbers are taken from.
-        count: How many.
-        out: What is found is added here.
-        seed: Seed.
-        progress: Called with the number of the sample.
-    """
+    """Give a file numbers that no sensor should send, near sound ones along a reference, and look at every answer."""
     g, s, o = torch.Generator().manual_seed(seed), exported.sizes, exported.options
 
     def draw(*shape: int) -> Tensor:
@@ -356,8 +297,6 @@ def attack(
             out.unsafe.append(f"sample {k}: {wrong}")
             before = torch.zeros_like(before)
         out.adversarial += 1
-        if progress is not None:
-            progress(k)
 
 
 def unsafe(answer: Sequence[Tensor], low: float, high: float) -> str | None:

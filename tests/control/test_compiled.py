@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from nsde_torch.control.autopilots import Estimator, EstimatorOptions, PredictivePilot
-from nsde_torch.control.codegen import library, scalar
-from nsde_torch.control.codegen.library import compiler
+from nsde_torch.control.codegen import scalar
+from nsde_torch.control.codegen.library import compiler, library
 from nsde_torch.control.compiled import compiled_estimator
 from nsde_torch.control.controller import Controller
 from nsde_torch.control.gauss_newton import GaussNewton
@@ -114,32 +114,17 @@ def test_a_solver_of_single_precision_gets_and_gives_it(model: NeuralSDE, path: 
 
 
 @needs_compiler
-@pytest.mark.parametrize("deadline", [3.0, 10.0])
-def test_deadlines_end_a_solve_after_the_same_iteration(
-    declared: System, path: Reference, deadline: float
+def test_a_problem_that_is_no_number_leaves_none_in_the_next(
+    declared: System, path: Reference, tmp_path: Path
 ) -> None:
     h = horizon_of(declared, **SMALL)
     p = problem_of(h, path, rows=1)
     u = p.last[:, None].repeat(1, h.steps, 1)
-    found = []
-    for how in ("on", "off"):
-        now = iter(range(1000))
-        options = SolverOptions(compile=how, iterations=50, tolerance=0.0, deadline=deadline)
-        found.append(
-            Solver(h, options, clock=lambda now=now: next(now)).solve(p, u, h.rollout(p.z0, u, p.d))  # type: ignore[misc]
-        )
-    fast, plain = found
-    assert (len(fast.costs), fast.seconds, fast.in_time) == (len(plain.costs), plain.seconds, plain.in_time)
-    assert _near(fast.u, plain.u, 1e-8)
-
-
-@needs_compiler
-def test_a_problem_that_is_no_number_leaves_none_in_the_next(declared: System, path: Reference) -> None:
-    h = horizon_of(declared, **SMALL)
-    p = problem_of(h, path, rows=1)
-    u = p.last[:, None].repeat(1, h.steps, 1)
     z = h.rollout(p.z0, u, p.d)
-    solver = Solver(h, SolverOptions(compile="on"))
+    said: list[str] = []
+    solver = Solver(h, SolverOptions(compile="on", cache=str(tmp_path)), say=said.append)
+    assert "compiled gauss_newton" in said[0]
+    assert len(list(tmp_path.iterdir())) == 1
     first = solver.solve(p, u, z)
     for bad in (p._replace(z0=p.z0 * torch.nan), p._replace(ref=p.ref * torch.inf)):
         found = solver.solve(bad, u, z)
@@ -214,67 +199,60 @@ def test_a_flight_of_a_compiled_controller_is_that_of_torch(declared: System, pa
 # ---- libraries ------------------------------------------------------------------------------------------
 
 
+def _library(source: str, made_of: object, folder: Path, said: list[str]) -> set[str]:
+    library(lambda: source, made_of, "tiny", folder=folder, say=said.append)
+    return {file.name for file in folder.iterdir()}
+
+
+ONE, TWO = (f"int nsde_number(void) {{ return {k}; }}\n" for k in (1, 2))
+
+
 @needs_compiler
 def test_a_library_is_made_once_for_a_problem_and_anew_for_another_or_a_damaged_one(
-    declared: System, tmp_path: Path
+    declared: System, model: NeuralSDE, tmp_path: Path, root: Path
 ) -> None:
     said: list[str] = []
-
-    def make(**options: object) -> None:
-        h = horizon_of(declared, **SMALL, **options)
-        Solver(h, SolverOptions(compile="on", cache=str(tmp_path)), say=said.append)
-
-    make()
-    make()
-    (kept,) = tmp_path.iterdir()
+    h = horizon_of(declared, **SMALL)
+    (name,) = first = _library(ONE, GaussNewton(h), tmp_path, said)
+    assert _library(TWO, GaussNewton(horizon_of(declared, **SMALL)), tmp_path, said) == first
     assert len(said) == 1
-    assert "compiled gauss_newton" in said[0]
-    make(input_weight=2.0)
-    assert len(list(tmp_path.iterdir())) == 2
-    whole = kept.read_bytes()
-    kept.unlink()  # what is loaded is mapped
-    kept.write_bytes(whole[: len(whole) // 2])
-    make()
-    assert len(said) == 3
-    assert len(list(tmp_path.iterdir())) == 2
-
-
-@needs_compiler
-def test_other_weights_are_another_library_and_the_same_ones_in_another_process_the_same(
-    model: NeuralSDE, tmp_path: Path
-) -> None:
-    options = SolverOptions(compile="on", cache=str(tmp_path))
-    h = horizon_of(model, **SMALL)
-    Solver(h, options)
-    assert h.predictor._residual is not None
-    h.predictor._residual.weight_1[0, 0] += 0.1
-    Solver(h, options)
-    assert len(list(tmp_path.iterdir())) == 2
-    code = (
-        "from nsde_torch.control.codegen.library import _content\n"
-        "from nsde_torch.control.gauss_newton import GaussNewton\n"
-        "from nsde_torch.systems import make_system\n"
-        "from tests.helpers.control_problems import PAID, horizon_of\n"
-        "print(_content(GaussNewton(horizon_of(make_system('hexacopter', effects=['motor_lag'])))).hex())"
+    assert "compiled tiny" in said[0]
+    assert (
+        len(_library(ONE, GaussNewton(horizon_of(declared, **SMALL, input_weight=2.0)), tmp_path, said)) == 2
     )
-    words = [sys.executable, "-c", code]
-    made = {
-        subprocess.run(
-            words, capture_output=True, text=True, check=True, env={**os.environ, "PYTHONHASHSEED": seed}
-        ).stdout
-        for seed in ("1", "2")
-    }
-    assert len(made) == 1
+    whole = (tmp_path / name).read_bytes()
+    (tmp_path / name).unlink()  # what is loaded is mapped
+    (tmp_path / name).write_bytes(whole[: len(whole) // 2])
+    assert len(_library(ONE, GaussNewton(h), tmp_path, said)) == 2
+    assert len(said) == 3
+    with_networks = Predictor(model, dt=0.05)
+    assert len(_library(ONE, with_networks, tmp_path, said)) == 3
+    next(buffer for key, buffer in with_networks.named_buffers() if key.endswith("weight_1"))[0, 0] += 0.1
+    made = _library(ONE, with_networks, tmp_path, said)
+    assert len(made) == 4
+    code = (
+        "import sys\nfrom pathlib import Path\n"
+        "from nsde_torch.control.gauss_newton import GaussNewton\n"
+        "from nsde_torch.systems import make_plant_system\n"
+        "from tests.control.test_compiled import ONE, SMALL, _library\n"
+        "from tests.helpers.control_problems import horizon_of\n"
+        "known = make_plant_system('hexacopter', declared_only=True)\n"
+        "_library(ONE, GaussNewton(horizon_of(known, **SMALL)), Path(sys.argv[1]), [])"
+    )
+    environment = {**os.environ, "PYTHONHASHSEED": "2"}
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=True, env=environment, cwd=root)
+    assert {file.name for file in tmp_path.iterdir()} == made
 
 
 class _OfAUser(Effect):
     """Of a module that is none of the package's."""
 
 
-def test_what_a_user_wrote_is_known_by_the_source_that_it_makes(declared: System) -> None:
-    method = GaussNewton(horizon_of(declared, **SMALL))
-    assert library._content(method) is not None
-    assert library._content([method, _OfAUser]) is None
+@needs_compiler
+def test_what_a_user_wrote_is_known_by_the_source_that_it_makes(tmp_path: Path) -> None:
+    assert len(_library(ONE, _OfAUser, tmp_path, [])) == 1
+    assert len(_library(ONE, _OfAUser, tmp_path, [])) == 1
+    assert len(_library(TWO, _OfAUser, tmp_path, [])) == 2
 
 
 def test_without_a_compiler_the_solver_says_so_and_runs(

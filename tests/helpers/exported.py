@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
+import pytest
 import torch
 from torch import Tensor
 
@@ -12,6 +13,7 @@ from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.solve import SolverOptions
+from nsde_torch.export.layout import STATUS
 from nsde_torch.export.step import ExportedStep, packed
 from nsde_torch.models import NeuralSDE
 from nsde_torch.systems import System
@@ -96,3 +98,21 @@ def flight(controller: Controller, path: Reference) -> Iterator[tuple[list[Tenso
         plan = controller.plan(x, ref, before, elapsed=elapsed, last=last, push=push)
         yield arguments, plan
         before = plan
+
+
+def word_of(answer: Sequence[Tensor], plan: Plan, *, most: float) -> str:
+    """The status of a step's answer, which is that of a plan, as its numbers are."""
+    word = STATUS[int(answer[7])]
+    assert word == plan.status[0]
+    assert torch.allclose(answer[0], plan.u[0], atol=most)
+    assert torch.allclose(answer[4], plan.x[0], atol=most)
+    assert torch.equal(answer[1], answer[4][1, 10:13])
+    assert float(answer[2]) == pytest.approx(float(plan.u[0, 0].mean()))
+    assert int(answer[8]) == plan.iterations
+    return word
+
+
+def all_kinds(words: set[str]) -> bool:
+    """Whether a flight had a plan and every kind of trouble."""
+    trouble = {"bad_state:kept", "bad_state:hover", "bad_reference:kept", "state_jump:kept"}
+    return trouble < words and bool(words & {"converged", "improved"})

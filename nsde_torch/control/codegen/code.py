@@ -133,11 +133,8 @@ class _Body:
     def count(self, outputs: Iterable[Number]) -> None:
         """Look at how often each scalar is used."""
         outputs = list(outputs)
-        for x in scalar.in_order(outputs):
-            for a in x.args:
-                if isinstance(a, Scalar):
-                    self._uses[id(a)] = self._uses.get(id(a), 0) + 1
-        for x in outputs:
+        used = [a for x in scalar.in_order(outputs) for a in x.args]
+        for x in (*used, *outputs):
             if isinstance(x, Scalar):
                 self._uses[id(x)] = self._uses.get(id(x), 0) + 1
 

@@ -48,11 +48,6 @@ def compiler() -> str | None:
 def compiled(source: Path, made: Path, flags: Sequence[str]) -> None:
     """Compile a file to a library.
 
-    Args:
-        source: The file.
-        made: The library.
-        flags: How.
-
     Raises:
         NoCompiler: there is no C compiler, or it refuses.
     """
@@ -84,11 +79,11 @@ def library(
         say: Called with one line when it is compiled.
 
     Raises:
-        NoCompiler: there is no C compiler, or it refuses, or what it makes cannot be kept.
+        NoCompiler: there is no text, no C compiler, or it refuses, or what it makes cannot be kept.
     """
     level = LEVELS.get(torch.backends.cpu.get_cpu_capability())
     flags = (*FLAGS, *([f"-march={level}"] if level else []))
-    known = _content(made_of) or source().encode()
+    known = _content(made_of) or _written(source).encode()
     key = hashlib.sha256(b"\0".join((known, name.encode(), " ".join(flags).encode()))).hexdigest()[:32]
     path = cache_folder(folder) / f"{name}-{key}.so"
     if _is_whole(path):
@@ -99,7 +94,7 @@ def library(
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent) as work:
             text, made = Path(work) / f"{name}.c", Path(work) / path.name
-            text.write_text(source(), encoding="utf-8")
+            text.write_text(_written(source), encoding="utf-8")
             compiled(text, made, flags)
             content = made.read_bytes()
             made.write_bytes(content + hashlib.sha256(content).digest())
@@ -110,6 +105,14 @@ def library(
     if say is not None:
         say(f"compiled {name} in {time.perf_counter() - started:.0f} s, kept in {path.parent}")
     return built
+
+
+def _written(source: Callable[[], str]) -> str:
+    try:
+        return source()
+    except Exception as error:  # whatever a model of the user does that numbers alone cannot
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+        raise NoCompiler(reason.removesuffix(".")) from error
 
 
 def _is_whole(path: Path) -> bool:
@@ -142,7 +145,7 @@ def _content(made_of: object) -> bytes | None:
     written = io.BytesIO()
     try:
         _Digest(written).dump(made_of)
-    except (pickle.PicklingError, AttributeError, TypeError):
+    except Exception:  # whatever an object of the user does when it is written
         return None
     return hashlib.sha256(written.getvalue() + _package()).digest()
 

@@ -64,9 +64,6 @@ class Scalar:
     def __add__(self, other: Number) -> Number:
         return add(self, other)
 
-    def __radd__(self, other: Number) -> Number:
-        return add(self, other)
-
     def __sub__(self, other: Number) -> Number:
         return add(self, neg(_plain(other)))
 
@@ -76,8 +73,7 @@ class Scalar:
     def __mul__(self, other: Number) -> Number:
         return mul(self, other)
 
-    def __rmul__(self, other: Number) -> Number:
-        return mul(self, other)
+    __radd__, __rmul__ = __add__, __mul__
 
     def __truediv__(self, other: Number) -> Number:
         return div(self, other)
@@ -293,9 +289,7 @@ def jacobian(outputs: Sequence[Number], inputs: Sequence[Scalar]) -> list[dict[i
             slopes = _slopes(x)
         total: dict[int, Number] = {}
         for slope, a in zip(slopes, x.args, strict=True):
-            if isinstance(a, float):
-                continue
-            for k, part in made.get(id(a), {}).items():
+            for k, part in ({} if isinstance(a, float) else made.get(id(a), {})).items():
                 total[k] = add(total.get(k, 0.0), mul(slope, part))
         made[id(x)] = {k: v for k, v in total.items() if not (isinstance(v, float) and v == 0.0)}
     return [{} if isinstance(x, float) else made.get(id(x), {}) for x in outputs]
@@ -307,18 +301,12 @@ def jacobian(outputs: Sequence[Number], inputs: Sequence[Scalar]) -> list[dict[i
 @final
 @dataclass(eq=False)
 class Layer:
-    """An affine map, and what lies between it and the layer below.
+    """An affine map, and what lies between it and the layer below."""
 
-    Args:
-        weight, bias: (n_out, n_in), (n_out,).
-        below: The layer below; None: its inputs are any scalars.
-        activation: What is applied to the outputs of the layer below, of the scalar `PLACE`.
-    """
-
-    weight: Table
-    bias: Table
-    below: Layer | None = None
-    activation: Number = 0.0
+    weight: Table  # (n_out, n_in)
+    bias: Table  # (n_out,)
+    below: Layer | None = None  # the layer below; None: its inputs are any scalars
+    activation: Number = 0.0  # what is applied to the outputs of the layer below, of the scalar `PLACE`
 
     @property
     def chain(self) -> list[Layer]:
@@ -419,12 +407,9 @@ def run(
     *,
     dtype: torch.dtype = torch.float64,
 ) -> list[Table]:
-    """What a function of tensors makes of tables of scalars.
+    """What a function of tensors of a type makes of tables of scalars of the shapes of its arguments.
 
-    Args:
-        function: Of operations that change nothing in place, without branches on values.
-        arguments: Tables of the shapes of its arguments.
-        dtype: Type of the tensors in whose place they stand.
+    The function has operations that change nothing in place, and no branches on values.
 
     Raises:
         ExportError: it holds an operation that is not known here.
@@ -539,14 +524,6 @@ def _sigmoid(x: Table) -> Table:
     return 1.0 / (1.0 + _each("exp")(-x))
 
 
-def _same(x: Table, *_: Any, **__: Any) -> Table:
-    return x
-
-
-def _filled(x: Table, value: float) -> Table:
-    return np.full(x.shape, value, object)
-
-
 _ASKED = {"lt", "le", "gt", "ge", "eq", "ne"} | {
     f"{a}_{b}" for a in ("logical", "bitwise") for b in ("and", "or", "not")
 }
@@ -557,7 +534,9 @@ _RULES: Mapping[str, Callable[..., Any]] = {
         for n in ("sin", "cos", "tan", "exp", "expm1", "log", "log1p", "sqrt", "tanh", "abs", "atan", "acos")
     },
     **{n: _each(n) for n in ("asin", "asinh", "atan2", "sign", "floor", "where", "lt", "le", "eq")},
-    **dict.fromkeys(("alias", "clone", "detach", "_to_copy", "contiguous", "lift_fresh_copy"), _same),
+    **dict.fromkeys(
+        ("alias", "clone", "detach", "_to_copy", "contiguous", "lift_fresh_copy"), lambda x, *_, **__: x
+    ),
     **dict.fromkeys(("view", "reshape", "_unsafe_view"), lambda x, shape: x.reshape(shape)),
     **dict.fromkeys(("bitwise_and", "logical_and"), lambda a, b: a * b),
     **dict.fromkeys(("bitwise_or", "logical_or"), lambda a, b: _each("max")(a, b)),
@@ -608,11 +587,11 @@ _RULES: Mapping[str, Callable[..., Any]] = {
     "mean": lambda x, dim=None, keepdim=False, **_: (s := _sum(x, dim, keepdim)) / (x.size / s.size),
     "linalg_vector_norm": _norm,
     "linalg_cross": _cross,
-    "zeros_like": lambda x, **_: _filled(x, 0.0),
-    "ones_like": lambda x, **_: _filled(x, 1.0),
+    "zeros_like": lambda x, **_: np.full(x.shape, 0.0, object),
+    "ones_like": lambda x, **_: np.full(x.shape, 1.0, object),
     "new_zeros": lambda x, shape, **_: np.full(shape, 0.0, object),
     "new_ones": lambda x, shape, **_: np.full(shape, 1.0, object),
     "new_full": lambda x, shape, value, **_: np.full(shape, float(value), object),
-    "full_like": lambda x, value, **_: _filled(x, float(value)),
+    "full_like": lambda x, value, **_: np.full(x.shape, float(value), object),
     "scalar_tensor": lambda x, **_: np.array(float(x), object),
 }

@@ -21,6 +21,7 @@ from nsde_torch.control.codegen import scalar
 from nsde_torch.control.codegen.code import Matrix, Networks, function, number, products
 from nsde_torch.control.codegen.scalar import Number, Table
 from nsde_torch.control.gauss_newton import (
+    CHANGES,
     FACTORS,
     FIRST_STEP,
     LEFT,
@@ -48,10 +49,7 @@ def scalars(
 ) -> tuple[list[Table], list[Table]]:
     """A function of tables of one row, run on scalars: its inputs and its outputs.
 
-    Args:
-        function: From tensors (1, n) to tensors.
-        tables: Name and width n of each argument.
-        dtype: Type of the tensors.
+    `tables` are name and width n of each argument; the function is from tensors (1, n) to tensors of `dtype`.
 
     Raises:
         ExportError: it holds an operation that is not known in C.
@@ -67,14 +65,7 @@ def put(name: str, values: Iterable[Number]) -> list[tuple[str, Number]]:
 
 
 def solver(method: GaussNewton, networks: Networks) -> dict[str, str]:
-    """Parts of a file that hold an iteration of a plan along one path.
-
-    Args:
-        method: The iteration.
-        networks: Those of the file.
-
-    Returns:
-        Text by the name that a file asks for it by: SIZES, WORK, COMMON and SOLVER.
+    """Parts of a file that hold an iteration of a plan along one path, by the name that the file asks for them by.
 
     Raises:
         ExportError: the model holds an operation that is not known in C.
@@ -94,18 +85,11 @@ def solver(method: GaussNewton, networks: Networks) -> dict[str, str]:
     def total(terms: Iterable[Number]) -> Number:
         return sum(terms, 0.0)
 
-    q = Matrix(
-        "q",
-        [
-            {
-                j: v
-                for j in range(h.nx)
-                if (v := total(row[i] * row[j] for row in by_state if i in row and j in row)) != 0.0
-            }
-            for i in range(h.nx)
-        ],
-        h.nx,
-    )
+    terms = [
+        {j: total(row[i] * row[j] for row in by_state if i in row and j in row) for j in range(h.nx)}
+        for i in range(h.nx)
+    ]
+    q = Matrix("q", [{j: v for j, v in row.items() if v != 0.0} for row in terms], h.nx)
     square = total(r * r for r in roots)
     half = [
         total(row[i] * r for row, r in zip(by_state, roots, strict=True) if i in row) for i in range(h.nx)
@@ -136,7 +120,7 @@ def solver(method: GaussNewton, networks: Networks) -> dict[str, str]:
             **{name: max(len(m.entries), 1) for name, m in (("na", a), ("nb", b), ("nq", q))},
             **{k: number(float(getattr(o, k))) for k in weights},
             **{"steps": h.steps, "rows": height, "stride": -(-height // 4) * 4},
-            **{"changes": method.active_set_steps, "left": number(LEFT)},
+            **{"changes": CHANGES, "left": number(LEFT)},
             "shares": ", ".join(map(number, (*SHARES, 0.0))),
             "MODEL": "\n".join((*networks.code(), *parts)),
         },
@@ -144,15 +128,7 @@ def solver(method: GaussNewton, networks: Networks) -> dict[str, str]:
 
 
 def estimator(made: Estimator, predictor: Predictor, networks: Networks) -> dict[str, str]:
-    """Parts of a file that hold the update of the estimator.
-
-    Args:
-        made: The estimator.
-        predictor: What predicts its samples.
-        networks: Those of the file.
-
-    Returns:
-        Text by the name that a file asks for it by: SIZES, COMMON, PREDICTION and ESTIMATOR.
+    """Parts of a file that hold the update of the estimator, by the name that the file asks for them by.
 
     Raises:
         ExportError: the model holds an operation that is not known in C.

@@ -14,12 +14,7 @@ from nsde_torch.systems.memory import MEMORY_S
 def inputs_before(system: System, windows: Windows, indices: Tensor) -> Tensor | None:
     """Inputs of the last `MEMORY_S` seconds before windows (B, K, nu), for `u_before` of `Model.sample`.
 
-    None where the system carries no memory: nothing would change.
-
-    Args:
-        system: The machine.
-        windows: Windows of the model's step.
-        indices: Window numbers (B,).
+    Windows are of the model's step. None where the system carries no memory: nothing would change.
     """
     if system.nz == system.nx:
         return None

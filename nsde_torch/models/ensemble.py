@@ -30,7 +30,7 @@ from torch import Tensor, nn
 from nsde_torch.columns import columns, stack_columns
 from nsde_torch.errors import ConfigError
 from nsde_torch.models.model import Capabilities, Model, ModelSpec, normal
-from nsde_torch.models.networks import Standardise
+from nsde_torch.models.networks import Standardise, at_zero
 from nsde_torch.rotation import rotation_between, turned
 from nsde_torch.sde.checks import check_finite
 from nsde_torch.systems import System
@@ -98,9 +98,7 @@ class Chart:
 
 
 def _angles(system: System) -> list[int]:
-    at = torch.zeros(1, system.nx)
-    if system.quaternion is not None:
-        at[:, system.quaternion.start] = 1.0
+    at = at_zero(system)
     found = []
     for i in range(system.nx):
         if system.quaternion is not None and system.quaternion.start <= i < system.quaternion.stop:
@@ -132,12 +130,7 @@ def _matrix(q: Tensor) -> Tensor:
 class StackedMLP(nn.Module):
     """Fully connected silu networks side by side; none sees another's rows or weights.
 
-    Args:
-        members: Number of networks.
-        n_in: Inputs of each.
-        hidden: Widths of the hidden layers.
-        n_out: Outputs of each.
-        generator: Source of the initial weights (uniform, 1 / sqrt(fan in), biases zero).
+    Initial weights are uniform, 1 / sqrt(fan in), biases zero.
     """
 
     def __init__(
@@ -166,24 +159,16 @@ _LOW, _HIGH = -10.0, 0.5  # first bounds of the log-variance of the standardised
 
 @dataclass(frozen=True)
 class EnsembleSpec(ModelSpec):
-    """A Gaussian ensemble.
-
-    Args:
-        members: Number of members.
-        hidden: Widths of the networks (silu).
-        propagation: "fixed" (a particle keeps its member) or "redrawn" (it draws one at every step).
-        batch: Pairs of states per member and gradient step.
-        steps: Largest number of gradient steps; None takes ten times those of the trainer.
-    """
+    """A Gaussian ensemble."""
 
     kinds = ("ensemble",)
 
     _: KW_ONLY
-    members: int = 5
-    hidden: tuple[int, ...] = (64, 64)
-    propagation: str = "fixed"
-    batch: int = 32
-    steps: int | None = None
+    members: int = 5  # number of members
+    hidden: tuple[int, ...] = (64, 64)  # widths of the networks (silu)
+    propagation: str = "fixed"  # a particle keeps its member; or "redrawn": it draws one at every step
+    batch: int = 32  # pairs of states per member and gradient step
+    steps: int | None = None  # largest number of gradient steps; None takes ten times those of the trainer
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -236,8 +221,6 @@ class GaussianEnsemble(Model):
         self.low = nn.Parameter(torch.full((spec.members, 1, n_out), _LOW))
         gap = math.log(math.expm1(_HIGH - _LOW))
         self.gap = nn.Parameter(torch.full((spec.members, 1, n_out), gap))
-        self.clock_scale: Tensor
-        self.register_buffer("clock_scale", torch.ones(()))
 
     @property
     def capabilities(self) -> Capabilities:
@@ -250,13 +233,9 @@ class GaussianEnsemble(Model):
         return self.standardise(torch.cat((self.chart.inputs(x), u), 1))
 
     def standard(self, y: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and log-variance of the standardised change.
+        """Mean and log-variance of the standardised change, both (members, N, n_change).
 
-        Args:
-            y: Rows as `inputs` gives them, each member its own (members, N, n_in).
-
-        Returns:
-            Both (members, N, n_change).
+        `y` are rows as `inputs` gives them, each member its own (members, N, n_in).
         """
         mean, v = self.networks(y).chunk(2, -1)
         high = self.low + self.width()
@@ -270,12 +249,8 @@ class GaussianEnsemble(Model):
     def change(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and standard deviation of the change over one step, member by member.
 
-        Args:
-            x: States (N, nx).
-            u: Inputs over the step (N, nu).
-
-        Returns:
-            Both (members, N, n_change), in the units of the state (a change of attitude in radians).
+        From states (N, nx) and inputs over the step (N, nu): both (members, N, n_change), in the units of the state (a
+        change of attitude in radians).
         """
         mean, v = self.standard(self.inputs(x, u).expand(self.spec.members, -1, -1))
         scale = self.change_scale.scale
@@ -284,13 +259,8 @@ class GaussianEnsemble(Model):
     def log_density(self, x: Tensor, u: Tensor, after: Tensor) -> Tensor:
         """Logarithm of the predictive density of a change, the members weighted alike.
 
-        Args:
-            x: States (N, nx).
-            u: Inputs over the step (N, nu).
-            after: States one step later (N, nx).
-
-        Returns:
-            Log-density (N,) in nats, per unit of each channel of the change.
+        From states (N, nx), inputs over the step (N, nu) and states one step later (N, nx): (N,) in nats, per unit of
+        each channel of the change.
         """
         mean, std = self.change(x, u)
         z = (self.chart.change(x, after) - mean) / std
@@ -305,16 +275,13 @@ class GaussianEnsemble(Model):
         return made.to(self.clock_scale.device)
 
     def advance(self, x: Tensor, u: Tensor, members: Tensor, noise: Tensor) -> Tensor:
-        """One step of every row by its own member.
+        """One step of every row by its own member: valid states one step later (N, nx).
 
         Args:
             x: States (N, nx).
             u: Inputs over the step (N, nu).
             members: Member of each row (N,).
             noise: Standard normal numbers (N, n_change).
-
-        Returns:
-            Valid states one step later (N, nx).
         """
         count = self.spec.members
         # the rows of each member side by side, so that a row costs one member's work and not that of all

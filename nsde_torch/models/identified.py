@@ -23,24 +23,16 @@ METHODS = ("weak", "differences")
 
 @dataclass(frozen=True)
 class SysidSpec(ModelSpec):
-    """Declared physics fitted by least squares.
-
-    Args:
-        step: Name of the integrator, one for equations without noise.
-        solver: Further arguments of the integrator.
-        method: "weak" (integral form, whitened) or "differences" (finite differences of smoothed states).
-        max_iterations: Largest number of least-squares steps.
-        filter_reach: Taps on each side of the filter that restores smoothed inputs; 0 for none.
-    """
+    """Declared physics fitted by least squares."""
 
     kinds = ("sysid",)
 
     _: KW_ONLY
-    step: str = "rk4"
-    solver: Mapping[str, Any] = field(default_factory=dict)
-    method: str = "weak"
-    max_iterations: int = 20
-    filter_reach: int = 0
+    step: str = "rk4"  # name of the integrator, one for equations without noise
+    solver: Mapping[str, Any] = field(default_factory=dict)  # further arguments of the integrator
+    method: str = "weak"  # integral form, whitened; or "differences", finite ones of smoothed states
+    max_iterations: int = 20  # largest number of least-squares steps
+    filter_reach: int = 0  # taps on each side of the filter that restores smoothed inputs; 0 for none
 
     @property
     def input_filter_reach(self) -> int:
@@ -86,8 +78,6 @@ class IdentifiedModel(Model):
         self.system = spec.make_system(values)
         self.system.set_step(spec.dt)
         self.filter = InputFilter(spec.filter_reach, spec.dt) if spec.filter_reach else None
-        self.clock_scale: Tensor
-        self.register_buffer("clock_scale", torch.ones(()))
 
     @property
     def capabilities(self) -> Capabilities:

@@ -12,12 +12,7 @@ from torch import Tensor, nn
 
 
 class InputFilter(nn.Module):
-    """One filter for all inputs.
-
-    Args:
-        reach: Taps on each side.
-        dt: Distance of the taps [s].
-    """
+    """One filter for all inputs, of `reach` taps on each side, `dt` [s] apart."""
 
     def __init__(self, reach: int, dt: float) -> None:
         super().__init__()

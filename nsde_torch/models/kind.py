@@ -25,13 +25,9 @@ from nsde_torch.systems.options import SystemOptions
 
 
 def whole_steps(dt: float, runs: Sequence[Run]) -> float:
-    """The whole multiple of the data's step that is nearest to a model's own step.
+    """The whole multiple of the data's step that is nearest to a model's own step [s].
 
     A machine's step of 50 ms fits data at 10 ms, and PX4's logs at 8 ms not: they get 48 ms.
-
-    Args:
-        dt: Step that a machine has where nobody chose one [s].
-        runs: Training runs.
     """
     if not runs:
         return dt
@@ -43,23 +39,15 @@ def whole_steps(dt: float, runs: Sequence[Run]) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """What the specification of a model is made from: what the user chose, the machine, and the data.
+    """What the specification of a model is made from: what the user chose, the machine, and the data."""
 
-    Args:
-        options: What the user chose of the model.
-        system: The machine's name, physics and constants.
-        machine: The system that these options make.
-        runs: Training runs.
-        loss: Kind of loss.
-        integrator: Integrator; one without a name is the one that fits.
-    """
-
-    options: ModelOptions
-    system: SystemOptions
-    machine: System
-    runs: Sequence[Run]
-    loss: str = "innovations"
+    options: ModelOptions  # what the user chose of the model
+    system: SystemOptions  # the machine's name, physics and constants
+    machine: System  # the system that these options make
+    runs: Sequence[Run]  # training runs
+    loss: str = "innovations"  # kind of loss
     integrator: IntegratorOptions = field(default_factory=IntegratorOptions)
+    """Integrator; one without a name is the one that fits."""
 
     @property
     def common(self) -> dict[str, Any]:
@@ -78,7 +66,7 @@ class Choice:
     @property
     def filter_reach(self) -> int:
         """Taps that an input filter needs on each side to undo the smoothing found in the runs; 0 for none."""
-        return filter_reach(self.runs, self.machine.nu, self.common["dt"])
+        return math.ceil(smoothing_width(self.runs, self.machine.nu) / self.common["dt"] - 1e-6)
 
 
 class ModelKind(ABC):
@@ -149,11 +137,6 @@ class ModelKind(ABC):
     def own_step(cls, choice: Choice) -> str:
         """Name of the integrator where the user chose none: the machine's, or rk4 without noise."""
         return "rk4" if cls.noise is False else choice.machine.defaults.step
-
-
-def filter_reach(runs: Sequence[Run], n_inputs: int, dt: float) -> int:
-    """Taps that an input filter needs on each side to undo the smoothing found in the runs; 0 for none."""
-    return math.ceil(smoothing_width(runs, n_inputs) / dt - 1e-6)
 
 
 def model_kind(name: str) -> type[ModelKind]:

@@ -149,11 +149,10 @@ class SysidKind(ModelKind):
         assert isinstance(chosen, SysidOptions)
         cls.step(choice)  # refuses one that does not fit
         reach = choice.filter_reach
-        # Restored inputs lack what is fast: weights by the noise would trust them most where they say least.
-        method = chosen.method or ("differences" if reach else "weak")
         return SysidSpec(
             **choice.common,
-            method=method,
+            # restored inputs lack what is fast: weights by the noise would trust them most where they say least
+            method=chosen.method or ("differences" if reach else "weak"),
             filter_reach=reach,
             max_iterations=chosen.max_iterations,
             step=cls.step_name(choice),

@@ -21,28 +21,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ModelSpec:
-    """Everything that is needed to build the same model again; saved beside the weights.
-
-    Args:
-        system: Name of the system.
-        dt: Step that it was trained with [s].
-        horizon: Training window [steps].
-        effects: Effects beyond the declared ones.
-        declared: Declared effects, None for the system's own.
-        system_options: Further arguments of the system's class.
-    """
+    """Everything that is needed to build the same model again; saved beside the weights."""
 
     kinds: ClassVar[tuple[str, ...]] = ()
     """Names of the kinds that have such a specification, the default first; empty for those of the user's own."""
 
-    system: str
+    system: str  # name of the system
     _: KW_ONLY
-    kind: str = ""
-    dt: float
-    horizon: int
-    effects: tuple[str, ...] = ()
-    declared: tuple[str, ...] | None = None
-    system_options: Mapping[str, Any] = field(default_factory=dict)
+    kind: str = ""  # of the model; empty for the default
+    dt: float  # step that it was trained with [s]
+    horizon: int  # training window [steps]
+    effects: tuple[str, ...] = ()  # effects beyond the declared ones
+    declared: tuple[str, ...] | None = None  # declared effects, None for the system's own
+    system_options: Mapping[str, Any] = field(default_factory=dict)  # further arguments of the system's class
 
     def __post_init__(self) -> None:
         if not self.kind and self.kinds:
@@ -87,22 +78,18 @@ class ModelSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class Capabilities:
-    """What a model can do beside predicting trajectories.
-
-    Args:
-        has_physics: Declared physics with fitted parameters is its drift, or part of it: residuals of one step are
-            reported, and it can be planned with. It has a `step`.
-        is_equation: It is an equation dz = f dt + sigma dW with a learned part, and has all that `NeuralSDE` has.
-        is_stochastic: That equation has a diffusion: it is calibrated, and its distance from the data is drawn.
-        learns_sensors: It has learned the noise of the sensors, and has a `measurement_std`.
-        propagation: How particles take to the members of an ensemble; None for a model without members.
-    """
+    """What a model can do beside predicting trajectories."""
 
     has_physics: bool = False
+    """Declared physics with fitted parameters is its drift, or part of it: residuals of one step are reported, and it
+    can be planned with. It has a `step`."""
     is_equation: bool = False
+    """It is an equation dz = f dt + sigma dW with a learned part, and has all that `NeuralSDE` has."""
     is_stochastic: bool = False
-    learns_sensors: bool = False
+    """That equation has a diffusion: it is calibrated, and its distance from the data is drawn."""
+    learns_sensors: bool = False  # it has learned the noise of the sensors, and has a `measurement_std`
     propagation: str | None = None
+    """How particles take to the members of an ensemble; None for a model without members."""
 
 
 class Model(nn.Module, ABC):
@@ -125,6 +112,10 @@ class Model(nn.Module, ABC):
     filter: InputFilter | None
     metrics: Mapping[str, Any] = {}
     folder: Path | None = None
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("clock_scale", torch.ones(()))
 
     @abstractmethod
     def sample(
@@ -250,26 +241,13 @@ class Model(nn.Module, ABC):
             ConfigError: no generator, or no number of particles.
         """
         s = self.system
-        width = s.nu + len(s.exogenous)
         for name, given in (("x0", x0), ("u", u)):
-            if not isinstance(given, Tensor) or given.is_complex():
-                raise ShapeError(
-                    f"`{name}` must be a real torch.Tensor; got {type(given).__name__}. Use torch.as_tensor."
-                )
+            _check_real(name, given, "torch.Tensor")
         if x0.ndim != 2 or x0.shape[1] != s.nx:
             raise ShapeError(f"`x0` must be (batch, nx={s.nx}); got {tuple(x0.shape)}.")
-        if u.ndim != 3 or u.shape[2] != width:
-            hint = " Add a horizon axis." if u.ndim == 2 else ""
-            raise ShapeError(f"`u` must be (batch, horizon, nu={width}); got {tuple(u.shape)}.{hint}")
-        if u.shape[0] != x0.shape[0]:
-            raise ShapeError(f"`x0` has {x0.shape[0]} rows and `u` has {u.shape[0]}; they must agree.")
-        if u.shape[1] == 0:
-            raise ShapeError("`u` must hold at least one step; got a horizon of 0.")
-        for name, tensor in (("x0", x0), ("u", u)):
-            bad = ~torch.isfinite(tensor).flatten(1).all(1)
-            if bool(bad.any()):
-                rows = bad.nonzero()[:5, 0].tolist()
-                raise NonFiniteError(f"`{name}` is not finite in rows {rows}. Drop or repair these rows.")
+        self._check_inputs("u", u, x0, "horizon", "a horizon axis", "a horizon of 0")
+        for name, given in (("x0", x0), ("u", u)):
+            _check_finite(name, given)
         if s.quaternion is not None:
             norm = x0[:, s.quaternion].norm(dim=1)
             far = (norm - 1).abs() > 0.05
@@ -294,29 +272,36 @@ class Model(nn.Module, ABC):
         """
         if u_before is None:
             return None
-        width = self.system.nu + len(self.system.exogenous)
-        if not isinstance(u_before, Tensor) or u_before.is_complex():
-            raise ShapeError(
-                f"`u_before` must be a real torch.Tensor or None; got {type(u_before).__name__}. Use torch.as_tensor."
-            )
-        if u_before.ndim != 3 or u_before.shape[2] != width:
-            hint = " Add an axis of steps." if u_before.ndim == 2 else ""
-            raise ShapeError(
-                f"`u_before` must be (batch, steps, nu={width}); got {tuple(u_before.shape)}.{hint}"
-            )
-        if u_before.shape[0] != x0.shape[0]:
-            raise ShapeError(
-                f"`x0` has {x0.shape[0]} rows and `u_before` has {u_before.shape[0]}; they must agree."
-            )
-        if u_before.shape[1] == 0:
-            raise ShapeError(
-                "`u_before` must hold at least one step; got none. Leave it out if nothing is known."
-            )
-        bad = ~torch.isfinite(u_before).flatten(1).all(1)
-        if bool(bad.any()):
-            rows = bad.nonzero()[:5, 0].tolist()
-            raise NonFiniteError(f"`u_before` is not finite in rows {rows}. Drop or repair these rows.")
+        _check_real("u_before", u_before, "torch.Tensor or None")
+        self._check_inputs(
+            "u_before", u_before, x0, "steps", "an axis of steps", "none. Leave it out if nothing is known"
+        )
+        _check_finite("u_before", u_before)
         return u_before.to(self.clock_scale)
+
+    def _check_inputs(self, name: str, u: Tensor, x0: Tensor, axis: str, hint: str, none: str) -> None:
+        width = self.system.nu + len(self.system.exogenous)
+        if u.ndim != 3 or u.shape[2] != width:
+            add = f" Add {hint}." if u.ndim == 2 else ""
+            raise ShapeError(f"`{name}` must be (batch, {axis}, nu={width}); got {tuple(u.shape)}.{add}")
+        if u.shape[0] != x0.shape[0]:
+            raise ShapeError(f"`x0` has {x0.shape[0]} rows and `{name}` has {u.shape[0]}; they must agree.")
+        if u.shape[1] == 0:
+            raise ShapeError(f"`{name}` must hold at least one step; got {none}.")
+
+
+def _check_real(name: str, given: object, wanted: str) -> None:
+    if not isinstance(given, Tensor) or given.is_complex():
+        raise ShapeError(
+            f"`{name}` must be a real {wanted}; got {type(given).__name__}. Use torch.as_tensor."
+        )
+
+
+def _check_finite(name: str, given: Tensor) -> None:
+    bad = ~torch.isfinite(given).flatten(1).all(1)
+    if bool(bad.any()):
+        rows = bad.nonzero()[:5, 0].tolist()
+        raise NonFiniteError(f"`{name}` is not finite in rows {rows}. Drop or repair these rows.")
 
 
 def normal(shape: tuple[int, ...], generator: torch.Generator, like: Tensor) -> Tensor:

@@ -13,6 +13,14 @@ _WIDE = 32
 _BLIND = 1e30  # a scale beyond which a column says nothing
 
 
+def at_zero(system: System) -> Tensor:
+    """A state (1, nx) at zero, a quaternion at that of no rotation."""
+    x = torch.zeros(1, system.nx)
+    if system.quaternion is not None:
+        x[:, system.quaternion.start] = 1.0
+    return x
+
+
 def tanh(x: Tensor) -> Tensor:
     """Hyperbolic tangent; compiled code has a fast exponential and a slow tanh (equal to 1e-7 in float32)."""
     return 2.0 * torch.sigmoid(2.0 * x) - 1.0 if torch.compiler.is_compiling() else torch.tanh(x)
@@ -90,11 +98,11 @@ class Standardise(nn.Module):
         """Let some columns be 0 whatever they are."""
         self.scale[columns] = _BLIND
 
-    def fit(self, rows: Tensor, *, centre: bool = True) -> None:
+    def fit(self, rows: Tensor) -> None:
         """Set mean and standard deviation from rows (N, width); a constant channel keeps scale 1."""
         std = rows.std(0)
         self.scale.copy_(torch.where(std > 1e-9, std, torch.ones_like(std)))
-        self.mean.copy_(rows.mean(0) if centre else torch.zeros_like(self.mean))
+        self.mean.copy_(rows.mean(0))
 
     def forward(self, x: Tensor) -> Tensor:
         """Standardised rows."""
@@ -109,20 +117,11 @@ class Standardise(nn.Module):
 
 
 class BlackBoxDrift(nn.Module):
-    """Rate of the state from a network.
-
-    Args:
-        system: The machine; its features are further inputs.
-        hidden: Widths of the network (tanh).
-        generator: Source of the initial weights.
-    """
+    """Rate of the state from a tanh network, of which the features of the system are further inputs."""
 
     def __init__(self, system: System, hidden: Sequence[int], *, generator: torch.Generator) -> None:
         super().__init__()
-        probe = torch.zeros(1, system.nx)
-        if system.quaternion is not None:
-            probe[:, system.quaternion.start] = 1.0
-        width = system.nx + system.residual_features(probe).shape[1] + system.nu
+        width = system.nx + system.residual_features(at_zero(system)).shape[1] + system.nu
         self._system = (system,)  # in a tuple, so that its parameters are not this module's
         self.standardise = Standardise(width)
         self.network = MLP(width, hidden, system.nx, activation=tanh, generator=generator, last_gain=0.1)
@@ -189,12 +188,10 @@ class Diffusion(nn.Module):
 
     @torch.no_grad()
     def through(self, eta: Tensor, sigma: Tensor, far: Tensor) -> None:
-        """Set sigma_max and h so that sigma has a given size on the data and grows away from them.
+        """Set sigma_max and h so that sigma has a given size on data of distance `eta` (N,) and grows away from them.
 
         Args:
-            eta: Distance of the data (N,).
-            sigma: Root mean square of sigma over them (nx,), > 0; where that is less than `START_SHARE` of `far`, it is
-                taken to be as much.
+            sigma: Root mean square of sigma over them (nx,), > 0, at least `START_SHARE` of `far`.
             far: Least sigma where eta is 1 (nx,); it is at least `FAR_SHARE` / `START_SHARE` times `sigma`.
         """
         sigma = torch.maximum(sigma, START_SHARE * far)
@@ -227,14 +224,7 @@ class Diffusion(nn.Module):
 
 
 class Distance(nn.Module):
-    """Network eta and network mu, which bounds its convexity.
-
-    Args:
-        n_features: Width of the features.
-        hidden: Widths of eta's two hidden layers (swish).
-        mu_hidden: Widths of mu's hidden layers (tanh).
-        generator: Source of the initial weights.
-    """
+    """Network eta (swish) and network mu (tanh), which bounds its convexity, of their hidden widths."""
 
     def __init__(
         self, n_features: int, hidden: Sequence[int], mu_hidden: Sequence[int], *, generator: torch.Generator

@@ -29,47 +29,34 @@ from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.models.input_filter import InputFilter
 from nsde_torch.models.model import Capabilities, Model, ModelSpec, normal
-from nsde_torch.models.networks import MLP, BlackBoxDrift, Diffusion, Distance, Standardise, tanh
+from nsde_torch.models.networks import MLP, BlackBoxDrift, Diffusion, Distance, Standardise, at_zero, tanh
 from nsde_torch.sde import Calculus, brownian, make_step, rollout
 from nsde_torch.systems.in_run import in_new_runs
 
 
 @dataclass(frozen=True)
 class SDESpec(ModelSpec):
-    """A neural SDE.
-
-    Args:
-        step: Name of the integrator.
-        solver: Further arguments of the integrator.
-        physics: Whether the declared physics are part of the drift; else a network of state and input is all of it.
-        drift_hidden: Widths of that network.
-        distance_hidden, mu_hidden, residual_hidden: Widths of the networks.
-        sigma_max: Fixed largest diffusion, one per state; None learns it.
-        filter_reach: Taps on each side of the input filter; 0 for none.
-        measurement: Whether sensor noise is learned.
-        disturbance: Whether the system's disturbed ports carry a lasting disturbance.
-        learn_lag: Whether a lag or a delay of the inputs may be learned that is not declared.
-        loss: Kind of loss, for the record.
-        between_runs: What differs between runs, by target, with its standard deviations (see `in_new_runs`).
-    """
+    """A neural SDE."""
 
     kinds = ("nsde", "node", "blackbox_nsde")
 
     _: KW_ONLY
-    step: str
-    solver: Mapping[str, Any] = field(default_factory=dict)
+    step: str  # name of the integrator
+    solver: Mapping[str, Any] = field(default_factory=dict)  # further arguments of the integrator
     physics: bool = True
-    drift_hidden: tuple[int, ...] = (64, 64)
-    distance_hidden: tuple[int, ...] = (32, 32)
-    mu_hidden: tuple[int, ...] = (8, 8)
-    residual_hidden: tuple[int, ...] = (8, 16)
-    sigma_max: tuple[float, ...] | None = None
-    filter_reach: int = 0
-    measurement: bool = False
-    disturbance: bool = False
-    learn_lag: bool = False
-    loss: str = "innovations"
+    """Whether the declared physics are part of the drift; else a network of state and input is all of it."""
+    drift_hidden: tuple[int, ...] = (64, 64)  # widths of that network
+    distance_hidden: tuple[int, ...] = (32, 32)  # widths of the distance's network
+    mu_hidden: tuple[int, ...] = (8, 8)  # widths of the network of its convexity
+    residual_hidden: tuple[int, ...] = (8, 16)  # widths of the residual networks
+    sigma_max: tuple[float, ...] | None = None  # fixed largest diffusion, one per state; None learns it
+    filter_reach: int = 0  # taps on each side of the input filter; 0 for none
+    measurement: bool = False  # whether sensor noise is learned
+    disturbance: bool = False  # whether the system's disturbed ports carry a lasting disturbance
+    learn_lag: bool = False  # whether a lag or a delay of the inputs may be learned that is not declared
+    loss: str = "innovations"  # kind of loss, for the record
     between_runs: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    """What differs between runs, by target, with its standard deviations (see `in_new_runs`)."""
 
     @property
     def input_filter_reach(self) -> int:
@@ -105,34 +92,23 @@ class NeuralSDE(Model):
         self.step = make_step(spec.step, **spec.solver)
         self.system = spec.make_system(values)
         self.system.set_step(spec.dt)
-        s = self.system
-        probe = torch.zeros(1, s.nx)
-        if s.quaternion is not None:
-            probe[:, s.quaternion.start] = 1.0
+        s, probe = self.system, at_zero(self.system)
         n_features, n_residual = s.features(probe).shape[1], s.network_features(probe).shape[1]
         self.residual_inputs = Standardise(n_residual)
         self.black_box = None if spec.physics else BlackBoxDrift(s, spec.drift_hidden, generator=generator)
         s.requires_grad_(spec.physics)
+        options: dict[str, Any] = {"activation": tanh, "generator": generator, "last_gain": 0.1}
+        ports = s.residual_ports if spec.physics else {}
         self.residuals = nn.ModuleDict(
-            {
-                port.value: MLP(
-                    n_residual,
-                    spec.residual_hidden,
-                    kind.width,
-                    activation=tanh,
-                    generator=generator,
-                    last_gain=0.1,
-                )
-                for port, kind in (s.residual_ports if spec.physics else {}).items()
-            }
+            {p.value: MLP(n_residual, spec.residual_hidden, k.width, **options) for p, k in ports.items()}
         )
         self._residual_scale = {port.value: kind.scale for port, kind in s.residual_ports.items()}
         self.eta = Distance(n_features, spec.distance_hidden, spec.mu_hidden, generator=generator)
         fixed = spec.sigma_max
         if fixed is not None and len(fixed) != s.nx:
             raise ConfigError(f"`sigma_max` must have one value per state ({s.nx}); got {len(fixed)}.")
-        ports = s.disturbed_ports if spec.disturbance and spec.physics else ()
-        self._disturbed: dict[Port, int] = {port: s.ports[port] for port in ports}
+        disturbed = s.disturbed_ports if spec.disturbance and spec.physics else ()
+        self._disturbed: dict[Port, int] = {port: s.ports[port] for port in disturbed}
         self.nd = sum(self._disturbed.values())
         start = [torch.full((s.nx,), 0.1) if fixed is None else torch.tensor(fixed)]
         for port, width in self._disturbed.items():
@@ -140,8 +116,6 @@ class NeuralSDE(Model):
         sigma = torch.cat(start)
         self.h = Diffusion(sigma, learned=fixed is None, tied=s.quaternion)
         self.filter = InputFilter(spec.filter_reach, spec.dt) if spec.filter_reach else None
-        self.clock_scale: Tensor
-        self.register_buffer("clock_scale", torch.ones(()))
         self.log_tau = nn.Parameter(torch.zeros(self.nd), requires_grad=self.nd > 0)
         self.log_measurement_std = nn.Parameter(torch.full((s.nx,), -7.0), requires_grad=spec.measurement)
         self.freeze_distance = spec.loss != "paper"  # other data losses do not move eta
@@ -327,7 +301,7 @@ class NeuralSDE(Model):
             own = self.system.remembered(x0, u[:, 0], u_before, dt=dt * float(self.clock_scale))
             memory = split_columns(own, nx, self.system.nz - nx)[1]
         if start is None:
-            z0 = self._augment(x0, u[:, 0], None, memory)
+            z0 = self.augment(x0, u[:, 0], memory=memory)
             path = rollout(self, z0, u, dt=dt, step=step, noise=noise, t0=t0, compile=compile, check=check)
             return path[..., :nx]
         p, b = start.shape[:2]
@@ -346,7 +320,7 @@ class NeuralSDE(Model):
             "t0": t0.repeat(p) if isinstance(t0, Tensor) and t0.ndim else t0,
             "check": check,
         }
-        z0 = self._augment(self.project(x.reshape(p * b, nx)), flat_u[:, 0], disturbance, memory)
+        z0 = self.augment(self.project(x.reshape(p * b, nx)), flat_u[:, 0], disturbance, memory)
         if self.spec.between_runs:
             # the column with the number of the run, which nobody reads
             wide = join_columns((flat_u, torch.zeros_like(flat_u[..., :1])))
@@ -356,15 +330,14 @@ class NeuralSDE(Model):
             path = rollout(self, z0, flat_u, compile=compile, **given)
         return path.reshape(p, b, *path.shape[2:])[..., :nx]
 
-    def augment(self, x: Tensor, u: Tensor, draw: Tensor | None = None) -> Tensor:
-        """State (N, nx) with stationary memory under the inputs `u` (N, nu), and disturbances: (N, nz).
+    def augment(
+        self, x: Tensor, u: Tensor, draw: Tensor | None = None, memory: Tensor | None = None
+    ) -> Tensor:
+        """State (N, nx) with memory of the effects and disturbances: (N, nz).
 
-        `draw`, standard normal numbers (N, nd), takes the disturbances from their stationary law; None: they are 0.
+        `memory` is stationary under the inputs `u` (N, nu) if it is not given; `draw`, standard normal numbers (N, nd),
+        takes the disturbances from their stationary law; None: they are 0.
         """
-        return self._augment(x, u, draw)
-
-    def _augment(self, x: Tensor, u: Tensor, draw: Tensor | None, memory: Tensor | None = None) -> Tensor:
-        """State, memory and disturbance (N, nz); the disturbance is drawn from its stationary law."""
         z = self.system.augment(x, u) if memory is None else join_columns((x, memory))
         if not self.nd:
             return z

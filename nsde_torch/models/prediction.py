@@ -26,31 +26,19 @@ _BATCH = 64  # starts that are sampled at once
 
 @dataclass(frozen=True, eq=False)
 class RunPrediction:
-    """Predictions from one start after the other along a run; each begins at the measured state.
+    """Predictions from one start after the other along a run; each begins at the measured state."""
 
-    Args:
-        run: Name of the run.
-        horizon: Longest time from a start [s].
-        level: Share of the measurements that the intervals should hold.
-        names: Names of the channels: the states, a quaternion as roll, pitch and yaw.
-        units: Units of the channels; angles of a quaternion are in degrees.
-        t: Logged times [s] (n,).
-        ahead: Times since the start [s] (n,); 0 where the next prediction begins.
-        measured: What was measured (n, channels).
-        low, median, high: Quantiles of the sampled paths: the central interval and its middle (n, channels).
-    """
-
-    run: str
-    horizon: float
-    level: float
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    t: Array
-    ahead: Array
-    measured: Array
-    low: Array
-    median: Array
-    high: Array
+    run: str  # name of the run
+    horizon: float  # longest time from a start [s]
+    level: float  # share of the measurements that the intervals should hold
+    names: tuple[str, ...]  # names of the channels: the states, a quaternion as roll, pitch and yaw
+    units: tuple[str, ...]  # units of the channels; angles of a quaternion are in degrees
+    t: Array  # logged times [s] (n,)
+    ahead: Array  # times since the start [s] (n,); 0 where the next prediction begins
+    measured: Array  # what was measured (n, channels)
+    low: Array  # lower ends of the central intervals of the sampled paths (n, channels)
+    median: Array  # their middle (n, channels)
+    high: Array  # their upper ends (n, channels)
 
     @property
     def coverage(self) -> dict[str, float] | None:

@@ -32,13 +32,7 @@ def make_model(
     generator: torch.Generator,
     values: Mapping[str, float | list[float]] | None = None,
 ) -> Model:
-    """A model with fresh weights.
-
-    Args:
-        spec: What to build.
-        generator: Source of the weights.
-        values: Initial values of declared parameters.
-    """
+    """A model with fresh weights from `generator`, and initial values of declared parameters."""
     make: Any = model_kind(spec.kind).model
     made: Model = make(spec, generator=generator, values=values)
     return made
@@ -135,11 +129,7 @@ def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> Model:
 
 
 def read_metrics(folder: Path, called: str = "") -> Mapping[str, Any]:
-    """The content of the `metrics.json` of a run directory.
-
-    Args:
-        folder: The run directory.
-        called: What messages call the file; its path if empty.
+    """The content of the `metrics.json` of a run directory; `called` is what messages call the file, or its path.
 
     Raises:
         CheckpointError: the file is damaged.

@@ -10,7 +10,6 @@ if TYPE_CHECKING:
         CompilationWarning,
         compiled,
         diffusion_and_slope,
-        drift_correction,
         with_calculus,
     )
     from nsde_torch.sde.integrate import rollout
@@ -34,7 +33,6 @@ __all__ = [
     "coarsen",
     "compiled",
     "diffusion_and_slope",
-    "drift_correction",
     "make_step",
     "rollout",
     "with_calculus",

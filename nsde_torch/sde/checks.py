@@ -26,22 +26,17 @@ def brownian(
 ) -> Tensor:
     """Independent increments of a Wiener process in every particle, row, step and channel.
 
-    They are drawn on the generator's device and moved, so a CPU generator gives the same noise on every
-    device.
+    They are drawn on the generator's device and moved, so a CPU generator gives the same noise on every device.
 
     Args:
-        particles: Number of particles P, >= 1.
-        batch: Number of rows B, >= 0.
-        horizon: Number of steps T, >= 1.
-        nz: Number of channels, >= 1.
+        particles, batch, horizon, nz: Numbers P, B, T, nz of particles, rows, steps and channels.
         dt: Length of a step [s], > 0.
         generator: Source of the randomness.
         device: Where the increments shall lie; default: the generator's device.
         dtype: Floating type; default: torch's default.
 
     Returns:
-        dW (P, B, T, nz) with variance dt. Steps lie outermost in memory, so that `rollout` reads them in one
-        piece.
+        dW (P, B, T, nz) with variance dt. Steps lie outermost in memory, so that `rollout` reads them in one piece.
 
     Raises:
         SolverError: A count is too small or `dt` is not positive and finite.
@@ -62,14 +57,7 @@ def brownian(
 
 
 def coarsen(dw: Tensor, factor: int) -> Tensor:
-    """The same Brownian paths on a step `factor` times longer.
-
-    Args:
-        dw: Increments (..., T, nz) on the short step.
-        factor: Number of short steps in a long one, >= 1, a divisor of T.
-
-    Returns:
-        Increments (..., T / factor, nz).
+    """The same Brownian paths on a step `factor` times longer: dW (..., T / factor, nz) of dW (..., T, nz).
 
     Raises:
         ShapeError: `factor` does not divide the number of steps.
@@ -81,11 +69,7 @@ def coarsen(dw: Tensor, factor: int) -> Tensor:
 
 
 def check_dt(dt: float) -> None:
-    """Refuse a step length that is not a positive finite number of seconds.
-
-    Raises:
-        SolverError: As said.
-    """
+    """Refuse a step length that is not a positive finite number of seconds (SolverError)."""
     if not 0.0 < dt < float("inf"):
         raise SolverError(f"`dt` must be a positive, finite number of seconds; got {dt!r}.")
 
@@ -149,16 +133,10 @@ def check_finite(
     t0: float | Tensor,
     remedy: str = "Shorten dt, clip the drift, or look for bad initial states.",
 ) -> None:
-    """Report the first state of a rollout that is infinite or not a number.
-
-    Args:
-        path: Rollout (P, B, T + 1, nz).
-        dt: Length of a step [s].
-        t0: Time of the first state [s], one or (B,).
-        remedy: What to do about it, for the message.
+    """Report the first state of a rollout (P, B, T + 1, nz) that is infinite or not a number, with its remedy.
 
     Raises:
-        NonFiniteError: With step, time, and the rows (particle, batch) hit at that step.
+        NonFiniteError: With step, time [s], and the rows (particle, batch) hit at that step.
     """
     # A sum is infinite or NaN if one term is; it may also overflow, hence the exact test behind it.
     if bool(torch.isfinite(path.detach().sum())):

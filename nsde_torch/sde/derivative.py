@@ -27,12 +27,6 @@ def diffusion_and_slope(sde: SDE, t: Time, z: Tensor, u: Tensor) -> tuple[Tensor
     one batch and each gives its diagonal entry: the work of about nz diffusions, memory O(N nz) a layer, and
     no Jacobian (N, nz, nz) is kept. (Forward mode would do too, but torch 2.13 cannot compile its gradient.)
 
-    Args:
-        sde: The equation.
-        t: Time [s], a number, 0-d, or (N,).
-        z: State (N, nz).
-        u: Input (N, nu).
-
     Returns:
         g and d g_i / d z_i, each (N, nz), in units of z and in 1 per square root of a second.
     """
@@ -50,22 +44,6 @@ def diffusion_and_slope(sde: SDE, t: Time, z: Tensor, u: Tensor) -> tuple[Tensor
     return g, torch.vmap(entry, out_dims=-1)(basis)
 
 
-def drift_correction(sde: SDE, t: Time, z: Tensor, u: Tensor) -> Tensor:
-    """The drift c = g g' / 2 to add to a Stratonovich drift for the Ito equation of the same process.
-
-    Args:
-        sde: The equation.
-        t: Time [s], a number, 0-d, or (N,).
-        z: State (N, nz).
-        u: Input (N, nu).
-
-    Returns:
-        c, (N, nz), in units of z per second.
-    """
-    g, slope = diffusion_and_slope(sde, t, z, u)
-    return 0.5 * g * slope
-
-
 @final
 class _Converted:
     """The same process as `source`, written in the other calculus."""
@@ -76,7 +54,8 @@ class _Converted:
         self._sign = 1.0 if calculus == "ito" else -1.0
 
     def drift(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
-        return self.source.drift(t, z, u) + self._sign * drift_correction(self.source, t, z, u)
+        g, slope = diffusion_and_slope(self.source, t, z, u)
+        return self.source.drift(t, z, u) + self._sign * 0.5 * g * slope
 
     def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
         return self.source.diffusion(t, z, u)
@@ -95,13 +74,7 @@ class _Converted:
 def with_calculus(sde: SDE, calculus: Literal["ito", "stratonovich"]) -> SDE:
     """The same process written in the other calculus, so that a step of that calculus may integrate it.
 
-    Args:
-        sde: An equation that declares "ito" or "stratonovich".
-        calculus: The calculus to write it in.
-
-    Returns:
-        `sde` itself if it is in that calculus already, else an equation with the drift correction added or
-        taken.
+    `sde` itself if it is in that calculus already, else an equation with the drift correction added or taken.
 
     Raises:
         SolverError: `sde.calculus` is "either", so there is no process to preserve.
@@ -154,14 +127,7 @@ def quiet_compiler() -> Iterator[None]:
 
 
 def eager(step: Step) -> Advance:
-    """One step and its projection, as the step defines them.
-
-    Args:
-        step: The method.
-
-    Returns:
-        A function (sde, t, z, u, dt, dw) -> next state (N, nz).
-    """
+    """One step and its projection, as the step defines them: (sde, t, z, u, dt, dw) -> next state (N, nz)."""
 
     def advance(sde: SDE, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
         return sde.project(step.advance(sde, t, z, u, dt, dw))
@@ -170,22 +136,15 @@ def eager(step: Step) -> Advance:
 
 
 def compiled(step: Step, sde: SDE) -> Advance:
-    """One step and its projection, compiled at the first call with gradients and the first without.
+    """One step and its projection, compiled at the first call with gradients and the first without; see `eager`.
 
-    Code without gradients serves every batch size above one; code with gradients serves the first, and from
-    the second on every size. Modules of the same architecture share it; that of another equation is kept as
-    long as the equation lives. Where no code can be made (there is no C++
-    compiler, say) one CompilationWarning says why, and the steps run eagerly.
-
-    Args:
-        step: The method.
-        sde: The equation; hashable by identity, as every torch.nn.Module is.
-
-    Returns:
-        A function (sde, t, z, u, dt, dw) -> next state (N, nz).
+    Code without gradients serves every batch size above one; code with gradients serves the first, and from the second
+    on every size. Modules of the same architecture share it; that of another equation is kept as long as the equation
+    lives. Where no code can be made (there is no C++ compiler, say) one CompilationWarning says why, and the steps run
+    eagerly.
 
     Raises:
-        SolverError: `sde` cannot be held weakly or hashed.
+        SolverError: `sde` cannot be held weakly or hashed by identity, as every torch.nn.Module is.
     """
     try:
         if sde not in _COMPILED:
@@ -217,22 +176,23 @@ def _with_fallback(plain: Advance) -> Advance:
         if works:
             try:
                 if not torch.is_grad_enabled():
-                    _any_batch_size(z, u, dw)
+                    for table in (z, u) if dw is None else (z, u, dw):
+                        torch._dynamo.maybe_mark_dynamic(table, 0)
                 return fast[z.device.type == "cpu"](sde, t, z, u, dt, dw)
             except Exception as error:
                 result = plain(sde, t, z, u, dt, dw)  # a fault of the equation itself is raised again here
                 works = False
-                _warn(error)
+                reason = str(error).strip().splitlines() or [""]
+                warnings.warn(
+                    f"the step runs without compilation, several times slower: {type(error).__name__}: {reason[0]} "
+                    "Install a C++ compiler (g++ or clang++; CXX names it), or turn compilation off.",
+                    CompilationWarning,
+                    stacklevel=3,
+                )
                 return result
         return plain(sde, t, z, u, dt, dw)
 
     return advance
-
-
-def _any_batch_size(*tables: Tensor | None) -> None:
-    for table in tables:
-        if table is not None:
-            torch._dynamo.maybe_mark_dynamic(table, 0)
 
 
 def _own_code(function: Advance) -> Advance:
@@ -241,13 +201,3 @@ def _own_code(function: Advance) -> Advance:
     assert isinstance(function, types.FunctionType)
     code = function.__code__.replace(co_name=f"{function.__name__}_{next(_COUNTER)}")
     return types.FunctionType(code, function.__globals__, code.co_name, None, function.__closure__)
-
-
-def _warn(error: Exception) -> None:
-    reason = str(error).strip().splitlines() or [""]
-    warnings.warn(
-        f"the step runs without compilation, several times slower: {type(error).__name__}: {reason[0]} "
-        "Install a C++ compiler (g++ or clang++; CXX names it), or turn compilation off.",
-        CompilationWarning,
-        stacklevel=4,
-    )

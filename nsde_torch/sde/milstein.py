@@ -27,20 +27,18 @@ from nsde_torch.sde.derivative import diffusion_and_slope
 from nsde_torch.sde.protocol import SDE, Time
 from nsde_torch.sde.step import Step
 
-_CONDITION = "diagonal noise with g_i a function of t, u and z_i only; 0.5 on coupled diagonal noise"
+
+class _Milstein(Step):
+    strong_order = 1.0
+    condition = "diagonal noise with g_i a function of t, u and z_i only; 0.5 on coupled diagonal noise"
 
 
 @final
-class MilsteinItoFree(Step):
-    """Derivative-free Ito Milstein, the paper's solver: one drift and two diffusions.
-
-    Strong order 1 needs g_i to depend on z_i alone; with coupled diagonal noise it falls to 0.5.
-    """
+class MilsteinItoFree(_Milstein):
+    """Derivative-free Ito Milstein, the paper's solver: one drift and two diffusions."""
 
     name = "milstein"
     calculus = "ito"
-    strong_order = 1.0
-    condition = _CONDITION
     summary = "Ito, derivative-free, strong order 1 on uncoupled noise, one drift and two diffusions"
 
     def advance(self, sde: SDE, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
@@ -53,17 +51,11 @@ class MilsteinItoFree(Step):
 
 
 @final
-class MilsteinStratonovichFree(Step):
-    """Derivative-free Stratonovich Milstein: one drift and two diffusions.
-
-    Strong order 1 needs g_i to depend on z_i alone; with coupled diagonal noise it falls to 0.5, the limit
-    stays.
-    """
+class MilsteinStratonovichFree(_Milstein):
+    """Derivative-free Stratonovich Milstein: one drift and two diffusions; on coupled noise the limit stays."""
 
     name = "milstein_stratonovich_free"
     calculus = "stratonovich"
-    strong_order = 1.0
-    condition = _CONDITION
     summary = "Stratonovich, derivative-free, strong order 1 on uncoupled noise, one drift and two diffusions"
 
     def advance(self, sde: SDE, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
@@ -74,16 +66,11 @@ class MilsteinStratonovichFree(Step):
 
 
 @final
-class MilsteinIto(Step):
-    """Ito Milstein with the exact slopes d g_i / d z_i (see `diffusion_and_slope` for their cost).
-
-    Strong order 1 needs g_i to depend on z_i alone; with coupled diagonal noise it falls to 0.5.
-    """
+class MilsteinIto(_Milstein):
+    """Ito Milstein with the exact slopes d g_i / d z_i (see `diffusion_and_slope` for their cost)."""
 
     name = "milstein_ito"
     calculus = "ito"
-    strong_order = 1.0
-    condition = _CONDITION
     summary = "Ito, exact slopes of g, strong order 1 on uncoupled noise"
 
     def advance(self, sde: SDE, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:
@@ -93,16 +80,11 @@ class MilsteinIto(Step):
 
 
 @final
-class MilsteinStratonovich(Step):
-    """Stratonovich Milstein with the exact slopes d g_i / d z_i (see `diffusion_and_slope` for their cost).
-
-    Strong order 1 needs g_i to depend on z_i alone; with coupled diagonal noise it falls to 0.5.
-    """
+class MilsteinStratonovich(_Milstein):
+    """Stratonovich Milstein with the exact slopes d g_i / d z_i (see `diffusion_and_slope` for their cost)."""
 
     name = "milstein_stratonovich"
     calculus = "stratonovich"
-    strong_order = 1.0
-    condition = _CONDITION
     summary = "Stratonovich, exact slopes of g, strong order 1 on uncoupled noise"
 
     def advance(self, sde: SDE, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:

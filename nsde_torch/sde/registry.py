@@ -14,14 +14,7 @@ STEPS: dict[str, type[Step]] = {
 
 
 def make_step(name: str, **options: Any) -> Step:
-    """The step of that name.
-
-    Args:
-        name: A key of `STEPS`, or `package.module:Class` of the user's own.
-        options: Arguments of the step's class; those of torchdiffeq have tolerances.
-
-    Returns:
-        A new step.
+    """A new step of that name, a key of `STEPS` or `package.module:Class` of the user's own, with its settings.
 
     Raises:
         ConfigError: No step has that name (the message lists the names), or no such module or class.

@@ -7,8 +7,8 @@ from nsde_torch.lazy import resolver
 if TYPE_CHECKING:
     from nsde_torch.training.options import LossOptions, TrainerOptions
     from nsde_torch.training.session import Training, train
-    from nsde_torch.training.structure import filter_reach, model_spec
+    from nsde_torch.training.structure import model_spec
 
-__all__ = ["LossOptions", "TrainerOptions", "Training", "filter_reach", "model_spec", "train"]
+__all__ = ["LossOptions", "TrainerOptions", "Training", "model_spec", "train"]
 
 __getattr__ = resolver(__name__)

@@ -45,10 +45,7 @@ class Pairs:
 def nll(model: GaussianEnsemble, inputs: Tensor, changes: Tensor) -> Tensor:
     """Negative log-likelihood of each member (members,), nats per channel.
 
-    Args:
-        model: The ensemble.
-        inputs: Standardised inputs, each member its own (members, N, n_in).
-        changes: Standardised changes (members, N, n_change).
+    Of standardised inputs, each member its own (members, N, n_in), and changes (members, N, n_change).
     """
     mean, v = model.standard(inputs)
     return 0.5 * (v + (changes - mean).square() * torch.exp(-v) + math.log(2 * math.pi)).mean((1, 2))
@@ -57,14 +54,7 @@ def nll(model: GaussianEnsemble, inputs: Tensor, changes: Tensor) -> Tensor:
 class EnsembleLoop(Loop):
     """One optimisation of one ensemble.
 
-    Args:
-        model: Changed in place.
-        train: Training pairs.
-        validation: Pairs that training does not see.
-        steps: Largest number of gradient steps.
-        options: Settings of the optimisation; `patience` is stretched as `steps` is against `options.steps`.
-        seed: Seed of bootstraps and batches.
-        identity: Hash of all that the numbers depend on; a checkpoint of another is refused.
+    `patience` is stretched as `steps` is against `options.steps`.
 
     Attributes:
         best_score: Validation score of the kept weights of each member (members,).
@@ -183,12 +173,12 @@ def fit_ensemble(task: Task) -> Fitted:
         identity=task.identity,
     )
     loop.run(title=task.name, checkpoint=task.checkpoint, log=task.log, quiet=task.quiet)
-    score = {
-        "score": loop.progress.best_score,
-        "unit": "nats per channel of the standardised change, mean of the members",
+    unit = "nats per channel of the standardised change, mean of the members"
+    facts = {
+        "loss": "likelihood",
+        "validation": {"score": loop.progress.best_score, "unit": unit},
+        "members": {"best_step": loop.best_step.tolist(), "validation": loop.best_score.tolist()},
     }
-    members = {"best_step": loop.best_step.tolist(), "validation": loop.best_score.tolist()}
-    facts = {"loss": "likelihood", "validation": score, "members": members}
     return Fitted(model, loop.progress, facts=facts)
 
 

@@ -129,9 +129,7 @@ def identified(
         method: Of the identification; a law is looked for with "weak" alone, whose innovations are white.
 
     Raises:
-        ConfigError: the system declares no parameter.
-        DataError: nothing moves.
-        NonFiniteError: the physics leaves the finite numbers.
+        ConfigError, DataError, NonFiniteError: there is no parameter, nothing moves, or the physics diverges.
     """
     system = spec.make_system(values)
     base = settled(system, runs, clock=clock, method=method, width=None, iterations=ITERATIONS)
@@ -213,13 +211,10 @@ class Distilled:
 def fit_functions(
     model: NeuralSDE, at: Optimum, left: Residuals, *, among: Sequence[Mapping[str, Any]] | None = None
 ) -> Distilled:
-    """Fit residual networks to what the likelihood finds beside physics.
+    """Fit residual networks, in place, to what the likelihood finds beside the optimum of the physics.
 
-    Args:
-        model: Its networks are changed in place; their inputs are standardised.
-        at: The optimum of the physics.
-        left: What the physics leaves, for the size of the doubt.
-        among: Groups of functions to choose from (`Distilled.chosen`); None for all that there are.
+    `left` is what the physics leaves, for the size of the doubt; functions are chosen `among` groups
+    (`Distilled.chosen`), or among all that there are.
     """
     space, system = at.of.space, at.of.vector.system
     ports = [k for k, (port, _) in enumerate(space.disturbances) if port in model.residual_ports]
@@ -284,8 +279,7 @@ def _distil(
     with torch.no_grad():
         first.weight[:, unseen] = 0.0
         if not rows:
-            for parameter in last.parameters():
-                parameter.zero_()
+            _silence(network)
             return 0
     points = _points(seen, names, variables, found)
     within, _ = _inside(points, names, variables, found, 1.0)
@@ -648,7 +642,8 @@ class _Fit:
         """Networks of the functions that the likelihood finds; zero where there is no likelihood."""
         model = self.model
         if at is None:
-            _silence(model)
+            for network in model.residuals.values():
+                _silence(network)
             blind_to_places(model)
             return None
         made = fit_functions(model, at, left, among=self.near.get("functions"))
@@ -809,11 +804,9 @@ def _shortened(system: System, runs: Sequence[Run]) -> list[Run]:
 
 
 @torch.no_grad()
-def _silence(model: NeuralSDE) -> None:
-    """Let all residual networks say nothing."""
-    for network in model.residuals.values():
-        for parameter in network.layers[-1].parameters():  # type: ignore[union-attr, index]
-            parameter.zero_()
+def _silence(network: nn.Module) -> None:
+    for parameter in network.layers[-1].parameters():  # type: ignore[union-attr, index]
+        parameter.zero_()
 
 
 def _summary(

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from nsde_torch.data import Windows
 from nsde_torch.errors import NonFiniteError
 from nsde_torch.models.before import inputs_before
+from nsde_torch.models.model import normal
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.sde import brownian
 from nsde_torch.training.fit_innovations import fit_innovations
@@ -42,20 +43,17 @@ _SHOWN = 1e-10  # of the largest information; below that a parameter moves nothi
 
 
 @torch.no_grad()
-def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> dict[str, dict[str, object]]:
+def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> Parameters:
     """Declared parameters with half-widths of 90 % intervals.
 
-    Args:
-        model: The fitted model.
-        windows: Windows that it was fitted to.
-        scale: Scale of the error channels (n_error,).
+    The model was fitted to these windows; `scale` is that of the error channels (n_error,).
 
     Returns:
         name -> `value`, `half_width_90` (lists, one entry per axis; None where no prediction depends on the
         parameter, so that the data cannot show it, or all windows are of one cluster) and `unit`.
     """
     parameters = [(name, *_owner(model, name), *told) for name, told in model.system.all_declared().items()]
-    out: dict[str, dict[str, object]] = {}
+    out: Parameters = {}
     if not parameters:
         return out
     pick = torch.linspace(0, len(windows) - 1, min(_WINDOWS, len(windows))).round().long()
@@ -92,13 +90,15 @@ def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> di
     run = torch.cumsum((torch.diff(t0, prepend=t0[:1]) < 0).long(), 0)
     _, label = torch.unique(run * (int(cluster.max()) + 1) + cluster, return_inverse=True)
     sums = torch.zeros(int(label.max()) + 1, score.shape[1], dtype=torch.float64)
-    sums.index_add_(0, label.cpu(), score.cpu())
+    sums.index_add_(0, label.cpu(), score)
     sums = sums - sums.mean(0)
-    covariance = inverse.cpu() @ (sums.T @ sums) @ inverse.cpu()
+    covariance = inverse @ (sums.T @ sums) @ inverse
     clusters = len(sums)
-    widening = _quantile(clusters) * (clusters / max(clusters - 1, 1)) ** 0.5
+    # few clusters know their own spread badly
+    widening = float(stdtrit(max(clusters - 1, 1), 0.5 * (1 + _LEVEL)))
+    widening *= (clusters / max(clusters - 1, 1)) ** 0.5
     deviation = widening * covariance.diagonal().clamp_min(0).sqrt()
-    alone = inverse.cpu().diagonal() * information.cpu().diagonal() < _COLLINEAR
+    alone = inverse.diagonal() * information.diagonal() < _COLLINEAR
     shown = alone & (information.diagonal() > _SHOWN * information.diagonal().max()) & (clusters > 1)
     at = 0
     for name, owner, own, value, unit in parameters:
@@ -109,11 +109,6 @@ def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> di
         out[name] = {"value": value.tolist(), "half_width_90": known, "unit": unit}
         at += k
     return out
-
-
-def _quantile(clusters: int) -> float:
-    """Half-width of the interval in standard deviations; few clusters know their own spread badly."""
-    return float(stdtrit(max(clusters - 1, 1), 0.5 * (1 + _LEVEL)))
 
 
 def _owner(model: NeuralSDE, name: str) -> tuple[Any, str]:
@@ -150,18 +145,9 @@ _NO_INTERVAL = (
 
 
 class Fit(Loop):
-    """One optimisation of one model.
+    """One optimisation of one model, from windows of some runs, others of them held out, and all, for the last steps.
 
-    Args:
-        model: Changed in place.
-        train: Training windows.
-        validation: Windows of the same runs that training does not see.
-        everything: All windows of these runs, for the last steps.
-        scale: Scale of the error channels (n_error,).
-        loss: Weights of the losses.
-        options: Settings of the optimisation.
-        seed: Seed of batches and noise.
-        identity: Hash of all that the numbers depend on; a checkpoint of another is refused.
+    `scale` is that of the error channels (n_error,).
     """
 
     model: NeuralSDE
@@ -182,11 +168,8 @@ class Fit(Loop):
     ) -> None:
         named = [(n, p) for n, p in model.named_parameters() if p.requires_grad]
         groups = [
-            {"params": [p for n, p in named if not n.startswith(_FAST)], "factor": 1.0},
-            {
-                "params": [p for n, p in named if n.startswith(_FAST)],
-                "factor": 1.0 if loss.kind == "paper" else _FAST_RATE,
-            },
+            {"params": [p for n, p in named if n.startswith(_FAST) is fast], "factor": factor}
+            for fast, factor in ((False, 1.0), (True, 1.0 if loss.kind == "paper" else _FAST_RATE))
         ]
         optimiser = torch.optim.Adam(groups, lr=options.lr, foreach=True)
         said_every = _SAID_EVERY * options.validate_every
@@ -223,7 +206,7 @@ class Fit(Loop):
 
         dw = mirrored(brownian(*drawn, model.nz, dt=windows.dt_model, **made))  # type: ignore[arg-type]
         std = model.measurement_std
-        start = mirrored(_normal(generator, x, *drawn[:2], model.n_start)) if model.n_start else None
+        start = mirrored(normal((*drawn[:2], model.n_start), generator, x)) if model.n_start else None
         path = model.paths(
             windows.initial_states(indices),
             u,
@@ -237,7 +220,7 @@ class Fit(Loop):
             u_before=before,
         )[:, :, 1:]
         if model.spec.measurement:
-            path = path + mirrored(_normal(generator, x, *drawn, system.nx)) * std
+            path = path + mirrored(normal((*drawn, system.nx), generator, x)) * std
         return system.error(path, x[:, 1:]), x
 
     def terms(self) -> dict[str, Tensor]:
@@ -297,11 +280,6 @@ class Fit(Loop):
 
     def _continue(self, tensors: Mapping[str, Tensor]) -> None:
         self.noise.set_state(tensors["noise"])
-
-
-def _normal(generator: torch.Generator, like: Tensor, *shape: int) -> Tensor:
-    draw = torch.randn(*shape, generator=generator, device=generator.device, dtype=like.dtype)
-    return draw.to(like.device)
 
 
 def fit_sde(task: Task) -> Fitted:

@@ -243,13 +243,7 @@ class Loop(ABC):
 
 
 def write_checkpoint(path: Path, tensors: Mapping[str, Tensor], about: Mapping[str, Any]) -> None:
-    """Write `path`.safetensors; `about` travels in its header, so that both are of one moment.
-
-    Args:
-        path: File without suffix; its folder is made.
-        tensors: What to keep.
-        about: JSON-able.
-    """
+    """Write `path`.safetensors; `about`, JSON-able, travels in its header, so that both are of one moment."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(".partial")
     kept = {k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}
@@ -262,11 +256,8 @@ def read_checkpoint(
 ) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
     """Read `path`.safetensors; None if there is none.
 
-    Args:
-        expected: State dict of the model that it should be of.
-        identity: Of the training that it should be of.
-        parts: Names of the further tensors that it must hold.
-        differ: What may differ where the identity does, in words.
+    It should be of a training of that identity, else `differ` says what may differ, and hold tensors as the expected
+    ones of the model and further parts.
 
     Raises:
         CheckpointError: damaged, or of another model or training.

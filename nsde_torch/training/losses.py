@@ -58,11 +58,8 @@ from nsde_torch.training.options import LossOptions
 def paired_score(errors: Tensor) -> Tensor:
     """CRPS and error of the centre of paths with mirrored noise, element by element; see the module docstring.
 
-    Args:
-        errors: Ensemble minus truth (P, ...); P is 1, or even, path p + P / 2 with the mirrored noise of path p.
-
-    Returns:
-        Score (...), in the unit of the errors.
+    Of ensemble minus truth (P, ...), in its unit: (...). P is 1, or even, path p + P / 2 with the mirrored noise of
+    path p.
     """
     p = errors.shape[0]
     if p == 1:
@@ -78,14 +75,9 @@ def paired_score(errors: Tensor) -> Tensor:
 
 
 def data_loss(errors: Tensor, scale: Tensor, *, kind: str, early: float, paired: bool) -> Tensor:
-    """Data loss of a batch.
+    """Data loss of errors (P, B, T, n_error), without the first state, of which `scale` matter (n_error,).
 
-    Args:
-        errors: Predicted minus measured (P, B, T, n_error), without the first state.
-        scale: Size of the errors that matter (n_error,).
-        kind: "replay" or "paper".
-        early: Exponent of the weights of the steps ("replay").
-        paired: Whether the paths have mirrored noise ("replay").
+    `early` is the exponent of the weights of the steps, and `paired` says that paths have mirrored noise ("replay").
     """
     relative = errors / scale
     if kind == "paper":
@@ -98,19 +90,13 @@ def data_loss(errors: Tensor, scale: Tensor, *, kind: str, early: float, paired:
 def distance_losses(
     eta: Distance, features: Tensor, directions: Tensor, share: Tensor, *, kind: str, near: float, far: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The three distance losses.
+    """Gradient, convexity and reward loss of a distance, each 0-d.
 
     Args:
-        eta: The distance.
         features: Raw features of data (M, nf).
-        directions: Unit vectors (M, K, nf).
-        share: Uniform numbers in [0, 1) (M, K, 1).
+        directions, share: Unit vectors (M, K, nf), and uniform numbers in [0, 1) (M, K, 1).
         kind: Of the loss; "paper" as the supplement has it.
-        near: Radius r of the ball [standard deviations].
-        far: Largest radius, but with "paper", [standard deviations].
-
-    Returns:
-        gradient, convexity and reward loss, each 0-d.
+        near, far: Radius r of the ball, and the largest one, but with "paper" [standard deviations].
     """
     y = eta.standardise(features)
     m, k, n = directions.shape
@@ -163,16 +149,7 @@ def distance_terms(
 def fit_distance(
     model: NeuralSDE, features: Tensor, *, loss: LossOptions, steps: int, rate: float, seed: int
 ) -> None:
-    """Teach the distance of a model what is near and what is far.
-
-    Args:
-        model: Changed in place.
-        features: Features of the data (N, nf).
-        loss: Weights and sizes.
-        steps: Gradient steps.
-        rate: Adam's learning rate.
-        seed: Seed of states and points.
-    """
+    """Teach the distance of a model, changed in place, what is near features of the data (N, nf) and what is far."""
     generator = torch.Generator().manual_seed(seed)
     optimiser = torch.optim.Adam(model.eta.parameters(), lr=rate, foreach=True)
     schedule = torch.optim.lr_scheduler.LinearLR(optimiser, 1.0, 0.1, total_iters=steps)

@@ -31,12 +31,10 @@ def prepare(
     start: bool,
     given: Collection[str] = (),
 ) -> None:
-    """Set standardisation, first sigma, clock and first parameters of a model.
+    """Set standardisation, first sigma, clock and first parameters of a model, changed in place.
 
     Args:
-        model: Changed in place.
-        runs: Training runs.
-        windows: Training windows.
+        model, runs, windows: The model, with its training runs and their windows.
         clock_scale: Physical seconds per logged second.
         start: Whether to look for first values of declared parameters in the data.
         given: Names of parameters that keep the value they have.
@@ -109,11 +107,7 @@ def error_scale(model: NeuralSDE, windows: Windows) -> Tensor:
 def fit_filter(target: InputFilter, logged: Sequence[Run], restored: Sequence[Run], n_inputs: int) -> None:
     """Set the weights of a filter by least squares: logged inputs come nearest to restored ones, in means over steps.
 
-    Args:
-        target: Changed in place.
-        logged: Runs as logged.
-        restored: The same runs with inputs as they acted.
-        n_inputs: Number of inputs.
+    `restored` are the logged runs with inputs as they acted.
     """
     reach, rows, wanted = target.reach, [], []
     stride = max(1, round(target.dt / logged[0].dt))

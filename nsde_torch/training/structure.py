@@ -1,21 +1,16 @@
-"""What a model is made of and trained by: what the user chose, the machine's own constants, and what the data ask for.
-
-What each kind of model is made of it says itself (`nsde_torch.models.kinds`).
-"""
+"""What a model is made of and trained by: what the user chose, the machine's constants, and what the data ask for."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 from nsde_torch.data.run import Run
-from nsde_torch.models.kind import Choice, filter_reach, model_kind
+from nsde_torch.models.kind import Choice, model_kind
 from nsde_torch.models.model import ModelSpec
 from nsde_torch.models.options import ModelOptions
 from nsde_torch.sde.options import IntegratorOptions
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import SystemOptions
 from nsde_torch.training.options import LossOptions
-
-__all__ = ["filter_reach", "machine_losses", "model_spec"]
 
 
 def model_spec(
@@ -27,7 +22,7 @@ def model_spec(
     loss: str = "innovations",
     integrator: IntegratorOptions | None = None,
 ) -> ModelSpec:
-    """The specification of a model.
+    """The specification of a model, whose kind says what it is made of.
 
     Args:
         model: What the user chose.

@@ -25,17 +25,12 @@ def test_a_state_moved_by_its_change_is_the_other_state(name: str) -> None:
     system = make_system(name).double()
     chart = Chart(system)
     x, after = states(name), states(name, seed=1)
+    assert chart.inputs(x).shape == (64, chart.width)
     change = chart.change(x, after)
     assert change.shape == (64, chart.n_change)
     torch.testing.assert_close(
         system.error(chart.moved(x, change), after).abs().max().item(), 0.0, atol=1e-9, rtol=0
     )
-
-
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_the_width_is_that_of_the_inputs(name: str) -> None:
-    chart = Chart(make_system(name))
-    assert chart.inputs(states(name)).shape == (64, chart.width)
 
 
 def test_the_angle_of_the_cartpole_is_found_and_a_full_turn_is_not_seen() -> None:

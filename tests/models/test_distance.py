@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from nsde_torch.models.networks import FAR_SHARE, MLP, START_SHARE, Diffusion, Distance, Standardise
+from nsde_torch.models.networks import FAR_SHARE, START_SHARE, Diffusion, Distance, Standardise
 from nsde_torch.training.losses import distance_losses, draw_ball
 
 
@@ -30,19 +30,6 @@ def test_written_out_gradient_equals_autograd() -> None:
     (expected,) = torch.autograd.grad(expected_value.sum(), y)
     torch.testing.assert_close(value, expected_value)
     torch.testing.assert_close(gradient, expected)
-
-
-def test_gradient_loss_has_the_parameter_gradient_of_autograds_second_differentiation() -> None:
-    eta = make_distance()
-    y = torch.randn(20, 3, generator=generator(2), dtype=torch.float64, requires_grad=True)
-    weights = list(eta.energy_network.parameters())
-    own = torch.autograd.grad(eta.energy_and_gradient(y)[1].square().sum(), weights, allow_unused=True)
-    (slope,) = torch.autograd.grad(eta.energy(y).sum(), y, create_graph=True)
-    expected = torch.autograd.grad(slope.square().sum(), weights, allow_unused=True)
-    for a, b, w in zip(own, expected, weights, strict=True):
-        torch.testing.assert_close(
-            torch.zeros_like(w) if a is None else a, torch.zeros_like(w) if b is None else b
-        )
 
 
 @pytest.mark.parametrize("kind", ["replay", "paper"])
@@ -160,12 +147,6 @@ def test_directions_are_unit_vectors_that_favour_no_side() -> None:
     assert float(share.max()) < 1
 
 
-def test_draws_repeat_with_the_same_generator() -> None:
-    a, b = (draw_ball(3, 2, 4, generator(7), torch.zeros(1)) for _ in range(2))
-    assert torch.equal(a[0], b[0])
-    assert torch.equal(a[1], b[1])
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_eta_lies_between_zero_and_one_for_any_weights(seed: int) -> None:
     eta = make_distance(seed=seed, dtype=torch.float32)
@@ -184,16 +165,6 @@ def test_logit_of_eta_stays_finite_and_ordered_far_from_the_data_in_float32() ->
         logit = torch.logit(Distance.link(signed))
         assert bool(torch.isfinite(logit).all())
         assert bool((logit.diff() > 0).all())
-
-
-def test_a_plain_sigmoid_would_not_tell_distances_apart_there() -> None:
-    assert float(torch.sigmoid(torch.tensor(20.0))) == 1.0
-
-
-def test_slope_of_the_link_is_its_derivative() -> None:
-    energy = torch.linspace(-30, 30, 101, dtype=torch.float64, requires_grad=True)
-    (expected,) = torch.autograd.grad(Distance.link(energy).sum(), energy)
-    torch.testing.assert_close(Distance.link_slope(energy), expected)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -223,12 +194,6 @@ def test_channels_of_h_have_slopes_of_their_own() -> None:
     assert h.slope.grad is not None
     assert float(h.slope.grad[0]) != 0.0
     assert float(h.slope.grad[1]) == 0.0
-
-
-def test_first_weights_repeat_with_the_generator() -> None:
-    a, b = (MLP(3, (4,), 2, activation=torch.tanh, generator=generator(5)) for _ in range(2))
-    for p, q in zip(a.parameters(), b.parameters(), strict=True):
-        assert torch.equal(p, q)
 
 
 def test_standardise_leaves_a_constant_channel_alone() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,11 +10,9 @@ import torch
 from torch import Tensor
 from torch.distributions import Categorical, Independent, MixtureSameFamily, Normal
 
-import nsde_torch
-from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
-from nsde_torch.models import EnsembleSpec, GaussianEnsemble, make_spec
+from nsde_torch.errors import ConfigError, NonFiniteError
+from nsde_torch.models import EnsembleSpec, GaussianEnsemble
 from nsde_torch.models.ensemble import StackedMLP
-from nsde_torch.models.run_directory import save
 from tests.helpers.toy_systems import DT
 
 DECAY = "tests.helpers.toy_systems:Decay"
@@ -114,14 +111,6 @@ def test_the_log_density_is_that_of_torchs_mixture_of_normals(system: str) -> No
     torch.testing.assert_close(model.log_density(x, u, after), mixture.log_prob(model.chart.change(x, after)))
 
 
-def test_the_density_of_a_scalar_state_integrates_to_one() -> None:
-    model = make(DECAY, DT)
-    grid = torch.linspace(-60, 60, 20_001)[:, None]
-    one = torch.full_like(grid, 0.3)
-    density = model.log_density(one, one, grid).exp()
-    assert float(torch.trapezoid(density, grid[:, 0])) == pytest.approx(1.0, abs=1e-4)
-
-
 @pytest.mark.parametrize("size", [0.0, 1.0, 1e3, 1e6])
 def test_the_variance_stays_between_its_bounds_however_far_the_input(size: float) -> None:
     model = make()
@@ -146,44 +135,29 @@ def test_the_output_does_not_see_a_full_turn_of_the_pole() -> None:
 MEANS = torch.tensor([-2.0, -1.0, 0.0, 1.0, 3.0])
 
 
-def increments(propagation: str, *, particles: int = 4000, batch: int = 2, steps: int = 6) -> Tensor:
-    """Which member moved each particle at each step (P, B, T)."""
-    model = steady(MEANS, propagation=propagation)
-    path = model.sample(
-        torch.zeros(batch, 1), torch.zeros(batch, steps, 1), dt=DT, particles=particles, generator=generator()
-    )
-    step = torch.diff(path[..., 0], dim=2)
-    near = (step[..., None] - MEANS).abs().min(-1)
-    assert float(near.values.max()) < 0.01
-    return near.indices
-
-
-def test_under_fixed_propagation_a_particle_keeps_its_member() -> None:
-    members = increments("fixed")
-    assert bool((members == members[..., :1]).all())
-
-
 @pytest.mark.parametrize("propagation", ["fixed", "redrawn"])
-def test_every_member_moves_a_fifth_of_the_particles_at_every_step(propagation: str) -> None:
-    members = increments(propagation)
+def test_members_are_drawn_alike_and_independently_once_for_a_path_or_at_every_step(propagation: str) -> None:
+    model = steady(MEANS, propagation=propagation)
+    path = model.sample(torch.zeros(2, 1), torch.zeros(2, 6, 1), dt=DT, particles=4000, generator=generator())
+    # which member moved each particle at each step (P, B, T)
+    near = (torch.diff(path[..., 0], dim=2)[..., None] - MEANS).abs().min(-1)
+    assert float(near.values.max()) < 0.01
+    members = near.indices
     for row in members.flatten(0, 1)[:, [0, 3, 5]].T:
         held = torch.bincount(row, minlength=5).double()
         expected = held.sum() / 5
         assert float(((held - expected).square() / expected).sum()) < 20.0  # chi-square, 4 degrees: p = 5e-4
-
-
-def test_members_of_different_rows_and_particles_are_independent() -> None:
-    members = increments("fixed", steps=1)[..., 0]
-    agree = (members[:, 0] == members[:, 1]).double().mean()  # of the rows of one particle
-    assert float(agree) == pytest.approx(0.2, abs=4 * (0.16 / len(members)) ** 0.5)
-    agree = (members[1:] == members[:-1]).double().mean()  # of neighbouring particles
-    assert float(agree) == pytest.approx(0.2, abs=4 * (0.16 / (2 * len(members))) ** 0.5)
-
-
-def test_under_redrawn_propagation_every_step_draws_anew() -> None:
-    members = increments("redrawn")
-    for lag in (1, 2, 5):
-        agree = (members[..., lag:] == members[..., :-lag]).double()
+    first = members[..., 0]
+    apart = [
+        (first[:, 0], first[:, 1]),
+        (first[1:], first[:-1]),
+    ]  # rows of a particle, neighbouring particles
+    if propagation == "fixed":
+        assert bool((members == members[..., :1]).all())
+    else:
+        apart += [(members[..., lag:], members[..., :-lag]) for lag in (1, 2, 5)]
+    for one, other in apart:
+        agree = (one == other).double()
         assert float(agree.mean()) == pytest.approx(0.2, abs=4 * (0.16 / agree.numel()) ** 0.5)
 
 
@@ -229,41 +203,15 @@ def test_mean_and_variance_of_a_sampled_step_are_those_of_the_mixture(propagatio
     torch.testing.assert_close(change.var(0), variance, rtol=0.04, atol=0.0)
 
 
-def test_paths_have_the_shape_and_start_of_every_model_and_stay_valid() -> None:
-    model = make("hexacopter", 0.05)
-    x, u = rows(model, 3)
-    path = model.sample(x, u[:, None].expand(-1, 4, -1), dt=0.05, particles=6, generator=generator())
-    assert path.shape == (6, 3, 5, 13)
-    torch.testing.assert_close(path[:, :, 0], x.expand(6, -1, -1))
-    torch.testing.assert_close(path[..., 6:10].norm(dim=-1), torch.ones(6, 3, 5))
-
-
-def test_the_same_generator_gives_the_same_paths_and_what_does_not_apply_changes_nothing() -> None:
+def test_what_does_not_apply_to_an_ensemble_changes_nothing() -> None:
     model = make()
     x, u = rows(model)
-    u = u[:, None].expand(-1, 3, -1)
-
-    def paths(seed: int = 0, **options: Any) -> Tensor:
-        return model.sample(x, u, dt=0.02, particles=4, generator=generator(seed), **options)
-
-    first = paths()
-    assert torch.equal(first, paths())
-    assert torch.equal(first, paths(measurement=False, applied=True, compile=True, t0=torch.ones(9)))
-    assert not torch.equal(first, paths(1))
-
-
-def test_it_is_saved_and_loaded_and_samples_the_same(tmp_path: Path) -> None:
-    model = make(members=3, hidden=(8,), propagation="redrawn")
-    save(model, tmp_path)
-    again = nsde_torch.load(tmp_path)
-    assert isinstance(again, GaussianEnsemble)
-    assert again.spec == model.spec
-    x, u = rows(model)
-
-    def paths(m: Any) -> Tensor:
-        return m.sample(x, u[:, None], dt=0.02, particles=3, generator=generator())
-
-    assert torch.equal(paths(model), paths(again))
+    given = {"dt": 0.02, "particles": 4}
+    first, again = (
+        model.sample(x, u[:, None].expand(-1, 3, -1), generator=generator(), **given, **more)  # type: ignore[arg-type]
+        for more in ({}, {"measurement": False, "applied": True, "compile": True, "t0": torch.ones(9)})
+    )
+    assert torch.equal(first, again)
 
 
 # ---- refusals -------------------------------------------------------------------------------------------
@@ -284,15 +232,6 @@ def test_noise_of_other_sensors_is_refused() -> None:
         model.sample(
             x, u[:, None], dt=0.02, particles=1, generator=generator(), measurement_std=torch.ones(4)
         )
-
-
-def test_arguments_are_checked_as_those_of_every_model() -> None:
-    model = make()
-    x, u = rows(model)
-    with pytest.raises(ShapeError, match="Add a horizon axis"):
-        model.sample(x, u, dt=0.02, particles=1, generator=generator())
-    with pytest.raises(NonFiniteError, match="`x0` is not finite in rows"):
-        model.sample(x * math.nan, u[:, None], dt=0.02, particles=1, generator=generator())
 
 
 def test_a_path_that_leaves_the_finite_numbers_says_when_and_where() -> None:
@@ -320,9 +259,3 @@ def test_settings_out_of_range_are_refused_by_name(wrong: dict[str, Any]) -> Non
     (name,) = wrong
     with pytest.raises(ConfigError, match=f"model.{name}"):
         EnsembleSpec("cartpole", dt=0.02, horizon=5, **wrong)
-
-
-def test_a_specification_survives_plain_containers() -> None:
-    spec = EnsembleSpec("cartpole", dt=0.02, horizon=5, members=3, hidden=(4, 4, 4), steps=7)
-    assert make_spec(spec.as_dict()) == spec
-    assert spec.kind == "ensemble"

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from nsde_torch.errors import ConfigError, ShapeError
-from nsde_torch.models import IdentifiedModel, SysidSpec, make_model, make_spec
+from nsde_torch.models import IdentifiedModel, SysidSpec
 
 SPEC = SysidSpec("mass_spring_damper", dt=0.01, horizon=50)
 
@@ -63,13 +63,6 @@ def test_memory_of_effects_starts_stationary() -> None:
     assert torch.equal(model.augment(x, u)[:, 13:], u)
     torch.testing.assert_close(model.drift(0.0, x, u), model.drift(0.0, model.augment(x, u), u)[:, :13])
     assert sample(model, x, u[:, None], dt=0.05).shape == (1, 1, 2, 13)
-
-
-def test_a_specification_goes_through_plain_values() -> None:
-    spec = SysidSpec("cartpole", dt=0.02, horizon=30, method="differences", max_iterations=7)
-    again = make_spec(spec.as_dict())
-    assert again == spec
-    assert isinstance(make_model(again, generator=torch.Generator()), IdentifiedModel)
 
 
 def test_what_cannot_be_is_refused() -> None:

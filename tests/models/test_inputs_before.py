@@ -147,7 +147,6 @@ def test_a_model_without_memory_predicts_the_same() -> None:
         assert torch.equal(sample(model, *given, u_before=u[None, :BEFORE]), sample(model, *given))
 
 
-@pytest.mark.parametrize("make", [identified, neural, ensemble])
 @pytest.mark.parametrize(
     ("u_before", "error", "words"),
     [
@@ -164,9 +163,9 @@ def test_a_model_without_memory_predicts_the_same() -> None:
     ],
 )
 def test_inputs_before_that_do_not_fit_are_refused(
-    make: object, u_before: Tensor, error: type[Exception], words: str
+    u_before: Tensor, error: type[Exception], words: str
 ) -> None:
-    model = make("motor_lag")  # type: ignore[operator]
+    model = neural("motor_lag")
     x0 = torch.zeros(1, 13)
     x0[:, 6] = 1.0
     with pytest.raises(error, match=words):

@@ -24,7 +24,7 @@ def test_disturbance_is_not_returned_and_starts_in_its_stationary_law() -> None:
         tau = float(model.tau) / scale  # on the logged clock
         n = 40_000
         normal = torch.randn(n, 1, generator=generator(), dtype=torch.float64)
-        z = model._augment(
+        z = model.augment(
             torch.zeros(n, 1, dtype=torch.float64), torch.zeros(n, 1, dtype=torch.float64), normal
         )
         assert z.shape == (n, 2)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -210,27 +208,3 @@ def test_configuration_that_is_no_text_is_refused(folder: Path) -> None:
     (folder / CONFIG).write_bytes(b"\xff\xfe\x00\x81")
     with pytest.raises(CheckpointError, match=str(folder)):
         nsde_torch.load(folder)
-
-
-def test_another_process_loads_and_samples_the_same(folder: Path) -> None:
-    code = (
-        "import sys, torch, nsde_torch\n"
-        "model = nsde_torch.load(sys.argv[1])\n"
-        "x0 = torch.zeros(1, 13); x0[:, 6] = 1\n"
-        "u = torch.full((1, 5, 6), 0.4)\n"
-        "x = model.sample(x0, u, dt=0.05, particles=3, generator=torch.Generator().manual_seed(1))\n"
-        "print(repr(x[:, 0, -1].tolist()))\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(folder)], capture_output=True, text=True, check=True, timeout=60
-    )
-    x0 = torch.zeros(1, 13)
-    x0[:, 6] = 1
-    x = nsde_torch.load(folder).sample(
-        x0,
-        torch.full((1, 5, 6), 0.4),
-        dt=0.05,
-        particles=3,
-        generator=torch.Generator().manual_seed(1),
-    )
-    assert done.stdout.strip() == repr(x[:, 0, -1].tolist())

@@ -47,7 +47,3 @@ def test_method_has_its_classical_order(name: str, order: float) -> None:
     errors = [float((end(name, n) - reference()).abs().max()) for n in counts]
     assert slope(tuple(2 / n for n in counts), errors) == pytest.approx(order, abs=0.15)
     assert make_step(name).strong_order == order
-
-
-def test_rk4_agrees_with_torchdiffeq() -> None:
-    assert torch.allclose(end("rk4", 400), reference(), rtol=0, atol=1e-9)

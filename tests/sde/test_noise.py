@@ -12,15 +12,12 @@ def draw(seed: int = 0, **options: object) -> torch.Tensor:
     return brownian(3, 4, 6, 2, **arguments)  # type: ignore[arg-type]
 
 
-def test_increments_have_the_shape_and_dtype_asked_for() -> None:
-    assert draw().shape == (3, 4, 6, 2)
-    assert draw(dtype=torch.float64).dtype == torch.float64
-
-
-def test_one_seed_gives_one_path_and_global_state_is_left_alone() -> None:
+def test_one_seed_gives_one_path_of_the_shape_and_type_asked_for_and_global_state_is_left_alone() -> None:
     before = torch.get_rng_state()
     assert torch.equal(draw(7), draw(7))
     assert not torch.equal(draw(7), draw(8))
+    assert draw().shape == (3, 4, 6, 2)
+    assert draw(dtype=torch.float64).dtype == torch.float64
     assert torch.equal(before, torch.get_rng_state())
 
 

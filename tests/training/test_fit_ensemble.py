@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import load_file, save_file
 from torch.distributions import Normal
 
 from nsde_torch.data import Run, Windows
@@ -100,11 +99,6 @@ def test_the_likelihood_is_that_of_torchs_normal() -> None:
     torch.testing.assert_close(nll(loop.model, y, c), expected)
 
 
-def test_the_loss_weighs_the_distance_of_the_bounds_with_a_twentieth() -> None:
-    loop = make_loop()
-    torch.testing.assert_close(loop.terms()["bounds"], torch.tensor(0.05 * 10.5))
-
-
 def test_pairs_are_consecutive_states_with_the_mean_input_of_the_step() -> None:
     """A model step of two data steps: pairs start at every sample."""
     runs = noisy_runs(1, 60)
@@ -180,17 +174,6 @@ def test_without_a_number_of_its_own_it_takes_ten_times_the_trainers_steps(tmp_p
     assert fit_ensemble(make_task(tmp_path, members=2, hidden=(8,))).progress.step == 120
 
 
-def test_training_never_sees_the_validation_rows() -> None:
-    windows = Windows(noisy_runs(2, 200), DT, 5)
-    train, held = windows.held_out(0.2, 2.0, torch.Generator().manual_seed(0))
-    rows = []
-    for side in (train.shortened(1), held.shortened(1)):
-        rows.append({(n, s + k) for n, s in side.locate(range(len(side))) for k in (0, 1)})
-    assert rows[0]
-    assert rows[1]
-    assert not rows[0] & rows[1]
-
-
 # ---- members do not see each other ------------------------------------------------------------------------
 
 
@@ -248,13 +231,6 @@ def test_every_member_keeps_its_own_best_weights_and_all_stop_together() -> None
             assert torch.equal(p[m], averages[step][i][m])
 
 
-def test_the_rate_falls_from_its_start_to_its_end() -> None:
-    loop = make_loop(steps=120)
-    assert [loop.options.rate(k) for k in (0, 60, 120, 500)] == pytest.approx([0.01, 0.0055, 0.001, 0.001])
-    loop.options = replace(loop.options, decay_steps=10)
-    assert [loop.options.rate(k) for k in (5, 10, 120)] == pytest.approx([0.0055, 0.001, 0.001])
-
-
 def test_weights_decay_and_bounds_do_not() -> None:
     groups = make_loop().optimiser.param_groups
     assert [g["weight_decay"] for g in groups] == [1e-4, 0.0]
@@ -295,33 +271,7 @@ def test_a_checkpoint_of_another_training_is_refused(tmp_path: Path) -> None:
         fit_ensemble(make_task(tmp_path, steps=6, members=2, hidden=(9,)))
 
 
-@pytest.mark.parametrize("lost", ["batches", "best_score", "average.0"])
-def test_a_checkpoint_that_lacks_a_part_is_refused(lost: str, tmp_path: Path) -> None:
-    from safetensors import safe_open
-
-    make_loop().run(title="t", checkpoint=tmp_path / "c", quiet=True)
-    file = tmp_path / "c.safetensors"
-    with safe_open(str(file), framework="pt") as opened:
-        about = opened.metadata()
-    tensors = load_file(file)
-    del tensors[lost]
-    save_file(tensors, file, metadata=about)
-    with pytest.raises(CheckpointError, match="parts are missing"):
-        make_loop().run(title="t", checkpoint=tmp_path / "c", quiet=True)
-
-
 # ---- faults -----------------------------------------------------------------------------------------------
-
-
-def test_a_gradient_that_is_not_finite_stops_with_the_step_and_the_remedy() -> None:
-    loop = make_loop()
-    bad = loop.train.changes.clone()
-    bad[:] = float("inf")
-    loop.train = Pairs(loop.train.inputs, bad)
-    with pytest.raises(NonFiniteError, match=r"step 1 .*trainer\.lr"):
-        loop.run(title="t", quiet=True)
-
-
 def test_a_validation_score_that_is_not_finite_stops_with_the_remedy() -> None:
     loop = make_loop()
     loop.validation = Pairs(loop.validation.inputs, loop.validation.changes * float("nan"))

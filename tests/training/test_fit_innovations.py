@@ -2,20 +2,25 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
 
+from nsde_torch.data import Run
 from nsde_torch.data.raw import RawRun
+from nsde_torch.effects import Port
 from nsde_torch.errors import CheckpointError
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.recording import assemble
 from nsde_torch.systems import make_system
 from nsde_torch.training import LossOptions, TrainerOptions
-from nsde_torch.training.fit_innovations import fit_innovations
+from nsde_torch.training.fit_innovations import fit_innovations, identified
 from nsde_torch.training.task import Fitted, Task
+from tests.helpers.encoders import encoder_runs
+from tests.inference.springs import TRUTH, B, rubbing, small_runs
 
 H = 0.02
 SPEC = SDESpec(
@@ -59,7 +64,7 @@ def closed_loop(seed: int, *, lag: float, drag: float = 0.0) -> list[RawRun]:
 
 
 def fitted(
-    raw: list[RawRun],
+    raw: list[RawRun] | list[Run],
     folder: Path,
     spec: SDESpec = SPEC,
     *,
@@ -67,10 +72,12 @@ def fitted(
     near: Fitted | None = None,
     **options: int,
 ) -> Fitted:
-    data = assemble(raw, make_system("mass_spring_damper"), kind="csv")
+    runs = [run for run in raw if isinstance(run, Run)]
+    if not runs:
+        runs = list(assemble(raw, make_system("mass_spring_damper"), kind="csv").runs)  # type: ignore[arg-type]
     task = Task(
         spec=spec,
-        runs=data.runs,
+        runs=runs,
         seed=seed,
         name="train",
         loss=LossOptions(),
@@ -110,9 +117,8 @@ def test_a_fit_to_some_of_the_runs_begins_where_that_of_all_ended_and_has_values
 
     whole = fitted(runs(), tmp_path / "whole")
     assert whole.facts["innovations"]["networks"]["force"]["variables"] == ["q_dot"]
-    for k, near in enumerate(
-        (whole, fitted(runs(), tmp_path / "whole"))
-    ):  # as it was, and from its checkpoint
+    # as it was, and from its checkpoint
+    for k, near in enumerate((whole, fitted(runs(), tmp_path / "whole"))):
         part = fitted(runs()[:1], tmp_path / f"part_{k}", near=near)
         assert part.model.spec.effects == whole.model.spec.effects == ("actuator_lag",)
         assert part.facts["innovations"]["networks"]["force"]["variables"] in (["q_dot"], [])
@@ -167,3 +173,53 @@ def test_sigma_over_the_data_is_that_of_the_law_and_grows_to_what_is_declared(tm
     assert float(sigma[:, 1].square().mean().sqrt()) == pytest.approx(noise["q_dot"]["diffusion"], rel=0.1)
     far = model.h(torch.ones(1))[0].detach()
     assert bool((far >= 0.94 * torch.tensor(model.system.defaults.sigma_max)).all())
+
+
+# ---- networks from functions that the likelihood chose --------------------------------------------------------
+
+
+def network_of(runs: list[Run], folder: Path) -> tuple[NeuralSDE, dict[str, Any]]:
+    fit = fitted(runs, folder)
+    assert isinstance(fit.model, NeuralSDE)
+    return fit.model, fit.facts["innovations"]["networks"]["force"]
+
+
+def test_the_network_sees_the_variable_of_the_law_and_fades_beyond_the_data(tmp_path: Path) -> None:
+    machine = replace(rubbing(0.0), effects={"quadratic": {"size": 0.1}})
+    runs = small_runs(machine, 4, 10.0, seed=3)
+    model, told = network_of(runs, tmp_path)
+    assert told["kept"]
+    assert told["variables"] == ["q_dot"]
+    fastest = max(float(np.abs(run.x[:, 1]).max()) for run in runs)
+
+    @torch.no_grad()
+    def force(q: float, v: float) -> float:
+        return float(model.residual(torch.tensor([[q, v]]))[Port.FORCE])
+
+    assert force(0.0, 0.5 * fastest) == force(1.0, 0.5 * fastest)
+    damping = float(model.system.all_declared()[B][0])
+    for v in (-0.7 * fastest, 0.3 * fastest, 0.7 * fastest):
+        true = -TRUTH[B] * v - 0.1 * abs(v) * v
+        assert force(0.0, v) - damping * v == pytest.approx(true, abs=0.08 * fastest)
+    assert abs(force(0.0, 4.0 * fastest)) < abs(force(0.0, 0.9 * fastest))
+
+
+def test_where_nothing_is_missing_the_network_is_silent(tmp_path: Path) -> None:
+    model, told = network_of(small_runs(rubbing(0.0), 4, 8.0, seed=1), tmp_path)
+    assert not told["kept"]
+    with torch.no_grad():
+        assert float(model.residual(torch.randn(20, 2))[Port.FORCE].abs().max()) == 0.0
+
+
+def test_rows_at_a_standstill_teach_no_noise() -> None:
+    effects = ("coulomb_friction",)
+    runs = encoder_runs("sensor", friction=0.8, runs=2, seconds=10.0, gust=0.0)
+    data = assemble(runs, make_system("mass_spring_damper", effects=list(effects)), kind="test")
+    spec = SDESpec(
+        "mass_spring_damper", dt=data.dt, horizon=10, effects=effects, step="heun", learn_lag=False
+    )
+    physics = identified(spec, data.runs, clock=1.0, values={}).regression.physics
+    rows = sum(len(run) for run in data.runs)
+    assert 0.2 * rows < len(physics.steps) < 0.95 * rows
+    slow = np.abs(physics.steps.x0[:, 1].numpy()) < 0.005
+    assert slow.mean() < 0.02

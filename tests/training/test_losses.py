@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import pytest
 import torch
+from torch import Tensor
 
 from nsde_torch.errors import ConfigError
 from nsde_torch.evaluation.scores import crps
@@ -19,66 +21,44 @@ def generator(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
+SCORES = [(crps, 2), (crps, 5), (paired_score, 2), (paired_score, 4), (paired_score, 6)]
+Score = Callable[[Tensor], Tensor]
+
+
 @pytest.mark.parametrize("particles", [2, 3, 8])
 def test_crps_equals_the_double_loop_over_particles(particles: int) -> None:
     e = torch.randn(particles, 5, 4, generator=generator(), dtype=torch.float64)
-    spread = torch.zeros(5, 4, dtype=torch.float64)
-    for i in range(particles):
-        for j in range(particles):
-            spread += (e[i] - e[j]).abs()
+    spread = (e[:, None] - e).abs().sum((0, 1))
     expected = e.abs().mean(0) - spread / (2 * particles * (particles - 1))
     torch.testing.assert_close(crps(e), expected, rtol=1e-12, atol=1e-12)
 
 
-def test_crps_of_a_point_forecast_is_its_absolute_error() -> None:
+@pytest.mark.parametrize("score", [crps, paired_score])
+def test_the_score_of_a_point_forecast_is_its_absolute_error(score: Score) -> None:
     e = torch.randn(1, 7, generator=generator())
-    torch.testing.assert_close(crps(e), e[0].abs())
+    torch.testing.assert_close(score(e), e[0].abs())
 
 
-@pytest.mark.parametrize("particles", [2, 5])
+@pytest.mark.parametrize(("score", "particles"), SCORES)
 @pytest.mark.parametrize(("mean", "sigma"), [(0.0, 1.0), (0.7, 0.4), (-2.0, 1.5)])
-def test_expected_crps_is_that_of_the_gaussian_whatever_the_number_of_particles(
-    particles: int, mean: float, sigma: float
+def test_the_expected_score_is_the_crps_of_the_gaussian_and_if_paired_the_error_of_its_mean_too(
+    score: Score, particles: int, mean: float, sigma: float
 ) -> None:
-    n = 200_000
-    e = mean + sigma * torch.randn(particles, n, generator=generator(particles), dtype=torch.float64)
-    score = crps(e)
+    n, paired = 200_000, score is paired_score
+    rows = particles // 2 if paired else particles
+    draw = sigma * torch.randn(rows, n, generator=generator(particles), dtype=torch.float64)
+    found = score(mean + (torch.cat((draw, -draw)) if paired else draw))
     z = -mean / sigma
     density = math.exp(-0.5 * z * z) / math.sqrt(2 * math.pi)
     share = 0.5 * (1 + math.erf(z / math.sqrt(2)))
-    expected = sigma * (z * (2 * share - 1) + 2 * density - 1 / math.sqrt(math.pi))
-    assert float(score.mean()) == pytest.approx(expected, abs=4 * float(score.std()) / math.sqrt(n))
+    expected = sigma * (z * (2 * share - 1) + 2 * density - 1 / math.sqrt(math.pi)) + paired * abs(mean)
+    assert float(found.mean()) == pytest.approx(expected, abs=4 * float(found.std()) / math.sqrt(n))
 
 
-def test_crps_gradient_equals_finite_differences() -> None:
-    e = torch.randn(4, 3, generator=generator(), dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(crps, (e,))
-
-
-@pytest.mark.parametrize("particles", [2, 4, 6])
-@pytest.mark.parametrize(("mean", "sigma"), [(0.0, 1.0), (0.7, 0.4), (-2.0, 1.5)])
-def test_expected_paired_score_is_the_crps_of_the_gaussian_and_the_error_of_its_mean(
-    particles: int, mean: float, sigma: float
-) -> None:
-    n = 200_000
-    draw = sigma * torch.randn(particles // 2, n, generator=generator(particles), dtype=torch.float64)
-    score = paired_score(mean + torch.cat((draw, -draw)))
-    z = -mean / sigma
-    density = math.exp(-0.5 * z * z) / math.sqrt(2 * math.pi)
-    share = 0.5 * (1 + math.erf(z / math.sqrt(2)))
-    expected = sigma * (z * (2 * share - 1) + 2 * density - 1 / math.sqrt(math.pi)) + abs(mean)
-    assert float(score.mean()) == pytest.approx(expected, abs=4 * float(score.std()) / math.sqrt(n))
-
-
-def test_paired_score_of_a_point_forecast_is_its_absolute_error() -> None:
-    e = torch.randn(1, 7, generator=generator())
-    torch.testing.assert_close(paired_score(e), e[0].abs())
-
-
-@pytest.mark.parametrize("particles", [2, 4])
-def test_paired_score_gradient_equals_finite_differences(particles: int) -> None:
+@pytest.mark.parametrize(("score", "particles"), [(crps, 4), (paired_score, 2), (paired_score, 4)])
+def test_the_gradient_of_a_score_equals_finite_differences(score: Score, particles: int) -> None:
     e = torch.randn(particles, 3, generator=generator(), dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(paired_score, (e,))
+    assert torch.autograd.gradcheck(score, (e,))
 
 
 def losses_over_sigma(kind: str, factors: list[float], particles: int) -> list[float]:

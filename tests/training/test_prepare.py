@@ -8,8 +8,9 @@ import torch
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.models import NeuralSDE, SDESpec
+from nsde_torch.models.input_filter import InputFilter
 from nsde_torch.simulation import simulated
-from nsde_torch.training.prepare import error_scale, prepare, sensor_std
+from nsde_torch.training.prepare import error_scale, fit_filter, prepare, sensor_std
 from tests.helpers.toy_systems import DT, Decay, decay_runs, make_model
 
 
@@ -109,9 +110,27 @@ def test_first_parameters_of_a_multirotor_come_near_those_of_the_plant(system: s
 
 
 def test_without_start_declared_parameters_keep_the_users_values() -> None:
-    data = simulated("hexacopter", durations=[10.0], process_noise=0.1, sensor_noise=0.1)
     spec = SDESpec("hexacopter", dt=0.05, horizon=20, step="milstein")
     model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0), values={"roll_gain": 33.0})
-    runs = list(data.runs)
+    rng = np.random.default_rng(0)
+    x = model.project(torch.from_numpy(rng.standard_normal((200, 13))).float()).detach().numpy()
+    runs = [Run("shaken", 0.05 * np.arange(200), x, rng.uniform(size=(200, 6)))]
     prepare(model, runs, Windows(runs, 0.05, 20), clock_scale=1.0, start=False)
     assert float(model.system.value("roll_gain").detach()) == pytest.approx(33.0)
+
+
+def test_segments_shorter_than_a_step_of_the_model_teach_the_input_filter_nothing() -> None:
+    rng, dt = np.random.default_rng(0), 0.01
+    u = rng.normal(size=(400, 1))
+    averaged = np.convolve(u[:, 0], np.ones(9) / 9.0, mode="same")[:, None]
+    whole, pieces = [(0, 300)], [(0, 300), *((a, a + 4) for a in range(300, 400, 4))]
+    weights = []
+    for segments in (whole, pieces):
+        logged, restored = (
+            [Run("a", dt * np.arange(400), np.zeros((400, 2)), v, segments=segments)] for v in (averaged, u)
+        )
+        target = InputFilter(2, 5 * dt)
+        fit_filter(target, logged, restored, 1)
+        weights.append(target.weights.detach().clone())
+    assert weights[0].abs().max() > 0.1
+    torch.testing.assert_close(weights[0], weights[1])

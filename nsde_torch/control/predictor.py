@@ -78,17 +78,15 @@ class JointNetwork(nn.Module):
         """Accelerations (N, sum of widths) from raw features (N, nr)."""
         h = features
         for k in range(self.depth):
-            h = _affine(h, getattr(self, f"weight_{k}"), getattr(self, f"bias_{k}"))
+            weight, bias = getattr(self, f"weight_{k}"), getattr(self, f"bias_{k}")
+            if few() or len(h) > _FEW:
+                h = torch.addmm(bias, h, weight.T)
+            else:
+                h = (h[:, None, :] * weight).sum(-1) + bias
             if k < self.depth - 1:
                 # tanh, which is slow when compiled
                 h = torch.tanh(h) if few() else 2.0 * torch.sigmoid(2.0 * h) - 1.0
         return h
-
-
-def _affine(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-    if few() or len(x) > _FEW:
-        return torch.addmm(bias, x, weight.T)
-    return (x[:, None, :] * weight).sum(-1) + bias
 
 
 # A step of second order for multirotors with one evaluation of the drift: forces turn with the body.

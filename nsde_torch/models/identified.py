@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 
 from nsde_torch.errors import ConfigError, ShapeError
-from nsde_torch.models.input_filter import InputFilter
 from nsde_torch.models.model import Capabilities, Model, ModelSpec
+from nsde_torch.models.networks import InputFilter
 from nsde_torch.sde import Calculus, make_step, rollout
 
 METHODS = ("weak", "differences")

@@ -119,14 +119,8 @@ class EnsembleKind(ModelKind):
     def make_spec(cls, choice: Choice) -> EnsembleSpec:
         chosen = choice.options
         assert isinstance(chosen, EnsembleOptions)
-        return EnsembleSpec(
-            **choice.common,
-            members=chosen.members,
-            hidden=tuple(chosen.hidden),
-            batch=chosen.batch,
-            steps=chosen.steps,
-            propagation=chosen.propagation,
-        )
+        own = {k: v for k, v in vars(chosen).items() if k not in ("kind", "hidden")}
+        return EnsembleSpec(**choice.common, **own, hidden=tuple(chosen.hidden))
 
     @classmethod
     def fit(cls, task: Any) -> Any:

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
-from nsde_torch.models.input_filter import InputFilter
+from nsde_torch.models.networks import InputFilter
 from nsde_torch.shown import data_frame, preformatted
 from nsde_torch.systems import System, make_system
 

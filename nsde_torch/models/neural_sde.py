@@ -27,9 +27,17 @@ from torch import Tensor, nn
 from nsde_torch.columns import join_columns, split_columns
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError, ShapeError
-from nsde_torch.models.input_filter import InputFilter
 from nsde_torch.models.model import Capabilities, Model, ModelSpec, normal
-from nsde_torch.models.networks import MLP, BlackBoxDrift, Diffusion, Distance, Standardise, at_zero, tanh
+from nsde_torch.models.networks import (
+    MLP,
+    BlackBoxDrift,
+    Diffusion,
+    Distance,
+    InputFilter,
+    Standardise,
+    at_zero,
+    tanh,
+)
 from nsde_torch.sde import Calculus, brownian, make_step, rollout
 from nsde_torch.systems.in_run import in_new_runs
 

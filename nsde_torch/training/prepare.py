@@ -8,7 +8,7 @@ from torch import Tensor
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.errors import ConfigError
-from nsde_torch.models.input_filter import InputFilter
+from nsde_torch.models.networks import InputFilter
 from nsde_torch.models.neural_sde import NeuralSDE
 
 _ROWS = 20_000

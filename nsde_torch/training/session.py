@@ -5,7 +5,7 @@ import math
 import struct
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -44,61 +44,38 @@ _LEFT_OUT = 3  # training runs that calibration leaves out in turn, at most
 _AUXILIARY_SHARE = 0.5  # of the gradient steps
 
 
+@dataclass(kw_only=True, eq=False)
 class Training:
-    """One training. `run` does all of it; killed at any moment and run again, it ends in the same numbers.
+    """One training. `run` does all of it; killed at any moment and run again, it ends in the same numbers."""
 
-    Args:
-        spec: The model.
-        data: The data set.
-        split: Runs to train on and runs to test on.
-        loss: Weights of the losses.
-        options: Settings of the optimisation.
-        validation: Share of the training runs' time that early stopping looks at.
-        seed: Seed of weights, batches and noise.
-        run_dir: Folder to write into.
-        values: Initial values of declared parameters.
-        device: Where tensors live.
-        dtype: Precision.
-        about: Plain values for `config.yaml`.
-        say: Where text for people goes; False: nowhere, and no progress bar.
-        other_sensors: Whether the test runs were recorded by other sensors, whose noise is then estimated.
-        instruments: Logged columns from outside the loop: sticks, setpoints.
-        kept: Whether the folder stays after the training.
-    """
+    spec: ModelSpec  # the model
+    data: DataSet  # the data set
+    split: Split  # runs to train on and runs to test on
+    loss: LossOptions  # weights of the losses
+    options: TrainerOptions  # settings of the optimisation
+    validation: float = 0.15  # share of the training runs' time that early stopping looks at
+    seed: int  # seed of weights, batches and noise
+    run_dir: str | Path  # folder to write into
+    values: Mapping[str, Any] | None = None  # initial values of declared parameters
+    device: str | torch.device = "cpu"  # where tensors live
+    dtype: torch.dtype = torch.float32  # precision
+    about: Mapping[str, Any] | None = None  # plain values for `config.yaml`
+    say: Callable[[str], None] | Literal[False] = print
+    """Where text for people goes; False: nowhere, and no progress bar."""
+    other_sensors: bool = False
+    """Whether the test runs were recorded by other sensors, whose noise is then estimated."""
+    instruments: Sequence[str] = ()  # logged columns from outside the loop: sticks, setpoints
+    kept: bool = True  # whether the folder stays after the training
+    verbose: bool = False  # whether all tables are said
 
-    def __init__(
-        self,
-        spec: ModelSpec,
-        data: DataSet,
-        split: Split,
-        *,
-        loss: LossOptions,
-        options: TrainerOptions,
-        validation: float,
-        seed: int,
-        run_dir: str | Path,
-        values: Mapping[str, Any] | None = None,
-        device: str | torch.device = "cpu",
-        dtype: torch.dtype = torch.float32,
-        about: Mapping[str, Any] | None = None,
-        say: Callable[[str], None] | Literal[False] = print,
-        other_sensors: bool = False,
-        instruments: Sequence[str] = (),
-        kept: bool = True,
-        verbose: bool = False,
-    ) -> None:
-        self.spec, self.data, self.split, self.loss, self.options = spec, data, split, loss, options
-        self.validation, self.seed, self.values = validation, seed, values
-        self.device, self.dtype = torch.device(device), dtype
-        self.instruments, self.kept, self.verbose = tuple(instruments), kept, verbose
-        self.folder, self.about, self.other_sensors = Path(run_dir), about, other_sensors
-        self.say, self.quiet = say or (lambda text: None), say is False
-        compiles = model_kind(spec.kind).compiles
+    def __post_init__(self) -> None:
+        self.folder, self.quiet = Path(self.run_dir), self.say is False
+        compiles = model_kind(self.spec.kind).compiles
         # a fit by innovations samples too little to pay for it: a minute of compiler for some seconds
-        compiles = compiles and (options.compile == "on" or loss.kind != "innovations")
-        self.compile = options.compile != "off" and compiles
-        self.smoothing = smoothing_width(split.train, len(data.input_names))
-        self.filter_reach = spec.input_filter_reach
+        compiles = compiles and (self.options.compile == "on" or self.loss.kind != "innovations")
+        self.compile = self.options.compile != "off" and compiles
+        self.smoothing = smoothing_width(self.split.train, len(self.data.input_names))
+        self.filter_reach = self.spec.input_filter_reach
 
     def run(self) -> dict[str, Any]:
         """Train, calibrate, test and write.
@@ -107,7 +84,7 @@ class Training:
             What `metrics.json` holds.
         """
         started = time.perf_counter()
-        self.say(str(self.data.summary) if self.verbose else self.data.summary.short)
+        self._say(str(self.data.summary) if self.verbose else self.data.summary.short)
         self._say_split()
         if self.split.test and not horizons_of(self.split.test, self.spec.dt):
             names = ", ".join(run.name for run in self.split.test)
@@ -118,14 +95,14 @@ class Training:
         model, p = fit.model, fit.progress
         fitted = time.perf_counter()
         ended = "validation no longer fell" if p.stopped else "all steps done"
-        self.say(
+        self._say(
             fit.said
             or f"fitted: {p.step} steps in {fitted - started:.0f} s ({ended}); kept step {p.best_step}, "
             f"validation {p.best_score:.4f}"
             + (f"; then {p.polished} steps on all windows" if p.polished else "")
         )
         if self.verbose and fit.details:
-            self.say(f"\n{fit.details}")
+            self._say(f"\n{fit.details}")
         save(model, self.folder, about={"calibrated": False, **(self.about or {})})
         calibration = self._calibrate(fit)
         loop = {} if "feedback" in fit.facts else self._feedback(model)
@@ -181,7 +158,7 @@ class Training:
             validation=self.validation,
             clock=clock,
             values=self.values or {},
-            device=self.device,
+            device=torch.device(self.device),
             dtype=self.dtype,
             checkpoint=self.folder / "checkpoints" / name.replace(" ", "_"),
             log=self._scalars(name),
@@ -206,7 +183,7 @@ class Training:
             if known.loop is not None:
                 out["feedback"] = known.loop.as_dict()
         for sentence in told:
-            self.say(f"feedback: {sentence}")
+            self._say(f"feedback: {sentence}")
         return out
 
     def _calibrate(self, fit: Fitted) -> dict[str, Any]:
@@ -229,13 +206,13 @@ class Training:
                 assert is_stochastic(auxiliary)
                 coverage = Coverage(auxiliary, [runs[k]], seed=self.seed, compile=self.compile)
             except (DataError, NonFiniteError) as error:
-                self.say(f"calibration without {runs[k].name!r} left out: {error}")
+                self._say(f"calibration without {runs[k].name!r} left out: {error}")
                 continue
             new.append(coverage.log_factor())
         total = extrapolate(fitted, new, len(runs))
         widen(model, total)
         factor = math.exp(total)
-        self.say(
+        self._say(
             f"calibrated: sigma times {factor:.2f} (right on the fitted runs at {math.exp(fitted):.2f}"
             + (", on a run left out at " + ", ".join(f"{math.exp(f):.2f}" for f in new) if new else "")
             + (", each with its own numbers" if numbers else "")
@@ -259,7 +236,7 @@ class Training:
             std = model.measurement_std * ratio.to(model.measurement_std)
         result = evaluate(model, self.split.test, seed=self.seed, compile=self.compile, measurement_std=std)
         if std is not None:
-            self.say(
+            self._say(
                 "the test runs come from another file: their sensor noise is taken from their own fourth "
                 "differences, nothing else of them is used"
             )
@@ -301,15 +278,19 @@ class Training:
 
     # ---- text -----------------------------------------------------------------------------------------
 
+    def _say(self, text: str) -> None:
+        if self.say is not False:
+            self.say(text)
+
     def _say_split(self) -> None:
         train, test = ([run.name for run in side] for side in (self.split.train, self.split.test))
-        self.say(f"training on {_names(train)}; testing on {_names(test)}")
+        self._say(f"training on {_names(train)}; testing on {_names(test)}")
         if self.note():
-            self.say(f"note: {self.note()}")
+            self._say(f"note: {self.note()}")
 
     def _conclude(self, metrics: Mapping[str, Any]) -> None:
         if metrics["parameters"] and "identification" not in metrics:
-            self.say("\n" + parameter_table(metrics["parameters"]))
+            self._say("\n" + parameter_table(metrics["parameters"]))
         test = metrics.get("test")
         if test and test["errors"]:
             noisy = any(value > 0 for by in test["spread"].values() for value in by.values())
@@ -321,12 +302,12 @@ class Training:
             tables += [error_table(test), coverage_table(test) if noisy else NO_INTERVALS]
             if not self.verbose:
                 tables = [f"held out: {starts}\n{short_table(test, noisy=noisy)}"]
-            self.say("\n" + "\n\n".join(filter(None, tables)))
+            self._say("\n" + "\n\n".join(filter(None, tables)))
         if self.note():
-            self.say(f"\nnote: {self.note()}")
+            self._say(f"\nnote: {self.note()}")
         wrote = f"; wrote {self.folder}" if self.kept else ""
         more = "" if self.verbose else "; verbose=true prints all tables"
-        self.say(f"\ntook {metrics['seconds']['total']:.0f} s{wrote}{more}")
+        self._say(f"\ntook {metrics['seconds']['total']:.0f} s{wrote}{more}")
 
     def _scalars(self, name: str) -> Callable[[int, dict[str, float]], None]:
         from torch.utils.tensorboard import SummaryWriter
@@ -380,9 +361,7 @@ def train(
         DataError: the data cannot be used.
         NonFiniteError: the optimisation left the finite numbers.
     """
-    settings.setdefault("validation", 0.15)
     if not split.train:
         raise DataError("no run to train on.")
-    return Training(
-        spec, data, split, loss=loss, options=options, seed=seed, run_dir=run_dir, **settings
-    ).run()
+    given = {"loss": loss, "options": options, "seed": seed, "run_dir": run_dir, **settings}
+    return Training(spec=spec, data=data, split=split, **given).run()

@@ -120,31 +120,6 @@ def test_states_that_are_lost_on_their_way_for_a_while_do_not_lose_the_machine(d
     assert _rmse(flight) < 0.1
 
 
-@pytest.mark.slow
-def test_a_state_that_jumps_for_a_sample_changes_little(declared: System) -> None:
-    def jump(t: float, x: torch.Tensor) -> torch.Tensor:
-        return (
-            x + torch.nn.functional.pad(torch.full((len(x), 1), 3.0), (0, 12)) if abs(t - 1.0) < 0.02 else x
-        )
-
-    flight = _flight(declared, faults=(jump,))
-    assert "state_jump:kept" in {d.status[0] for d in flight.decisions}
-    assert _rmse(flight) < 0.04
-
-
-@pytest.mark.slow
-def test_a_reference_outside_the_envelope_is_flown_as_well_as_can_be(declared: System) -> None:
-    flight = _flight(declared, Reference(lemniscate(duration=6.0, ramp=0.5, speed=12.0)))
-    assert bool(torch.isfinite(flight.u).all())
-    assert 0.0 <= float(flight.u.min()) <= float(flight.u.max()) <= 1.0
-
-
-@pytest.mark.slow
-def test_machines_in_one_batch_fly_as_each_alone(declared: System) -> None:
-    alone, together = _flight(declared, duration=0.6), _flight(declared, machines=3, duration=0.6)
-    assert torch.allclose(together.x[:, 1:2], alone.x, atol=2e-3)
-
-
 def test_the_cascade_flies_the_same_references(declared: System) -> None:
     machine = make_plant(
         "hexacopter", generator=torch.Generator().manual_seed(0), declared_only=True, check=False

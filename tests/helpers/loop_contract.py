@@ -27,6 +27,19 @@ def kill_at(loop: Loop, count: int) -> None:
     loop.terms = counted  # type: ignore[method-assign]
 
 
+def averages_of(loop: Loop) -> dict[int, list[torch.Tensor]]:
+    """Running averages of the weights at every validation to come, by its step."""
+    averages: dict[int, list[torch.Tensor]] = {}
+    score = loop._score
+
+    def watched(losses: dict[str, torch.Tensor]) -> dict[str, float]:
+        averages[loop.progress.step] = [a.clone() for a in loop.average]
+        return score(losses)
+
+    loop._score = watched  # type: ignore[method-assign]
+    return averages
+
+
 class LoopContract:
     """Inherit it, and write `make` and the fixture `killed`: numbers of the steps that a run is killed in."""
 

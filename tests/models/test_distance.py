@@ -22,16 +22,6 @@ def make_distance(n: int = 3, seed: int = 0, dtype: torch.dtype = torch.float64)
     return eta
 
 
-def test_written_out_gradient_equals_autograd() -> None:
-    eta = make_distance()
-    y = torch.randn(20, 3, generator=generator(2), dtype=torch.float64, requires_grad=True)
-    value, gradient = eta.energy_and_gradient(y)
-    expected_value = eta.energy(y)
-    (expected,) = torch.autograd.grad(expected_value.sum(), y)
-    torch.testing.assert_close(value, expected_value)
-    torch.testing.assert_close(gradient, expected)
-
-
 @pytest.mark.parametrize("kind", ["replay", "paper"])
 def test_distance_losses_equal_those_written_with_autograd(kind: str) -> None:
     eta = make_distance()

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.models import NeuralSDE, SDESpec
-from nsde_torch.models.input_filter import InputFilter
+from nsde_torch.models.networks import InputFilter
 
 
 def inputs(batch: int, horizon: int, seed: int = 0, n: int = 2) -> Tensor:

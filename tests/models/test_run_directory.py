@@ -111,10 +111,7 @@ def test_truncated_weights_are_refused_by_name(folder: Path, kept: int) -> None:
     (folder / WEIGHTS).write_bytes(content[:kept])
     with pytest.raises(CheckpointError, match=rf"{folder}.*Train again"):
         nsde_torch.load(folder)
-
-
-def test_weights_of_another_kind_of_file_are_refused(folder: Path) -> None:
-    torch.save({"w": torch.zeros(3)}, folder / WEIGHTS)
+    torch.save({"w": torch.zeros(3)}, folder / WEIGHTS)  # of another kind
     with pytest.raises(CheckpointError, match=str(folder)):
         nsde_torch.load(folder)
 
@@ -171,10 +168,11 @@ def test_hostile_yaml_is_refused_and_not_run(folder: Path, tmp_path: Path, text:
         "format: nsde_torch/1\nspec: {system: hexacopter}",
         "format: nsde_torch/1\nspec: {1: 2, system: hexacopter}",
         "[" * 3000,
+        "\ud8ff no text",
     ],
 )
 def test_a_damaged_configuration_is_refused_by_name(folder: Path, text: str) -> None:
-    (folder / CONFIG).write_text(text)
+    (folder / CONFIG).write_bytes(text.encode(errors="surrogatepass"))
     with pytest.raises(CheckpointError, match=str(folder)):
         nsde_torch.load(folder)
 
@@ -200,11 +198,5 @@ def test_a_configuration_that_describes_no_model_is_refused_by_name(
     config = yaml.safe_load((folder / CONFIG).read_text())
     config["spec"].update(change)
     (folder / CONFIG).write_text(yaml.safe_dump(config))
-    with pytest.raises(CheckpointError, match=str(folder)):
-        nsde_torch.load(folder)
-
-
-def test_configuration_that_is_no_text_is_refused(folder: Path) -> None:
-    (folder / CONFIG).write_bytes(b"\xff\xfe\x00\x81")
     with pytest.raises(CheckpointError, match=str(folder)):
         nsde_torch.load(folder)

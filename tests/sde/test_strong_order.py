@@ -106,24 +106,3 @@ def test_milstein_heun_is_as_its_drift_where_noise_is_small_and_steps_are_long()
     }
     assert max(errors["milstein_heun"]) < 0.1 * min(errors["milstein"])
     assert errors["milstein_heun"][1] / errors["milstein_heun"][0] > 3.0  # four, of a second order
-
-
-@pytest.mark.parametrize("kind", [GeometricBrownianMotion, Tangent])
-def test_milstein_heun_has_the_limit_of_milstein_on_multiplicative_noise(kind: type[Problem]) -> None:
-    problem = kind(calculus="ito")
-    fine = brownian(500, 1, 1024, 1, dt=1 / 1024, generator=torch.Generator().manual_seed(8)).double()
-    z0 = torch.full((1, 1), problem.z0, dtype=torch.float64)
-
-    def apart(factor: int) -> tuple[float, float]:
-        dw = coarsen(fine, factor)
-        u = z0.new_zeros(1, dw.shape[2], 1)
-        ends = [
-            rollout(problem, z0, u, dt=factor / 1024, step=make_step(name), noise=dw)[:, :, -1]
-            for name in ("milstein", "milstein_heun")
-        ]
-        return float((ends[0] - ends[1]).mean().abs()), float((ends[0] - ends[1]).abs().mean())
-
-    mean, spread = apart(1)
-    before = apart(16)
-    assert mean < 0.15 * before[0]
-    assert spread < 0.15 * before[1] < 0.05

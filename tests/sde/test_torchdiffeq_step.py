@@ -24,8 +24,10 @@ def problem(m: NeuralSDE) -> tuple[torch.Tensor, torch.Tensor]:
     return m.augment(m.project(x0), u[:, 0]), u
 
 
-@pytest.mark.parametrize("system", ["cartpole", "hexacopter"])
-@pytest.mark.parametrize("method", ["rk4", "dopri5", "dopri8", "bosh3"])
+@pytest.mark.parametrize(
+    ("system", "method"),
+    [("hexacopter", "dopri5"), *(("cartpole", m) for m in ("rk4", "dopri5", "dopri8", "bosh3"))],
+)
 def test_paths_are_those_of_our_own_runge_kutta(system: str, method: str) -> None:
     m = model(system)
     z0, u = problem(m)

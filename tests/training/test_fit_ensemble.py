@@ -27,7 +27,7 @@ from nsde_torch.training.fit_ensemble import (
 )
 from nsde_torch.training.loop import Loop
 from nsde_torch.training.task import Task
-from tests.helpers.loop_contract import LoopContract
+from tests.helpers.loop_contract import LoopContract, averages_of
 from tests.helpers.toy_systems import DT
 
 DECAY = "tests.helpers.toy_systems:Decay"
@@ -193,20 +193,6 @@ def test_a_member_ends_in_the_same_weights_whatever_the_others_do() -> None:
     assert not torch.equal(a.model.networks.weights[0][1], b.model.networks.weights[0][1])
 
 
-def test_the_gradient_of_each_member_is_clipped_by_itself() -> None:
-    loop = make_loop(options=replace(OPTIONS, clip=0.01))
-    loop.terms()["data"].backward()
-    for p in loop.parameters:
-        p.grad = torch.randn(p.shape, generator=torch.Generator().manual_seed(0))
-        p.grad[1] *= 1e-6
-    before = [p.grad.clone() for p in loop.parameters if p.grad is not None]
-    loop._clip()
-    after = [p.grad for p in loop.parameters if p.grad is not None]
-    norm = torch.stack([g.flatten(1).square().sum(1) for g in after]).sum(0).sqrt()
-    torch.testing.assert_close(norm[[0, 2]], torch.full((2,), 0.01))
-    assert all(torch.equal(g[1], h[1]) for g, h in zip(before, after, strict=True))
-
-
 def test_every_member_keeps_its_own_best_weights_and_all_stop_together() -> None:
     loop = make_loop(options=replace(OPTIONS, patience=2), steps=100)
     # stretched: patience 2 of 12 steps are 17 of 100
@@ -214,14 +200,7 @@ def test_every_member_keeps_its_own_best_weights_and_all_stop_together() -> None
     loop.patience = 9
     best = torch.tensor([3.0, 6.0, 9.0])
     loop.validate = lambda: (loop.progress.step - best).abs()  # type: ignore[method-assign]
-    averages: dict[int, list[torch.Tensor]] = {}
-    score = loop._score
-
-    def watched(losses: dict[str, torch.Tensor]) -> dict[str, float]:
-        averages[loop.progress.step] = [a.clone() for a in loop.average]
-        return score(losses)
-
-    loop._score = watched  # type: ignore[method-assign]
+    averages = averages_of(loop)
     progress = loop.run(title="t", quiet=True)
     assert progress.stopped
     assert (progress.step, progress.best_step, progress.best_score) == (18, 9, 0.0)

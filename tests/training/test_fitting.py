@@ -17,7 +17,7 @@ from nsde_torch.data import Windows
 from nsde_torch.errors import CheckpointError, NonFiniteError
 from nsde_torch.training import LossOptions, TrainerOptions
 from nsde_torch.training.fit_sde import Fit
-from tests.helpers.loop_contract import LoopContract
+from tests.helpers.loop_contract import LoopContract, averages_of
 from tests.helpers.toy_systems import DT, Decay, Gusty, decay_runs, make_model
 
 OPTIONS = TrainerOptions(
@@ -71,14 +71,7 @@ def test_early_stopping_ends_after_the_patience_and_keeps_the_best_weights() -> 
     options = replace(OPTIONS, steps=100, patience=3, polish=0)
     fit = make_fit(options=options)
     scripted(fit, lambda step: abs(step - 9))  # best at step 9
-    averages: dict[int, list[torch.Tensor]] = {}
-    score = fit._score
-
-    def watched(losses: dict[str, torch.Tensor]) -> dict[str, float]:
-        averages[fit.progress.step] = [a.clone() for a in fit.average]
-        return score(losses)
-
-    fit._score = watched  # type: ignore[method-assign]
+    averages = averages_of(fit)
     progress = fit.run(title="t", quiet=True)
     assert progress.stopped
     assert (progress.best_step, progress.step, progress.best_score) == (9, 18, 0)
@@ -90,19 +83,14 @@ def test_early_stopping_ends_after_the_patience_and_keeps_the_best_weights() -> 
 def test_the_last_steps_start_from_the_kept_weights_and_see_all_windows() -> None:
     fit = make_fit(options=replace(OPTIONS, steps=9, lr_end=1e-12, polish=4))
     scripted(fit, lambda step: abs(step - 3))
-    averages: dict[int, list[torch.Tensor]] = {}
-    score, errors = fit._score, fit.errors
+    averages, errors = averages_of(fit), fit.errors
     seen: list[Windows] = []
-
-    def watched(losses: dict[str, torch.Tensor]) -> dict[str, float]:
-        averages[fit.progress.step] = [a.clone() for a in fit.average]
-        return score(losses)
 
     def noted(windows: Windows, *rest: Any, **options: Any) -> Any:
         seen.append(windows)
         return errors(windows, *rest, **options)
 
-    fit._score, fit.errors = watched, noted  # type: ignore[method-assign]
+    fit.errors = noted  # type: ignore[method-assign]
     progress = fit.run(title="t", quiet=True)
     assert (progress.step, progress.best_step, progress.polished) == (9, 3, 4)
     for value, kept in zip(fit.parameters, averages[3], strict=True):
@@ -116,19 +104,6 @@ def test_a_score_that_keeps_falling_never_stops_early() -> None:
     progress = fit.run(title="t", quiet=True)
     assert not progress.stopped
     assert (progress.step, progress.best_step) == (12, 12)
-
-
-def test_training_never_sees_the_validation_windows() -> None:
-    fit = make_fit()
-    train = {(n, s) for n, s in fit.train.locate(range(len(fit.train)))}
-    held = {(n, s) for n, s in fit.validation.locate(range(len(fit.validation)))}
-    rows = {(n, s + k) for n, s in train for k in range(fit.train.span + 1)}
-    assert not rows & {(n, s + k) for n, s in held for k in range(fit.train.span + 1)}
-    seen = []
-    batch = fit.errors
-    fit.errors = lambda windows, *rest, **o: (seen.append(windows), batch(windows, *rest, **o))[1]  # type: ignore[method-assign]
-    fit.terms()
-    assert seen == [fit.train]
 
 
 def test_validation_repeats_and_leaves_the_training_noise_alone() -> None:

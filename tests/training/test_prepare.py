@@ -8,7 +8,7 @@ import torch
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.models import NeuralSDE, SDESpec
-from nsde_torch.models.input_filter import InputFilter
+from nsde_torch.models.networks import InputFilter
 from nsde_torch.simulation import simulated
 from nsde_torch.training.prepare import error_scale, fit_filter, prepare, sensor_std
 from tests.helpers.toy_systems import DT, Decay, decay_runs, make_model
@@ -22,16 +22,13 @@ def prepared(horizon: int = 10, **spec: object) -> tuple[NeuralSDE, list[Run]]:
     return model, runs
 
 
-def test_features_are_standardised_to_the_training_data() -> None:
+def test_features_are_standardised_to_the_training_data_and_the_clock_is_theirs() -> None:
     model, runs = prepared()
+    assert float(model.clock_scale) == pytest.approx(1.04)
     x = np.concatenate([run.x for run in runs])
     assert float(model.eta.standardise.mean) == pytest.approx(x.mean(), abs=0.02)
     assert float(model.eta.standardise.scale) == pytest.approx(x.std(), rel=0.05)
     assert float(model.residual_inputs.scale) == pytest.approx(x.std(), rel=0.05)
-
-
-def test_the_clock_is_that_of_the_data() -> None:
-    assert float(prepared()[0].clock_scale) == pytest.approx(1.04)
 
 
 def test_first_largest_sigma_is_four_times_the_roughness_of_the_data() -> None:

@@ -75,6 +75,7 @@ class ExportedController:
         known: Declared physics with the model's values.
         pilot: The file's own estimator and controller, which files in C have; else None.
         step: The step itself; see `layout.step_inputs` and `layout.step_outputs`.
+
     Raises:
         ExportError: the file is damaged, changed, of another version or for another processor, or it is in C and there
             is no compiler here.

@@ -70,21 +70,14 @@ class Choice:
 
 
 class ModelKind(ABC):
-    """A kind of model. Subclasses set the class attributes and write `make_spec` and `fit`; none is instantiated.
+    """A kind of model. Subclasses set the class attributes and write `make_spec` and `fit`; none is instantiated."""
 
-    Attributes:
-        options: What a user chooses of it.
-        spec: What is saved of a model beside its weights.
-        model: The model itself, made from a specification.
-        noise: Whether its integrator must be one for equations with noise (True), without (False), or either (None).
-        compiles: Whether compiling the integrator's step pays for it.
-    """
-
-    options: ClassVar[type[ModelOptions]]
-    spec: ClassVar[type[ModelSpec]]
-    model: ClassVar[type[Model]]
+    options: ClassVar[type[ModelOptions]]  # what a user chooses of it
+    spec: ClassVar[type[ModelSpec]]  # what is saved of a model beside its weights
+    model: ClassVar[type[Model]]  # the model itself, made from a specification
     noise: ClassVar[bool | None] = None
-    compiles: ClassVar[bool] = True
+    """Whether its integrator must be one for equations with noise (True), without (False), or either (None)."""
+    compiles: ClassVar[bool] = True  # whether compiling the integrator's step pays for it
 
     @classmethod
     @abstractmethod

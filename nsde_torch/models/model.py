@@ -96,22 +96,16 @@ class Model(nn.Module, ABC):
     """A learned model of a system.
 
     What it can do beside `sample` it says in `capabilities`; the rest of the package asks these, never for a class.
-
-    Attributes:
-        spec: What it was built from.
-        system: The machine; `system.error` and `system.error_groups` say what an error is.
-        clock_scale: Physical seconds per logged second of the training data, 0-d.
-        filter: Restores inputs that the log smoothed; None where it did not.
-        metrics: What `metrics.json` of its run directory holds; empty for a model that was not trained.
-        folder: Its run directory; None without one.
     """
 
-    spec: ModelSpec
-    system: System
-    clock_scale: Tensor
-    filter: InputFilter | None
-    metrics: Mapping[str, Any] = {}
-    folder: Path | None = None
+    spec: ModelSpec  # what it was built from
+    system: System  # the machine; `system.error` and `system.error_groups` say what an error is
+    clock_scale: Tensor  # physical seconds per logged second of the training data, 0-d
+    filter: InputFilter | None  # restores inputs that the log smoothed; None where it did not
+    metrics: Mapping[
+        str, Any
+    ] = {}  # what `metrics.json` of its run directory holds; empty if it was not trained
+    folder: Path | None = None  # its run directory; None without one
 
     def __init__(self) -> None:
         super().__init__()

@@ -16,25 +16,18 @@ from nsde_torch.sde.protocol import CALCULI, SDE, Time
 class Step(ABC):
     """A one-step method. Subclasses are final, hold nothing but settings, and state calculus, order and its condition.
 
-    Attributes:
-        name: Key in `STEPS`, or what messages call the user's own.
-        calculus: The limit as dt goes to 0: "ito", "stratonovich", or "none" for a method of ordinary
-            equations.
-        strong_order: Order on one Brownian path where `condition` holds (the classical order if
-            deterministic).
-        condition: What `strong_order` rests on, in words. It is assumed and not checked.
-        summary: One line for tables and help texts.
-        compilable: False if the method must run eagerly.
-        deterministic: True if the method reads no noise, that is, solves the equation with g = 0.
+    The calculus is the limit as dt goes to 0, "none" for a method of ordinary equations.
     """
 
-    name: ClassVar[str]
+    name: ClassVar[str]  # key in `STEPS`, or what messages call the user's own
     calculus: ClassVar[Literal["ito", "stratonovich", "none"]]
-    strong_order: ClassVar[float]
-    condition: ClassVar[str]
-    summary: ClassVar[str]
-    deterministic: ClassVar[bool] = False
-    compilable: ClassVar[bool] = True
+    strong_order: ClassVar[float]  # on one Brownian path where `condition` holds (classical if deterministic)
+    condition: ClassVar[str]  # what `strong_order` rests on, in words; it is assumed and not checked
+    summary: ClassVar[str]  # one line for tables and help texts
+    deterministic: ClassVar[bool] = (
+        False  # whether it reads no noise, that is, solves the equation with g = 0
+    )
+    compilable: ClassVar[bool] = True  # False if it must run eagerly
 
     @abstractmethod
     def advance(self, sde: SDE, t: Time, z: Tensor, u: Tensor, dt: Time, dw: Tensor | None) -> Tensor:

@@ -17,12 +17,9 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.models import make_model
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.models.run_directory import load, save
-from nsde_torch.recording import assemble
-from nsde_torch.systems import make_system
-from nsde_torch.training import LossOptions, TrainerOptions
 from nsde_torch.training.between_runs import _log_likelihood
-from nsde_torch.training.fit_innovations import fit_innovations
-from nsde_torch.training.task import Fitted, Task
+from nsde_torch.training.task import Fitted
+from tests.training.test_fit_innovations import fitted as fitted_to
 
 H = 0.02
 SPEC = SDESpec("mass_spring_damper", dt=H, horizon=20, step="milstein_heun", measurement=True)
@@ -57,23 +54,7 @@ def fitted(machines: Sequence[Mapping[str, float]], folder: Path, seed: int) -> 
         RawRun(f"run_{k}", H * np.arange(600), *spring(100 * seed + k, **values))
         for k, values in enumerate(machines)
     ]
-    return fit_innovations(
-        Task(
-            spec=SPEC,
-            runs=assemble(raw, make_system("mass_spring_damper"), kind="csv").runs,
-            seed=0,
-            name="train",
-            loss=LossOptions(),
-            options=TrainerOptions(steps=30),
-            validation=0.3,
-            clock=1.0,
-            values={},
-            device=torch.device("cpu"),
-            dtype=torch.float32,
-            checkpoint=folder / "train",
-            log=lambda *_: None,
-        )
-    )
+    return fitted_to(raw, folder, SPEC, steps=30)
 
 
 def between(model: NeuralSDE) -> dict[str, Any]:

@@ -202,41 +202,33 @@ def call(op: str, *args: Number) -> Number:
 
 def _slopes(x: Scalar) -> list[Number]:
     """Derivatives of an operation by its arguments."""
-    a = x.args[0]
-    b = x.args[1] if len(x.args) > 1 else 0.0
-    op = x.op
-    if op in ("add", "sub"):
-        return [1.0, 1.0 if op == "add" else -1.0]
-    if op == "mul":
-        return [b, a]
-    if op == "div":
-        inverse = div(1.0, b)
-        return [inverse, neg(mul(x, inverse))]
-    if op == "pow":
-        return [mul(b, call("pow", a, b - 1.0)), 0.0]
-    if op == "atan2":
-        inverse = div(1.0, a * a + b * b)
-        return [b * inverse, neg(a * inverse)]
-    if op in ("lt", "le", "eq", "sign", "floor"):
+    a, b = (*x.args, 0.0)[:2]
+    if x.op in ("lt", "le", "eq", "sign", "floor"):
         return [0.0] * len(x.args)
-    rules: dict[str, Callable[[], Number]] = {
-        "neg": lambda: -1.0,
-        "sin": lambda: call("cos", a),
-        "cos": lambda: neg(call("sin", a)),
-        "tan": lambda: 1.0 + x * x,
-        "exp": lambda: x,
-        "expm1": lambda: 1.0 + x,
-        "log": lambda: div(1.0, a),
-        "log1p": lambda: div(1.0, 1.0 + a),
-        "sqrt": lambda: div(0.5, x),
-        "tanh": lambda: 1.0 - x * x,
-        "abs": lambda: call("sign", a),
-        "atan": lambda: div(1.0, 1.0 + a * a),
-        "asinh": lambda: div(1.0, call("sqrt", 1.0 + a * a)),
-        "acos": lambda: div(-1.0, call("sqrt", 1.0 - a * a)),
-        "asin": lambda: div(1.0, call("sqrt", 1.0 - a * a)),
+    rules: dict[str, Callable[[], list[Number]]] = {
+        "add": lambda: [1.0, 1.0],
+        "sub": lambda: [1.0, -1.0],
+        "mul": lambda: [b, a],
+        "div": lambda: [div(1.0, b), neg(mul(x, div(1.0, b)))],
+        "pow": lambda: [mul(b, call("pow", a, b - 1.0)), 0.0],
+        "atan2": lambda: [b * div(1.0, a * a + b * b), neg(a * div(1.0, a * a + b * b))],
+        "neg": lambda: [-1.0],
+        "sin": lambda: [call("cos", a)],
+        "cos": lambda: [neg(call("sin", a))],
+        "tan": lambda: [1.0 + x * x],
+        "exp": lambda: [x],
+        "expm1": lambda: [1.0 + x],
+        "log": lambda: [div(1.0, a)],
+        "log1p": lambda: [div(1.0, 1.0 + a)],
+        "sqrt": lambda: [div(0.5, x)],
+        "tanh": lambda: [1.0 - x * x],
+        "abs": lambda: [call("sign", a)],
+        "atan": lambda: [div(1.0, 1.0 + a * a)],
+        "asinh": lambda: [div(1.0, call("sqrt", 1.0 + a * a))],
+        "acos": lambda: [div(-1.0, call("sqrt", 1.0 - a * a))],
+        "asin": lambda: [div(1.0, call("sqrt", 1.0 - a * a))],
     }
-    return [rules[op]()]
+    return rules[x.op]()
 
 
 def _chosen(x: Scalar, parts: Sequence[Mapping[int, Number]]) -> dict[int, Number]:

@@ -180,12 +180,11 @@ class Predictor(nn.Module):
         self.nd = sum(self.ports.values())
         self._turns = isinstance(self.system, Multirotor) and knows_ports
         self._advance = _turning if self._turns else _without_noise(step)
-        self._equation = _Pushed(self)
 
     def forward(self, z: Tensor, u: Tensor, d: Tensor) -> Tensor:
         """States after a step (N, nz), from states (N, nz), inputs (N, nu) and pushes (N, nd)."""
-        self._equation.push = d
-        after = self._advance(self._equation, 0.0, z, u, self.dt, None)
+        # a push that stayed here would be part of the key under which machine code is kept
+        after = self._advance(_Pushed(self, d), 0.0, z, u, self.dt, None)
         return after if self._turns else self.system.project(after)
 
     def drift(self, z: Tensor, u: Tensor, d: Tensor) -> Tensor:
@@ -232,13 +231,11 @@ class _Pushed:
 
     calculus: Calculus = "either"
 
-    def __init__(self, predictor: Predictor) -> None:
-        self._drift = predictor.drift
-        self.system = predictor.system
-        self.push = torch.empty(0)
+    def __init__(self, predictor: Predictor, push: Tensor) -> None:
+        self._drift, self.system, self._push = predictor.drift, predictor.system, push
 
     def drift(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
-        return self._drift(z, u, self.push)
+        return self._drift(z, u, self._push)
 
     def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
         return torch.zeros_like(z)

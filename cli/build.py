@@ -90,7 +90,6 @@ def dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
 
     Args:
         config: The group `data`.
-        machine: The system that the runs are of.
 
     Raises:
         DataError: The data cannot be used.

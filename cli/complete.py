@@ -19,7 +19,6 @@ def overrides(command: str, words: Sequence[str]) -> list[str]:
     """Completions of the last word of a command that takes overrides.
 
     Args:
-        command: Name of the command.
         words: What was typed after the command's name; the last one is being typed and may be empty.
     """
     current = words[-1] if words else ""

@@ -23,15 +23,10 @@ CONFIG = ".hydra/config.yaml"
 
 @dataclass(frozen=True)
 class Diagnosed(KnownMachine):
-    """A diagnosis, found again.
+    """A diagnosis, found again."""
 
-    Args:
-        content: Content of `diagnosis.json`.
-        data: Configuration of the data.
-    """
-
-    content: Mapping[str, Any]
-    data: DictConfig
+    content: Mapping[str, Any]  # content of `diagnosis.json`
+    data: DictConfig  # configuration of the data
 
 
 def diagnosed(folder: Path, moved: str | None) -> Diagnosed:

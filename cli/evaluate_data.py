@@ -20,17 +20,11 @@ TRAINED = "trained"
 
 @dataclass(frozen=True)
 class Chosen:
-    """Runs to score on.
+    """Runs to score on."""
 
-    Args:
-        data: The data set that they are of.
-        runs: The runs.
-        other_sensors: Whether they are the runs of a `data.test_path`, recorded by other sensors perhaps.
-    """
-
-    data: DataSet
-    runs: Sequence[Run]
-    other_sensors: bool
+    data: DataSet  # the data set that they are of
+    runs: Sequence[Run]  # the runs
+    other_sensors: bool  # whether they are the runs of a `data.test_path`, recorded by other sensors perhaps
 
 
 def choose(config: DictConfig, trained: TrainedRun, machine: SystemInfo) -> Chosen:
@@ -38,8 +32,6 @@ def choose(config: DictConfig, trained: TrainedRun, machine: SystemInfo) -> Chos
 
     Args:
         config: The group `data`; of the kind "trained", it means that of a run.
-        trained: That run.
-        machine: Columns to read.
 
     Raises:
         ConfigError: nothing says which data.

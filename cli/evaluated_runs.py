@@ -19,20 +19,13 @@ from .quoted import as_typed
 
 @dataclass(frozen=True)
 class TrainedRun:
-    """A finished run directory.
+    """A finished run directory."""
 
-    Args:
-        name: Name in tables and figures.
-        folder: The folder.
-        model: Its model.
-        metrics: What its `metrics.json` holds.
-        trained: The configuration that it was trained with; empty if it was trained without the command line.
-    """
-
-    name: str
-    folder: Path
-    model: Model
-    metrics: Mapping[str, Any]
+    name: str  # name in tables and figures
+    folder: Path  # the folder
+    model: Model  # its model
+    metrics: Mapping[str, Any]  # what its `metrics.json` holds
+    # the configuration that it was trained with; empty if it was trained without the command line
     trained: Mapping[str, Any]
 
 
@@ -40,9 +33,7 @@ def read_runs(given: object, names: Sequence[str] | None, device: Any) -> list[T
     """The runs of the key `run`.
 
     Args:
-        given: One folder or a list of them.
         names: A name for each; None makes them from the folders.
-        device: Where models live.
 
     Raises:
         ConfigError: not a folder or list of folders, a folder twice, or names that do not fit.

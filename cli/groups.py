@@ -41,7 +41,6 @@ def check_own_files(folder: Path, chosen: Mapping[str, str]) -> None:
 
     Args:
         folder: Of `--config-dir`.
-        chosen: Choice of every group.
 
     Raises:
         ConfigError: one is no plain YAML, which could name objects of Python, or holds no keys.

@@ -21,7 +21,6 @@ def describe(command: str, words: Sequence[str]) -> str:
     """The help text of a command, for the choices that are on the command line.
 
     Args:
-        command: Name of the command.
         words: The rest of the command line; `data=csv` among them shows the keys of that choice, and `all` those of
             groups where they do not fit a screen.
     """

@@ -60,30 +60,19 @@ LAST = JobOutcome()
 
 @dataclass(frozen=True)
 class Job:
-    """What a command's function is given beside its configuration.
+    """What a command's function is given beside its configuration."""
 
-    Attributes:
-        run_dir: Folder of this job, made by Hydra.
-        sweep: Whether it is one of a sweep.
-    """
-
-    run_dir: Path
-    sweep: bool
+    run_dir: Path  # folder of this job, made by Hydra
+    sweep: bool  # whether it is one of a sweep
 
 
 @dataclass(frozen=True)
 class HydraJob:
-    """What Hydra calls for a job, and a launcher sends to other processes: names, and nothing that must be pickled.
+    """What Hydra calls for a job, and a launcher sends to other processes: names, and nothing that must be pickled."""
 
-    Attributes:
-        command: Name of the command.
-        module: Module whose function `run(config, job)` does the work, imported when there is some.
-        folder: Whether the job has a folder, into which a failure is written.
-    """
-
-    command: str
-    module: str
-    folder: bool
+    command: str  # name of the command
+    module: str  # module whose function `run(config, job)` does the work, imported when there is some
+    folder: bool  # whether the job has a folder, into which a failure is written
 
     def __call__(self, config: DictConfig) -> float | None:
         """Check a composed configuration, run the job on it, and record its failure instead of raising.

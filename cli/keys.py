@@ -28,8 +28,6 @@ def of(library: type, name: str, **changed: Any) -> Any:
     """A key that mirrors an option of the library.
 
     Args:
-        library: Dataclass of the library.
-        name: Name of the option.
         changed: What is another here: `default`, `help`, `unit`, `choices`, `low`, `above`, `high`.
     """
     field = {f.name: f for f in dataclasses.fields(library)}[name]
@@ -39,10 +37,6 @@ def of(library: type, name: str, **changed: Any) -> Any:
 
 def mirrors(library: type, *, without: tuple[str, ...] = ()) -> Callable[[type[T]], type[T]]:
     """Class decorator: a dataclass with a key for every option of the library's, before those of the class itself.
-
-    Args:
-        library: Dataclass of the library.
-        without: Options that the command line does not have.
 
     An option that the class declares itself keeps its place and is what the class says.
     """

@@ -15,29 +15,19 @@ from nsde_torch.systems import System
 
 @dataclass(frozen=True)
 class KnownMachine:
-    """A machine after a diagnosis.
+    """A machine after a diagnosis."""
 
-    Args:
-        system: Declared system.
-        runs: Runs that were looked at.
-        clock: Physical seconds per logged second.
-        values: Effects that were found, with values.
-    """
-
-    system: System
-    runs: Sequence[Run]
-    clock: float
-    values: Mapping[str, Any]
+    system: System  # declared system
+    runs: Sequence[Run]  # runs that were looked at
+    clock: float  # physical seconds per logged second
+    values: Mapping[str, Any]  # effects that were found, with values
 
 
 def known_machine(folder: Path, content: Mapping[str, Any], system: System, data: DataSet) -> KnownMachine:
     """What a diagnosis knows.
 
     Args:
-        folder: Where its files are.
         content: Content of its `diagnosis.json`.
-        system: Declared system.
-        data: All runs there are.
     """
     names = set(content["data"]["runs"])
     return KnownMachine(

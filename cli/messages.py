@@ -41,11 +41,6 @@ _IN_FILE = re.compile(
 def explain(error: Exception, command: str, words: Sequence[str]) -> str | None:
     """The message for a fault that Hydra or OmegaConf found in the configuration.
 
-    Args:
-        error: What was raised.
-        command: Name of the command.
-        words: Its command line.
-
     Returns:
         The message, or None if the error is not about the configuration.
     """

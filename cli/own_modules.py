@@ -33,7 +33,6 @@ def own_system(system: str, config_dir: Path | None) -> str:
     """What the user's own file `system/NAME.yaml` names, or the name as it is.
 
     Args:
-        system: What was typed.
         config_dir: Folder of `--config-dir`; None: none.
 
     Raises:

@@ -44,13 +44,7 @@ def quoted(value: str) -> str:
 
 
 def path_word(word: str, files: Mapping[str, Key], *, sweep: bool = False) -> str:
-    """`KEY=PATH` for Hydra, where KEY names files or folders; any other word as it is.
-
-    Args:
-        word: As it was typed.
-        files: The keys that name files or folders, by their path.
-        sweep: Whether a comma separates the values of two jobs.
-    """
+    """`KEY=PATH` for Hydra, where KEY names files or folders; any other word as it is."""
     name, equals, value = word.partition("=")
     entry = files.get(name.lstrip("+"))
     if entry is None or not equals or word.startswith("-") or (sweep and _SWEPT.fullmatch(value)):

@@ -43,17 +43,11 @@ class PlainCommand:
 
 @dataclass(frozen=True)
 class CommandEntry:
-    """One line of the table: the file of a command, and what `nsde --help` says of it.
+    """One line of the table: the file of a command, and what `nsde --help` says of it."""
 
-    Attributes:
-        module: Module with the `COMMAND`.
-        summary: One line.
-        package: Installed package that adds the command; None for a command of the table.
-    """
-
-    module: str
-    summary: str
-    package: str | None = None
+    module: str  # module with the `COMMAND`
+    summary: str  # one line
+    package: str | None = None  # installed package that adds the command; None for a command of the table
 
     def load(self) -> Command:
         """Import the file of the command.

@@ -19,23 +19,15 @@ _RESULTS = ("metrics.json", "policy.json")
 
 @dataclass(frozen=True)
 class SweepJob:
-    """One job of a sweep.
+    """One job of a sweep."""
 
-    Attributes:
-        folder: Folder of the job.
-        overrides: What was set for it, by key.
-        status: `done`, `failed` or `unfinished` (running, killed, or never started its work).
-        reason: Why it failed, one line.
-        metrics: Every number of its `metrics.json` (of a policy, `policy.json`), by dotted path.
-        scale: System, model and loss; validation scores of different ones do not compare.
-    """
-
-    folder: Path
-    overrides: dict[str, str]
-    status: str
-    reason: str = ""
+    folder: Path  # folder of the job
+    overrides: dict[str, str]  # what was set for it, by key
+    status: str  # `done`, `failed` or `unfinished` (running, killed, or never started its work)
+    reason: str = ""  # why it failed, one line
+    # every number of its `metrics.json` (of a policy, `policy.json`), by dotted path
     metrics: dict[str, float] = field(default_factory=dict)
-    scale: str = ""
+    scale: str = ""  # system, model and loss; validation scores of different ones do not compare
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,6 @@ def run(command: str, run_dir: Path, words: Sequence[str], processes: Processes 
     Args:
         command: `train` or `policy`.
         run_dir: The run directory; where it is begun, the run is continued and the words are not read.
-        words: Words of the command.
-        processes: The process is added here.
 
     Returns:
         Its exit status.
@@ -53,7 +51,6 @@ def train_all(jobs: Mapping[Path, Sequence[str]], *, at_once: int) -> dict[str, 
 
     Args:
         jobs: Words of `nsde train` by run directory.
-        at_once: Trainings at a time.
 
     Returns:
         Trainings that failed, by the name of their directory, with the reason and the log.

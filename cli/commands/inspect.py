@@ -161,7 +161,6 @@ def report(found: Inspection, *, everything: bool = False) -> str:
 
     Args:
         found: Of `nsde_torch.api.inspecting.inspect`.
-        everything: Whether to list every column.
     """
     count = len(found.runs)
     names = ", ".join(found.runs[:5]) + (", ..." if count > 5 else "")

@@ -85,8 +85,6 @@ def fit(config: DictConfig, job: Job, run_dir: Path, *, about: dict[str, Any]) -
 
     Args:
         config: The composed and checked configuration, effects files expanded.
-        job: What is being run.
-        run_dir: Where the run directory is made.
         about: The configuration that `metrics.json` records.
 
     Returns:

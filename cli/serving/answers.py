@@ -31,12 +31,7 @@ TYPES = {
 
 
 def answer_json(content: Any, status: int = 200) -> Response:
-    """Plain containers as JSON.
-
-    Args:
-        content: What to say.
-        status: Of HTTP.
-    """
+    """Plain containers as JSON."""
     return Response(json.dumps(content), status=status, content_type=TYPES[".json"])
 
 
@@ -45,7 +40,6 @@ def answer_file(path: Path, *, name: str | None = None) -> Response:
 
     Args:
         path: The file; its suffix is a key of `TYPES`.
-        name: Of what is saved.
     """
     answer = Response(path.read_bytes(), content_type=TYPES[path.suffix])
     if name is not None:
@@ -54,12 +48,7 @@ def answer_file(path: Path, *, name: str | None = None) -> Response:
 
 
 def shut_in(answer: Response, *, sheet: bool) -> Response:
-    """Headers for every answer: nothing from elsewhere, nothing kept, no frame of another site.
-
-    Args:
-        answer: The answer.
-        sheet: Whether it is a file of a job.
-    """
+    """Headers for every answer: nothing from elsewhere, nothing kept, no frame of another site."""
     answer.headers["Content-Security-Policy"] = _SHEET if sheet else _PAGE
     answer.headers["X-Content-Type-Options"] = "nosniff"
     answer.headers["Referrer-Policy"] = "no-referrer"
@@ -87,7 +76,6 @@ def check_place(request: Request, hosts: Collection[str]) -> None:
     """Refuse requests under another name, or from the page of another site.
 
     Args:
-        request: The request.
         hosts: `name:port` of this server.
 
     Raises:
@@ -105,10 +93,6 @@ def check_place(request: Request, hosts: Collection[str]) -> None:
 
 def check_token(request: Request, token: str) -> None:
     """Refuse requests without the token.
-
-    Args:
-        request: The request.
-        token: That of the server.
 
     Raises:
         RefusedError: it is not the one.

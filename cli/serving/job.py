@@ -29,25 +29,15 @@ class RefusedError(NsdeError):
 
 @dataclass(frozen=True)
 class ServeLimits:
-    """Limits of the service.
+    """Limits of the service."""
 
-    Args:
-        upload: Largest upload of one job, all its logs together [bytes].
-        max_minutes: Time after which a diagnosis ends with what is known [min].
-        seconds: Time after which a command is killed [s].
-        memory: Largest memory of one job [bytes].
-        jobs: Diagnoses at a time; further ones wait.
-        keep: Most jobs that are kept.
-        files: Most logs of one job.
-    """
-
-    upload: int = 512 << 20
-    max_minutes: float = 10.0
-    seconds: float = 3600.0
-    memory: int = 8 << 30
-    jobs: int = 1
-    keep: int = 50
-    files: int = 200
+    upload: int = 512 << 20  # largest upload of one job, all its logs together [bytes]
+    max_minutes: float = 10.0  # time after which a diagnosis ends with what is known [min]
+    seconds: float = 3600.0  # time after which a command is killed [s]
+    memory: int = 8 << 30  # largest memory of one job [bytes]
+    jobs: int = 1  # diagnoses at a time; further ones wait
+    keep: int = 50  # most jobs that are kept
+    files: int = 200  # most logs of one job
 
 
 RECORD = "job.json"
@@ -68,71 +58,43 @@ AT_WORK = ("looking", "waiting", "running")
 
 @dataclass
 class UploadedFile:
-    """One log.
+    """One log."""
 
-    Args:
-        given: Its name as the browser said it.
-        name: Its name here.
-        size: Bytes that were announced.
-        there: Whether it arrived.
-    """
-
-    given: str
-    name: str
-    size: int
-    there: bool = False
+    given: str  # its name as the browser said it
+    name: str  # its name here
+    size: int  # bytes that were announced
+    there: bool = False  # whether it arrived
 
 
 @dataclass
 class ServedJob:
-    """What is known of a job.
+    """What is known of a job."""
 
-    Args:
-        id: Its name and that of its folder; whoever knows it may see the results.
-        created: When, ISO 8601.
-        system: Machine that was chosen; None: to be guessed.
-        files: Its logs.
-        machine: What it is taken for.
-        state: Key of `STATES`.
-        sentence: Why it is refused or failed; empty where it is not.
-        mapped: Whether the user gave the mapping.
-        stages: What the diagnosis did: stage, number done, number in all, second at which it began, and
-            what was found so far.
-        seconds: How long the diagnosis took or has taken.
-        repeat: The command that repeats the diagnosis.
-    """
-
-    id: str
-    created: str
-    system: str | None
-    files: list[UploadedFile]
-    machine: str = ""
-    state: str = "uploading"
-    sentence: str = ""
-    mapped: bool = False
+    id: str  # its name and that of its folder; whoever knows it may see the results
+    created: str  # when, ISO 8601
+    system: str | None  # machine that was chosen; None: to be guessed
+    files: list[UploadedFile]  # its logs
+    machine: str = ""  # what it is taken for
+    state: str = "uploading"  # key of `STATES`
+    sentence: str = ""  # why it is refused or failed; empty where it is not
+    mapped: bool = False  # whether the user gave the mapping
+    # what the diagnosis did: stage, number done, number in all, second at which it began, and what was found
+    # so far
     stages: list[dict[str, Any]] = field(default_factory=list)
-    seconds: float = 0.0
-    repeat: str = ""
+    seconds: float = 0.0  # how long the diagnosis took or has taken
+    repeat: str = ""  # the command that repeats the diagnosis
 
     def content(self) -> dict[str, Any]:
         """As plain containers."""
         return asdict(self)
 
     def save(self, folder: Path) -> None:
-        """Write the record, whole or not at all.
-
-        Args:
-            folder: Of the job.
-        """
+        """Write the record, whole or not at all."""
         write_whole(folder / RECORD, json.dumps(self.content(), indent=1) + "\n")
 
 
 def load(folder: Path) -> ServedJob | None:
-    """The job of a folder; None where there is none that can be read.
-
-    Args:
-        folder: Of the job.
-    """
+    """The job of a folder; None where there is none that can be read."""
     try:
         content = json.loads((folder / RECORD).read_text(encoding="utf-8"))
         files = [UploadedFile(**one) for one in content.pop("files")]
@@ -144,19 +106,13 @@ def load(folder: Path) -> ServedJob | None:
 
 @dataclass(frozen=True)
 class Machines:
-    """The machines that the page offers.
+    """The machines that the page offers."""
 
-    Args:
-        names: Choice of the group `system` -> name of the system, of the package or `module:Class`.
-        folder: Folder of the user's own choices (`--config-dir`), or None.
-        first: The one that is chosen at first; None: chosen by what is logged.
-        typed: What was typed of it, `system.effects=[linear_drag]`.
-    """
-
+    # choice of the group `system` -> name of the system, of the package or `module:Class`
     names: Mapping[str, str]
-    folder: Path | None = None
-    first: str | None = None
-    typed: Sequence[str] = ()
+    folder: Path | None = None  # folder of the user's own choices (`--config-dir`), or None
+    first: str | None = None  # the one that is chosen at first; None: chosen by what is logged
+    typed: Sequence[str] = ()  # what was typed of it, `system.effects=[linear_drag]`
 
     @property
     def options(self) -> list[str]:
@@ -169,8 +125,6 @@ def machines(folder: Path | None, *, first: str | None = None, typed: Sequence[s
 
     Args:
         folder: What `--config-dir` names.
-        first: The one that is chosen at first.
-        typed: What was typed of it.
     """
     from .. import groups
 
@@ -187,11 +141,7 @@ def inspect_words(
     """The words that look into logs.
 
     Args:
-        logs: Folder of the logs.
-        known: Machines that the page offers.
         system: One of them; None: guessed.
-        mapping: A mapping to check in place of a proposal.
-        out: JSON file of the findings.
     """
     words = ["inspect", str(logs), "out=none", f"json={out}"]
     words += [f"system={known.names[system]}"] if system else []
@@ -204,9 +154,6 @@ def diagnose_words(
     """The words that diagnose logs, wherever they are typed.
 
     Args:
-        logs: Folder of the logs.
-        known: Machines that the page offers.
-        system: One of them.
         mapping: What columns mean; None: the reader needs none.
         max_minutes: Time after which it ends with what is known [min].
     """

@@ -30,17 +30,11 @@ _NO_MEMORY = ("memoryerror", "can't allocate memory", "cannot allocate memory", 
 
 @dataclass(frozen=True)
 class EndOfProcess:
-    """How a command ended.
+    """How a command ended."""
 
-    Args:
-        status: Exit status; negative: killed by that signal.
-        stopped: Why it was stopped: `cancelled`, `time`, or empty.
-        sentence: What went wrong; empty where nothing did.
-    """
-
-    status: int
-    stopped: str
-    sentence: str
+    status: int  # exit status; negative: killed by that signal
+    stopped: str  # why it was stopped: `cancelled`, `time`, or empty
+    sentence: str  # what went wrong; empty where nothing did
 
 
 class CommandProcess:
@@ -129,11 +123,8 @@ def why_ended(name: str, status: int, tail: Sequence[str], *, stopped: str, limi
     """What went wrong with a command, one sentence; empty where nothing did.
 
     Args:
-        name: Of the command.
         status: Its exit status; negative: killed by that signal.
-        tail: The last lines that it printed.
         stopped: Why it was stopped; empty where it was not.
-        limits: That it had.
     """
     if stopped == "time" or status == -signal.SIGXCPU:
         return (

@@ -176,7 +176,6 @@ class JobRunner:
         """Look into the logs of a job.
 
         Args:
-            job: All of whose logs have arrived.
             system: Machine; None: to be guessed.
             mapping: Text of a mapping to check; None: one is proposed.
 
@@ -344,7 +343,6 @@ def save_summary(folder: Path, content: Content) -> None:
     """Write what the page shows of a diagnosis.
 
     Args:
-        folder: Of the job.
         content: As `diagnosis.json` has it.
     """
     plots = {path.name for path in (folder / RESULT / "plots").glob("*.png")}

@@ -68,12 +68,7 @@ class PageServer:
         self.port: int = sock.getsockname()[1]
 
     def run(self, application: WSGI, *, token: str) -> None:
-        """Answer until Ctrl-C or SIGTERM.
-
-        Args:
-            application: What answers.
-            token: What a request with a body must hold.
-        """
+        """Answer until Ctrl-C or SIGTERM."""
         server = create_server(
             application,
             sockets=[self.socket],
@@ -93,10 +88,7 @@ def listen(host: str, port: int, *, largest: int, threads: int) -> PageServer:
     """Bind a port.
 
     Args:
-        host: Address of this machine.
         port: 0: any that is free.
-        largest: Most bytes of a request.
-        threads: Requests at a time.
 
     Raises:
         ConfigError: it is taken, or may not be bound.

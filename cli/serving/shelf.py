@@ -88,7 +88,6 @@ def receive(read: Callable[[int], bytes], target: Path, size: int) -> None:
     Args:
         read: Reads at most so many bytes of the request; empty at its end.
         target: The file; nothing is left of it if the upload fails.
-        size: Bytes that were announced.
 
     Raises:
         RefusedError: more or fewer bytes came.

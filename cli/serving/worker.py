@@ -14,12 +14,7 @@ _SPARE = 60.0  # seconds of computing beyond the time limit, which the parent ho
 
 
 def limit(memory: int, seconds: float) -> None:
-    """Bound memory, computing time and files of this process and its children, where the system can.
-
-    Args:
-        memory: Bytes of data.
-        seconds: Of computing on one core.
-    """
+    """Bound memory, computing time and files of this process and its children, where the system can."""
     try:
         import resource
     except ImportError:  # not a POSIX system
@@ -37,11 +32,7 @@ def limit(memory: int, seconds: float) -> None:
 
 
 def end_with(parent: int) -> None:
-    """Be killed when the parent ends, however it ends (Linux).
-
-    Args:
-        parent: Its process id.
-    """
+    """Be killed when the parent ends, however it ends (Linux)."""
     if sys.platform == "linux":
         import ctypes
 

@@ -106,10 +106,6 @@ def paired_bootstrap(
     Args:
         first: Squared errors of the first model (S, K).
         other: Squared errors of the other from the same starts (S, K).
-        blocks: What to resample.
-        generator: Source of the resamples.
-        replicates: Number of resamples.
-        level: Nominal coverage of the interval.
 
     Returns:
         Differences and intervals; below five blocks the ends are NaN.
@@ -164,10 +160,6 @@ def function_bootstrap(
     Args:
         values: What is averaged (S, K).
         function: From means (..., K) to quantities (..., L); NaN where there is none.
-        blocks: What to resample.
-        generator: Source of the resamples.
-        replicates: Number of resamples.
-        level: Nominal coverage of the interval.
 
     Returns:
         Quantities and intervals; below five blocks, or where a resample has no value, the ends are NaN.

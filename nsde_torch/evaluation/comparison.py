@@ -151,15 +151,9 @@ def compare(
     """Score models on runs, and the differences of each to the first.
 
     Args:
-        candidates: The models, of one system.
         data: Data set of the runs; its inputs may be more than a model reads.
-        runs: Runs of it.
         seed: Seed of the particles (of every model) and of the bootstrap.
-        particles: Paths per start.
         horizons: Horizons [s]; None for those of 0.1, 0.25, 0.5, 1 and 2 s that fit the runs and every model's step.
-        replicates: Resamples of the bootstrap.
-        compile: Compile the integrators' steps.
-        say: Told what is going on.
 
     Returns:
         The scores; `.content` is described above.

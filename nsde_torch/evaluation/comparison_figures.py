@@ -21,10 +21,6 @@ _COLUMNS = 4  # models side by side
 def write_figures(folder: Path, comparison: Comparison) -> list[Path]:
     """Draw and save the figures of an evaluation.
 
-    Args:
-        folder: Where to write.
-        comparison: The scores.
-
     Returns:
         The files: `errors.png`, `calibration.png` (where a model has intervals), `rollouts.png` (with more than four
         models `rollouts_2.png` and so on). What is shown of a model on runs that it was trained on is marked in red.

@@ -140,9 +140,7 @@ def extrapolate(fitted: float, new: Sequence[float], n_runs: int) -> float:
     """log kappa for a run that is new to a model of `n_runs` runs; see the module docstring.
 
     Args:
-        fitted: log kappa_fit.
         new: log kappa_new of each run left out; empty where there is one run alone.
-        n_runs: Training runs N.
     """
     if not new:
         return fitted
@@ -175,14 +173,7 @@ def write_figures(
     """Draw all figures and save them as PNG.
 
     Args:
-        folder: Where to write.
-        model: The trained model.
-        data: The data set.
-        train: Training runs.
-        test: Held-out runs.
         metrics: What `metrics.json` will hold.
-        history: One row per validation.
-        seed: Seed of the particles.
         note: What the inputs see of the future, for the titles; may be empty.
 
     Returns:

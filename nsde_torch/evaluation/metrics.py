@@ -86,11 +86,6 @@ def evaluate(
     """Score a model on runs.
 
     Args:
-        model: The model.
-        runs: Held-out runs.
-        seed: Seed of the particles.
-        particles: Paths per start.
-        compile: Compile the integrator's step.
         measurement_std: Sensor noise of these runs if it is not that of the training data (nx,).
 
     Returns:
@@ -140,7 +135,6 @@ def summary(scores: Scores, horizons: Sequence[str]) -> dict[str, Any]:
     """Means over the starts.
 
     Args:
-        scores: Scores by start.
         horizons: Name of each horizon, the keys of the result.
 
     Returns:

@@ -194,8 +194,6 @@ def fit(seen: Sequence[Spectrum], *, lasting: bool, shortest: float) -> Disturba
     """Law of largest Whittle likelihood.
 
     Args:
-        seen: Spectra of channels that share one law.
-        lasting: Whether there is a lasting force.
         shortest: Least correlation time [s].
     """
     power, angle, count = (np.concatenate([getattr(s, k) for s in seen]) for k in ("power", "angle", "count"))
@@ -235,10 +233,6 @@ def fit(seen: Sequence[Spectrum], *, lasting: bool, shortest: float) -> Disturba
 @torch.no_grad()
 def one_step(model: Model, runs: Sequence[Run]) -> dict[str, dict[str, Any]] | None:
     """Residuals of a model's steps.
-
-    Args:
-        model: The model.
-        runs: Runs on the step of the data.
 
     Returns:
         channel -> `unit` (of its rate), `measured`, `residual` (root mean squares), `explained` (share of the variance)

@@ -25,7 +25,6 @@ def number(value: float, width: float = 0.0) -> str:
     """Three significant digits, without an exponent where that is readable.
 
     Args:
-        value: What is printed.
         width: Length of its interval, if it has one: the digits are those that two digits of half of it have, so that a
             value and the ends of its interval end at one place.
     """

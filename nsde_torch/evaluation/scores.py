@@ -180,14 +180,9 @@ def score(
     """Score a model from some starts.
 
     Args:
-        model: The model.
-        windows: Windows of its step that reach the longest horizon.
         starts: Window numbers (B,).
         steps: Horizons [model steps].
-        seed: Seed of the particles.
-        particles: Paths per start.
         dt: Step on the clock of the training data if it is not the model's own [s].
-        compile: Compile the integrator's step.
         measurement_std: Sensor noise of these runs if it is not that of the training data (nx,).
     """
     system = model.system
@@ -269,10 +264,7 @@ def rollout_squares(model: IdentifiedModel, windows: Windows, starts: Tensor, st
     A prediction that leaves the finite numbers does so alone, and does not stop the others.
 
     Args:
-        model: The physics.
-        windows: Windows of at least as many steps.
         starts: Window numbers (S,).
-        steps: Horizons.
     """
     return _advanced(model, windows.dt_model, steps, *_begun(model, windows, starts))
 
@@ -290,7 +282,6 @@ def squares_by_fold(
     """As `rollout_squares`, with values of the parameters for each fold of the starts; all folds at once.
 
     Args:
-        model: The physics.
         windows, starts, steps: See `rollout_squares`.
         values: Of its parameters, as in `ParameterVector` (folds, k).
         fold: Of each start (S,).

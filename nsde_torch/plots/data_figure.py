@@ -69,9 +69,6 @@ def with_angles(
     Args:
         measured: States (n, nx).
         samples: States (P, n, nx).
-        names: Names of the columns.
-        units: Units of the columns.
-        quaternion: Columns of the quaternion.
 
     Returns:
         measured (n, nx - 1), samples (P, n, nx - 1), names, units.
@@ -143,8 +140,6 @@ def data_summary(dataset: DataSetLike, system: SystemLike, *, title: str | None 
     """The data over time.
 
     Args:
-        dataset: Runs of one system.
-        system: The system.
         title: Title; default: the system, the number of runs and the recorded time.
 
     Returns:

@@ -39,34 +39,23 @@ _VEIL = "#d9d9d9"
 
 @dataclass(frozen=True)
 class Surface:
-    """What functions add over one variable or two.
+    """What functions add over one variable or two."""
 
-    Args:
-        row, unit: What it is added to, and its unit.
-        variables: Names and units of the variables.
-        axes: Values of each variable (n,), (m,).
-        mean, error: What is added and its standard error (n,), or (m, n) with rows along the second variable.
-        far: Where no data are near (like `mean`).
-        data: Logged values of the variables (N, 1 or 2).
-    """
-
+    # what it is added to, and its unit
     row: str
     unit: str
-    variables: tuple[tuple[str, str], ...]
-    axes: tuple[Array, ...]
+    variables: tuple[tuple[str, str], ...]  # names and units of the variables
+    axes: tuple[Array, ...]  # values of each variable (n,), (m,)
+    # what is added and its standard error (n,), or (m, n) with rows along the second variable
     mean: Array
     error: Array
-    far: NDArray[np.bool_]
-    data: Array
+    far: NDArray[np.bool_]  # where no data are near (like `mean`)
+    data: Array  # logged values of the variables (N, 1 or 2)
 
 
 @styled
 def flexible_surface(surface: Surface, *, title: str) -> Figure:
     """What functions add, and the 90 % interval; grey where no data are near.
-
-    Args:
-        surface: What is drawn.
-        title: What is shown.
 
     Returns:
         A curve over one variable; over two, a map and a map of the half width of its interval.
@@ -140,15 +129,12 @@ _SEED = 0  # of the points that are drawn
 
 @dataclass(frozen=True)
 class Cloud:
-    """A residual against a variable: points, and their means in bins.
+    """A residual against a variable: points, and their means in bins."""
 
-    Args:
-        x, y: Points (M,).
-        centre, mean, error: Of each bin (B,); `error` is a standard error.
-    """
-
+    # points (M,)
     x: Array
     y: Array
+    # of each bin (B,); `error` is a standard error
     centre: Array
     mean: Array
     error: Array
@@ -156,37 +142,28 @@ class Cloud:
 
 @dataclass(frozen=True)
 class Panel:
-    """One channel against one variable.
+    """One channel against one variable."""
 
-    Args:
-        channel, unit: Of the residual rate.
-        variable, variable_unit: Of the horizontal axis.
-        clouds: By name, at most two: `before` and `after`, one run and the others, or the residual alone.
-        note: Words above the panel.
-    """
-
+    # of the residual rate
     channel: str
     unit: str
+    # of the horizontal axis
     variable: str
     variable_unit: str
+    # by name, at most two: `before` and `after`, one run and the others, or the residual alone
     clouds: Mapping[str, Cloud]
-    note: str = ""
+    note: str = ""  # words above the panel
 
 
 @dataclass(frozen=True)
 class ResidualSpectrum:
-    """Spectra of one channel.
+    """Spectra of one channel."""
 
-    Args:
-        channel, unit: Of the residual rate.
-        frequency: Frequencies (M,) [Hz].
-        curves: By name: amplitude density (M,) [unit/sqrt(Hz)]; `floor` is drawn dashed.
-    """
-
+    # of the residual rate
     channel: str
     unit: str
-    frequency: Array
-    curves: Mapping[str, Array]
+    frequency: Array  # frequencies (M,) [Hz]
+    curves: Mapping[str, Array]  # by name: amplitude density (M,) [unit/sqrt(Hz)]; `floor` is drawn dashed
 
 
 _LOOKS = {
@@ -202,10 +179,6 @@ _LOOKS = {
 @styled
 def residual_views(views: Sequence[Panel], *, title: str) -> Figure:
     """Residual rates against variables: means in bins with 90 % intervals over a light scatter.
-
-    Args:
-        views: The panels.
-        title: What is shown.
 
     Returns:
         A figure of one panel per view, two in a row.
@@ -280,7 +253,6 @@ def before_after(
     Args:
         ratios: By channel: ratio and the ends of its interval; None where there is none.
         nats: The same of the log-likelihood [nat].
-        title: What is shown.
 
     Returns:
         A figure with two panels beside each other.
@@ -338,8 +310,6 @@ def errors_before_after(
         horizons: Horizons (h,) [s].
         before, after: By quantity: errors (h,); None where a prediction did not stay finite.
         low, high: By quantity: 90 % interval of after less before (h,).
-        units: Unit of each quantity.
-        title: What is shown.
 
     Returns:
         A figure with one panel per quantity.
@@ -389,10 +359,6 @@ def errors_before_after(
 @styled
 def residual_spectra(spectra: Sequence[ResidualSpectrum], *, title: str) -> Figure:
     """Amplitude densities of residual rates against the floor of white noise.
-
-    Args:
-        spectra: One per channel.
-        title: What is shown.
 
     Returns:
         A figure of one panel per channel, two in a row.

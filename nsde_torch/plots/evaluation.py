@@ -58,7 +58,6 @@ def calibration_curve(
         empirical: Share of the measurements inside them (k,), by group.
         horizons: Horizons (h,) [s].
         per_horizon: Coverage of the 90 % interval at each horizon (h,), by group.
-        title: Title.
 
     Returns:
         A figure with one panel, or two with horizons. The shaded range is 85 to 95 % at 90 %.
@@ -128,11 +127,8 @@ def rollout_bands(
         t: Time from the start [s], (T + 1,).
         measured: Measured states (T + 1, nx), or (E, T + 1, nx) for E starts.
         samples: Sampled states (P, T + 1, nx), or (E, P, T + 1, nx).
-        names: Names of the states.
-        units: Units of the states.
         title: What is shown; say here what the inputs see of the future, if anything.
         quaternion: Columns of a quaternion, drawn as roll, pitch and yaw in degrees.
-        starts: A heading for each start, for example the run and time.
 
     Returns:
         A figure of (channels, starts) panels.
@@ -225,7 +221,6 @@ def calibration_of_models(
         horizons: Horizons (h,) [s].
         per_horizon: Model -> group -> coverage of the 90 % interval at each horizon (h,).
         order: Names in the order of other figures, these among them, so that a model has one colour in all.
-        title: Title.
 
     Returns:
         A figure with two panels for each group and one curve for each model. Shaded is 85 to 95 % at 90 %.
@@ -286,9 +281,6 @@ def rollouts_of_models(
         t: Model -> time from the start [s], (T + 1,).
         measured: Model -> measured states at these times (T + 1, nx).
         samples: Model -> sampled states (P, T + 1, nx).
-        names: Names of the states.
-        units: Units of the states.
-        title: What is shown.
         quaternion: Columns of a quaternion, drawn as roll, pitch and yaw in degrees.
 
     Returns:
@@ -329,24 +321,15 @@ TRAIN_SHOWN, HELD_OUT_SHOWN = 400, 150
 
 @dataclass(frozen=True)
 class DistanceSlice:
-    """eta on a grid over two features.
+    """eta on a grid over two features."""
 
-    Args:
-        x: First feature on the grid (n,).
-        y: Second feature on the grid (m,).
-        eta: Distance (m, n), rows along y.
-        x_label: Name and unit of the first feature.
-        y_label: Name and unit of the second feature.
-        train: Training data in the two features (N, 2).
-        held_out: Held-out data in the two features (M, 2).
-    """
-
-    x: ArrayLike
-    y: ArrayLike
-    eta: ArrayLike
-    x_label: str
-    y_label: str
-    train: ArrayLike
+    x: ArrayLike  # first feature on the grid (n,)
+    y: ArrayLike  # second feature on the grid (m,)
+    eta: ArrayLike  # distance (m, n), rows along y
+    x_label: str  # name and unit of the first feature
+    y_label: str  # name and unit of the second feature
+    train: ArrayLike  # training data in the two features (N, 2)
+    # held-out data in the two features (M, 2)
     held_out: ArrayLike = field(default_factory=lambda: np.zeros((0, 2)))
 
 
@@ -357,8 +340,6 @@ def slice_grid(
 
     Args:
         features: Training features (N, nf).
-        pair: Columns of the two features.
-        size: Points along each axis.
         margin: Room on each side of the data, in widths of the data.
 
     Returns:
@@ -397,10 +378,6 @@ def distance_map(
 ) -> Figure:
     """Maps of eta, with contours at 0.1, 0.5 and 0.9 and a part of the data on them.
 
-    Args:
-        slices: One map per panel.
-        title: Title.
-
     Returns:
         A figure with one panel per slice and one colour bar.
 
@@ -438,16 +415,11 @@ def distance_map(
 
 @dataclass(frozen=True)
 class PredictionBand:
-    """What a model predicts; not-a-number where it has diverged.
+    """What a model predicts; not-a-number where it has diverged."""
 
-    Args:
-        name: Name of the model.
-        mean: Mean (T + 1, n).
-        low, high: Ends of its interval (T + 1, n); None for a model without intervals.
-    """
-
-    name: str
-    mean: Array
+    name: str  # name of the model
+    mean: Array  # mean (T + 1, n)
+    # ends of its interval (T + 1, n); None for a model without intervals
     low: Array | None = None
     high: Array | None = None
 
@@ -471,12 +443,6 @@ def evolution(
         t: Time [s] (T + 1,).
         truth: True or measured states (T + 1, n).
         predictions: What the models predict; the first lies on top.
-        names: Names of the channels.
-        units: Units of the channels.
-        title: What is shown.
-        truth_name: Name of the truth in the legend.
-        interval: Level of the intervals, for the legend.
-        columns: Columns of panels.
 
     Raises:
         ShapeError: the arrays do not fit together.
@@ -547,8 +513,6 @@ def horizon_errors(
     Args:
         horizons: Horizons (h,) [s].
         errors: Model -> group -> error (h,); the names `hold` and `constant_velocity` are drawn as baselines.
-        units: Unit of each group.
-        title: Title.
 
     Returns:
         A figure with one panel per group.
@@ -630,7 +594,6 @@ def learning_curves(
             None entry is a step at which that was not computed.
         kept: Step of the model that was kept; default: that of the smallest validation score.
         terms: Names of the terms; default: every key but the known ones, in the order of appearance.
-        title: Title.
 
     Returns:
         A figure with two panels, or one where there are no terms.

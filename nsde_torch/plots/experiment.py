@@ -43,11 +43,7 @@ def experiment_figure(
     """Figure of a plan.
 
     Args:
-        given: Inputs or references.
-        seen: What one would see.
-        names: Members.
         nats: Expected evidence of each plan for each member, with its 90 % range; None without a tie.
-        title: What is planned.
     """
     rows = len(given) + len(seen) + (nats is not None)
     figure, grid = style.panels(rows, 1, height=0.9 + 1.7 * rows, title=title)

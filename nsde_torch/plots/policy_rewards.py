@@ -34,10 +34,7 @@ def policy_rewards(
     Args:
         curves: Name of an environment -> one curve per seed: rows with `interactions`, `truth_reward` and
             `environment_reward`.
-        random: Reward of random actions on the truth.
-        truth: Reward of policies that were trained on the truth.
         limited: Reward of policies that had no more of the truth than the models' training data.
-        title: Title.
 
     Raises:
         ShapeError: no environment, or one without a curve or with an empty one.

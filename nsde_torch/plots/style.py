@@ -88,10 +88,7 @@ def panels(
     """A figure and its axes (rows, columns).
 
     Args:
-        rows: Rows of panels.
-        columns: Columns of panels.
         height: Height of the figure [in].
-        title: What is measured.
         sharex: As in `Figure.subplots`.
         sharey: As in `Figure.subplots`.
     """
@@ -191,7 +188,6 @@ def thin(t: Array, y: Array, limit: int = 1500) -> tuple[Array, Array]:
     Args:
         t: Times (n,).
         y: Values (n,).
-        limit: Number of bins.
     """
     n = len(t)
     if n <= 2 * limit:
@@ -210,7 +206,6 @@ def save(figure: Figure, path: str | Path, *, dpi: int = DPI) -> Path:
     """Write a figure; the folder is made where it is missing.
 
     Args:
-        figure: From one of the functions of this package.
         path: File to write; the ending says the format (`.png`, `.pdf`, `.svg`).
         dpi: Pixels per inch of a picture; figures are 9 inches wide.
 

@@ -25,7 +25,6 @@ def tracking(t: Array, reference: Array, flights: Mapping[str, Array], *, title:
         t: Times (T,) [s].
         reference: States (T, 13).
         flights: Name of a controller -> states (T, N, 13) of its machines; the first of them is drawn boldest.
-        title: Title.
 
     Raises:
         ShapeError: tables that do not fit each other.
@@ -94,7 +93,6 @@ def solve_times(solve_ms: Mapping[str, Array], *, title: str) -> Figure:
 
     Args:
         solve_ms: Name of a controller -> times [ms].
-        title: Title.
     """
     figure, axes = panels(1, 1, height=3.2, title=title)
     ax = axes[0, 0]
@@ -131,7 +129,6 @@ def film(
         reference: States (T, 13).
         x: States (T, 13).
         file: Where to write; the ending says what.
-        frames_per_second: Frames per second of the flight.
         tail: Length of the path that is drawn behind the machine [s].
     """
     from matplotlib.animation import FFMpegWriter, PillowWriter

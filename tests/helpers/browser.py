@@ -31,9 +31,7 @@ def chromium(profile: Path, *, width: int = 1200, height: int = 1000) -> Iterato
     """A browser with a profile of its own; closed at the end.
 
     Args:
-        profile: Folder for its profile.
         width: Of its window [px].
-        height: Likewise.
     """
     browser, path = programs()
     from selenium import webdriver

@@ -33,11 +33,8 @@ def encoder_runs(
 
     Args:
         rate: Where the rate is from: "sensor", "truth", "none", or how a user made it (`position_machines.RATES`).
-        seed: Of noise and forces.
         friction: Dry friction over mass [m/s2].
         noise: Of the encoder [m]; ten times as much of a rate's sensor.
-        counts: Whether the encoder counts in steps.
-        runs: Number of runs.
         seconds: Length of each [s].
         gust: White force over mass, by the root of a second [m/s1.5].
     """

@@ -36,7 +36,6 @@ def hostile(seed: int, *, system: int = 7) -> Iterator[bytes]:
     """Datagrams without end.
 
     Args:
-        seed: Of all that is random.
         system: Id under which true frames are sent: another than the vehicle's.
     """
     rng, codec = random.Random(seed), Codec(system, 1)

@@ -17,7 +17,6 @@ def leaning_flight(seconds: float, *, dt: float = 0.01, seed: int = 0, yaw: floa
     Args:
         seconds: Length [s].
         dt: Step [s].
-        seed: Of the sines.
         yaw: Amplitude of the heading [rad].
     """
     rng = np.random.default_rng(seed)

@@ -18,8 +18,6 @@ def linear(x: Array, y: Array, blocks: NDArray[np.int64]) -> Regression:
     """The least-squares fit of y (N,) by x (N, k), at its optimum.
 
     Args:
-        x: Regressors.
-        y: What they explain, with noise of unit variance.
         blocks: Block of time of each row (N,).
     """
     k = x.shape[1]

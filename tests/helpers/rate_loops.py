@@ -88,8 +88,6 @@ def fly(
 
     Args:
         controller: One of `CONTROLLERS`.
-        seeds: Seeds.
-        seconds: Length.
         stick: Size of the wanted angle [rad].
         lag: Whether the actuator lags by `LAG_S`.
         pilot: Whether the stick follows the machine: it moves against the rate 50 ms later, and is then not exogenous.

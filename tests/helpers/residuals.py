@@ -61,7 +61,6 @@ class MadeResiduals:
         Args:
             push: The push; None: none.
             seed: Of the innovations; None: those of the data.
-            loud: How many times as large the innovations of the last run are.
         """
         at = self.place.at
         space, about, here = at.of.space, at.about, at.at

@@ -36,10 +36,6 @@ def uncertainty_map(
     """eta over angle and angular velocity, and over speed and angular velocity.
 
     Args:
-        model: A neural SDE of the cartpole.
-        train: Runs that it was trained on.
-        test: Runs that it was not.
-        data_name: What the training data are, for the title.
         seed: Seed of the points that stand for "away from the data".
     """
     inside, held = _rows(train), _rows(test)
@@ -117,8 +113,6 @@ def state_evolution(
 
     Args:
         models: `sde` and `ensemble`, each one model per seed.
-        test: Episodes that none of them was trained on.
-        seed: Seed of the particles.
     """
     names = {"sde": "neural SDE", "ensemble": "Gaussian ensemble"}
     scores = {k: [evaluate(m, test, seed=seed) for m in members] for k, members in models.items()}

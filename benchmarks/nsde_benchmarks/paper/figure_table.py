@@ -23,23 +23,14 @@ FAST = ("trainer.steps=400", "trainer.polish=100")
 
 @dataclass(frozen=True)
 class Settings:
-    """What all figures of one call have in common.
+    """What all figures of one call have in common."""
 
-    Args:
-        fast: For a look in minutes, instead of for the record.
-        published: Folder of the authors' files; None makes the data with our own plants.
-        seeds: Models of each kind.
-        models: Folder of the trained models.
-        policies: Folder of a policy study, or None.
-        seed: Seed of the particles.
-    """
-
-    fast: bool
-    published: Path | None
-    seeds: int
-    models: Path
-    policies: Path | None
-    seed: int
+    fast: bool  # for a look in minutes, instead of for the record
+    published: Path | None  # folder of the authors' files; None makes the data with our own plants
+    seeds: int  # models of each kind
+    models: Path  # folder of the trained models
+    policies: Path | None  # folder of a policy study, or None
+    seed: int  # seed of the particles
 
     def run_dirs(self, *names: str) -> list[list[Path]]:
         """The run directories of each training name, one per seed."""
@@ -48,17 +39,12 @@ class Settings:
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure.
+    """One figure."""
 
-    Args:
-        about: One line.
-        trainings: Words of `nsde train` by name; the seed is added.
-        draw: Makes pictures and checks once these models are there.
-    """
-
-    about: str
+    about: str  # one line
+    # words of `nsde train` by name; the seed is added
     trainings: Callable[[Settings], Mapping[str, list[str]]]
-    draw: Callable[[Settings], ExperimentOutcome]
+    draw: Callable[[Settings], ExperimentOutcome]  # makes pictures and checks once these models are there
 
 
 def _none(settings: Settings) -> dict[str, list[str]]:

@@ -32,9 +32,6 @@ def recorded(data: DataSet, system: System, *, data_name: str, note: str = "") -
     """Speed and Euler angles of the flights, held against the supplement's figures.
 
     Args:
-        data: Flights.
-        system: The multirotor.
-        data_name: What the flights are, for the title.
         note: What is known of them; may be empty.
     """
     assert system.quaternion is not None
@@ -89,9 +86,7 @@ def against_identification(
     Args:
         models: `sde` and `sysid`, each one model per set of held-out flights.
         tests: The flights that the models of each position were not trained on.
-        data_name: What the flights are, for the title.
         note: What the inputs see of the future; may be empty.
-        seed: Seed of the particles.
     """
     names = {"sde": "neural SDE", "sysid": "system ID"}
     scores = {

@@ -14,17 +14,11 @@ from nsde_torch.plots import PredictionBand
 
 @dataclass(frozen=True)
 class Check:
-    """One claim held against a measurement.
+    """One claim held against a measurement."""
 
-    Args:
-        claim: What should be.
-        measured: What is, in words.
-        passed: Whether the claim holds; None where it was not measured.
-    """
-
-    claim: str
-    measured: str
-    passed: bool | None
+    claim: str  # what should be
+    measured: str  # what is, in words
+    passed: bool | None  # whether the claim holds; None where it was not measured
 
     @property
     def word(self) -> str:
@@ -34,23 +28,15 @@ class Check:
 
 @dataclass
 class ExperimentOutcome:
-    """What an experiment concludes.
+    """What an experiment concludes."""
 
-    Args:
-        title: Title of the picture.
-        source: What the supplement says, in other words.
-        checks: Claims and measurements.
-        figures: matplotlib figures by name.
-        values: Numbers behind the checks, JSON-able; units in the keys.
-        notes: What a reader should know beside.
-    """
-
-    title: str
-    source: str
-    checks: list[Check] = field(default_factory=list)
-    figures: dict[str, Any] = field(default_factory=dict)
+    title: str  # title of the picture
+    source: str  # what the supplement says, in other words
+    checks: list[Check] = field(default_factory=list)  # claims and measurements
+    figures: dict[str, Any] = field(default_factory=dict)  # matplotlib figures by name
+    # numbers behind the checks, JSON-able; units in the keys
     values: dict[str, Any] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # what a reader should know beside
 
     @property
     def passed(self) -> bool:
@@ -69,10 +55,8 @@ def rollout(
     """Paths of a model (P, B, T + 1, nx), not-a-number from where one has left the finite numbers.
 
     Args:
-        model: The model.
         x0: First states (B, nx).
         u: Inputs (B, T, nu) on the model's step.
-        seed: Seed of the particles.
         measurement: Whether measurements are predicted, or the state itself.
         u_before: Inputs of the steps before (B, K, nu); see `Model.sample`.
     """

@@ -32,12 +32,6 @@ _NAMES = {
 def learned_in(study: Path, kinds: Sequence[str], *, title: str, source: str) -> ExperimentOutcome:
     """Scores of policies by where they learned.
 
-    Args:
-        study: Folder of the study.
-        kinds: Kinds of environments to show, beside the truth.
-        title: Title.
-        source: What the supplement says.
-
     Raises:
         DataError: the folder holds no study.
     """

@@ -29,7 +29,6 @@ def state_evolution(models: Mapping[str, Sequence[Model]], *, title: str, seed: 
     Args:
         models: `sde`, `ode` and `ensemble`, each one model per seed.
         title: Title; says what the models were trained on.
-        seed: Seed of the particles.
     """
     values: dict[str, dict[str, list[float]]] = {}
     drawn = []

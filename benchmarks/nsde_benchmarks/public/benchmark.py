@@ -17,78 +17,46 @@ from nsde_torch.arrays import Array
 
 @dataclass(frozen=True)
 class BenchmarkMetric:
-    """One number of a protocol.
+    """One number of a protocol."""
 
-    Args:
-        key: What it is called in tables and files.
-        unit: Its unit; empty of a ratio.
-        higher_is_better: Whether more is better, as of R2.
-        digits: Decimals in tables.
-    """
-
-    key: str
-    unit: str
-    higher_is_better: bool = False
-    digits: int = 3
+    key: str  # what it is called in tables and files
+    unit: str  # its unit; empty of a ratio
+    higher_is_better: bool = False  # whether more is better, as of R2
+    digits: int = 3  # decimals in tables
 
 
 @dataclass(frozen=True)
 class PublishedRow:
-    """What others reached.
+    """What others reached."""
 
-    Args:
-        name: The method.
-        values: Value by key of the metric; those that were not published are left out.
-        source: Repository and file, or paper, that states them.
-        note: What has to be known of them: another split, a bound.
-        comparable: Whether they are of the same data, so that ours may be divided by them.
-    """
-
-    name: str
-    values: Mapping[str, float]
-    source: str
-    note: str = ""
-    comparable: bool = True
+    name: str  # the method
+    values: Mapping[str, float]  # value by key of the metric; those that were not published are left out
+    source: str  # repository and file, or paper, that states them
+    note: str = ""  # what has to be known of them: another split, a bound
+    comparable: bool = True  # whether they are of the same data, so that ours may be divided by them
 
 
 @dataclass(frozen=True)
 class Trace:
-    """A curve of the picture: measured and simulated over time.
+    """A curve of the picture: measured and simulated over time."""
 
-    Args:
-        title: What it shows.
-        label: Quantity and unit.
-        t: Times (n,) [s].
-        measured: (n,).
-        simulated: (n,).
-    """
-
-    title: str
-    label: str
-    t: Array
-    measured: Array
-    simulated: Array
+    title: str  # what it shows
+    label: str  # quantity and unit
+    t: Array  # times (n,) [s]
+    measured: Array  # (n,)
+    simulated: Array  # (n,)
 
 
 @dataclass(frozen=True)
 class BenchmarkOutcome:
-    """What a run of a benchmark found.
+    """What a run of a benchmark found."""
 
-    Args:
-        rows: Our models, in order: name -> value by key of the metric.
-        effects: Names of the physical terms that were found missing in the declared physics.
-        parameters: Value and unit by name.
-        sentences: What was found, and what was not, in words.
-        traces: Curves for the picture.
-        details: Further plain values for `benchmark.json`.
-    """
-
-    rows: Mapping[str, Mapping[str, float]]
-    effects: Sequence[str]
-    parameters: Mapping[str, Any]
-    sentences: Sequence[str]
-    traces: Sequence[Trace]
-    details: Mapping[str, Any] = field(default_factory=dict)
+    rows: Mapping[str, Mapping[str, float]]  # our models, in order: name -> value by key of the metric
+    effects: Sequence[str]  # names of the physical terms that were found missing in the declared physics
+    parameters: Mapping[str, Any]  # value and unit by name
+    sentences: Sequence[str]  # what was found, and what was not, in words
+    traces: Sequence[Trace]  # curves for the picture
+    details: Mapping[str, Any] = field(default_factory=dict)  # further plain values for `benchmark.json`
 
 
 class PublicBenchmark(ABC):
@@ -128,7 +96,6 @@ class PublicBenchmark(ABC):
 
         Args:
             paths: What `paths` returned.
-            work: Progress, and results of stages that are kept.
 
         Raises:
             DataError: a file is damaged, or of another set.

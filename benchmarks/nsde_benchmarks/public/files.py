@@ -34,10 +34,6 @@ class Work:
     def stage(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """The result of a stage: read where it is kept, made and kept where not.
 
-        Args:
-            name: Name of the stage and of its file.
-            make: Makes the result, plain values.
-
         Raises:
             CheckpointError: what is kept is damaged, or belongs to other files or settings.
         """
@@ -77,11 +73,6 @@ _POINTER = b"version https://git-lfs"
 def found(folder: Path, wanted: Sequence[str], *, repository: str) -> list[Path]:
     """The files `wanted` (paths relative to the repository), by their places or by their names alone.
 
-    Args:
-        folder: A checkout, or any folder that holds the files.
-        wanted: Paths inside the repository.
-        repository: For messages.
-
     Raises:
         DataError: no such folder, or a file is missing, empty, or a pointer of Git LFS.
     """
@@ -120,8 +111,6 @@ def matrices(path: Path, names: Sequence[str], *, what: str) -> dict[str, Array]
 
     Args:
         path: The `.mat` file.
-        names: Variables that it must hold.
-        what: The set, for messages.
 
     Raises:
         DataError: the file is damaged, or lacks one.
@@ -145,11 +134,6 @@ def matrices(path: Path, names: Sequence[str], *, what: str) -> dict[str, Array]
 
 def table(path: Path, names: Sequence[str], *, what: str) -> dict[str, Array]:
     """Columns of a CSV file with a header row, each (n,); `nan` where a cell is empty.
-
-    Args:
-        path: The file.
-        names: Columns that it must have.
-        what: The set, for messages.
 
     Raises:
         DataError: the file is damaged, cut off, or lacks a column.

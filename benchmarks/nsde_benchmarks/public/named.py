@@ -24,9 +24,6 @@ def ladder(
     """Fits without any term and with one more in each, the best first.
 
     Args:
-        tried: Fits terms from first values.
-        candidates: Names of the terms.
-        first: Values of the declared physics to start from.
         error: Key of the error on what was held out.
         gain: Share of that error by which one more term has to lower it.
     """
@@ -45,8 +42,6 @@ def diagnosed(data: Data, *, say: Say, **options: Any) -> dict[str, Any]:
     """Diagnose runs, as plain values that a stage can keep.
 
     Args:
-        data: The runs.
-        say: Told stage, number done and number in all.
         options: Of `nsde_torch.diagnose`.
 
     Returns:

@@ -55,19 +55,12 @@ SMALLEST = 1e-9
 
 @dataclass(frozen=True)
 class VerticalRecord:
-    """What the models read of a flight.
+    """What the models read of a flight."""
 
-    Args:
-        t: Times (n,) [s].
-        u: Commands (n, 4) in [0, 1].
-        voltage: (n,) [V].
-        vertical: Vertical acceleration and gravity (n,) [m/s2].
-    """
-
-    t: Array
-    u: Array
-    voltage: Array
-    vertical: Array
+    t: Array  # times (n,) [s]
+    u: Array  # commands (n, 4) in [0, 1]
+    voltage: Array  # (n,) [V]
+    vertical: Array  # vertical acceleration and gravity (n,) [m/s2]
 
     @property
     def squares(self) -> Array:
@@ -168,15 +161,10 @@ NOTE = "another flight, below 3.8 V, not in the repository"
 
 @dataclass(frozen=True)
 class BatteryFlight(VerticalRecord):
-    """Rows of a flight, from the first on which the motors turn to the last; motors in the order of quad-x.
+    """Rows of a flight, from the first on which the motors turn to the last; motors in the order of quad-x."""
 
-    Args:
-        name: Of the file.
-        x: States (n, 13).
-    """
-
-    name: str
-    x: Array
+    name: str  # of the file
+    x: Array  # states (n, 13)
 
     @property
     def split(self) -> int:

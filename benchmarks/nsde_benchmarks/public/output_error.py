@@ -43,36 +43,24 @@ def silent(stage: str, done: int, total: int) -> None:
 
 @dataclass(frozen=True)
 class Stretches:
-    """Stretches of measured runs of one length.
+    """Stretches of measured runs of one length."""
 
-    Args:
-        x: Measured states (B, T + 1, nx); of a channel that is not scored only the first row is used, as a start.
-        u: Inputs (B, T * finer, nu), held over a step of `dt / finer`.
-        dt: Step of the rows of `x` [s].
-        finer: Steps of the integrator in a step of the rows.
-    """
-
+    # measured states (B, T + 1, nx); of a channel that is not scored only the first row is used, as a start
     x: Array
-    u: Array
-    dt: float
-    finer: int = 1
+    u: Array  # inputs (B, T * finer, nu), held over a step of `dt / finer`
+    dt: float  # step of the rows of `x` [s]
+    finer: int = 1  # steps of the integrator in a step of the rows
 
 
 @dataclass(frozen=True)
 class OutputErrorEstimate:
-    """What the search found.
+    """What the search found."""
 
-    Args:
-        values: Value of each declared parameter, by name (a list where it has axes).
-        starts: Initial states (B, nx).
-        errors: Predicted minus measured in error channels (B, T, n_error) at the end.
-        cost: Mean of the squared weighted errors, before each iteration and at the end.
-    """
-
+    # value of each declared parameter, by name (a list where it has axes)
     values: dict[str, float | list[float]]
-    starts: Array
-    errors: Array
-    cost: tuple[float, ...]
+    starts: Array  # initial states (B, nx)
+    errors: Array  # predicted minus measured in error channels (B, T, n_error) at the end
+    cost: tuple[float, ...]  # mean of the squared weighted errors, before each iteration and at the end
 
 
 def times(count: int, dt: float) -> Array:
@@ -95,9 +83,7 @@ def windows(
         x: Measured states of each run (n, nx).
         u: Inputs of each run (at least (n - 1) * finer, nu), on the finer grid.
         dt: Step of the rows [s].
-        length: Steps of a stretch.
         stride: Steps from one start to the next; None: `length`.
-        finer: Steps of the inputs in a step of the rows.
 
     Raises:
         DataError: no run is that long.
@@ -122,12 +108,9 @@ def simulated(
     """Open-loop rollouts by Runge-Kutta 4, without noise.
 
     Args:
-        system: The machine.
         start: First states (B, nx).
         u: Inputs (B, T * finer, nu).
         dt: Step of the rows of the result [s].
-        finer: Steps of the integrator in a step of the rows.
-        rows: Rollouts at a time.
 
     Returns:
         States (B, T + 1, nx).
@@ -183,18 +166,14 @@ def output_error(
 
     Args:
         system: The machine; its values are where the search starts.
-        data: What was measured.
         weights: One over the typical error of each error channel (n_error,); 0 leaves a channel out.
         free: States whose initial values are fitted; the others start as measured. Columns behind the states are
             memory of the effects, which otherwise starts as they say.
-        fixed: Parameters that keep their values.
         groups: Error channels whose length is to be small and not its square: each row is weighed by one over
             the length that it has left (iteratively reweighted least squares); empty: squares.
         side_by_side: Roll out the slopes in many parameters as rows of one batch (see `ParameterVector.use` for which
             systems): the same numbers, several times faster where stretches are few.
-        iterations: Most iterations.
         stage: What `say` is told.
-        say: Told stage, number done and number in all.
 
     Raises:
         NonFiniteError: the first values cannot be simulated.

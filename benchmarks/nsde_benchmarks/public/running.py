@@ -65,8 +65,6 @@ def run_benchmark(
         name: Key of `BENCHMARKS`, or `module:Class` of your own.
         folder: Checkout of the repository of the set, or a folder with its files.
         out_dir: Where stages, `benchmark.json` and the picture go; what an interrupted run left there is used.
-        say: Told stage, number done and number in all.
-        tell: Told sentences.
 
     Returns:
         What `benchmark.json` holds: protocol, our rows and the published ones, what was found.

@@ -46,11 +46,7 @@ def settings(config: DictConfig, *, sweep: bool) -> tuple[torch.device, torch.dt
 
 
 def make_device(name: str) -> torch.device:
-    """The device of that name.
-
-    Raises:
-        ConfigError: There is no such device here.
-    """
+    """The device of that name; ConfigError where there is none here."""
     try:
         device = torch.device(name)
     except RuntimeError:
@@ -77,11 +73,7 @@ def options(config: DictConfig, *left_out: str) -> dict[str, Any]:
 
 
 def system(config: DictConfig) -> System:
-    """The machine of the group `system`.
-
-    Raises:
-        ConfigError: There is no such system, effect, parameter or option.
-    """
+    """The machine of the group `system`; ConfigError where there is no such system, effect, parameter or option."""
     return system_options(config).make()
 
 

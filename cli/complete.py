@@ -16,11 +16,7 @@ _HYDRA_GROUPS = {
 
 
 def overrides(command: str, words: Sequence[str]) -> list[str]:
-    """Completions of the last word of a command that takes overrides.
-
-    Args:
-        words: What was typed after the command's name; the last one is being typed and may be empty.
-    """
+    """Completions of the last of the words typed after the name of a command that takes overrides; it may be empty."""
     current = words[-1] if words else ""
     before = list(words[:-1])
     extra = groups.config_dir(before)

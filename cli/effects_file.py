@@ -11,11 +11,7 @@ from nsde_torch.effects.law import split_name
 
 
 def expand(system: DictConfig) -> None:
-    """Put the effects of files in the place of their names, and their values under `system.parameters`.
-
-    Raises:
-        ConfigError: a file that cannot be used, or one of another system.
-    """
+    """Put the effects of files in the place of their names, and their values under `system.parameters`."""
     names: list[str] = []
     for entry in system.effects:
         if not is_file(entry):

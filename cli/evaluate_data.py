@@ -56,11 +56,7 @@ def choose(config: DictConfig, trained: TrainedRun, machine: SystemInfo) -> Chos
 
 
 def trained_data(trained: TrainedRun) -> DictConfig:
-    """The group `data` that a run was trained with.
-
-    Raises:
-        ConfigError: it was trained without the command line.
-    """
+    """The group `data` that a run was trained with; ConfigError where it was trained without the command line."""
     if "data" not in trained.trained:
         raise ConfigError(
             f"{trained.folder} does not say which data it was trained with (it was not trained by `nsde train`); "
@@ -72,23 +68,13 @@ def trained_data(trained: TrainedRun) -> DictConfig:
 
 
 def training_runs(trained: TrainedRun) -> Sequence[Run]:
-    """The runs that a model was trained on, read again.
-
-    Raises:
-        ConfigError: it was trained without the command line.
-        DataError: the data cannot be read any more.
-    """
+    """The runs that a model was trained on, read again; ConfigError or DataError where they cannot be."""
     own, machine = trained_data(trained), trained.model.system
     return build.split(own, build.dataset(own, machine), machine).train
 
 
 def record_sensors(runs: Sequence[TrainedRun]) -> None:
-    """Tell models of older versions, which did not record it, what sensors their training data had.
-
-    Raises:
-        ConfigError: one was trained without the command line.
-        DataError: its data cannot be read any more.
-    """
+    """Tell models of older versions, which did not record it, what sensors their training data had."""
     from nsde_torch.models.capabilities import learns_sensors
     from nsde_torch.training.prepare import sensor_std
 

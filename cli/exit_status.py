@@ -17,12 +17,7 @@ INTERRUPTED = 130  # Ctrl-C (128 + SIGINT)
 
 @final
 class EndedError(NsdeError):
-    """A command did its work, and what it did ended otherwise than it was asked for.
-
-    Args:
-        message: What became of it.
-        status: Exit status that says so.
-    """
+    """A command did its work, and what it did ended otherwise than it was asked for, as `status` says."""
 
     def __init__(self, message: str, status: int) -> None:
         super().__init__(message)

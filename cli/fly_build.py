@@ -76,11 +76,7 @@ def _effects(config: DictConfig) -> list[Any]:
 
 
 def check(config: DictConfig, reference: Reference, machine: Model | System) -> feasible.Envelope:
-    """What the reference asks for; refused where the machine cannot do it.
-
-    Raises:
-        ConfigError: names what is too much.
-    """
+    """What the reference asks for; ConfigError where the machine cannot do it."""
     problem = track_build.problem(config.mpc)
     predictor = Predictor(machine, dt=problem.dt)
     if not config.reference.check:

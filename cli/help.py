@@ -18,12 +18,7 @@ _SCREEN = 50  # lines of help that are shown at once
 
 
 def describe(command: str, words: Sequence[str]) -> str:
-    """The help text of a command, for the choices that are on the command line.
-
-    Args:
-        words: The rest of the command line; `data=csv` among them shows the keys of that choice, and `all` those of
-            groups where they do not fit a screen.
-    """
+    """Help of a command for the choices among the words; `all` adds the keys of groups that do not fit a screen."""
     lines = _described(command, words, left_out=())
     if "all" not in words and len(lines) > _SCREEN:
         extra, chosen = groups.config_dir(words), groups.selected(command, words)

@@ -307,11 +307,7 @@ def _options_first(words: Sequence[str]) -> list[str]:
 
 
 def _resume(words: list[str], folder: Path, key: str) -> list[str]:
-    """The command line of the run in `folder`, which `key` names, followed by what was typed now.
-
-    Raises:
-        CheckpointError: The folder does not hold a run of this command.
-    """
+    """The command line of the run in `folder`, which `key` names, followed by what was typed now."""
     from nsde_torch.plain_yaml import read_yaml
 
     stored = folder / ".hydra" / "overrides.yaml"

@@ -109,11 +109,7 @@ def _progress_to_files_alone() -> None:
 
 
 def check_config(config: DictConfig, command: str, words: list[str]) -> None:
-    """Refuse keys that no schema has (`+key=...` lets them in), missing values and values out of range.
-
-    Raises:
-        ConfigError: The message names the key and the remedy.
-    """
+    """Refuse keys that no schema has (`+key=...` lets them in), missing values and values out of range."""
     values = OmegaConf.to_container(config, resolve=True)
     assert isinstance(values, dict)
     _check_node(config, values, "", command, words)

@@ -25,11 +25,7 @@ def group(default: type, help: str) -> Any:
 
 
 def of(library: type, name: str, **changed: Any) -> Any:
-    """A key that mirrors an option of the library.
-
-    Args:
-        changed: What is another here: `default`, `help`, `unit`, `choices`, `low`, `above`, `high`.
-    """
+    """A key that mirrors an option of the library; `changed` is what is another here: `default`, `help`, `unit`, ..."""
     field = {f.name: f for f in dataclasses.fields(library)}[name]
     default = changed.pop("default", default_of(field))
     return declared(_listed_value(default), {**field.metadata, **changed})

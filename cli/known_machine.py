@@ -24,11 +24,7 @@ class KnownMachine:
 
 
 def known_machine(folder: Path, content: Mapping[str, Any], system: System, data: DataSet) -> KnownMachine:
-    """What a diagnosis knows.
-
-    Args:
-        content: Content of its `diagnosis.json`.
-    """
+    """What a diagnosis knows: `content` is that of its `diagnosis.json`."""
     names = set(content["data"]["runs"])
     return KnownMachine(
         system,

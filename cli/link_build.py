@@ -25,11 +25,7 @@ say = partial(print, flush=True)
 
 
 def key(config: DictConfig) -> bytes | None:
-    """The signing key of the group `link`.
-
-    Raises:
-        ConfigError: the file is not there or empty.
-    """
+    """The signing key of the group `link`; ConfigError where the file is not there or empty."""
     if config.key_file is None:
         return None
     file = Path(config.key_file)
@@ -39,21 +35,13 @@ def key(config: DictConfig) -> bytes | None:
 
 
 def limits(config: DictConfig) -> Limits:
-    """The group `limits`.
-
-    Raises:
-        ConfigError: a fence that is none.
-    """
+    """The group `limits`; ConfigError for a fence that is none."""
     given = {f.name: config[f.name] for f in fields(Limits) if f.name in config}
     return Limits(**{**given, "fence": _fence(build.options(config)["fence"])})
 
 
 def setpoints(config: DictConfig) -> SetpointLimits:
-    """Bounds of the commands that are sent, of the group `limits`.
-
-    Raises:
-        ConfigError: a throttle that is no pair.
-    """
+    """Bounds of the commands that are sent, of the group `limits`; ConfigError for a throttle that is no pair."""
     throttle = tuple(config.throttle)
     if len(throttle) != 2 or not throttle[0] < throttle[1]:
         raise ConfigError(f"`limits.throttle` takes [lowest, highest]; got {list(throttle)}.")

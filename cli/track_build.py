@@ -54,11 +54,7 @@ _PATHS: Mapping[str, Callable[..., FlightPath]] = {
 
 
 def reference(config: DictConfig) -> Reference:
-    """The group `reference`.
-
-    Raises:
-        ConfigError: a size that makes no path.
-    """
+    """The group `reference`; ConfigError for a size that makes no path."""
     return Reference(_PATHS[config.kind](**build.options(config, "kind", "check", "tilt_limit")))
 
 
@@ -93,11 +89,7 @@ def knowledge(name: str, config: DictConfig, *, command: str) -> Model | System:
 
 
 def plant(config: DictConfig, known: Model | System, *, seed: int) -> SteppedMachine:
-    """The group `plant`.
-
-    Raises:
-        ConfigError: another machine than the model's, or an option that the plant does not have.
-    """
+    """The group `plant`; ConfigError for another machine than the model's, or an option that it does not have."""
     generator = torch.Generator().manual_seed(seed)
     own = system_of(known)
     if config.kind == "learned":
@@ -237,22 +229,14 @@ def is_exported(name: str) -> bool:
 
 
 def exported(name: str) -> ExportedController:
-    """The controller in a file.
-
-    Raises:
-        ExportError: the file is damaged, changed or of another version.
-    """
+    """The controller in a file; ExportError where that is damaged, changed or of another version."""
     from nsde_torch.export.exported import ExportedController
 
     return ExportedController(name)
 
 
 def agreed(file: ExportedController, mpc: DictConfig) -> None:
-    """Refuse settings of `mpc` that somebody gave and that a file does not have: nothing would come of them.
-
-    Raises:
-        ConfigError: names one of them.
-    """
+    """Refuse settings of `mpc` that somebody gave and that a file does not have: nothing would come of them."""
     from .schemas.control import MpcConfig
 
     def settings(config: DictConfig) -> dict[str, Any]:

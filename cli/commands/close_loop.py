@@ -81,11 +81,7 @@ COMMAND = HydraCommand(
 
 
 def run(config: DictConfig, job: Job) -> float | None:
-    """Fly, diagnose, experiment, fly again.
-
-    Returns:
-        RMSE of the position after over before; None where a flight was not flown to its end, or a person is to fly.
-    """
+    """Fly, diagnose, experiment, fly again; RMSE of the position after over before, None where it is not known."""
     # torch is imported here, not above: help and completion do without it.
     import torch
 
@@ -122,11 +118,7 @@ def run(config: DictConfig, job: Job) -> float | None:
 
 
 def _check(config: DictConfig) -> None:
-    """Refuse what no loop flies.
-
-    Raises:
-        ConfigError: names it.
-    """
+    """Refuse what no loop flies."""
     from nsde_torch.errors import ConfigError
 
     if config.plant.kind != "simulated" or config.plant.system is None:
@@ -138,11 +130,7 @@ def _check(config: DictConfig) -> None:
 
 
 def _same_settings(config: DictConfig, folder: Path) -> None:
-    """What is in the folder is of this configuration, or nothing is.
-
-    Raises:
-        ConfigError: it is of another.
-    """
+    """Refuse a folder with what is of another configuration."""
     from nsde_torch.errors import ConfigError
 
     from .. import build

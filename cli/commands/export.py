@@ -54,11 +54,7 @@ COMMAND = HydraCommand(
 
 
 def run(config: DictConfig, job: Job) -> None:
-    """Write one controller.
-
-    Raises:
-        ConfigError: the file is there already, or a setting that a file cannot hold.
-    """
+    """Write one controller; ConfigError where the file is there already, or cannot hold a setting."""
     # torch is imported here, not above: help and completion do without it.
     import torch
 

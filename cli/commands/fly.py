@@ -210,12 +210,7 @@ def _write(folder: Path, content: dict[str, Any]) -> None:
 
 
 def _verdict(reports: list[FlightReport]) -> float | None:
-    """RMSE over all flights.
-
-    Raises:
-        LinkError: the flight was refused before it began.
-        EndedError: it began and went wrong, or was not seen to land.
-    """
+    """RMSE over all flights; LinkError or EndedError where one was refused, went wrong, or was not seen to land."""
     from ..link_build import check_end
 
     last = reports[-1].outcome

@@ -157,11 +157,7 @@ def _save(target: Path, text: str, key: str) -> None:
 
 
 def report(found: Inspection, *, everything: bool = False) -> str:
-    """What was found, as text.
-
-    Args:
-        found: Of `nsde_torch.api.inspecting.inspect`.
-    """
+    """What was found, as text."""
     count = len(found.runs)
     names = ", ".join(found.runs[:5]) + (", ..." if count > 5 else "")
     lines = [f"{found.path}: data={found.kind}, {count} run{'s' * (count > 1)} ({names})", ""]

@@ -32,12 +32,7 @@ COMMAND = HydraCommand(
 
 
 def run(config: DictConfig, job: Job) -> None:
-    """Land it.
-
-    Raises:
-        LinkError: no vehicle is heard, or none that is armed.
-        EndedError: it was not seen to land.
-    """
+    """Land it; LinkError where no vehicle is heard or armed, EndedError where it was not seen to land."""
     from nsde_torch.px4.flight.flying import land
     from nsde_torch.px4.link.connection import open_link
 

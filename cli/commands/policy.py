@@ -159,12 +159,7 @@ def _options(config: DictConfig, ppo: dict[str, Any]) -> Any:
 
 
 def _model(folder: str, system: str) -> Model:
-    """The model of a run directory, refused if it is of another machine.
-
-    Raises:
-        ConfigError: It is of another machine.
-        CheckpointError: There is no such run directory.
-    """
+    """The model of a run directory, refused if it is of another machine."""
     import nsde_torch
     from nsde_torch.errors import ConfigError
     from nsde_torch.systems import make_system

@@ -59,11 +59,7 @@ COMMAND = HydraCommand(
 
 
 def run(config: DictConfig, job: Job) -> None:
-    """Serve until Ctrl-C.
-
-    Raises:
-        ConfigError: a package, the port or the machine is not there.
-    """
+    """Serve until Ctrl-C; ConfigError where a package, the port or the machine is not there."""
     from hydra.core.hydra_config import HydraConfig
 
     from nsde_torch.errors import ConfigError

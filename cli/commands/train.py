@@ -68,11 +68,7 @@ COMMAND = HydraCommand(
 
 
 def run(config: DictConfig, job: Job) -> float:
-    """Train one model.
-
-    Returns:
-        The validation score of the kept model.
-    """
+    """Train one model; the validation score of the kept one."""
     from .. import build, effects_file
 
     effects_file.expand(config.system)

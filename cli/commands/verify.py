@@ -62,11 +62,7 @@ COMMAND = HydraCommand(
 
 
 def run(config: DictConfig, job: Job) -> None:
-    """Verify one file.
-
-    Raises:
-        ExportError: the file is damaged, of another model, or does not do what its model does.
-    """
+    """Verify one file; ExportError where it is damaged, of another model, or does not do what its model does."""
     # torch is imported here, not above: help and completion do without it.
     import torch
 

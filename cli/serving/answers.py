@@ -36,11 +36,7 @@ def answer_json(content: Any, status: int = 200) -> Response:
 
 
 def answer_file(path: Path, *, name: str | None = None) -> Response:
-    """A file, shown or, with a name, saved under it.
-
-    Args:
-        path: The file; its suffix is a key of `TYPES`.
-    """
+    """A file, whose suffix is a key of `TYPES`: shown or, with a name, saved under it."""
     answer = Response(path.read_bytes(), content_type=TYPES[path.suffix])
     if name is not None:
         answer.headers["Content-Disposition"] = f'attachment; filename="{name}"'
@@ -73,14 +69,7 @@ _OWN = (None, "same-origin", "none")
 
 
 def check_place(request: Request, hosts: Collection[str]) -> None:
-    """Refuse requests under another name, or from the page of another site.
-
-    Args:
-        hosts: `name:port` of this server.
-
-    Raises:
-        RefusedError: it is one.
-    """
+    """Refuse requests under another name than `hosts`, or from the page of another site."""
     if request.headers.get("Host") not in hosts:
         raise RefusedError(f"This page is at {sorted(hosts)[0]} alone.", 421)
     origin = request.headers.get("Origin")
@@ -92,11 +81,7 @@ def check_place(request: Request, hosts: Collection[str]) -> None:
 
 
 def check_token(request: Request, token: str) -> None:
-    """Refuse requests without the token.
-
-    Raises:
-        RefusedError: it is not the one.
-    """
+    """Refuse requests without the token."""
     if not is_token(request.headers.get(TOKEN, ""), token):
         raise RefusedError(NO_TOKEN, 401)
 

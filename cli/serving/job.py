@@ -15,12 +15,7 @@ from nsde_torch.whole_files import write_whole
 
 @final
 class RefusedError(NsdeError):
-    """A request that is refused.
-
-    Args:
-        message: One sentence with the remedy.
-        status: Status of HTTP.
-    """
+    """A request that is refused: one sentence with the remedy, and the status of HTTP."""
 
     def __init__(self, message: str, status: int = 400) -> None:
         super().__init__(message)
@@ -121,11 +116,7 @@ class Machines:
 
 
 def machines(folder: Path | None, *, first: str | None = None, typed: Sequence[str] = ()) -> Machines:
-    """Those of the package and of a folder of the user's own.
-
-    Args:
-        folder: What `--config-dir` names.
-    """
+    """Those of the package and of a folder of the user's own (`--config-dir`)."""
     from .. import groups
 
     values = {
@@ -138,11 +129,7 @@ def machines(folder: Path | None, *, first: str | None = None, typed: Sequence[s
 def inspect_words(
     logs: Path, *, known: Machines, system: str | None, mapping: Path | None, out: Path
 ) -> list[str]:
-    """The words that look into logs.
-
-    Args:
-        system: One of them; None: guessed.
-    """
+    """The words that look into logs of a system of `known`; None: guessed."""
     words = ["inspect", str(logs), "out=none", f"json={out}"]
     words += [f"system={known.names[system]}"] if system else []
     return [*words, f"mapping={mapping}"] if mapping else words
@@ -151,12 +138,7 @@ def inspect_words(
 def diagnose_words(
     logs: Path, *, known: Machines, system: str, mapping: Path | None, max_minutes: float
 ) -> list[str]:
-    """The words that diagnose logs, wherever they are typed.
-
-    Args:
-        mapping: What columns mean; None: the reader needs none.
-        max_minutes: Time after which it ends with what is known [min].
-    """
+    """The words that diagnose logs, wherever they are typed; without a mapping where the reader needs none."""
     own = known.typed if system == known.first else ()
     words = ["diagnose", *known.options, f"system={system}", *own, "data=log", f"data.path={logs}"]
     words += [f"data.mapping={mapping}"] if mapping else []
@@ -164,9 +146,5 @@ def diagnose_words(
 
 
 def shell(words: Sequence[str]) -> str:
-    """Words as one line for a shell.
-
-    Args:
-        words: A command, without `nsde`.
-    """
+    """The words of a command, without `nsde`, as one line for a shell."""
     return f"nsde {shlex.join(words)}"

@@ -120,12 +120,7 @@ class CommandProcess:
 
 
 def why_ended(name: str, status: int, tail: Sequence[str], *, stopped: str, limits: ServeLimits) -> str:
-    """What went wrong with a command, one sentence; empty where nothing did.
-
-    Args:
-        status: Its exit status; negative: killed by that signal.
-        stopped: Why it was stopped; empty where it was not.
-    """
+    """What went wrong with a command, one sentence; empty where nothing did. A negative status is a signal."""
     if stopped == "time" or status == -signal.SIGXCPU:
         return (
             f"It took longer than {limits.seconds / 60:g} min and was stopped: drop less, or serve with a larger "

@@ -21,12 +21,7 @@ if TYPE_CHECKING:
 
 
 def page_summary(content: Content, plots: Collection[str]) -> dict[str, Any]:
-    """What stands above the report.
-
-    Args:
-        content: As `diagnosis.json` has it.
-        plots: Names of the files in `plots/`.
-    """
+    """What stands above the report of a diagnosis, with these files in `plots/`."""
     from nsde_torch.diagnosis import text  # loads torch
 
     errors = content["errors"]
@@ -204,11 +199,7 @@ class JobRunner:
         self._looks.put(job)
 
     def diagnose(self, job: ServedJob) -> None:
-        """Diagnose a job that was looked into, when its turn comes.
-
-        Raises:
-            RefusedError: its logs cannot be read as they are, or it is at work or done.
-        """
+        """Diagnose a job that was looked into, when its turn comes; RefusedError where that is not possible."""
         with self.shelf.lock:
             found = self.shelf.read(job, INSPECTION)
             if job.state not in ("ready", "failed", "cancelled") or found is None or not found["usable"]:
@@ -340,11 +331,7 @@ class JobRunner:
 
 
 def save_summary(folder: Path, content: Content) -> None:
-    """Write what the page shows of a diagnosis.
-
-    Args:
-        content: As `diagnosis.json` has it.
-    """
+    """Write what the page shows of a diagnosis."""
     plots = {path.name for path in (folder / RESULT / "plots").glob("*.png")}
     (folder / SUMMARY).write_text(json.dumps(page_summary(content, plots)), encoding="utf-8")
 

@@ -55,13 +55,7 @@ def _channel(token: str) -> type[HTTPChannel]:
 
 
 class PageServer:
-    """A socket that listens, and what answers there.
-
-    Args:
-        sock: Bound to an address.
-        largest: Most bytes of a request.
-        threads: Requests at a time.
-    """
+    """A socket that listens, and what answers there; requests have `largest` bytes at most."""
 
     def __init__(self, sock: socket.socket, *, largest: int, threads: int) -> None:
         self.socket, self._largest, self._threads = sock, largest, threads

@@ -116,12 +116,7 @@ _ID = re.compile(r"\d{8}-\d{6}-[0-9a-f]{16}")
 
 
 class Shelf:
-    """Jobs by id, and their folders.
-
-    Args:
-        folder: Where they are kept; made if it is not there.
-        limits: Of sizes and numbers.
-    """
+    """Jobs by id, and their folders in a folder that is made if it is not there."""
 
     def __init__(self, folder: Path, limits: ServeLimits) -> None:
         try:
@@ -157,11 +152,7 @@ class Shelf:
             return sorted(self._jobs.values(), key=lambda job: job.created, reverse=True)
 
     def get(self, name: str) -> ServedJob:
-        """A job by its id.
-
-        Raises:
-            RefusedError: there is none.
-        """
+        """A job by its id; RefusedError where there is none."""
         with self.lock:
             if name not in self._jobs:
                 raise RefusedError("There is no such diagnosis; it may have been deleted.", 404)
@@ -222,11 +213,7 @@ class Shelf:
                 job.save(self.of(job))
 
     def delete(self, job: ServedJob) -> None:
-        """Remove a job that is not at work, with its folder.
-
-        Raises:
-            RefusedError: it is at work.
-        """
+        """Remove a job with its folder; RefusedError where it is at work."""
         with self.lock:
             if job.state in AT_WORK:
                 raise RefusedError("It is at work: stop it first.", 409)

@@ -137,11 +137,7 @@ class Coverage:
 
 
 def extrapolate(fitted: float, new: Sequence[float], n_runs: int) -> float:
-    """log kappa for a run that is new to a model of `n_runs` runs; see the module docstring.
-
-    Args:
-        new: log kappa_new of each run left out; empty where there is one run alone.
-    """
+    """log kappa for a run that is new to a model of `n_runs` runs, see above; `new` is empty where there is one."""
     if not new:
         return fitted
     excess = sum(new) / len(new) - fitted

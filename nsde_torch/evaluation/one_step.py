@@ -191,11 +191,7 @@ def density(law: Disturbance, angle: Array, dt: float) -> Array:
 
 
 def fit(seen: Sequence[Spectrum], *, lasting: bool, shortest: float) -> Disturbance:
-    """Law of largest Whittle likelihood.
-
-    Args:
-        shortest: Least correlation time [s].
-    """
+    """Law of largest Whittle likelihood, with or without a lasting force of at least the `shortest` time [s]."""
     power, angle, count = (np.concatenate([getattr(s, k) for s in seen]) for k in ("power", "angle", "count"))
     h = seen[0].dt
     size = float(np.sqrt((power * count).sum() / count.sum()))

@@ -40,11 +40,7 @@ def experiment_figure(
     *,
     title: str,
 ) -> Figure:
-    """Figure of a plan.
-
-    Args:
-        nats: Expected evidence of each plan for each member, with its 90 % range; None without a tie.
-    """
+    """Figure of a plan; `nats` is the expected evidence of each plan for each member, None without a tie."""
     rows = len(given) + len(seen) + (nats is not None)
     figure, grid = style.panels(rows, 1, height=0.9 + 1.7 * rows, title=title)
     axes = list(grid.flat)

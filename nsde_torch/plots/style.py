@@ -85,13 +85,7 @@ def panels(
     sharex: bool | str = False,
     sharey: bool | str = False,
 ) -> tuple[Figure, NDArray[Any]]:
-    """A figure and its axes (rows, columns).
-
-    Args:
-        height: Height of the figure [in].
-        sharex: As in `Figure.subplots`.
-        sharey: As in `Figure.subplots`.
-    """
+    """A figure of some height [in] and its axes (rows, columns)."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
@@ -183,12 +177,7 @@ def pretty(unit: str) -> str:
 
 
 def thin(t: Array, y: Array, limit: int = 1500) -> tuple[Array, Array]:
-    """At most about 2 `limit` points of a curve: the extremes of each bin, so that no peak is lost.
-
-    Args:
-        t: Times (n,).
-        y: Values (n,).
-    """
+    """At most about 2 `limit` points of a curve (n,): the extremes of each bin, so that no peak is lost."""
     n = len(t)
     if n <= 2 * limit:
         return t, y

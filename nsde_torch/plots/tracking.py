@@ -89,11 +89,7 @@ def tracking(t: Array, reference: Array, flights: Mapping[str, Array], *, title:
 
 @styled
 def solve_times(solve_ms: Mapping[str, Array], *, title: str) -> Figure:
-    """Histogram of the times of solves.
-
-    Args:
-        solve_ms: Name of a controller -> times [ms].
-    """
+    """Histogram of the times of solves [ms] by the name of the controller."""
     figure, axes = panels(1, 1, height=3.2, title=title)
     ax = axes[0, 0]
     positive = {k: v[v > 0] for k, v in solve_ms.items() if (v > 0).any()}

@@ -33,11 +33,7 @@ def _wrapped(angle: Array) -> Array:
 def uncertainty_map(
     model: NeuralSDE, train: Sequence[Run], test: Sequence[Run], *, data_name: str, seed: int
 ) -> ExperimentOutcome:
-    """eta over angle and angular velocity, and over speed and angular velocity.
-
-    Args:
-        seed: Seed of the points that stand for "away from the data".
-    """
+    """eta over angle and speeds; `seed` draws the states that stand for "away from the data"."""
     inside, held = _rows(train), _rows(test)
     like = model.clock_scale
     turn = np.abs(inside[:, _THETA_DOT]).max()
@@ -109,11 +105,7 @@ def uncertainty_map(
 def state_evolution(
     models: Mapping[str, Sequence[Model]], test: Sequence[Run], *, seed: int
 ) -> ExperimentOutcome:
-    """Neural SDE against Gaussian ensemble on held-out episodes.
-
-    Args:
-        models: `sde` and `ensemble`, each one model per seed.
-    """
+    """Neural SDE against Gaussian ensemble on held-out episodes: `models[kind]` has one model per seed."""
     names = {"sde": "neural SDE", "ensemble": "Gaussian ensemble"}
     scores = {k: [evaluate(m, test, seed=seed) for m in members] for k, members in models.items()}
     first = models["sde"][0]

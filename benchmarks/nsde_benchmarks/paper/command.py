@@ -70,12 +70,7 @@ COMMAND = HydraCommand(
 
 
 def run(config: DictConfig, job: Job) -> None:
-    """Make the figures that the configuration names.
-
-    Raises:
-        ConfigError: There is no such figure, or no such folder.
-        NsdeError: A training failed, or no figure could be drawn.
-    """
+    """Make the figures that the configuration names; NsdeError where one could not be drawn."""
     import torch
 
     torch.set_num_threads(config.threads)
@@ -123,11 +118,7 @@ def run(config: DictConfig, job: Job) -> None:
 
 
 def chosen(words: Sequence[str]) -> list[str]:
-    """Names of figures in the order of the table; `all` is every one.
-
-    Raises:
-        ConfigError: There is no such figure.
-    """
+    """Names of figures in the order of the table; `all` is every one. ConfigError: there is no such figure."""
     unknown = sorted({w for w in words if w != "all" and w not in figure_table.FIGURES})
     if unknown or not words:
         raise ConfigError(
@@ -146,11 +137,7 @@ def _folder(path: str | None, key: str) -> Path | None:
 
 
 def _check_files(needed: Mapping[str, Sequence[str]], published: str | None) -> None:
-    """Refuse a folder without the authors' files before anything is trained.
-
-    Raises:
-        ConfigError: A file is missing.
-    """
+    """Refuse a folder without the authors' files before anything is trained."""
     keys = ("data.path=", "data.test_path=")
     paths = {w.partition("=")[2] for words in needed.values() for w in words if w.startswith(keys)}
     missing = sorted(path for path in paths if not Path(path).is_file())

@@ -29,11 +29,7 @@ _FROM_S = 0.25
 
 
 def recorded(data: DataSet, system: System, *, data_name: str, note: str = "") -> ExperimentOutcome:
-    """Speed and Euler angles of the flights, held against the supplement's figures.
-
-    Args:
-        note: What is known of them; may be empty.
-    """
+    """Speed and Euler angles of flights, held against the supplement's figures; `note` says what is known of them."""
     assert system.quaternion is not None
     v = [system.state_names.index(n) for n in ("v_x", "v_y", "v_z")]
     rows = []

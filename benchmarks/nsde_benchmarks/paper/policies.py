@@ -30,11 +30,7 @@ _NAMES = {
 
 
 def learned_in(study: Path, kinds: Sequence[str], *, title: str, source: str) -> ExperimentOutcome:
-    """Scores of policies by where they learned.
-
-    Raises:
-        DataError: the folder holds no study.
-    """
+    """Scores of policies by where they learned; DataError where the folder holds no study."""
     try:
         rows = json.loads((study / "policies.json").read_text(encoding="utf-8"))["rows"]
         outcome = ExperimentOutcome(title=title, source=source)

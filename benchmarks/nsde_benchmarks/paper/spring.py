@@ -24,12 +24,7 @@ _LOST = 100.0
 
 
 def state_evolution(models: Mapping[str, Sequence[Model]], *, title: str, seed: int) -> ExperimentOutcome:
-    """Neural SDE against neural ODE and ensemble.
-
-    Args:
-        models: `sde`, `ode` and `ensemble`, each one model per seed.
-        title: Title; says what the models were trained on.
-    """
+    """Neural SDE, neural ODE and ensemble: `models[kind]` has one model per seed, `title` what they were trained on."""
     values: dict[str, dict[str, list[float]]] = {}
     drawn = []
     names = {"sde": "neural SDE", "ode": "neural ODE", "ensemble": "Gaussian ensemble"}

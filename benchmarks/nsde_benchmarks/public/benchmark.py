@@ -84,11 +84,7 @@ class PublicBenchmark(ABC):
 
     @abstractmethod
     def paths(self, folder: Path) -> list[Path]:
-        """The files of the set below a folder.
-
-        Raises:
-            DataError: one is missing, or is not what it should be.
-        """
+        """The files of the set below a folder; DataError where one is missing, or is not what it should be."""
 
     @abstractmethod
     def run(self, paths: Sequence[Path], work: Work) -> BenchmarkOutcome:

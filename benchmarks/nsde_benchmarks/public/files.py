@@ -164,11 +164,7 @@ def table(path: Path, names: Sequence[str], *, what: str) -> dict[str, Array]:
 
 
 def long_enough(count: int, least: int, path: Path) -> None:
-    """Refuse a file that was cut off.
-
-    Raises:
-        DataError: it has fewer rows than the protocol needs.
-    """
+    """Refuse a file with fewer rows than the protocol needs (DataError): it was cut off."""
     if count < least:
         raise DataError(
             f"{path} has {count} rows, and the protocol needs {least}: it is cut off. Fetch it again."

@@ -78,12 +78,7 @@ ThrustModel = Callable[[VerticalRecord, int], Array]
 
 
 def vertical_acceleration(t: Array, height: Array) -> Array:
-    """Second derivative of the height, and gravity (n,) [m/s2].
-
-    Args:
-        t: Times (n,) [s].
-        height: (n,) [m].
-    """
+    """Second derivative of the height (n,) [m] at the times t (n,) [s], and gravity (n,) [m/s2]."""
     from scipy.signal import savgol_filter
 
     dt = float(np.median(np.diff(t)))
@@ -256,11 +251,7 @@ class NanoBench(PublicBenchmark):
 
 
 def read_flight(path: Path) -> BatteryFlight:
-    """A file of the set.
-
-    Raises:
-        DataError: damaged, cut off, or of another set.
-    """
+    """A file of the set; DataError where it is damaged, cut off, or of another set."""
     held = table(path, COLUMNS, what="NanoBench")
     rows = np.stack([held[name] for name in COLUMNS], 1)
     rows = rows[rows[:, COLUMNS.index("motor_motor_m1")] > FLYING]

@@ -145,12 +145,7 @@ class Silverbox(PublicBenchmark):
 
 
 class _Record:
-    """The whole recording.
-
-    Args:
-        u: Input on the fine grid (n * FINER,).
-        y: Output (n,).
-    """
+    """The whole recording: input on the fine grid (n * FINER,) and output (n,)."""
 
     def __init__(self, u: Array, y: Array) -> None:
         self.u, self.y = u, y

@@ -5,6 +5,7 @@ What reads and checks data is imported where it is called: flights need none of 
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import torch
@@ -20,38 +21,23 @@ from nsde_torch.training import LossOptions, TrainerOptions
 
 # Keys of a data configuration that are not arguments of the function that makes the data.
 _NOT_FOR_DATA = (
-    "kind",
-    "test",
-    "test_path",
-    "validation",
-    "options",
-    "instruments",
-    "state_smoothing",
-    "stream_offsets",
+    *("kind", "test", "test_path", "validation"),
+    *("options", "instruments", "state_smoothing", "stream_offsets"),
 )
 
 
 def settings(config: DictConfig, *, sweep: bool) -> tuple[torch.device, torch.dtype]:
-    """Set the number of threads; return device and precision.
-
-    Args:
-        config: The configuration, with `device`, `dtype` and `threads`.
-        sweep: Whether this is a job of a sweep, which has one thread whatever `threads` says.
-
-    Raises:
-        ConfigError: The device is unknown or not there.
-    """
+    """Set the number of threads, one for a job of a sweep; return device and precision."""
     torch.set_num_threads(1 if sweep else config.threads)
     return make_device(config.device), {"float32": torch.float32, "float64": torch.float64}[config.dtype]
 
 
 def make_device(name: str) -> torch.device:
     """The device of that name; ConfigError where there is none here."""
-    try:
+    device = None
+    with contextlib.suppress(RuntimeError):
         device = torch.device(name)
-    except RuntimeError:
-        raise ConfigError(f"`device` must be cpu, cuda or cuda:N; got {name!r}.") from None
-    if device.type not in ("cpu", "cuda"):
+    if device is None or device.type not in ("cpu", "cuda"):
         raise ConfigError(f"`device` must be cpu, cuda or cuda:N; got {name!r}.")
     if device.type == "cuda":
         if not torch.cuda.is_available():
@@ -78,59 +64,49 @@ def system(config: DictConfig) -> System:
 
 
 def dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
-    """Read or simulate the runs.
-
-    Args:
-        config: The group `data`.
+    """Read or simulate the runs of the group `data`.
 
     Raises:
         DataError: The data cannot be used.
         ConfigError: An option is wrong.
     """
-    from nsde_torch.api.reading import columns_checked
-    from nsde_torch.recording import read
-
-    given = options(config, *_NOT_FOR_DATA)
     if config.kind == "simulated":
         from nsde_torch.simulation import simulated
 
-        return simulated(machine, **given, **options(config.options))
-    data = read(config.kind, machine, own_rate=True, **given, **_reader_options(config))
-    return columns_checked(machine, _restored(config, data, machine))
+        return simulated(machine, **options(config, *_NOT_FOR_DATA), **options(config.options))
+    from nsde_torch.api.reading import columns_checked
+
+    return columns_checked(machine, _read(config, machine, config.path))
 
 
-def other_dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
-    """Read the runs of `data.test_path`, as those of `data.path` are read.
+def test_data(config: DictConfig, machine: SystemInfo) -> DataSet | None:
+    """The runs of `data.test_path`, read as those of `data.path`; None without one.
 
     Raises:
         DataError: The data cannot be used.
     """
-    from nsde_torch.recording import read
-
-    given = {**options(config, *_NOT_FOR_DATA), "path": config.test_path}
+    if config.test_path is None:
+        return None
     try:
-        data = read(config.kind, machine, own_rate=True, **given, **_reader_options(config))
+        return _read(config, machine, config.test_path)
     except DataError as error:
         raise DataError(str(error).replace("`path`", "`data.test_path`")) from error
-    return _restored(config, data, machine)
 
 
-def _restored(config: DictConfig, data: DataSet, machine: SystemInfo) -> DataSet:
+def _read(config: DictConfig, machine: SystemInfo, path: str) -> DataSet:
     """Data on the step that was asked for, without what the recording did, unless the user wants to keep it."""
+    from nsde_torch.recording import read
     from nsde_torch.sysid.smoothed_states import undone_at_own_rate
 
+    given = {**options(config, *_NOT_FOR_DATA), "path": path, **options(config).get("options", {})}
     return undone_at_own_rate(
-        data,
+        read(config.kind, machine, own_rate=True, **given),
         machine,
         dt=config.dt,
         stream_offsets=config.stream_offsets,
         state_smoothing=config.state_smoothing,
         taken_out=[str(name) for name, value in config.items() if value],
     )
-
-
-def _reader_options(config: DictConfig) -> dict[str, Any]:
-    return options(config.options) if "options" in config else {}
 
 
 def split(config: DictConfig, data: DataSet, machine: SystemInfo) -> Split:
@@ -146,11 +122,6 @@ def split(config: DictConfig, data: DataSet, machine: SystemInfo) -> Split:
 
     test = None if config.test is None else list(config.test)
     return split_runs(data, test, test_data=test_data(config, machine))
-
-
-def test_data(config: DictConfig, machine: SystemInfo) -> DataSet | None:
-    """The runs of `data.test_path`; None without one."""
-    return None if config.test_path is None else other_dataset(config, machine)
 
 
 def system_options(config: DictConfig) -> SystemOptions:

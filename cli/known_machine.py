@@ -1,16 +1,25 @@
-"""What the files of a diagnosis say about a machine: its system, the runs that were looked at, and what was found."""
+"""What a diagnosis left of a machine: its system, the runs that were looked at, and what was found."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from omegaconf import DictConfig, OmegaConf
+
 from nsde_torch.data import DataSet, Run
-from nsde_torch.diagnosis.files import EFFECTS
+from nsde_torch.diagnosis.files import EFFECTS, RESULT
 from nsde_torch.effects import files as effects_files
+from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.systems import System
+
+from . import build, effects_file
+from .quoted import as_typed
+
+CONFIG = ".hydra/config.yaml"
 
 
 @dataclass(frozen=True)
@@ -45,3 +54,93 @@ def faults_of_sensors(content: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         for finding in content["findings"]
         if finding["kind"] == "recording"
     }
+
+
+@dataclass(frozen=True)
+class Diagnosed(KnownMachine):
+    """A diagnosis, found again."""
+
+    content: Mapping[str, Any]  # content of `diagnosis.json`
+    data: DictConfig  # configuration of the data
+
+
+def diagnosed(folder: Path, moved: str | None) -> Diagnosed:
+    """Read a diagnosis with its runs.
+
+    Args:
+        folder: Folder of `nsde diagnose`.
+        moved: Where its runs are now; None for where they were.
+
+    Raises:
+        ConfigError: the folder holds no diagnosis, or one that was stopped.
+        DataError: the runs are not those of the diagnosis.
+    """
+    if not (folder / RESULT).is_file() or not (folder / CONFIG).is_file():
+        command = as_typed("nsde", "diagnose", paths={"out_dir": folder})
+        raise ConfigError(f"`run`: {folder} holds no {RESULT} with {CONFIG}; `{command}` writes them.")
+    content = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+    if content.get("so_far"):
+        raise ConfigError(
+            f"`run`: the diagnosis in {folder} is not finished: what seems open in it may not have been tested yet. "
+            "Diagnose again, to the end, into another folder."
+        )
+    config = OmegaConf.load(folder / CONFIG)
+    assert isinstance(config, DictConfig)
+    effects_file.expand(config.system)
+    system = build.system(config.system)
+    data = config.data
+    faults = faults_of_sensors(content)
+    for name, values in faults.items():  # what sensors do is undone before any physics
+        if name in data:
+            data[name] = {**build.options(data)[name], **values}
+    if moved is not None:
+        _check_there("runs", moved, "where the runs of the diagnosis are now")
+        data.path = moved
+    all_runs = build.dataset(data, system)
+    recorded = content["data"].get("fingerprint")
+    if not faults and recorded is not None and all_runs.fingerprint != recorded:
+        raise DataError(
+            f"{data.get('path', 'the data')} holds other runs than those that {folder} was made of. Say where they are "
+            "(runs=FOLDER), or diagnose again."
+        )
+    known = known_machine(folder, content, system, all_runs)
+    return Diagnosed(known.system, known.runs, known.clock, known.values, content, data)
+
+
+def flown_runs(known: Diagnosed, path: str) -> Sequence[Run]:
+    """Runs of a flown experiment, read as those of the diagnosis were.
+
+    Raises:
+        ConfigError: nothing is there.
+        DataError: they are on another step, or cannot be read as runs of this machine.
+    """
+    _check_there("flown", path, "the log of the experiment")
+    config = known.data.copy()
+    if config.kind == "simulated":
+        config = OmegaConf.create(
+            {
+                "kind": "csv",
+                "test": None,
+                "test_path": None,
+                "validation": 0.15,
+                "gap": None,
+                "clock": config.clock,
+                "instruments": [],
+                "state_smoothing": "keep",
+                "stream_offsets": "keep",
+            }
+        )
+    config.path = path
+    found = build.dataset(config, known.system)
+    step = known.runs[0].dt
+    if abs(found.dt - step) > 1e-3 * step:
+        raise DataError(
+            f"{path} was logged every {found.dt:g} s, the runs of the diagnosis every {step:g} s. Log it at their "
+            "rate, or resample (data.dt) and diagnose again."
+        )
+    return found.runs
+
+
+def _check_there(key: str, path: str, what: str) -> None:
+    if not Path(path).exists():
+        raise ConfigError(f"`{key}`: {path} does not exist; it names {what}, a file or folder.")

@@ -2,7 +2,8 @@
 
 The file holds a `COMMAND`: a `HydraCommand` (name, help, schema, groups, folder) beside the function `run(config, job)`
 that does its work, or a `PlainCommand` for one that Hydra does not configure. It is imported when its command is
-called, so that listing the commands costs no import of Hydra or torch; what is heavy is imported inside `run`.
+called, so that listing the commands costs no import of Hydra or torch. What is heavy, torch above all, is imported
+inside `run`: help, completion and the parent process of a launcher do without it.
 
 Another package adds a command with an entry point of the group `nsde_torch.commands`, whose value is the module. The
 first line of the module's docstring is what `nsde --help` says of it: "`nsde NAME`: what it does".
@@ -64,63 +65,27 @@ class CommandEntry:
 
 
 COMMANDS: dict[str, CommandEntry] = {
-    "inspect": CommandEntry(
-        ".commands.inspect",
-        "List what is in a log of any format, propose what its columns mean, and check it",
-    ),
-    "train": CommandEntry(
-        ".commands.train", "Learn a neural SDE of a machine from simulated or measured runs"
-    ),
-    "diagnose": CommandEntry(
-        ".commands.diagnose",
-        "Find the effect that the declared physics lacks, add it, and report the errors",
-    ),
-    "serve": CommandEntry(
-        ".commands.serve", "Open a page on this machine that takes dropped logs and gives their diagnosis"
-    ),
-    "design": CommandEntry(
-        ".commands.design",
-        "Plan the most informative experiment, or report the evidence of one that was flown",
-    ),
-    "evaluate": CommandEntry(
-        ".commands.evaluate", "Score trained models on runs, against baselines and each other"
-    ),
-    "policy": CommandEntry(
-        ".commands.policy", "Learn a policy in a learned model or on the true machine, and judge it there"
-    ),
-    "track": CommandEntry(
-        ".commands.track", "Fly a reference with model predictive control on a learned model"
-    ),
-    "fly": CommandEntry(
-        ".commands.fly", "Fly a controller on a PX4 vehicle over MAVLink, with checks, limits and a log"
-    ),
-    "land": CommandEntry(
-        ".commands.land",
-        "Land a PX4 vehicle that is in the air, and watch until it is disarmed",
-    ),
-    "export": CommandEntry(
-        ".commands.export", "Write the predictive controller as a file for a flight computer"
-    ),
-    "verify": CommandEntry(
-        ".commands.verify", "Hold an exported controller against the one that it was made of"
-    ),
-    "vehicle": CommandEntry(".commands.vehicle", "Be a simulated PX4 vehicle, for nsde fly and its tests"),
-    "close-loop": CommandEntry(
-        ".commands.close_loop",
-        "Fly, find what the physics lacks, and fly again with it: tracking before and after",
-    ),
-    "simulate": CommandEntry(
-        ".commands.simulate", "Write runs of a simulated machine as files that do not say what is in them"
-    ),
-    "effects": CommandEntry(
-        ".commands.effects", "List the physical effects that a system or a plant can be given"
-    ),
-    "sweep-report": CommandEntry(
-        ".commands.sweep_report", "Rank the jobs of a sweep, and name those that failed and why"
-    ),
-    "completion": CommandEntry(
-        ".commands.completion", "Print the shell completion script for bash, zsh or fish"
-    ),
+    name: CommandEntry(f".commands.{name.replace('-', '_')}", summary)
+    for name, summary in {
+        "inspect": "List what is in a log of any format, propose what its columns mean, and check it",
+        "train": "Learn a neural SDE of a machine from simulated or measured runs",
+        "diagnose": "Find the effect that the declared physics lacks, add it, and report the errors",
+        "serve": "Open a page on this machine that takes dropped logs and gives their diagnosis",
+        "design": "Plan the most informative experiment, or report the evidence of one that was flown",
+        "evaluate": "Score trained models on runs, against baselines and each other",
+        "policy": "Learn a policy in a learned model or on the true machine, and judge it there",
+        "track": "Fly a reference with model predictive control on a learned model",
+        "fly": "Fly a controller on a PX4 vehicle over MAVLink, with checks, limits and a log",
+        "land": "Land a PX4 vehicle that is in the air, and watch until it is disarmed",
+        "export": "Write the predictive controller as a file for a flight computer",
+        "verify": "Hold an exported controller against the one that it was made of",
+        "vehicle": "Be a simulated PX4 vehicle, for nsde fly and its tests",
+        "close-loop": "Fly, find what the physics lacks, and fly again with it: tracking before and after",
+        "simulate": "Write runs of a simulated machine as files that do not say what is in them",
+        "effects": "List the physical effects that a system or a plant can be given",
+        "sweep-report": "Rank the jobs of a sweep, and name those that failed and why",
+        "completion": "Print the shell completion script for bash, zsh or fish",
+    }.items()
 }
 
 

@@ -82,7 +82,6 @@ COMMAND = HydraCommand(
 
 def run(config: DictConfig, job: Job) -> float | None:
     """Fly, diagnose, experiment, fly again; RMSE of the position after over before, None where it is not known."""
-    # torch is imported here, not above: help and completion do without it.
     import torch
 
     from ..closed_loop.loop import AFTER, BEFORE, DIAGNOSIS, LOG, TRUTH, ClosedLoop, say

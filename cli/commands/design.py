@@ -72,13 +72,12 @@ COMMAND = HydraCommand(
 
 def run(config: DictConfig, job: Job) -> None:
     """Plan an experiment, or read one."""
-    # torch is imported here, not above: help and completion do without it.
     import torch
 
     from nsde_torch.design import DesignOptions, design, question_of
     from nsde_torch.progress import Stages
 
-    from ..design_data import diagnosed
+    from ..known_machine import diagnosed
 
     started = time.perf_counter()
     torch.set_num_threads(config.threads)
@@ -135,7 +134,7 @@ def _read(config: DictConfig, job: Job, known: Any, options: DesignOptions) -> N
     from nsde_torch.design import obtained, question_of
     from nsde_torch.design.experiment import read_design
 
-    from ..design_data import flown_runs
+    from ..known_machine import flown_runs
 
     expected: list[Any] = []
     if config.plan is not None:

@@ -13,7 +13,7 @@ from ..hydra_command import HydraCommand
 from ..keys import group, key, of
 from ..schemas.data import DataConfig
 from ..schemas.model import LossConfig, ModelConfig, SolverConfig, SystemConfig, TrainerConfig
-from .train import TrainConfig, fit
+from .train import GROUPS, TrainConfig, fit
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -71,14 +71,7 @@ COMMAND = HydraCommand(
     help="Find the effect that the declared physics lacks, add it, and report the error before and after",
     schema=DiagnoseConfig,
     module=__name__,
-    groups={
-        "system": "hexacopter",
-        "data": "simulated",
-        "model": "nsde",
-        "loss": "default",
-        "trainer": "default",
-        "solver": "default",
-    },
+    groups=GROUPS,
     folder="diagnoses/${now:%Y-%m-%d}/${now:%H-%M-%S}_${hydra:runtime.choices.system}",
     result=("diagnosis.json", "a diagnosis"),
     examples=(
@@ -95,7 +88,6 @@ COMMAND = HydraCommand(
 
 def run(config: DictConfig, job: Job) -> None:
     """Diagnose a declared model."""
-    # torch is imported here, not above: help and completion do without it.
     import nsde_torch
     from nsde_torch.diagnosis.candidates import check_candidates
     from nsde_torch.diagnosis.files import EFFECTS, PLOTS, REPORT, RESULT, DiagnosisFiles

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -62,7 +64,6 @@ COMMAND = HydraCommand(
 
 def run(config: DictConfig, job: Job) -> None:
     """Evaluate one or several models."""
-    # torch is imported here, not above: help and completion do without it.
     import torch
     from omegaconf import OmegaConf
 
@@ -71,18 +72,17 @@ def run(config: DictConfig, job: Job) -> None:
     from nsde_torch.evaluation.comparison import RESULT
     from nsde_torch.evaluation.comparison_text import lines
 
-    from .. import build, colour, evaluate_data
-    from ..evaluated_runs import read_runs
+    from .. import build, evaluated
 
     started = time.perf_counter()
     torch.set_num_threads(config.threads)
     given = OmegaConf.to_container(config.run) if OmegaConf.is_config(config.run) else config.run
     names = None if config.names is None else list(config.names)
-    trained = read_runs(given, names, build.make_device(config.device))
-    chosen = evaluate_data.choose(config.data, trained[0], all_columns([r.model.system for r in trained]))
+    trained = evaluated.read_runs(given, names, build.make_device(config.device))
+    chosen = evaluated.choose(config.data, trained[0], all_columns([r.model.system for r in trained]))
     sensors = config.sensor_noise or ("data" if chosen.other_sensors else "train")
     if sensors == "data":
-        evaluate_data.record_sensors(trained)
+        evaluated.record_sensors(trained)
         print("sensor noise is taken from the runs' own fourth differences; nothing else of them is used")
     done = nsde_torch.evaluate(
         {r.name: r.model for r in trained},
@@ -98,6 +98,13 @@ def run(config: DictConfig, job: Job) -> None:
     _, *pictures = done.save(job.run_dir)
     print()
     for text, red in lines(done.content):
-        print(colour.red(text) if red else text)
+        print(f"\033[31m{text}\033[0m" if red and text and _colours() else text)
     wrote = ", ".join([RESULT, *(f"plots/{path.name}" for path in pictures)])
     print(f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir}: {wrote}")
+
+
+def _colours() -> bool:
+    """Whether standard output takes colours (no-color.org); FORCE_COLOR asks for them in a pipe or file too."""
+    if os.environ.get("NO_COLOR"):
+        return False
+    return bool(os.environ.get("FORCE_COLOR")) or (sys.stdout.isatty() and os.environ.get("TERM") != "dumb")

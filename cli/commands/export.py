@@ -55,7 +55,6 @@ COMMAND = HydraCommand(
 
 def run(config: DictConfig, job: Job) -> None:
     """Write one controller; ConfigError where the file is there already, or cannot hold a setting."""
-    # torch is imported here, not above: help and completion do without it.
     import torch
 
     from nsde_torch.control.loop import DECLARED, system_of

@@ -105,7 +105,6 @@ def run(config: DictConfig, job: Job) -> float | None:
     Raises:
         NsdeError: nothing was flown, or it ended otherwise than asked for, and why.
     """
-    # torch is imported here, not above: help and completion do without it.
     import torch
 
     from nsde_torch.px4.flight.flying import fly

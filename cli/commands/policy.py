@@ -98,7 +98,6 @@ def run(config: DictConfig, job: Job) -> float:
             the extra is not installed.
         CheckpointError: The environment is no run directory, or what it is scored against no policy.
     """
-    # torch is imported here, not above: a launcher's parent process needs this module, but not torch.
     import torch
 
     from nsde_torch.errors import ConfigError

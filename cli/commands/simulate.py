@@ -99,7 +99,6 @@ COMMAND = HydraCommand(
 
 def run(config: DictConfig, job: Job) -> None:
     """Make and write one data set."""
-    # torch is imported here, not above: help and completion do without it.
     import torch
 
     from nsde_torch.errors import ConfigError

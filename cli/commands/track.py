@@ -67,7 +67,6 @@ COMMAND = HydraCommand(
 
 def run(config: DictConfig, job: Job) -> float | None:
     """Fly one reference with one or several controllers; RMSE of the position [m], None if all machines were lost."""
-    # torch is imported here, not above: help and completion do without it.
     import torch
 
     from nsde_torch.control import feasible

@@ -39,19 +39,16 @@ class TrainConfig:
     solver: SolverConfig = group(SolverConfig, "how paths are integrated")
 
 
+GROUPS = {
+    **{"system": "hexacopter", "data": "simulated", "model": "nsde"},
+    **{"loss": "default", "trainer": "default", "solver": "default"},
+}
 COMMAND = HydraCommand(
     name="train",
     help="Learn a neural SDE of a machine from simulated or measured runs",
     schema=TrainConfig,
     module=__name__,
-    groups={
-        "system": "hexacopter",
-        "data": "simulated",
-        "model": "nsde",
-        "loss": "default",
-        "trainer": "default",
-        "solver": "default",
-    },
+    groups=GROUPS,
     folder="runs/${now:%Y-%m-%d}/${now:%H-%M-%S}_${hydra:runtime.choices.system}",
     unnamed=("sweep_dir", "device", "threads", "data.path"),
     examples=(
@@ -86,7 +83,6 @@ def fit(config: DictConfig, job: Job, run_dir: Path, *, about: dict[str, Any]) -
     Returns:
         The content of `metrics.json`.
     """
-    # torch is imported here, not above: a launcher's parent process needs this module, but not torch.
     import nsde_torch
 
     from .. import build

@@ -72,7 +72,6 @@ COMMAND = HydraCommand(
 
 def run(config: DictConfig, job: Job) -> None:
     """Be a vehicle; ConfigError for what is no multirotor, or options that it does not have."""
-    # torch is imported here, not above: help and completion do without it.
     import torch
 
     from nsde_torch.errors import ConfigError

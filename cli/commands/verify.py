@@ -63,7 +63,6 @@ COMMAND = HydraCommand(
 
 def run(config: DictConfig, job: Job) -> None:
     """Verify one file; ExportError where it is damaged, of another model, or does not do what its model does."""
-    # torch is imported here, not above: help and completion do without it.
     import torch
 
     from nsde_torch.control.autopilots import EstimatorOptions, PredictivePilot

@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 
 from nsde_torch.cli import groups
 from nsde_torch.cli.commands.completion import query
-from nsde_torch.cli.evaluated_runs import short_names
+from nsde_torch.cli.evaluated import short_names
 from nsde_torch.cli.help import WIDTH
 from nsde_torch.cli.main import main
 from nsde_torch.cli.registry import hydra_command

@@ -75,7 +75,6 @@ COMMAND = BenchmarkCommand(
 
 def run(config: DictConfig, job: Job) -> None:
     """Run one set."""
-    # torch is imported here, not above: help and completion do without it.
     import torch
 
     from nsde_benchmarks.public.registry import benchmark_class

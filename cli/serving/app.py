@@ -34,13 +34,7 @@ from .shelf import FORMATS, receive
 _STATIC = ("index.html", "page.js", "views.js", "page.css", "icon.svg")
 _LARGEST = 1 << 18  # bytes of a request that is no log
 _COLUMNS = 300  # that are listed
-_HOMES = {
-    "report.html": RESULT,
-    "effects.yaml": RESULT,
-    "diagnosis.json": RESULT,
-    MAPPING: "",
-    LOG: "",
-}
+_HOMES = {**dict.fromkeys(("report.html", "effects.yaml", "diagnosis.json"), RESULT), MAPPING: "", LOG: ""}
 """Files of a job that may be read -> folder in it."""
 
 
@@ -58,33 +52,20 @@ class ServedPage:
         self._token, self._hosts = token, hosts
         self._receiving: set[tuple[str, int]] = set()
         job = "/api/jobs/<name>"
-        self._map = Map(
-            [
-                Rule("/", endpoint="page", methods=["GET"]),
-                Rule("/<file>", endpoint="page", methods=["GET"]),
-                Rule("/api/jobs", endpoint="list", methods=["GET"]),
-                Rule("/api/jobs", endpoint="create", methods=["POST"]),
-                Rule(job, endpoint="show", methods=["GET"]),
-                Rule(job, endpoint="delete", methods=["DELETE"]),
-                Rule(f"{job}/logs/<int:index>", endpoint="receive", methods=["PUT"]),
-                Rule(f"{job}/inspect", endpoint="inspect", methods=["POST"]),
-                Rule(f"{job}/diagnose", endpoint="diagnose", methods=["POST"]),
-                Rule(f"{job}/cancel", endpoint="cancel", methods=["POST"]),
-                Rule("/jobs/<name>/<file>", endpoint="file", methods=["GET"]),
-            ]
-        )
-        self._answers: dict[str, Callable[..., Response]] = {
-            "page": self._page,
-            "list": self._list,
-            "create": self._create,
-            "show": self._show,
-            "delete": self._delete,
-            "receive": self._receive,
-            "inspect": self._inspect,
-            "diagnose": self._diagnose,
-            "cancel": self._cancel,
-            "file": self._file,
-        }
+        answers: list[tuple[str, str, Callable[..., Response]]] = [
+            ("GET", "/", self._page),
+            ("GET", "/<file>", self._page),
+            ("GET", "/api/jobs", self._list),
+            ("POST", "/api/jobs", self._create),
+            ("GET", job, self._show),
+            ("DELETE", job, self._delete),
+            ("PUT", f"{job}/logs/<int:index>", self._receive),
+            ("POST", f"{job}/inspect", self._inspect),
+            ("POST", f"{job}/diagnose", self._diagnose),
+            ("POST", f"{job}/cancel", self._cancel),
+            ("GET", "/jobs/<name>/<file>", self._file),
+        ]
+        self._map = Map([Rule(path, endpoint=answer, methods=[method]) for method, path, answer in answers])
 
     def __call__(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Iterable[bytes]:
         """Answer one request."""
@@ -98,8 +79,9 @@ class ServedPage:
             check_place(request, self._hosts)
             if request.path.startswith("/api/"):
                 check_token(request, self._token)
-            endpoint, values = self._map.bind_to_environ(request.environ).match()
-            return self._answers[endpoint](request, **values)
+            answer, values = self._map.bind_to_environ(request.environ).match()
+            made: Response = answer(request, **values)
+            return made
         except RefusedError as error:
             return answer_json({"error": str(error)}, error.status)
         except HTTPException as error:
@@ -192,9 +174,8 @@ class ServedPage:
         if found is not None:
             content["inspection"] = {**found, "columns": _first(found), "all_columns": len(found["columns"])}
         folder = self._shelf.of(job)
-        content["mapping"] = (
-            (folder / MAPPING).read_text(encoding="utf-8") if (folder / MAPPING).is_file() else ""
-        )
+        mapping = folder / MAPPING
+        content["mapping"] = mapping.read_text(encoding="utf-8") if mapping.is_file() else ""
         if job.state == "done":
             content["summary"] = self._shelf.read(job, SUMMARY)
         content["printed"] = (folder / LOG).is_file()
@@ -207,16 +188,12 @@ class ServedPage:
         path = folder / _HOMES[file] / file if file in _HOMES else pictures.get(file)
         if path is None or not path.is_file():
             raise RefusedError("There is no such file.", 404)
-        return answer_file(path, name=f"{file}" if "save" in request.args else None)
+        return answer_file(path, name=file if "save" in request.args else None)
 
     def _brief(self, job: ServedJob) -> dict[str, Any]:
         return {
-            "id": job.id,
-            "created": job.created,
-            "system": job.system,
-            "machine": job.machine,
+            **{key: getattr(job, key) for key in ("id", "created", "system", "machine", "state")},
             "files": [{"given": f.given, "name": f.name, "size": f.size} for f in job.files],
-            "state": job.state,
             "called": STATES[job.state],
             "seconds": self._runner.elapsed(job),
         }

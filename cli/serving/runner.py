@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from nsde_torch.diagnosis.result import Content
 
 
+_PICTURES = ("held_out.png", "residual.png", "unexplained.png", "flexible.png")
+
+
 def page_summary(content: Content, plots: Collection[str]) -> dict[str, Any]:
     """What stands above the report of a diagnosis, with these files in `plots/`."""
     from nsde_torch.diagnosis import text  # loads torch
@@ -41,11 +44,7 @@ def page_summary(content: Content, plots: Collection[str]) -> dict[str, Any]:
         "horizons": [f"{h:g}" for h in errors["horizons_s"]],
         "predictions": _predictions(errors),
         "changed": changed,
-        "pictures": [
-            name
-            for name in ("held_out.png", "residual.png", "unexplained.png", "flexible.png")
-            if name in plots
-        ],
+        "pictures": [name for name in _PICTURES if name in plots],
     }
 
 
@@ -115,13 +114,8 @@ def _short(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}"
 
 
-INSPECTION, SUMMARY, LOG, MAPPING, RESULT = (
-    "inspection.json",
-    "summary.json",
-    "log.txt",
-    "mapping.yaml",
-    "result",
-)
+INSPECTION, SUMMARY, LOG = "inspection.json", "summary.json", "log.txt"
+MAPPING, RESULT = "mapping.yaml", "result"
 _LONGEST_MAPPING = 1 << 16  # letters
 _LOOK = 300.0  # seconds that looking into logs may take at most
 
@@ -168,11 +162,7 @@ class JobRunner:
             thread.start()
 
     def inspect(self, job: ServedJob, *, system: str | None, mapping: str | None) -> None:
-        """Look into the logs of a job.
-
-        Args:
-            system: Machine; None: to be guessed.
-            mapping: Text of a mapping to check; None: one is proposed.
+        """Look into the logs of a job, for a machine and with a mapping or without (None: guessed, and proposed).
 
         Raises:
             RefusedError: an unknown machine, logs that have not arrived, or a job that is at work or done.
@@ -246,10 +236,8 @@ class JobRunner:
             try:
                 changed = work(job)
             except Exception as error:  # the page goes on
-                changed = {
-                    "state": "failed",
-                    "sentence": f"A fault of the page: {type(error).__name__}: {error}.",
-                }
+                sentence = f"A fault of the page: {type(error).__name__}: {error}."
+                changed = {"state": "failed", "sentence": sentence}
             began = self._began.pop(job.id)
             if not self._closed:  # else it is taken up by the next start
                 self.shelf.note(job, seconds=round(time.monotonic() - began, 1), **changed)
@@ -273,7 +261,7 @@ class JobRunner:
         out = folder / INSPECTION
         words = inspect_words(folder / "logs", known=self.machines, system=job.system, mapping=given, out=out)
         limits = replace(self.limits, seconds=min(_LOOK, self.limits.seconds))
-        end = self._run(job, words, limits, _nothing)
+        end = self._run(job, words, limits, lambda *step: None)
         found = self.shelf.read(job, INSPECTION)
         if end.sentence or found is None:
             why = end.sentence or "The logs could not be looked into by a fault of the program: see log.txt."
@@ -344,7 +332,3 @@ def _why_not(found: dict[str, Any]) -> str:
     if found["missing"]:
         return f"Something is missing: {found['missing'][0]}"
     return "Too little was recognised in these logs to make a mapping of it."
-
-
-def _nothing(*step: object) -> None:
-    return None

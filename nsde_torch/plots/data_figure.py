@@ -6,7 +6,7 @@ Thin lines: the 95 % quantile and the largest magnitude over all runs. Gaps brea
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from nsde_torch.plots.style import (
     label,
     legend_below,
     panels,
+    pretty,
     styled,
     thin,
 )
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from nsde_torch.data import DataSet, Run, SystemInfo
 
 # Roll, pitch, yaw of quaternions for people's eyes: q = q_z(yaw) q_y(pitch) q_x(roll), in degrees.
 #
@@ -92,51 +94,8 @@ COLUMNS = 4
 """Runs that have a column of their own; of more, the first ones are drawn."""
 
 
-class RunLike(Protocol):
-    """What is read of a run; `nsde_torch.data.Run` has it."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def t(self) -> Array: ...
-    @property
-    def x(self) -> Array: ...
-    @property
-    def u(self) -> Array: ...
-    @property
-    def segments(self) -> tuple[tuple[int, int], ...]: ...
-
-
-class DataSetLike(Protocol):
-    """What is read of a data set; `nsde_torch.data.DataSet` has it."""
-
-    @property
-    def runs(self) -> Sequence[RunLike]: ...
-    @property
-    def input_names(self) -> tuple[str, ...]: ...
-
-
-class SystemLike(Protocol):
-    """What is read of a system; `nsde_torch.systems.System` has it."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def state_names(self) -> tuple[str, ...]: ...
-    @property
-    def state_units(self) -> tuple[str, ...]: ...
-    @property
-    def input_names(self) -> tuple[str, ...]: ...
-    @property
-    def input_units(self) -> tuple[str, ...]: ...
-    @property
-    def quaternion(self) -> slice | None: ...
-    @property
-    def position_derivatives(self) -> tuple[tuple[str, str, str], ...]: ...
-
-
 @styled
-def data_summary(dataset: DataSetLike, system: SystemLike, *, title: str | None = None) -> Figure:
+def data_summary(dataset: DataSet, system: SystemInfo, *, title: str | None = None) -> Figure:
     """The data over time.
 
     Args:
@@ -155,29 +114,31 @@ def data_summary(dataset: DataSetLike, system: SystemLike, *, title: str | None 
     return _channels(dataset, system, title)
 
 
-def _pieces(run: RunLike) -> list[tuple[Array, slice]]:
+def speed_and_angles(x: Array, system: SystemInfo) -> Array:
+    """Speed [m/s], roll, pitch and yaw [deg] (n, 4) of states of a multirotor (n, nx)."""
+    assert system.quaternion is not None
+    v = [system.state_names.index(n) for n in ("v_x", "v_y", "v_z")]
+    angles = roll_pitch_yaw(x[:, system.quaternion])
+    angles[:, ::2] -= 360.0 * np.round(angles[:1, ::2] / 360.0)
+    return np.column_stack([np.linalg.norm(x[:, v], axis=1), angles])
+
+
+def _pieces(run: Run) -> list[tuple[Array, slice]]:
     """Time from the start of the run [s] and rows of each segment."""
     return [(run.t[a:b] - run.t[0], slice(a, b)) for a, b in run.segments]
 
 
-def _mark_gaps(ax: Axes, run: RunLike) -> None:
+def _mark_gaps(ax: Axes, run: Run) -> None:
     for (_, stop), (start, _) in zip(run.segments[:-1], run.segments[1:], strict=True):
         a, b = float(run.t[stop - 1] - run.t[0]), float(run.t[start] - run.t[0])
         ax.axvspan(a, b, color=VERMILLION, alpha=0.25, linewidth=0)
         ax.axvline(0.5 * (a + b), color=VERMILLION, linestyle=":", linewidth=1.2, gid="gap")
 
 
-def _flights(runs: Sequence[RunLike], system: SystemLike, title: str) -> Figure:
-    assert system.quaternion is not None
-    v = [system.state_names.index(n) for n in ("v_x", "v_y", "v_z")]
-    curves: list[list[Array]] = []
-    for run in runs:
-        parts = []
-        for _, rows in _pieces(run):
-            angles = roll_pitch_yaw(run.x[rows, system.quaternion])
-            angles[:, ::2] -= 360.0 * np.round(angles[:1, ::2] / 360.0)
-            parts.append(np.column_stack([np.linalg.norm(run.x[rows][:, v], axis=1), angles]))
-        curves.append(parts)
+def _flights(runs: Sequence[Run], system: SystemInfo, title: str) -> Figure:
+    from matplotlib.lines import Line2D
+
+    curves = [[speed_and_angles(run.x[rows], system) for _, rows in _pieces(run)] for run in runs]
     channels = (("speed", "m/s"), ("roll", "deg"), ("pitch", "deg"), ("yaw", "deg"))
     size = np.abs(np.concatenate([p for parts in curves for p in parts]))
     q95, top = np.quantile(size, 0.95, axis=0), size.max(axis=0)
@@ -200,45 +161,29 @@ def _flights(runs: Sequence[RunLike], system: SystemLike, title: str) -> Figure:
             ax.set_ylim(low, max(1.15 * top[k], 1e-9))
             if c == 0:
                 ax.set_ylabel(label(name, unit))
-        axes[0, c].set_title(run.name)
+        axes[0, c].set_title(run.name, pad=18)
         axes[-1, c].set_xlabel("time [s]")
         axes[-1, c].set_xlim(0, float(run.t[-1] - run.t[0]))
     for k, (name, unit) in enumerate(channels):
         digits = 2 if unit == "m/s" else 0
         mark = "" if name == "speed" else "|"
-        axes[k, 0].annotate(
-            f"{mark}{name}{mark}: 95 % below {q95[k]:.{digits}f}, largest {top[k]:.{digits}f} "
-            f"{'m/s' if unit == 'm/s' else '°'}",
-            (0.0, 1.02),
-            xycoords="axes fraction",
-            fontsize=8.5,
-            color=BLACK,
+        text = (
+            f"{mark}{name}{mark}: 95 % below {q95[k]:.{digits}f}, largest {top[k]:.{digits}f} {pretty(unit)}"
         )
-        if k == 0:
-            for ax in axes[0]:
-                ax.title.set_position((0.5, 1.0))
-                ax.set_title(ax.get_title(), pad=18)
-    _lines_key(figure, gaps)
+        axes[k, 0].annotate(text, (0.0, 1.02), xycoords="axes fraction", fontsize=8.5, color=BLACK)
+    lines = {
+        "measured": Line2D([], [], color=BLUE),
+        "95 % of the magnitudes": Line2D([], [], color=BLACK, linestyle="--", linewidth=0.9),
+        "largest magnitude": Line2D([], [], color=BLACK, linewidth=0.9),
+    }
+    if gaps:
+        lines["gap in the recording"] = Line2D([], [], color=VERMILLION, linestyle=":")
+    legend_below(figure, list(lines.values()), list(lines))
     figure.align_ylabels(list(axes[:, 0]))
     return figure
 
 
-def _lines_key(figure: Figure, gaps: bool) -> None:
-    from matplotlib.lines import Line2D
-
-    handles = [
-        Line2D([], [], color=BLUE),
-        Line2D([], [], color=BLACK, linestyle="--", linewidth=0.9),
-        Line2D([], [], color=BLACK, linewidth=0.9),
-    ]
-    texts = ["measured", "95 % of the magnitudes", "largest magnitude"]
-    if gaps:
-        handles.append(Line2D([], [], color=VERMILLION, linestyle=":"))
-        texts.append("gap in the recording")
-    legend_below(figure, handles, texts)
-
-
-def _channels(dataset: DataSetLike, system: SystemLike, title: str) -> Figure:
+def _channels(dataset: DataSet, system: SystemInfo, title: str) -> Figure:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
@@ -252,11 +197,10 @@ def _channels(dataset: DataSetLike, system: SystemLike, title: str) -> Figure:
     pairs = [(names.index(p), names.index(v)) for p, v, _ in system.position_derivatives]
     figure = Figure(figsize=(WIDTH, 1.2 + 1.35 * max(len(names), 2 * len(pairs))), layout="constrained")
     figure.suptitle(title)
-    parts = figure.subfigures(
-        1, 2 if pairs else 1, squeeze=False, width_ratios=(1.7, 1.0)[: 2 if pairs else 1]
-    )
+    ratios = (1.7, 1.0) if pairs else (1.7,)
+    parts = figure.subfigures(1, len(ratios), squeeze=False, width_ratios=ratios)
     few = len(runs) <= len(COLOURS)
-    colours = [COLOURS[k] if few else BLUE for k in range(len(runs))]
+    colours = list(COLOURS[: len(runs)]) if few else [BLUE] * len(runs)
     alpha = 0.9 if few else max(0.15, min(0.6, 12 / len(runs)))
     axes = parts[0, 0].subplots(len(names), 1, squeeze=False, sharex=True)[:, 0]
     mark = len(runs) <= COLUMNS
@@ -287,9 +231,7 @@ def _channels(dataset: DataSetLike, system: SystemLike, title: str) -> Figure:
     return figure
 
 
-def _portrait(
-    ax: Axes, runs: Sequence[RunLike], colours: Sequence[str], alpha: float, i: int, j: int
-) -> None:
+def _portrait(ax: Axes, runs: Sequence[Run], colours: Sequence[str], alpha: float, i: int, j: int) -> None:
     """Velocity against position, segment by segment; a dot marks each start."""
     for run, colour in zip(runs, colours, strict=True):
         for _, rows in _pieces(run):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import ceil
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,10 +16,12 @@ from nsde_torch.plots.style import (
     GREY,
     VERMILLION,
     few_ticks,
+    grid,
     key,
     label,
     legend_below,
     panels,
+    plain_decades,
     plain_logarithm,
     pretty,
     seconds_axis,
@@ -60,6 +61,8 @@ def flexible_surface(surface: Surface, *, title: str) -> Figure:
     Returns:
         A curve over one variable; over two, a map and a map of the half width of its interval.
     """
+    from matplotlib.colors import ListedColormap
+
     if len(surface.axes) == 1:
         return _curve(surface, title)
     figure, axes = panels(1, 2, height=4.2, title=title)
@@ -73,11 +76,12 @@ def flexible_surface(surface: Surface, *, title: str) -> Figure:
         mesh = ax.pcolormesh(*surface.axes, values, cmap=colours, vmin=low, vmax=high, rasterized=True)
         figure.colorbar(mesh, ax=ax, label=label(f"{surface.row}: {name}", surface.unit))
         veil = np.where(surface.far, 1.0, np.nan)
-        ax.pcolormesh(*surface.axes, veil, cmap=_grey(), vmin=0.0, vmax=1.0, rasterized=True)
+        ax.pcolormesh(*surface.axes, veil, cmap=ListedColormap([_VEIL]), vmin=0.0, vmax=1.0, rasterized=True)
         some = _some(surface.data)
         ax.plot(some[:, 0], some[:, 1], ".", color="black", markersize=2, alpha=0.4, label="data")
         ax.plot([], [], "s", color=_VEIL, label="no data near: not to be trusted")
-        _frame(ax, surface)
+        ax.grid(visible=False)
+        ax.set(xlabel=label(*surface.variables[0]), ylabel=label(*surface.variables[1]))
     key(figure, axes[0, 0])
     return figure
 
@@ -100,26 +104,13 @@ def _curve(surface: Surface, title: str) -> Figure:
     some = _some(surface.data)[:, 0]
     ax.plot(some, np.full(len(some), low), "|", color="black", alpha=0.4, label="data")
     ax.set_ylim(low, high)
-    ax.set_xlabel(label(*surface.variables[0]))
-    ax.set_ylabel(label(surface.row, surface.unit))
+    ax.set(xlabel=label(*surface.variables[0]), ylabel=label(surface.row, surface.unit))
     key(figure, ax)
     return figure
 
 
-def _frame(ax: Axes, surface: Surface) -> None:
-    ax.grid(visible=False)
-    ax.set_xlabel(label(*surface.variables[0]))
-    ax.set_ylabel(label(*surface.variables[1]))
-
-
 def _some(data: Array) -> Array:
     return np.asarray(data[np.linspace(0, len(data) - 1, min(len(data), _CURVE_POINTS)).round().astype(int)])
-
-
-def _grey() -> object:
-    from matplotlib.colors import ListedColormap
-
-    return ListedColormap([_VEIL])
 
 
 BEFORE, AFTER = VERMILLION, BLUE
@@ -188,15 +179,11 @@ def residual_views(views: Sequence[Panel], *, title: str) -> Figure:
     """
     if not views:
         raise ShapeError("`views` must hold at least one panel; got none.")
-    columns = min(len(views), 2)
-    rows = ceil(len(views) / columns)
-    figure, axes = panels(rows, columns, height=0.8 + 3.0 * rows, title=title)
+    figure, axes = grid(len(views), columns=2, row=3.0, spare=0.8, title=title)
     rng = np.random.default_rng(_SEED)
-    for ax, view in zip(axes.flat, views, strict=False):
+    for ax, view in zip(axes, views, strict=True):
         _draw(ax, view, rng)
-    for ax in list(axes.flat)[len(views) :]:
-        ax.set_axis_off()
-    pairs = (pair for ax in axes.flat for pair in zip(*ax.get_legend_handles_labels(), strict=True))
+    pairs = (pair for ax in axes for pair in zip(*ax.get_legend_handles_labels(), strict=True))
     marks = {text: mark for mark, text in pairs}
     legend_below(figure, list(marks.values()), list(marks))
     return figure
@@ -215,7 +202,7 @@ def _draw(ax: Axes, view: Panel, rng: np.random.Generator) -> None:
         ax.errorbar(
             cloud.centre,
             cloud.mean,
-            1.645 * cloud.error,
+            _HALF * cloud.error,
             color=colour,
             marker=mark,
             markersize=4,
@@ -225,7 +212,7 @@ def _draw(ax: Axes, view: Panel, rng: np.random.Generator) -> None:
             label=f"{name}, mean and 90 % interval",
         )
         if len(cloud.mean):
-            reach = max(reach, float(np.abs(cloud.mean).max() + 1.645 * cloud.error.max()))
+            reach = max(reach, float(np.abs(cloud.mean).max() + _HALF * cloud.error.max()))
         if len(cloud.y):
             reach = max(reach, float(np.quantile(np.abs(cloud.y), 0.97)))
             low, high = np.quantile(cloud.x, [0.005, 0.995])
@@ -317,10 +304,8 @@ def errors_before_after(
     Raises:
         ShapeError: a curve does not have one value per horizon.
     """
-    columns = min(len(units), 2)
-    rows = ceil(len(units) / columns)
-    figure, axes = panels(rows, columns, height=0.9 + 2.5 * rows, title=title)
-    for ax, (name, unit) in zip(axes.flat, units.items(), strict=False):
+    figure, axes = grid(len(units), columns=2, row=2.5, spare=0.9, title=title)
+    for ax, (name, unit) in zip(axes, units.items(), strict=True):
         first, second, least, most = (
             np.array([np.nan if v is None else v for v in curves[name]], dtype=float)
             for curves in (before, after, low, high)
@@ -350,9 +335,7 @@ def errors_before_after(
             plain_logarithm(ax)
         seconds_axis(ax, horizons)
         ax.set_ylabel(f"{name} error [{pretty(unit)}]\n(inputs replayed)")
-    for ax in list(axes.flat)[len(units) :]:
-        ax.set_axis_off()
-    key(figure, axes.flat[0])
+    key(figure, axes[0])
     return figure
 
 
@@ -368,27 +351,15 @@ def residual_spectra(spectra: Sequence[ResidualSpectrum], *, title: str) -> Figu
     """
     if not spectra:
         raise ShapeError("`spectra` must hold at least one channel; got none.")
-    columns = min(len(spectra), 2)
-    rows = ceil(len(spectra) / columns)
-    figure, axes = panels(rows, columns, height=0.9 + 2.8 * rows, title=title)
-    for ax, s in zip(axes.flat, spectra, strict=False):
+    figure, axes = grid(len(spectra), columns=2, row=2.8, spare=0.9, title=title)
+    for ax, s in zip(axes, spectra, strict=True):
         for name, curve in s.curves.items():
             look = {"color": GREY, "linestyle": "--"} if name == "floor" else {"color": _LOOKS[name][0]}
             ax.plot(s.frequency, curve, label=name, **look)
         ax.set_xscale("log")
         plain_logarithm(ax)
-        _plain_frequencies(ax)
+        plain_decades(ax.xaxis)
         ax.set_xlabel("frequency [Hz]")
         ax.set_ylabel(f"left over of d {s.channel}/dt\n[{pretty(s.unit)}/√Hz]")
-    for ax in list(axes.flat)[len(spectra) :]:
-        ax.set_axis_off()
-    key(figure, axes.flat[0])
+    key(figure, axes[0])
     return figure
-
-
-def _plain_frequencies(ax: Axes) -> None:
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-    ax.xaxis.set_minor_formatter(NullFormatter())

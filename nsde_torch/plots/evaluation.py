@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import ceil
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,6 +22,7 @@ from nsde_torch.plots.style import (
     ORANGE,
     VERMILLION,
     few_ticks,
+    grid,
     key,
     label,
     model_look,
@@ -40,6 +40,13 @@ if TYPE_CHECKING:
 
 TARGET = (0.90, 0.85, 0.95)
 """Nominal level and the range in which its empirical share should lie."""
+
+
+def _curve(name: str, values: ArrayLike, n: int) -> Array:
+    curve = np.asarray(values, dtype=float)
+    if curve.shape != (n,):
+        raise ShapeError(f"`{name}` must be ({n},); got {curve.shape}.")
+    return curve
 
 
 @styled
@@ -67,15 +74,11 @@ def calibration_curve(
     """
     levels = np.asarray(nominal, dtype=float)
     two = horizons is not None and per_horizon is not None
-    curves = {g: np.asarray(v, dtype=float) for g, v in empirical.items()}
-    later = {g: np.asarray(v, dtype=float) for g, v in (per_horizon or {}).items()} if two else {}
-    for name, many, n in (
-        ("empirical", curves, len(levels)),
-        ("per_horizon", later, len(horizons or ())),
-    ):
-        for group, curve in many.items():
-            if curve.shape != (n,):
-                raise ShapeError(f"`{name}[{group!r}]` must be ({n},); got {curve.shape}.")
+    curves = {g: _curve(f"empirical[{g!r}]", v, len(levels)) for g, v in empirical.items()}
+    later = {
+        g: _curve(f"per_horizon[{g!r}]", v, len(horizons or ()))
+        for g, v in ((per_horizon or {}).items() if two else ())
+    }
     figure, axes = panels(1, 2 if two else 1, height=4.6, title=title)
     groups = list(dict.fromkeys([*curves, *later]))
     looks = {
@@ -150,12 +153,11 @@ def rollout_bands(
     if len(headings) != len(true):
         raise ShapeError(f"`starts` must hold {len(true)} headings; got {len(headings)}.")
     columns = [(heading, t, m, s) for heading, m, s in zip(headings, true, drawn, strict=True)]
-    return grid_of_bands(
-        columns, names, units, quaternion, title=title, named=len(columns) > 1 or starts is not None
-    )
+    named = len(columns) > 1 or starts is not None
+    return _grid_of_bands(columns, names, units, quaternion, title=title, named=named)
 
 
-def grid_of_bands(
+def _grid_of_bands(
     columns: Sequence[tuple[str, Array, Array, Array]],
     names: Sequence[str],
     units: Sequence[str],
@@ -257,13 +259,6 @@ def calibration_of_models(
     return figure
 
 
-def _curve(name: str, values: ArrayLike, n: int) -> Array:
-    curve = np.asarray(values, dtype=float)
-    if curve.shape != (n,):
-        raise ShapeError(f"`{name}` must be ({n},); got {curve.shape}.")
-    return curve
-
-
 @styled
 def rollouts_of_models(
     t: Mapping[str, ArrayLike],
@@ -299,7 +294,7 @@ def rollouts_of_models(
                 f"{m.shape}, {s.shape} and {times.shape}."
             )
         columns.append((model, times, m, s))
-    return grid_of_bands(columns, names, units, quaternion, title=title, limits=_limits)
+    return _grid_of_bands(columns, names, units, quaternion, title=title, limits=_limits)
 
 
 def _limits(pairs: Sequence[tuple[Array, Array]]) -> tuple[float, float]:
@@ -386,11 +381,8 @@ def distance_map(
     """
     if not slices:
         raise ShapeError("`slices` must hold at least one slice.")
-    columns = min(len(slices), 3)
-    rows = ceil(len(slices) / columns)
-    figure, axes = panels(rows, columns, height=0.9 + rows * (4.6 if columns == 1 else 3.2), title=title)
-    image = None
-    for ax, part in zip(axes.flat, slices, strict=False):
+    figure, axes = grid(len(slices), columns=3, row=4.6 if len(slices) == 1 else 3.2, spare=0.9, title=title)
+    for ax, part in zip(axes, slices, strict=True):
         x, y, eta = (np.asarray(v, dtype=float) for v in (part.x, part.y, part.eta))
         if eta.shape != (len(y), len(x)):
             raise ShapeError(f"`eta` must be (len(y), len(x)) = {(len(y), len(x))}; got {eta.shape}.")
@@ -405,11 +397,8 @@ def distance_map(
             ax.scatter(*held.T, s=14, marker="x", color=VERMILLION, linewidths=0.8, label="held out")
         ax.set(xlabel=part.x_label, ylabel=part.y_label, xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
         ax.grid(visible=False)
-    for ax in axes.flat[len(slices) :]:
-        ax.set_axis_off()
-    assert image is not None
-    figure.colorbar(image, ax=list(axes.flat), label="η [–]: 0 on the data, 1 far away", pad=0.02)
-    key(figure, axes.flat[0])
+    figure.colorbar(image, ax=figure.axes, label="η [–]: 0 on the data, 1 far away", pad=0.02)
+    key(figure, axes[0])
     return figure
 
 
@@ -466,15 +455,8 @@ def evolution(
         for i, p in order:
             colour = COLOURS[i % len(COLOURS)]
             if p.low is not None and p.high is not None:
-                ax.fill_between(
-                    t,
-                    p.low[:, k],
-                    p.high[:, k],
-                    color=colour,
-                    alpha=0.22,
-                    linewidth=0,
-                    label=f"{interval} {p.name}",
-                )
+                band = {"color": colour, "alpha": 0.22, "linewidth": 0, "label": f"{interval} {p.name}"}
+                ax.fill_between(t, p.low[:, k], p.high[:, k], **band)
             ax.plot(t, p.mean[:, k], color=colour, linestyle=DASHES[i % len(DASHES)], label=p.name)
         ax.plot(t, truth[:, k], color=BLACK, linewidth=1.2, linestyle=(0, (4, 1.5)), label=truth_name)
         centre = 0.5 * float(truth[:, k].min() + truth[:, k].max())
@@ -491,12 +473,7 @@ def evolution(
 
 _BASELINES: dict[str, dict[str, Any]] = {
     "hold": {"color": GREY, "linestyle": "--", "marker": "x", "label": "hold the last state"},
-    "constant_velocity": {
-        "color": ORANGE,
-        "linestyle": "-.",
-        "marker": "^",
-        "label": "constant velocity",
-    },
+    "constant_velocity": {"color": ORANGE, "linestyle": "-.", "marker": "^", "label": "constant velocity"},
 }
 
 
@@ -521,24 +498,17 @@ def horizon_errors(
         ShapeError: a curve does not have one value per horizon.
     """
     groups = list(dict.fromkeys(g for curves in errors.values() for g in curves))
-    columns = min(len(groups), 2)
-    rows = ceil(len(groups) / columns)
-    figure, axes = panels(rows, columns, height=0.9 + 2.5 * rows, title=title, sharex=False)
+    figure, axes = grid(len(groups), columns=2, row=2.5, spare=0.9, title=title)
     models = [m for m in errors if m not in _BASELINES]
-    looks: dict[str, dict[str, Any]] = dict(_BASELINES)
-    for k, name in enumerate(models):
-        looks[name] = {**model_look(k), "label": name}
-    for ax, group in zip(axes.flat, groups, strict=False):
+    looks = {name: {**model_look(k), "label": name} for k, name in enumerate(models)}
+    looks |= {name: look for name, look in _BASELINES.items() if name in errors}
+    for ax, group in zip(axes, groups, strict=True):
         drawn = []
-        for name in [*models, *(m for m in errors if m in _BASELINES)]:
+        for name, look in looks.items():
             if group not in errors[name]:
                 continue
-            curve = np.asarray(errors[name][group], dtype=float)
-            if curve.shape != (len(horizons),):
-                raise ShapeError(
-                    f"`errors[{name!r}][{group!r}]` must be ({len(horizons)},); got {curve.shape}."
-                )
-            ax.plot(horizons, curve, markersize=4.5, **looks[name])
+            curve = _curve(f"errors[{name!r}][{group!r}]", errors[name][group], len(horizons))
+            ax.plot(horizons, curve, markersize=4.5, **look)
             drawn.append(curve)
         both = np.concatenate(drawn)
         both = both[np.isfinite(both)]
@@ -546,9 +516,7 @@ def horizon_errors(
             plain_logarithm(ax)
         seconds_axis(ax, horizons)
         ax.set_ylabel(f"{group} error [{pretty(units[group])}]")
-    for ax in axes.flat[len(groups) :]:
-        ax.set_axis_off()
-    key(figure, axes.flat[0])
+    key(figure, axes[0])
     return figure
 
 
@@ -630,14 +598,8 @@ def learning_curves(
     for k, name in enumerate(drawn):
         step, value = _column(history, name)
         negative = bool((value <= 0).all() and (value < 0).any())  # a reward: drawn by its size
-        value = -value if negative else value
-        axes[0, 1].plot(
-            step,
-            _smooth(value),
-            color=COLOURS[k % 6],
-            linestyle=DASHES[k % 6],
-            label=f"−{name}" if negative else name,
-        )
+        value, name = (-value, f"−{name}") if negative else (value, name)
+        axes[0, 1].plot(step, _smooth(value), color=COLOURS[k % 6], linestyle=DASHES[k % 6], label=name)
         sizes.append(value[value != 0])
     if drawn:
         _scale(axes[0, 1], sizes)

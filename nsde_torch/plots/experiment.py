@@ -10,6 +10,7 @@ from nsde_torch.arrays import Array
 from nsde_torch.plots import style
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -62,22 +63,14 @@ def experiment_figure(
     for ax in axes[1 : len(given) + len(seen)]:
         ax.sharex(axes[0])
     if nats is not None:
-        _evidence(axes[-1], nats, names, colours)
+        _evidence(axes[-1], nats, colours)
     return figure
 
 
-def _evidence(
-    ax: object,
-    nats: Mapping[str, Sequence[Mapping[str, float]]],
-    names: Sequence[str],
-    colours: Sequence[str],
-) -> None:
-    from matplotlib.axes import Axes
-
-    assert isinstance(ax, Axes)
+def _evidence(ax: Axes, nats: Mapping[str, Sequence[Mapping[str, float]]], colours: Sequence[str]) -> None:
     for row, values in enumerate(nats.values()):
         for i, expected in enumerate(values):
-            y = row + 0.25 * (i - 0.5 * (len(names) - 1))
+            y = row + 0.25 * (i - 0.5 * (len(colours) - 1))
             ends = [expected["low_90"], expected["high_90"]]
             ax.plot(ends, [y, y], color=colours[i], linewidth=3.0, alpha=0.5)
             ax.plot([expected["mean"]], [y], "o", color=colours[i], markersize=4)

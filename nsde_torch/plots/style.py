@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import textwrap
 from collections.abc import Callable, Sequence
+from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
@@ -15,6 +16,7 @@ from nsde_torch.arrays import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 LINE = 95
@@ -22,14 +24,8 @@ LINE = 95
 WIDTH = 9.0
 """Width of every figure [in]."""
 DPI = 130
-BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY = (
-    "#0072B2",
-    "#D55E00",
-    "#009E73",
-    "#CC79A7",
-    "#E69F00",
-    "#56B4E9",
-)
+BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
+PURPLE, ORANGE, SKY = "#CC79A7", "#E69F00", "#56B4E9"
 BLACK, GREY = "#1a1a1a", "#767676"
 RED = "#c00000"
 """For words that warn; no curve has it."""
@@ -100,6 +96,16 @@ def panels(
     return figure, axes
 
 
+def grid(count: int, *, columns: int, row: float, spare: float, title: str) -> tuple[Figure, list[Axes]]:
+    """A figure of `count` panels in at most so many columns, rows of a height [in] and some spare, and its axes."""
+    columns = min(count, columns)
+    rows = ceil(count / columns)
+    figure, axes = panels(rows, columns, height=spare + row * rows, title=title)
+    for ax in axes.flat[count:]:
+        ax.set_axis_off()
+    return figure, list(axes.flat[:count])
+
+
 def key(figure: Figure, axes: Axes, *, columns: int = 5) -> None:
     """One legend for the whole figure, under the panels, from the labels of one of them."""
     handles, labels = axes.get_legend_handles_labels()
@@ -116,24 +122,26 @@ def legend_below(figure: Figure, handles: Sequence[Any], labels: Sequence[str], 
 
 def plain_logarithm(axes: Axes) -> None:
     """A logarithmic y axis with 0.02 instead of a power of ten, at 1, 2 and 5 of each decade."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
     axes.set_yscale("log")
     low, high = axes.get_ylim()
     subs = (1.0, 2.0, 5.0) if high < 1000 * low else (1.0,)
-    axes.yaxis.set_major_locator(LogLocator(subs=subs))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    plain_decades(axes.yaxis, subs)
 
 
-def few_ticks(axes: Axes, *, x: int | None = None, y: int | None = None) -> None:
-    """At most so many ticks on linear axes of small panels."""
+def plain_decades(axis: Axis, subs: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
+    """Plain numbers at these multiples of the powers of ten."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=tuple(subs)))
+    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def few_ticks(axes: Axes, *, y: int) -> None:
+    """At most so many ticks on the linear y axis of a small panel."""
     from matplotlib.ticker import MaxNLocator
 
-    if x is not None:
-        axes.xaxis.set_major_locator(MaxNLocator(x))
-    if y is not None:
-        axes.yaxis.set_major_locator(MaxNLocator(y, min_n_ticks=2))
+    axes.yaxis.set_major_locator(MaxNLocator(y, min_n_ticks=2))
 
 
 def seconds_axis(axes: Axes, horizons: ArrayLike) -> None:
@@ -149,11 +157,7 @@ def seconds_axis(axes: Axes, horizons: ArrayLike) -> None:
 def model_look(k: int) -> dict[str, Any]:
     """Colour, line and mark of the k-th model of a figure; orange and grey are those of baselines."""
     colours = (BLUE, VERMILLION, GREEN, PURPLE, SKY, BLACK)
-    return {
-        "color": colours[k % 6],
-        "linestyle": DASHES[(k // 6) % 6],
-        "marker": MARKS[k % 6],
-    }
+    return {"color": colours[k % 6], "linestyle": DASHES[(k // 6) % 6], "marker": MARKS[k % 6]}
 
 
 def warn(figure: Figure, text: str, names: Sequence[str] = ()) -> None:
@@ -182,11 +186,10 @@ def thin(t: Array, y: Array, limit: int = 1500) -> tuple[Array, Array]:
     if n <= 2 * limit:
         return t, y
     width = -(-n // limit)
-    starts = np.arange(0, n, width)
     keep = {0, n - 1}
-    for a in starts:
+    for a in range(0, n, width):
         block = y[a : a + width]
-        keep |= {int(a + block.argmin()), int(a + block.argmax())}
+        keep |= {a + int(block.argmin()), a + int(block.argmax())}
     rows = np.array(sorted(keep))
     return t[rows], y[rows]
 

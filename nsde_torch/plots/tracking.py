@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -36,46 +36,35 @@ def tracking(t: Array, reference: Array, flights: Mapping[str, Array], *, title:
     figure, axes = panels(4, 2, height=8.4, title=title)
     left = axes[:, 0]
     wanted = roll_pitch_yaw(reference[:, 6:10])
-    curves: list[tuple[str, Any, Any]] = [
-        ("speed [m/s]", lambda x: np.linalg.norm(x[..., 3:6], axis=-1), None),
-        ("roll [°]", 0, None),
-        ("pitch [°]", 1, None),
-        ("yaw [°]", 2, None),
-    ]
-    altitude, error, path, ground = axes[0, 1], axes[1, 1], axes[2, 1], axes[3, 1]
-    for ax, (name, what, _) in zip(left, curves, strict=True):
-        ax.plot(
-            t,
-            what(reference) if callable(what) else wanted[:, what],
-            color=BLACK,
-            linestyle="--",
-            label="reference",
-        )
+    altitude, error, path, ground = axes[:, 1]
+
+    def curves(x: Array, angles: Array) -> list[Array]:
+        return [np.linalg.norm(x[..., 3:6], axis=-1), *angles.T]
+
+    names = ("speed [m/s]", "roll [°]", "pitch [°]", "yaw [°]")
+    for ax, name, y in zip(left, names, curves(reference, wanted), strict=True):
+        ax.plot(t, y, color=BLACK, linestyle="--", label="reference")
         ax.set_ylabel(name)
     altitude.plot(t, reference[:, 2], color=BLACK, linestyle="--")
     path.plot(reference[:, 0], reference[:, 1], color=BLACK, linestyle="--")
     for k, (name, x) in enumerate(flights.items()):
-        look = model_look(k)
-        colour = look["color"]
+        colour = model_look(k)["color"]
         for n in range(min(x.shape[1], 20)):
             faint = {"color": colour, "alpha": 1.0 if n == 0 else 0.15, "linewidth": 1.2 if n == 0 else 0.7}
             angles = turns_nearest(roll_pitch_yaw(x[:, n, 6:10]), wanted)
-            for ax, (_, what, _) in zip(left, curves, strict=True):
-                y = what(x[:, n]) if callable(what) else angles[:, what]
+            for ax, y in zip(left, curves(x[:, n], angles), strict=True):
                 ax.plot(t, y, label=name if n == 0 else None, zorder=3 - k, **faint)
             altitude.plot(t, x[:, n, 2], zorder=3 - k, **faint)
             off = np.linalg.norm(x[:, n, :3] - reference[:, :3], axis=1)
             error.plot(t, 100.0 * off, zorder=3 - k, **faint)
             path.plot(x[:, n, 0], x[:, n, 1], zorder=3 - k, **faint)
-        mean = np.sqrt(np.square(x[..., :3] - reference[:, None, :3]).sum(-1).mean(0))
-        ground.barh(k, 100.0 * float(np.nanmean(mean)), color=colour)
-        ground.text(
-            100.0 * float(np.nanmean(mean)), k, f" {100.0 * float(np.nanmean(mean)):.1f} cm", va="center"
-        )
+        rms = np.sqrt(np.square(x[..., :3] - reference[:, None, :3]).sum(-1).mean(0))
+        mean = 100.0 * float(np.nanmean(rms))
+        ground.barh(k, mean, color=colour)
+        ground.text(mean, k, f" {mean:.1f} cm", va="center")
     altitude.set_ylabel("altitude [m]")
     error.set_ylabel("position error [cm]")
-    path.set_xlabel("p_x [m]")
-    path.set_ylabel("p_y [m]")
+    path.set(xlabel="p_x [m]", ylabel="p_y [m]")
     path.set_aspect("equal", adjustable="datalim")
     ground.set_yticks(range(len(flights)), list(flights))
     ground.invert_yaxis()
@@ -100,17 +89,11 @@ def solve_times(solve_ms: Mapping[str, Array], *, title: str) -> Figure:
         for k, (name, v) in enumerate(positive.items()):
             colour = model_look(k)["color"]
             middle, late = np.percentile(v, [50, 99])
-            ax.hist(
-                v,
-                bins=bins,
-                histtype="step",
-                color=colour,
-                label=f"{name}: p50 {middle:.2f}, p99 {late:.2f} ms",
-            )
+            text = f"{name}: p50 {middle:.2f}, p99 {late:.2f} ms"
+            ax.hist(v, bins=bins, histtype="step", color=colour, label=text)
         ax.set_xscale("log")
         ax.legend()
-    ax.set_xlabel("time of a solve [ms]")
-    ax.set_ylabel("solves")
+    ax.set(xlabel="time of a solve [ms]", ylabel="solves")
     return figure
 
 

@@ -12,7 +12,7 @@ from nsde_torch.evaluation.metrics import evaluate
 from nsde_torch.models.before import inputs_before
 from nsde_torch.models.model import Model
 from nsde_torch.plots import PredictionBand
-from nsde_torch.plots.data_figure import roll_pitch_yaw
+from nsde_torch.plots.data_figure import roll_pitch_yaw, speed_and_angles
 from nsde_torch.systems import System
 
 # Supplement D: 95 % of the magnitudes lie below the first, the largest is the second.
@@ -30,14 +30,7 @@ _FROM_S = 0.25
 
 def recorded(data: DataSet, system: System, *, data_name: str, note: str = "") -> ExperimentOutcome:
     """Speed and Euler angles of flights, held against the supplement's figures; `note` says what is known of them."""
-    assert system.quaternion is not None
-    v = [system.state_names.index(n) for n in ("v_x", "v_y", "v_z")]
-    rows = []
-    for run in data.runs:
-        angles = roll_pitch_yaw(run.x[:, system.quaternion])
-        angles[:, ::2] -= 360.0 * np.round(angles[:1, ::2] / 360.0)
-        rows.append(np.column_stack([np.linalg.norm(run.x[:, v], axis=1), angles]))
-    size = np.abs(np.concatenate(rows))
+    size = np.abs(np.concatenate([speed_and_angles(run.x, system) for run in data.runs]))
     q95, top = np.quantile(size, 0.95, axis=0), size.max(axis=0)
     seconds = sorted((run.duration for run in data.runs), reverse=True)
     checks = [

@@ -26,7 +26,7 @@ from omegaconf import OmegaConf
 
 import nsde_torch
 from nsde_torch.cli import build
-from nsde_torch.evaluation.metrics import interval_quantiles
+from nsde_torch.evaluation.scores import interval_quantiles
 
 
 def main() -> None:

@@ -104,11 +104,7 @@ def paired_bootstrap(
     """Interval of the difference of two root mean squares.
 
     Args:
-        first: Squared errors of the first model (S, K).
-        other: Squared errors of the other from the same starts (S, K).
-
-    Returns:
-        Differences and intervals; below five blocks the ends are NaN.
+        first, other: Squared errors of the two models from the same starts (S, K).
 
     Raises:
         ShapeError: the starts do not agree.
@@ -118,22 +114,17 @@ def paired_bootstrap(
             f"`first` and `other` must be (starts, K) with {len(blocks.of_start)} starts; got "
             f"{tuple(first.shape)} and {tuple(other.shape)}."
         )
-    both = torch.cat((first, other), 1).double()
     k = first.shape[1]
+    alike = (first == other).all(0)  # sums of equal columns may differ in their last bits
 
     def difference(mean: Tensor) -> Tensor:
         root = mean.sqrt()
-        return root[..., k:] - root[..., :k]
+        return (root[..., k:] - root[..., :k]).masked_fill(alike, 0.0)
 
-    value = difference(both.mean(0))
-    alike = (both[:, :k] == both[:, k:]).all(0)  # sums of equal columns may differ in their last bits
-    value[alike] = 0.0
-    if blocks.count < FEWEST_BLOCKS:
-        nothing = torch.full_like(value, torch.nan)
-        return Difference(value, nothing, nothing)
-    ends = _ends(difference(_resampled(both, blocks, generator, replicates)), blocks.count, level)
-    ends[:, alike] = 0.0
-    return Difference(value, ends[0], ends[1])
+    both = torch.cat((first, other), 1)
+    return function_bootstrap(
+        both, difference, blocks, generator=generator, replicates=replicates, level=level
+    )
 
 
 def mean_bootstrap(

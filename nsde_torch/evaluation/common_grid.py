@@ -5,6 +5,7 @@ stretch. A horizon that is no whole number of a model's steps is scored at the n
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -199,13 +200,11 @@ def _of_smoothing(c: Candidate, smoothing: float) -> list[Note]:
     """Whether the inputs of the runs were smoothed as those of a model's training data."""
     if abs(smoothing - c.smoothing) <= _SMOOTHING_TOLERANCE * c.smoothing:
         return []
-    before, here = (
-        f"smoothed over {w:.2g} s" if w else "without a smoothing" for w in (c.smoothing, smoothing)
-    )
+    widths = (c.smoothing, smoothing)
+    before, here = (f"smoothed over {w:.2g} s" if w else "without a smoothing" for w in widths)
     text = f"{c.name} was trained on inputs {before}, and these are inputs {here}"
-    return [
-        note(text + ("; its filter, learned to undo the former, is applied all the same" if c.reach else ""))
-    ]
+    still = "; its filter, learned to undo the former, is applied all the same" if c.reach else ""
+    return [note(text + still)]
 
 
 def _said_once(ahead: Sequence[tuple[str, str]]) -> list[Note]:
@@ -249,17 +248,10 @@ def _own_step(
 def _takes(model: Model, windows: Windows, start: Tensor, dt: float) -> bool:
     """Whether a model can take steps of another length than its own: one that predicts the next state cannot."""
     x, u, t0 = windows.batch(start)
+    generator = torch.Generator().manual_seed(0)
     try:
-        model.sample(
-            x[:, 0],
-            u[:, :1],
-            dt=dt,
-            particles=2,
-            generator=torch.Generator().manual_seed(0),
-            t0=t0.to(x.dtype),
-        )
+        with suppress(NonFiniteError):
+            model.sample(x[:, 0], u[:, :1], dt=dt, particles=2, generator=generator, t0=t0.to(x.dtype))
     except ConfigError:
         return False
-    except NonFiniteError:
-        return True
     return True

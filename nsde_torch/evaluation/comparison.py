@@ -54,7 +54,7 @@ from nsde_torch.evaluation.common_grid import (
 )
 from nsde_torch.evaluation.metrics import START_EVERY, summary
 from nsde_torch.evaluation.one_step import one_step
-from nsde_torch.evaluation.scores import LEVELS, PARTICLES, Scores, baseline_squares, score
+from nsde_torch.evaluation.scores import LEVELS, PARTICLES, Scores, baseline_squares, rms_by_group, score
 from nsde_torch.evaluation.seen import BY_NAME, NAMESAKE, PART, WHOLE, trained_on
 from nsde_torch.shown import data_frame, preformatted
 from nsde_torch.systems import System
@@ -220,20 +220,11 @@ def compare(
             ],
         },
         "models": models,
-        "baselines": {name: _rms(system, squares, keys) for name, squares in still.items()},
+        "baselines": {name: rms_by_group(system, squares, keys) for name, squares in still.items()},
         "differences": _differences(models, grids, scores, still, (index, t), keys, seed, replicates),
         "notes": notes,
     }
     return Comparison(contents, candidates, grids, scores)
-
-
-def _rms(system: System, squares: Tensor, keys: Sequence[str]) -> dict[str, dict[str, float]]:
-    """Group -> horizon -> root mean square over the starts, of squares (B, horizons, groups)."""
-    rms = squares.mean(0).sqrt()
-    return {
-        g.name: {h: float(rms[k, i]) * g.factor for k, h in enumerate(keys)}
-        for i, g in enumerate(system.error_groups)
-    }
 
 
 def _model_entry(

@@ -24,11 +24,10 @@ def lines(content: Mapping[str, Any]) -> Iterator[Line]:
     """
     models = content["models"]
     every = content["start_every_s"]
-    where = (
-        "interventions (inputs do not depend on the state)" if every is None else f"starts every {every:g} s"
-    )
-    count = f"{content['starts']} {where}, {content['particles']} paths each"
-    yield f"{content['system']}: {count}", False
+    where = "interventions (inputs do not depend on the state)"
+    if every is not None:
+        where = f"starts every {every:g} s"
+    yield f"{content['system']}: {content['starts']} {where}, {content['particles']} paths each", False
     yield "", False
     yield from _runs(content)
     yield "", False
@@ -84,10 +83,8 @@ def _errors(content: Mapping[str, Any]) -> Iterator[Line]:
         for key, name in _BASELINES.items():
             cells = [_cell(content["baselines"][key], group, h) for h in horizons]
             rows.append(([f"{group} [{unit}]", name, *cells], False))
-    yield from _lines(
-        ["rms error" if content["start_every_s"] is None else REPLAYED, "", *(f"{h} s" for h in horizons)],
-        rows,
-    )
+    what = "rms error" if content["start_every_s"] is None else REPLAYED
+    yield from _lines([what, "", *(f"{h} s" for h in horizons)], rows)
 
 
 def _cell(table: Mapping[str, Any] | None, group: str, horizon: str, form: str = "") -> str:
@@ -125,25 +122,19 @@ def _differences(content: Mapping[str, Any]) -> Iterator[Line]:
             unit = content["units"]["differences"][group]
             for h, d in by_horizon.items():
                 if d is None:
-                    rows.append(
-                        ([name, f"{group} [{unit}]", f"{h} s", "-", "-", "-", "-"], not other["held_out"])
-                    )
-                    continue
-                ends = "-" if d["low"] is None else f"[{number(d['low'])}, {number(d['high'])}]"
-                pair = [number(d["first"]), number(d["other"]), f"{d['difference']:+.3g}", ends]
-                word = d["verdict"] + ("" if other["held_out"] else f" ({SEEN})")
-                rows.append(([name, f"{group} [{unit}]", f"{h} s", *pair, word], not other["held_out"]))
-    rows = [(row if len(row) == 8 else [*row, "-"], red) for row, red in rows]
-    yield from _wrapped(f"difference of rms errors to {first}: {_method(differences)}", False)
-    head = ["model", "", "", first, "its own", "difference", f"{differences['level']:.0%} interval", ""]
-    yield from _lines(head, rows)
-
-
-def _method(differences: Mapping[str, Any]) -> str:
-    return (
+                    cells = ["-"] * 5
+                else:
+                    ends = "-" if d["low"] is None else f"[{number(d['low'])}, {number(d['high'])}]"
+                    word = d["verdict"] + ("" if other["held_out"] else f" ({SEEN})")
+                    cells = [number(d["first"]), number(d["other"]), f"{d['difference']:+.3g}", ends, word]
+                rows.append(([name, f"{group} [{unit}]", f"{h} s", *cells], not other["held_out"]))
+    method = (
         f"paired bootstrap over {differences['blocks']} {differences['unit']}, {differences['replicates']} resamples; "
         "each interval stands for itself, of twenty one may err"
     )
+    yield from _wrapped(f"difference of rms errors to {first}: {method}", False)
+    head = ["model", "", "", first, "its own", "difference", f"{differences['level']:.0%} interval", ""]
+    yield from _lines(head, rows)
 
 
 def _verdicts(content: Mapping[str, Any]) -> Iterator[Line]:

@@ -12,7 +12,8 @@ from torch import Tensor
 from nsde_torch import plots
 from nsde_torch.data import DataSet, Run, Windows
 from nsde_torch.errors import DataError, NonFiniteError
-from nsde_torch.evaluation.metrics import horizons_of, interval_quantiles, start_grid
+from nsde_torch.evaluation.metrics import horizons_of, start_grid
+from nsde_torch.evaluation.scores import interval_quantiles
 from nsde_torch.models.before import inputs_before, sampled
 from nsde_torch.models.capabilities import is_stochastic
 from nsde_torch.models.model import Model
@@ -177,7 +178,9 @@ def write_figures(
     """
     figures: dict[str, Any] = {"data_summary": plots.data_summary(data, model.system)}
     if history:
-        figures["learning_curves"] = plots.learning_curves(_data_terms(history), kept=metrics["best_step"])
+        # the data term as the loss: what the validation score is to be held against
+        shown = [{**row, "loss": row["data"]} if "data" in row else row for row in history]
+        figures["learning_curves"] = plots.learning_curves(shown, kept=metrics["best_step"])
     if is_stochastic(model) and model.eta.standardise.mean.numel() >= 2:
         figures["distance"] = plots.distance_map(_slices(model, train, test))
     result = metrics.get("test")
@@ -202,27 +205,19 @@ def write_figures(
     return figures
 
 
-def _data_terms(history: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
-    """The history with the data term as the loss: what the validation score is to be held against."""
-    return [{**row, "loss": row["data"]} if "data" in row else dict(row) for row in history]
-
-
 @torch.no_grad()
 def _rollouts(model: Model, runs: Sequence[Run], horizon_s: float, seed: int, note: str) -> Any:
     dt = model.spec.dt
     like = model.clock_scale
     windows = Windows(runs, dt, max(1, round(horizon_s / dt)), dtype=like.dtype, device=like.device)
     count = min(_SHOWN, len(windows))
-    at = (
-        torch.linspace(0, len(windows) - 1, count + 2)[1:-1].round().long()
-        if count > 1
-        else torch.tensor([0])
-    )
+    inner = torch.linspace(0, len(windows) - 1, count + 2)[1:-1].round().long()
+    at = inner if count > 1 else torch.tensor([0])
     x, samples, t0 = sampled(
         model, windows, at, particles=_PARTICLES, generator=torch.Generator().manual_seed(seed)
     )
     system = model.system
-    where = [f"{name}, t = {float(t):.1f} s" for name, t in zip(_names(windows, at), t0, strict=True)]
+    where = [f"{name}, t = {float(t):.1f} s" for (name, _), t in zip(windows.locate(at), t0, strict=True)]
     title = "Held-out rollouts: measured against sampled"
     return plots.rollout_bands(
         np.arange(windows.horizon + 1) * dt,
@@ -234,10 +229,6 @@ def _rollouts(model: Model, runs: Sequence[Run], horizon_s: float, seed: int, no
         quaternion=system.quaternion,
         starts=where,
     )
-
-
-def _names(windows: Windows, at: Tensor) -> list[str]:
-    return [name for name, _ in windows.locate(at)]
 
 
 def _rows(model: Model, runs: Sequence[Run], limit: int) -> Tensor:
@@ -257,16 +248,7 @@ def _slices(model: NeuralSDE, train: Sequence[Run], test: Sequence[Run]) -> list
     for pair in pairs:
         points, x, y = plots.slice_grid(inside, pair)
         eta = model.eta(torch.as_tensor(points).to(model.clock_scale)).cpu().numpy()
-        labels = [f"{system.feature_names[k]} [{system.feature_units[k]}]" for k in pair]
-        slices.append(
-            plots.DistanceSlice(
-                x,
-                y,
-                eta.reshape(len(y), len(x)),
-                labels[0],
-                labels[1],
-                train=inside[:, list(pair)],
-                held_out=outside[:, list(pair)],
-            )
-        )
+        labels = (f"{system.feature_names[k]} [{system.feature_units[k]}]" for k in pair)
+        points_in, points_out = inside[:, list(pair)], outside[:, list(pair)]
+        slices.append(plots.DistanceSlice(x, y, eta.reshape(len(y), len(x)), *labels, points_in, points_out))
     return slices

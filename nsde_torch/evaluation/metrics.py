@@ -15,34 +15,9 @@ from nsde_torch.data import Run, Windows
 from nsde_torch.data.interventions import interventional, longest_stretch
 from nsde_torch.errors import DataError
 from nsde_torch.evaluation.one_step import one_step
-from nsde_torch.evaluation.scores import (
-    BASELINES,
-    LEVELS,
-    PARTICLES,
-    Scores,
-    baselines,
-    group_squares,
-    interval_quantiles,
-    mean_state,
-    score,
-)
+from nsde_torch.evaluation.scores import LEVELS, PARTICLES, Scores, group_squares, rms_by_group, score
 from nsde_torch.models.model import Model
 from nsde_torch.systems import System
-
-__all__ = [
-    "HORIZONS",
-    "LEVELS",
-    "PARTICLES",
-    "baselines",
-    "evaluate",
-    "group_rms",
-    "horizons_of",
-    "interval_quantiles",
-    "mean_state",
-    "start_grid",
-    "summary",
-    "thinned",
-]
 
 HORIZONS = (0.1, 0.25, 0.5, 1.0, 2.0)
 START_EVERY = 0.25
@@ -152,7 +127,7 @@ def summary(scores: Scores, horizons: Sequence[str]) -> dict[str, Any]:
     if len(scores.kept) == 0:
         return result
     system, dtype = scores.system, scores.crps.dtype
-    result["errors"] = {name: scores.errors(name, horizons) for name in ("model", *BASELINES)}
+    result["errors"] = {name: rms_by_group(system, s, horizons) for name, s in scores.squares.items()}
     inside = scores.inside.to(dtype).mean(0)
     crps, spread = scores.crps.mean(0), scores.spread.square().mean(0).sqrt()
     nll = scores.nll.mean(0)

@@ -13,7 +13,7 @@ With e = sample - measured in the system's error channels, over P particles, at 
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -115,6 +115,19 @@ def group_squares(system: System, errors: Tensor) -> Tensor:
     return torch.stack([errors[:, list(g.channels)].square().sum(1) for g in system.error_groups], 1)
 
 
+def rms_by_group(system: System, squares: Tensor, horizons: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Root mean square over starts, in the unit of each group: group -> horizon -> error.
+
+    Args:
+        squares: Squared norms (S, horizons, groups).
+    """
+    rms = squares.mean(0).sqrt()
+    return {
+        g.name: {h: float(rms[k, i]) * g.factor for k, h in enumerate(horizons)}
+        for i, g in enumerate(system.error_groups)
+    }
+
+
 @dataclass(frozen=True)
 class Scores:
     """Scores of the S starts from which a model stayed in the finite numbers."""
@@ -141,27 +154,9 @@ class Scores:
 
     def at(self, rows: Tensor) -> "Scores":
         """The scores of some of the S starts alone, by row."""
-        return Scores(
-            self.system,
-            len(rows),
-            self.kept[rows],
-            {name: s[rows] for name, s in self.squares.items()},
-            self.inside[rows],
-            self.crps[rows],
-            self.spread[rows],
-            self.nll[rows],
-        )
-
-    def errors(self, name: str, horizons: Sequence[str]) -> dict[str, dict[str, float]]:
-        """Root mean square over starts of the norm of each group, in its unit: group -> horizon -> error."""
-        rms = self.squares[name].mean(0).sqrt()
-        return self._by_group({h: rms[k] for k, h in enumerate(horizons)})
-
-    def _by_group(self, rows: Mapping[str, Tensor]) -> dict[str, dict[str, float]]:
-        groups = self.system.error_groups
-        return {
-            g.name: {h: float(row[i]) * g.factor for h, row in rows.items()} for i, g in enumerate(groups)
-        }
+        squares = {name: s[rows] for name, s in self.squares.items()}
+        parts = {name: getattr(self, name)[rows] for name in ("kept", "inside", "crps", "spread", "nll")}
+        return replace(self, starts=len(rows), squares=squares, **parts)
 
 
 @torch.no_grad()
@@ -212,14 +207,12 @@ def score(
             _of_horizon(system, samples[:, :, k], x[:, 0], x[:, k], k * windows.dt_model) for k in steps
         ]
         rows.append(tuple(torch.stack(column, 1).cpu() for column in zip(*of_horizons, strict=True)))
-    names = ("model", *BASELINES)
     if not rows:
         h, c, g = len(steps), len(system.error_names), len(system.error_groups)
-        empty = [torch.empty(0, h, *tail) for tail in ((g,), (g,), (g,), (len(LEVELS), c), (c,), (c,), (c,))]
-        joined = tuple(empty)
-    else:
-        joined = tuple(torch.cat(column) for column in zip(*rows, strict=True))
-    squares = dict(zip(names, joined[:3], strict=True))
+        tails = ((g,), (g,), (g,), (len(LEVELS), c), (c,), (c,), (c,))
+        rows = [tuple(torch.empty(0, h, *tail) for tail in tails)]
+    joined = [torch.cat(column) for column in zip(*rows, strict=True)]
+    squares = dict(zip(("model", *BASELINES), joined[:3], strict=True))
     indices = torch.cat(kept) if kept else torch.empty(0, dtype=torch.long)
     return Scores(system, len(starts), indices, squares, *joined[3:])
 
@@ -228,16 +221,14 @@ def baseline_squares(
     system: System, windows: Windows, starts: Tensor, steps: Sequence[int]
 ) -> dict[str, Tensor]:
     """Squared norms of the errors of the baselines from all starts: name -> (B, horizons, groups)."""
-    rows: dict[str, list[Tensor]] = {name: [] for name in BASELINES}
+    parts: dict[str, list[Tensor]] = {name: [] for name in BASELINES}
     for part in starts.split(_BATCH):
         x = windows.batch(part)[0]
-        made: dict[str, list[Tensor]] = {name: [] for name in BASELINES}
-        for k in steps:
-            for name, state in baselines(system, x[:, 0], k * windows.dt_model).items():
-                made[name].append(group_squares(system, system.error(state, x[:, k])))
-        for name, squares in made.items():
-            rows[name].append(torch.stack(squares, 1).cpu())
-    return {name: torch.cat(parts) for name, parts in rows.items()}
+        still = [baselines(system, x[:, 0], k * windows.dt_model) for k in steps]
+        for name, rows in parts.items():
+            errors = (system.error(s[name], x[:, k]) for s, k in zip(still, steps, strict=True))
+            rows.append(torch.stack([group_squares(system, e) for e in errors], 1).cpu())
+    return {name: torch.cat(rows) for name, rows in parts.items()}
 
 
 def _of_horizon(system: System, sample: Tensor, x0: Tensor, y: Tensor, elapsed: float) -> tuple[Tensor, ...]:

@@ -15,15 +15,8 @@ import torch
 from nsde_torch.data import Run
 from nsde_torch.errors import DataError
 from nsde_torch.evaluation import evaluate
-from nsde_torch.evaluation.metrics import (
-    LEVELS,
-    baselines,
-    group_rms,
-    horizons_of,
-    interval_quantiles,
-    mean_state,
-)
-from nsde_torch.evaluation.scores import gaussian_nll
+from nsde_torch.evaluation.metrics import group_rms, horizons_of
+from nsde_torch.evaluation.scores import LEVELS, baselines, gaussian_nll, interval_quantiles, mean_state
 from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.models.run_directory import save
 from nsde_torch.systems import make_system

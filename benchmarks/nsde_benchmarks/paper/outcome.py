@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.errors import NonFiniteError
-from nsde_torch.evaluation.metrics import interval_quantiles, mean_state
+from nsde_torch.evaluation.scores import interval_quantiles, mean_state
 from nsde_torch.models.model import Model
 from nsde_torch.plots import PredictionBand
 

@@ -7,13 +7,7 @@ from nsde_torch.systems.names import SYSTEM_HOMES
 
 from .data import DATA_CHOICES
 from .model import MODEL_CHOICES, TorchDiffEqSolver
-from .reference import (
-    CircleReference,
-    CsvReference,
-    HoverReference,
-    LemniscateReference,
-    WaypointReference,
-)
+from .reference import CircleReference, CsvReference, HoverReference, LemniscateReference, WaypointReference
 
 CHOICES: dict[str, dict[str, type]] = {
     "data": DATA_CHOICES,

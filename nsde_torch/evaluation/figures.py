@@ -248,7 +248,9 @@ def _slices(model: NeuralSDE, train: Sequence[Run], test: Sequence[Run]) -> list
     for pair in pairs:
         points, x, y = plots.slice_grid(inside, pair)
         eta = model.eta(torch.as_tensor(points).to(model.clock_scale)).cpu().numpy()
-        labels = (f"{system.feature_names[k]} [{system.feature_units[k]}]" for k in pair)
+        across, up = (f"{system.feature_names[k]} [{system.feature_units[k]}]" for k in pair)
         points_in, points_out = inside[:, list(pair)], outside[:, list(pair)]
-        slices.append(plots.DistanceSlice(x, y, eta.reshape(len(y), len(x)), *labels, points_in, points_out))
+        slices.append(
+            plots.DistanceSlice(x, y, eta.reshape(len(y), len(x)), across, up, points_in, points_out)
+        )
     return slices

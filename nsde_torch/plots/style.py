@@ -96,7 +96,7 @@ def panels(
     return figure, axes
 
 
-def grid(count: int, *, columns: int, row: float, spare: float, title: str) -> tuple[Figure, list[Axes]]:
+def grid(count: int, *, columns: int, row: float, spare: float, title: str) -> tuple[Figure, list[Any]]:
     """A figure of `count` panels in at most so many columns, rows of a height [in] and some spare, and its axes."""
     columns = min(count, columns)
     rows = ceil(count / columns)

@@ -6,7 +6,6 @@ from math import pi
 import numpy as np
 import torch
 
-from nsde_benchmarks.paper.outcome import Check, ExperimentOutcome, prediction, rollout
 from nsde_torch import plots
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run, Windows
@@ -14,6 +13,8 @@ from nsde_torch.evaluation.metrics import evaluate
 from nsde_torch.models.before import inputs_before
 from nsde_torch.models.model import Model
 from nsde_torch.models.neural_sde import NeuralSDE
+
+from .outcome import Check, ExperimentOutcome, prediction, rollout
 
 _X_DOT, _THETA, _THETA_DOT = 1, 2, 3
 _GRID = 90

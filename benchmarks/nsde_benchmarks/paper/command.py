@@ -13,18 +13,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nsde_benchmarks.paper import figure_table
-from nsde_benchmarks.paper.figure_table import Settings
-from nsde_benchmarks.training import train_all
 from nsde_torch.cli.hydra_command import HydraCommand
 from nsde_torch.cli.keys import key
 from nsde_torch.errors import ConfigError, NsdeError
 
+from ..training import train_all
+from . import figure_table
+from .figure_table import Settings
+
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from nsde_benchmarks.paper import ExperimentOutcome
     from nsde_torch.cli.jobs import Job
+
+    from . import ExperimentOutcome
 
 log = logging.getLogger(__name__)
 

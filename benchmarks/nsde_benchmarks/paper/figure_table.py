@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 from nsde_torch.cli.schemas.choices import CHOICES
 
 if TYPE_CHECKING:
-    from nsde_benchmarks.paper import ExperimentOutcome
     from nsde_torch.data import Split
     from nsde_torch.models import Model
+
+    from . import ExperimentOutcome
 
 # Words of `nsde train` for a look in minutes; `full` takes the defaults.
 FAST = ("trainer.steps=400", "trainer.polish=100")
@@ -81,8 +82,9 @@ def _spring(name: str) -> Figure:
         }
 
     def draw(settings: Settings) -> ExperimentOutcome:
-        from nsde_benchmarks.paper.spring import state_evolution, together
         from nsde_torch.models import load
+
+        from .spring import state_evolution, together
 
         def models(*kinds: str) -> list[list[Model]]:
             names = settings.run_dirs(*(f"spring_{region}_{k}" for k in kinds))
@@ -135,8 +137,9 @@ def _cartpole_map(policy: str) -> Figure:
     words = _CARTPOLE_SETS[policy][1]
 
     def draw(settings: Settings) -> ExperimentOutcome:
-        from nsde_benchmarks.paper.cartpole import uncertainty_map
         from nsde_torch.models import load
+
+        from .cartpole import uncertainty_map
 
         ((folder, *_),) = settings.run_dirs(name)
         split = held_out(folder)
@@ -157,8 +160,9 @@ def _cartpole_map(policy: str) -> Figure:
 
 def _cartpole_evolution() -> Figure:
     def draw(settings: Settings) -> ExperimentOutcome:
-        from nsde_benchmarks.paper.cartpole import state_evolution
         from nsde_torch.models import load
+
+        from .cartpole import state_evolution
 
         sde, ensemble = settings.run_dirs("cartpole_learned_sde", "cartpole_learned_ensemble")
         return state_evolution(
@@ -179,10 +183,11 @@ def _cartpole_evolution() -> Figure:
 
 def _recorded() -> Figure:
     def draw(settings: Settings) -> ExperimentOutcome:
-        from nsde_benchmarks.paper.flights import recorded
         from nsde_torch.recording import read
         from nsde_torch.simulation import simulated
         from nsde_torch.systems import make_system
+
+        from .flights import recorded
 
         system = make_system("hexacopter")
         if settings.published is None:
@@ -219,8 +224,9 @@ def _identification() -> Figure:
         }
 
     def draw(settings: Settings) -> ExperimentOutcome:
-        from nsde_benchmarks.paper.flights import against_identification
         from nsde_torch.models import load
+
+        from .flights import against_identification
 
         sde, sysid = (
             [
@@ -249,8 +255,8 @@ def _identification() -> Figure:
 
 def _policies(kinds: tuple[str, ...], title: str, source: str) -> Figure:
     def draw(settings: Settings) -> ExperimentOutcome:
-        from nsde_benchmarks.paper import Check, ExperimentOutcome
-        from nsde_benchmarks.paper.policies import learned_in
+        from . import Check, ExperimentOutcome
+        from .policies import learned_in
 
         if settings.policies is None:
             missing = Check(source, "give policies=DIR of a study by benchmarks/bench_policy.py", None)

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import torch
 
-from nsde_benchmarks.paper.outcome import Check, ExperimentOutcome, prediction, rollout
 from nsde_torch import plots
 from nsde_torch.data import DataSet, Run, Windows
 from nsde_torch.evaluation.metrics import evaluate
@@ -14,6 +13,8 @@ from nsde_torch.models.model import Model
 from nsde_torch.plots import PredictionBand
 from nsde_torch.plots.data_figure import roll_pitch_yaw, speed_and_angles
 from nsde_torch.systems import System
+
+from .outcome import Check, ExperimentOutcome, prediction, rollout
 
 # Supplement D: 95 % of the magnitudes lie below the first, the largest is the second.
 _FIGURE_15 = {

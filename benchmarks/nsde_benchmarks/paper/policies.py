@@ -8,9 +8,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from nsde_benchmarks.paper.outcome import Check, ExperimentOutcome
 from nsde_torch.errors import DataError
 from nsde_torch.plots.policy_rewards import policy_rewards
+
+from .outcome import Check, ExperimentOutcome
 
 _ENOUGH = 0.95
 _WORDS = {

@@ -11,9 +11,10 @@ import torch
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from nsde_benchmarks.paper.outcome import Check, ExperimentOutcome, prediction, rollout
 from nsde_torch.models.model import Model
 from nsde_torch.plots import evolution
+
+from .outcome import Check, ExperimentOutcome, prediction, rollout
 
 START = (0.15, -0.15)
 SECONDS = 8.0

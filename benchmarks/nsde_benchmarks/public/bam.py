@@ -16,21 +16,15 @@ from typing import Any, final
 
 import numpy as np
 
-from nsde_benchmarks.public.benchmark import (
-    BenchmarkMetric,
-    BenchmarkOutcome,
-    PublicBenchmark,
-    PublishedRow,
-    Trace,
-)
-from nsde_benchmarks.public.files import Work, found, long_enough
-from nsde_benchmarks.public.named import diagnosed, ladder, words_of
-from nsde_benchmarks.public.output_error import Stretches, output_error, simulated, times
-from nsde_benchmarks.public.servo import STEP, ServoPendulum, swing
 from nsde_torch.arrays import Array
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import DataError
-from nsde_torch.systems.options import system_options
+
+from .benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark, PublishedRow, Trace
+from .files import Work, found, long_enough
+from .named import diagnosed, ladder, words_of
+from .output_error import Stretches, machine, output_error, simulated, times, with_units
+from .servo import STEP, ServoPendulum, swing
 
 HOME = "data/feetech/STS_3250"
 COMMIT = "140d9c5"
@@ -78,10 +72,8 @@ class Bam(PublicBenchmark):
         "samples (3.1 s), as the published scores are. Then the same of the recordings in validation/, and over the "
         "whole of these."
     )
-    metrics = (
-        BenchmarkMetric("training", "mrad", digits=1),
-        BenchmarkMetric("validation", "mrad", digits=1),
-        BenchmarkMetric("validation_whole", "mrad", digits=1),
+    metrics = tuple(
+        BenchmarkMetric(part, "mrad", digits=1) for part in ("training", "validation", "validation_whole")
     )
     published = tuple(
         PublishedRow(
@@ -158,7 +150,7 @@ class Bam(PublicBenchmark):
         return BenchmarkOutcome(
             rows,
             taken,
-            {name: {"value": value, "unit": unit} for name, (value, unit) in _units(taken, last).items()},
+            with_units(_machine(taken, last), last),
             [
                 *words_of(taken, "the motor with its controller and the weight"),
                 f"Named by a diagnosis of {len(training[::DIAGNOSED])} recordings, their logged speeds with them "
@@ -236,12 +228,8 @@ def _batches(logs: Sequence[Mapping[str, Any]], count: int | None) -> list[tuple
     out = []
     for length in lengths:
         like = [log for log in logs if count is not None or len(log["x"]) == length]
-        out.append(
-            (
-                np.stack([log["x"][:length] for log in like]),
-                np.stack([log["u"][: length - 1] for log in like]),
-            )
-        )
+        x, u = ([log["x"][:length] for log in like], [log["u"][: length - 1] for log in like])
+        out.append((np.stack(x), np.stack(u)))
     return out
 
 
@@ -252,7 +240,7 @@ def _mean(errors: Sequence[Array]) -> float:
 
 def _machine(effects: tuple[str, ...], values: Mapping[str, Any]) -> Any:
     first = {f"{name}.{key}": value for name in effects for key, value in CANDIDATES[name].items()}
-    return system_options(ServoPendulum, effects=effects, parameters={**first, **values}).make().double()
+    return machine(ServoPendulum, effects, {**first, **values})
 
 
 def _fitted(
@@ -285,15 +273,8 @@ def _error(
     count: int | None = ROWS,
 ) -> float:
     """Mean absolute error of simulated angles [rad]."""
-    system = _machine(effects, values)
-    return _mean(
-        [simulated(system, x[:, 0], u, dt=STEP)[..., 0] - x[..., 0] for x, u in _batches(logs, count)]
-    )
-
-
-def _units(effects: tuple[str, ...], values: Mapping[str, Any]) -> dict[str, tuple[Any, str]]:
-    units = {name: unit for name, (_, unit) in _machine(effects, values).all_declared().items()}
-    return {name: (value, units[name]) for name, value in values.items()}
+    system, batches = _machine(effects, values), _batches(logs, count)
+    return _mean([simulated(system, x[:, 0], u, dt=STEP)[..., 0] - x[..., 0] for x, u in batches])
 
 
 def _traces(

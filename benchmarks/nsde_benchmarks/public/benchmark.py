@@ -11,8 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
-from nsde_benchmarks.public.files import Work
 from nsde_torch.arrays import Array
+
+from .files import Work, found
 
 
 @dataclass(frozen=True)
@@ -82,9 +83,9 @@ class PublicBenchmark(ABC):
     published: ClassVar[tuple[PublishedRow, ...]]
     minutes: ClassVar[float]
 
-    @abstractmethod
     def paths(self, folder: Path) -> list[Path]:
         """The files of the set below a folder; DataError where one is missing, or is not what it should be."""
+        return found(folder, self.files, repository=self.repository)
 
     @abstractmethod
     def run(self, paths: Sequence[Path], work: Work) -> BenchmarkOutcome:

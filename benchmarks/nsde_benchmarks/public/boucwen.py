@@ -16,19 +16,13 @@ from typing import Any, final
 import numpy as np
 from torch import Tensor
 
-from nsde_benchmarks.public.benchmark import (
-    BenchmarkMetric,
-    BenchmarkOutcome,
-    PublicBenchmark,
-    PublishedRow,
-    Trace,
-)
-from nsde_benchmarks.public.files import Work, found, long_enough, matrices
-from nsde_benchmarks.public.output_error import output_error, simulated, times, windows
 from nsde_torch.arrays import Array
 from nsde_torch.effects import Law, Parameter, Port
 from nsde_torch.systems import Defaults, ErrorGroup, OneDegreeOfFreedom, ResidualPort
-from nsde_torch.systems.options import system_options
+
+from .benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark, PublishedRow, Trace
+from .files import Work, long_enough, matrices
+from .output_error import machine, output_error, rms, simulated, times, windows, with_units
 
 STEP = 1.0 / 750.0  # [s]
 FINER = 2  # steps of the integrator in a sample: 34 a period at resonance
@@ -122,25 +116,16 @@ class BoucWen(PublicBenchmark):
     title = "Bouc-Wen: a mass on a spring with hysteresis (simulated set)"
     repository = "JanHHoekstra/Model-Augmentation-Public"
     files = tuple(
-        f"data/bouc_wen/{name}.mat"
-        for name in (
-            "uest_multisine",
-            "yest_multisine",
-            "uval_multisine",
-            "yval_multisine",
-            "uval_sinesweep",
-            "yval_sinesweep",
-        )
+        f"data/bouc_wen/{signal}{part}.mat"
+        for part in ("est_multisine", "val_multisine", "val_sinesweep")
+        for signal in "uy"
     )
     protocol = (
         f"Identified on the mean of {PERIODS} periods of the noisy multisine, simulated over the two tests without "
         f"noise: a multisine of {PERIOD} samples in its steady state (the second of two periods), and a sine sweep of "
         f"{SWEEP} samples from rest; root mean square of the output, all samples."
     )
-    metrics = (
-        BenchmarkMetric("multisine", "10 um", digits=3),
-        BenchmarkMetric("sinesweep", "10 um", digits=3),
-    )
+    metrics = tuple(BenchmarkMetric(test, "10 um", digits=3) for test in ("multisine", "sinesweep"))
     published = (
         *(
             PublishedRow(name, {"multisine": value}, f"arXiv 2507.09646, table 1, {source}")
@@ -164,15 +149,11 @@ class BoucWen(PublicBenchmark):
     )
     minutes = 5
 
-    def paths(self, folder: Path) -> list[Path]:
-        return found(folder, self.files, repository=self.repository)
-
     def run(self, paths: Sequence[Path], work: Work) -> BenchmarkOutcome:
-        names = ("u", "y", "uval_multisine", "yval_multisine", "uval_sinesweep", "yval_sinesweep")
+        names = ("u", "y", *(path.stem for path in paths[2:]))
+        rows_of = (PERIOD * PERIODS,) * 2 + (PERIOD,) * 2 + (SWEEP,) * 2
         signals = []
-        for path, name, least in zip(
-            paths, names, (PERIOD * PERIODS,) * 2 + (PERIOD,) * 2 + (SWEEP,) * 2, strict=True
-        ):
+        for path, name, least in zip(paths, names, rows_of, strict=True):
             signals.append(matrices(path, (name,), what="Bouc-Wen")[name])
             long_enough(len(signals[-1]), least, path)
         u, y = (signal[: PERIOD * PERIODS].reshape(PERIODS, PERIOD).mean(0) for signal in signals[:2])
@@ -200,15 +181,14 @@ class BoucWen(PublicBenchmark):
                 test: _kept(work, _key(test, name), effects, model, force, test)
                 for test, (force, _) in tests.items()
             }
-            rows[f"ours, {name}"] = {test: UNIT * _rms(paths_of[test] - tests[test][1]) for test in tests}
+            rows[f"ours, {name}"] = {test: UNIT * rms(paths_of[test] - tests[test][1]) for test in tests}
         return BenchmarkOutcome(
             rows,
             _machine(effects, model).effect_names[2:],
-            {name: {"value": value, "unit": unit} for name, (value, unit) in _units(effects, model).items()},
+            with_units(_machine(effects, model), model),
             [
                 "Left by the stretches of the fit, mean of four noisy periods [10 um]: "
-                + ", ".join(f"{name} {value:.3f}" for name, value in left.items())
-                + "."
+                f"{', '.join(f'{name} {value:.3f}' for name, value in left.items())}."
             ],
             [_trace(test, y, paths_of[test]) for test, (_, y) in tests.items()],
         )
@@ -219,21 +199,12 @@ def _trace(test: str, measured: Array, path: Array) -> Trace:
     largest = int(np.abs(measured).argmax())
     part = slice(max(0, largest - SHOWN // 2), largest + SHOWN // 2)
     t = times(len(measured), STEP)[part]
-    return Trace(
-        f"{test}, open loop, around its largest motion",
-        "position [mm]",
-        t,
-        1e3 * measured[part],
-        1e3 * path[part],
-    )
+    title = f"{test}, open loop, around its largest motion"
+    return Trace(title, "position [mm]", t, 1e3 * measured[part], 1e3 * path[part])
 
 
 def _key(*words: str) -> str:
     return "_".join(words).replace(", ", "_").replace(" + ", "_").replace(" ", "_")
-
-
-def _rms(error: Array) -> float:
-    return float(np.sqrt((error**2).mean()))
 
 
 def _kept(
@@ -250,7 +221,7 @@ def _kept(
 
 def _machine(effects: tuple[str, ...], values: Mapping[str, Any]) -> Any:
     first = {key: value for name in effects for key, value in FIRST[name].items()}
-    return system_options(Oscillator, effects=effects, parameters={**first, **values}).make().double()
+    return machine(Oscillator, effects, {**first, **values})
 
 
 def _fitted(
@@ -268,7 +239,7 @@ def _fitted(
         stage=f"fitting {name}",
         say=work.say,
     )
-    return {"values": estimate.values, "left": _rms(estimate.errors[..., 0])}
+    return {"values": estimate.values, "left": rms(estimate.errors[..., 0])}
 
 
 def _simulated(effects: tuple[str, ...], values: Mapping[str, Any], u: Array, *, periodic: bool) -> Array:
@@ -287,8 +258,3 @@ def _finer(u: Array) -> Array:
     turn = 2j * np.pi * np.fft.rfftfreq(len(u))
     shifts = (np.arange(FINER) + 0.5) / FINER
     return np.stack([np.fft.irfft(spectrum * np.exp(turn * shift), len(u)) for shift in shifts], 1)
-
-
-def _units(effects: tuple[str, ...], values: Mapping[str, Any]) -> dict[str, tuple[Any, str]]:
-    units = {name: unit for name, (_, unit) in _machine(effects, values).all_declared().items()}
-    return {name: (value, units[name]) for name, value in values.items()}

@@ -10,10 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from nsde_benchmarks.public.names import BENCHMARK_HOMES
 from nsde_torch.cli.exit_status import OK
 from nsde_torch.cli.hydra_command import HydraCommand
 from nsde_torch.cli.keys import group, key
+
+from .names import BENCHMARK_HOMES
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -43,7 +44,7 @@ class BenchmarkCommand(HydraCommand):
 
     def main(self, arguments: Sequence[str]) -> int:
         if not arguments:
-            from nsde_benchmarks.public.running import listing
+            from .running import listing
 
             print("\n".join(listing()))
             print("\nRun one with: nsde benchmark NAME data.path=FOLDER")
@@ -77,9 +78,10 @@ def run(config: DictConfig, job: Job) -> None:
     """Run one set."""
     import torch
 
-    from nsde_benchmarks.public.registry import benchmark_class
-    from nsde_benchmarks.public.running import PICTURE, RESULT, run_benchmark, table
     from nsde_torch.progress import Stages
+
+    from .registry import benchmark_class
+    from .running import PICTURE, RESULT, run_benchmark, table
 
     started = time.perf_counter()
     torch.set_num_threads(config.threads)

@@ -16,22 +16,17 @@ from typing import Any, final
 import numpy as np
 from torch import Tensor
 
-from nsde_benchmarks.public.benchmark import (
-    BenchmarkMetric,
-    BenchmarkOutcome,
-    PublicBenchmark,
-    PublishedRow,
-    Trace,
-)
-from nsde_benchmarks.public.files import Work, found, long_enough, matrices
-from nsde_benchmarks.public.named import diagnosed, words_of
-from nsde_benchmarks.public.output_error import output_error, simulated, windows
 from nsde_torch.arrays import Array
 from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Parameter, Port
 from nsde_torch.errors import DataError
 from nsde_torch.systems import Defaults, ErrorGroup, OneDegreeOfFreedom, ResidualPort
 from nsde_torch.systems.options import system_options
+
+from .benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark, PublishedRow, Trace
+from .files import Work, long_enough, matrices
+from .named import diagnosed, words_of
+from .output_error import output_error, simulated, windows
 
 RATE_HZ = 1000.0
 ROWS = 5  # of the log to one of what is diagnosed
@@ -100,9 +95,6 @@ class Emps(PublicBenchmark):
         ),
     )
     minutes = 6
-
-    def paths(self, folder: Path) -> list[Path]:
-        return found(folder, self.files, repository=self.repository)
 
     def run(self, paths: Sequence[Path], work: Work) -> BenchmarkOutcome:
         (t, q, force), (t_test, q_test, force_test) = (_read(path) for path in paths)

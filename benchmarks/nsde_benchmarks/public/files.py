@@ -169,3 +169,25 @@ def long_enough(count: int, least: int, path: Path) -> None:
         raise DataError(
             f"{path} has {count} rows, and the protocol needs {least}: it is cut off. Fetch it again."
         )
+
+
+MOTORS = (0, 2, 3, 1)
+"""Motors of the Crazyflies in the order of quad-x: front right, rear left, front left, rear right."""
+
+
+def all_filled(rows: Array, path: Path) -> None:
+    """Refuse a file with empty cells (DataError)."""
+    if not np.isfinite(rows).all():
+        raise DataError(f"{path} has empty cells. Fetch it again.")
+
+
+def flight_states(rows: Array, path: Path) -> Array:
+    """States (n, 13) of a multirotor with a quaternion of length 1; DataError where it is none."""
+    x = rows.copy()
+    length = np.linalg.norm(x[:, 6:10], axis=1, keepdims=True)
+    if (np.abs(length - 1.0) > 0.1).any():
+        raise DataError(
+            f"{path}: qx, qy, qz, qw are no unit quaternion. Check that it is a file of this set."
+        )
+    x[:, 6:10] /= length
+    return x

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from nsde_benchmarks.public.files import Say
 from nsde_torch.api.diagnosing import diagnose
 from nsde_torch.api.reading import Data
+
+from .files import Say
 
 Rung = Mapping[str, Any]
 """What a fit made: `effects`, `values`, and its error on what was held out."""

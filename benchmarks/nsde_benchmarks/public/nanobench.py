@@ -21,22 +21,17 @@ from typing import Any, final
 import numpy as np
 import torch
 
-from nsde_benchmarks.public.benchmark import (
-    BenchmarkMetric,
-    BenchmarkOutcome,
-    PublicBenchmark,
-    PublishedRow,
-    Trace,
-)
-from nsde_benchmarks.public.files import Work, found, long_enough, table
-from nsde_benchmarks.public.named import diagnosed, words_of
 from nsde_torch.api.reading import read
 from nsde_torch.arrays import Array
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import DataError
 from nsde_torch.sysid.identify import identify
 from nsde_torch.systems.base import System
-from nsde_torch.systems.options import system_options
+
+from .benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark, PublishedRow, Trace
+from .files import MOTORS, Work, all_filled, flight_states, long_enough, table
+from .named import diagnosed, words_of
+from .output_error import machine
 
 # The four models of thrust that NanoBench compares: a gain of the sum of squared commands, or a regression.
 #
@@ -149,7 +144,6 @@ COLUMNS = (
     *(f"motor_motor_m{k}" for k in (1, 2, 3, 4)),
     "pwr_pm_vbat",
 )
-MOTORS = (0, 2, 3, 1)  # of the set, in the order of quad-x: front right, rear left, front left, rear right
 SOURCE = "syediu/nanobench-iros2026, benchmarks/results/tables/task1_model_comparison_table.csv"
 NOTE = "another flight, below 3.8 V, not in the repository"
 
@@ -209,9 +203,6 @@ class NanoBench(PublicBenchmark):
     )
     minutes = 6
 
-    def paths(self, folder: Path) -> list[Path]:
-        return found(folder, self.files, repository=self.repository)
-
     def run(self, paths: Sequence[Path], work: Work) -> BenchmarkOutcome:
         flights = [read_flight(path) for path in paths]
 
@@ -233,7 +224,7 @@ class NanoBench(PublicBenchmark):
             made = work.stage(f"model_{len(terms)}", partial(_identified, terms, flights, work))
             values = made["values"]
             rows[f"ours, {' + '.join(('quadrotor', *terms))}"] = made["scores"]
-        system = _machine(RUNGS[-1], values)
+        system = machine("quadrotor", RUNGS[-1], values)
         return BenchmarkOutcome(
             rows,
             named["added"],
@@ -256,15 +247,8 @@ def read_flight(path: Path) -> BatteryFlight:
     rows = np.stack([held[name] for name in COLUMNS], 1)
     rows = rows[rows[:, COLUMNS.index("motor_motor_m1")] > FLYING]
     long_enough(len(rows), 200, path)
-    if not np.isfinite(rows).all():
-        raise DataError(f"{path} has empty cells. Fetch it again.")
-    t, x, u, voltage = rows[:, 0], rows[:, 1:14].copy(), rows[:, 14:18], rows[:, 18]
-    length = np.linalg.norm(x[:, 6:10], axis=1, keepdims=True)
-    if (np.abs(length - 1.0) > 0.1).any():
-        raise DataError(
-            f"{path}: qx, qy, qz, qw are no unit quaternion. Check that it is a file of this set."
-        )
-    x[:, 6:10] /= length
+    all_filled(rows, path)
+    t, x, u, voltage = rows[:, 0], flight_states(rows[:, 1:14], path), rows[:, 14:18], rows[:, 18]
     vertical = vertical_acceleration(t, x[:, 2])
     return BatteryFlight(t, u[:, list(MOTORS)] / FULL, voltage, vertical, path.stem, x)
 
@@ -279,20 +263,16 @@ def _reservations(named: dict[str, Any]) -> list[str]:
     ]
 
 
-def _machine(terms: Sequence[str], values: dict[str, Any]) -> System:
-    return system_options("quadrotor", effects=terms, parameters=values).make().double()
-
-
 def _identified(terms: Sequence[str], flights: Sequence[BatteryFlight], work: Work) -> dict[str, Any]:
     """Parameters from the training parts of all flights, and the scores of the tests."""
     name = " + ".join(["quadrotor", *terms])
     work.say(f"identifying {name}", 0, 1)
-    system = _machine(terms, {})
+    system = machine("quadrotor", terms, {})
     data = read([flight.training() for flight in flights], system=system)
     estimate = identify(system, data.runs, clock=data.clock_scale, method=METHOD)
     found_at = {place.name: estimate.values[place.columns].tolist() for place in estimate.vector.places}
     values = {name: value[0] if len(value) == 1 else value for name, value in found_at.items()}
-    system = _machine(terms, values)
+    system = machine("quadrotor", terms, values)
     predicted = []
     for k, flight in enumerate(flights):
         work.say(f"predicting with {name}", k, len(flights))

@@ -16,28 +16,20 @@ from typing import Any, final
 import numpy as np
 import torch
 
-from nsde_benchmarks.public.benchmark import (
-    BenchmarkMetric,
-    BenchmarkOutcome,
-    PublicBenchmark,
-    PublishedRow,
-    Trace,
-)
-from nsde_benchmarks.public.files import Work, found, long_enough, table
-from nsde_benchmarks.public.named import diagnosed, words_of
-from nsde_benchmarks.public.output_error import output_error, simulated, times, windows
 from nsde_torch.arrays import Array
 from nsde_torch.data.raw import RawRun
-from nsde_torch.errors import DataError
 from nsde_torch.systems.base import System
-from nsde_torch.systems.options import system_options
+
+from .benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark, PublishedRow, Trace
+from .files import MOTORS, Work, all_filled, flight_states, long_enough, table
+from .named import diagnosed, words_of
+from .output_error import machine, output_error, simulated, times, windows
 
 STEP = 0.01
 HORIZON = 50
 SHOWN = (1, 10, 50)
-SPEED = (
-    3000.0  # [rad/s] of a motor at a command of 1; the fastest of the set reaches two thirds of its square
-)
+# [rad/s] of a motor at a command of 1; the fastest of the set reaches two thirds of its square
+SPEED = 3000.0
 TRAIN = ("square", "random", "chirp")
 RUNS = (1, 2, 3)
 STRIDE = 100  # samples from one fitted stretch to the next
@@ -47,7 +39,6 @@ COLUMNS = (
     *("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "wx", "wy", "wz"),
     *("m1_rads", "m2_rads", "m3_rads", "m4_rads"),
 )
-MOTORS = (0, 2, 3, 1)  # of the set, in the order of quad-x: front right, rear left, front left, rear right
 QUANTITIES = (("position", "m"), ("velocity", "m/s"), ("rotation", "rad"), ("rates", "rad/s"))
 GROUPS = tuple(tuple(range(k, k + 3)) for k in (0, 3, 6, 9))
 TYPICAL = (0.05, 0.2, 0.1, 0.5)  # errors of the published rows over the horizon
@@ -124,9 +115,6 @@ class Nanodrone(PublicBenchmark):
     )
     minutes = 5
 
-    def paths(self, folder: Path) -> list[Path]:
-        return found(folder, self.files, repository=self.repository)
-
     def run(self, paths: Sequence[Path], work: Work) -> BenchmarkOutcome:
         runs = [_read(path) for path in paths]
         train, test = runs[: len(TRAIN) * len(RUNS)], runs[len(TRAIN) * len(RUNS) :]
@@ -148,7 +136,7 @@ class Nanodrone(PublicBenchmark):
             made = work.stage(f"model_{count}", partial(_fitted, terms, values, train, test, work))
             values = made["values"]
             rows[f"ours, {' + '.join(terms) or 'rigid body'}"] = made["scores"]
-        system = _machine(TERMS, values)
+        system = machine("quadrotor", TERMS, values)
         return BenchmarkOutcome(
             rows,
             named["added"],
@@ -162,16 +150,12 @@ class Nanodrone(PublicBenchmark):
         )
 
 
-def _machine(terms: Sequence[str], values: Mapping[str, Any]) -> System:
-    return system_options("quadrotor", effects=terms, parameters=values).make().double()
-
-
 def _fitted(
     terms: Sequence[str], values: Mapping[str, Any], train: Any, test: Any, work: Work
 ) -> dict[str, Any]:
     """Parameters on the training flights from these first values, and the scores on the test flights."""
     name = " + ".join(["rigid body", *terms])
-    system = _machine(terms, values)
+    system = machine("quadrotor", terms, values)
     data = windows([x for x, _ in train], [u for _, u in train], dt=STEP, length=HORIZON, stride=STRIDE)
     made = output_error(
         system,
@@ -212,17 +196,9 @@ def _traces(system: System, flight: tuple[Array, Array]) -> list[Trace]:
     data = windows([x], [u], dt=STEP, length=HORIZON)
     path = simulated(system, data.x[:, 0], data.u, dt=STEP)
     t = times(len(path) * HORIZON, STEP)
+    title = "melon, run 1, restarted every 0.5 s"
     shown = ((3, "velocity along x [m/s]"), (7, "quaternion x [1]"), (10, "roll rate [rad/s]"))
-    return [
-        Trace(
-            "melon, run 1, restarted every 0.5 s",
-            label,
-            t,
-            data.x[:, :-1, k].ravel(),
-            path[:, :-1, k].ravel(),
-        )
-        for k, label in shown
-    ]
+    return [Trace(title, label, t, data.x[:, :-1, k].ravel(), path[:, :-1, k].ravel()) for k, label in shown]
 
 
 def _read(path: Path) -> tuple[Array, Array]:
@@ -230,13 +206,5 @@ def _read(path: Path) -> tuple[Array, Array]:
     held = table(path, COLUMNS, what="the nano-drone benchmark")
     rows = np.stack([held[name] for name in COLUMNS], 1)
     long_enough(len(rows), 2 * HORIZON, path)
-    if not np.isfinite(rows).all():
-        raise DataError(f"{path} has empty cells. Fetch it again.")
-    x, speeds = rows[:, :13].copy(), rows[:, 13:]
-    length = np.linalg.norm(x[:, 6:10], axis=1, keepdims=True)
-    if (np.abs(length - 1.0) > 0.1).any():
-        raise DataError(
-            f"{path}: qx, qy, qz, qw are no unit quaternion. Check that it is a file of this set."
-        )
-    x[:, 6:10] /= length
-    return x, (speeds[:, list(MOTORS)] / SPEED) ** 2
+    all_filled(rows, path)
+    return flight_states(rows[:, :13], path), (rows[:, 13:][:, list(MOTORS)] / SPEED) ** 2

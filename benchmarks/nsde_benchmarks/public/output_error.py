@@ -12,8 +12,9 @@ taken for noise of the sensors, which is what a benchmark asks that scores a sim
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -26,9 +27,10 @@ from nsde_torch.sde.integrate import rollout
 from nsde_torch.sde.protocol import Calculus, Time
 from nsde_torch.sde.registry import make_step
 from nsde_torch.systems.base import System
+from nsde_torch.systems.options import system_options
 from nsde_torch.systems.parameters import ParameterVector
 
-Say = Callable[[str, int, int], None]
+from .files import Say
 
 _STEP = 1e-6
 _ENOUGH = 1e-5
@@ -61,6 +63,22 @@ class OutputErrorEstimate:
     starts: Array  # initial states (B, nx)
     errors: Array  # predicted minus measured in error channels (B, T, n_error) at the end
     cost: tuple[float, ...]  # mean of the squared weighted errors, before each iteration and at the end
+
+
+def machine(system: str | type[System], effects: Any = (), values: Mapping[str, Any] | None = None) -> System:
+    """A machine in double precision, with effects and values of its parameters."""
+    return system_options(system, effects=effects, parameters=values or {}).make().double()
+
+
+def with_units(system: System, values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Values of declared parameters, each with its unit."""
+    declared = system.all_declared()
+    return {name: {"value": value, "unit": declared[name][1]} for name, value in values.items()}
+
+
+def rms(error: Array) -> float:
+    """Root mean square."""
+    return float(np.sqrt((error**2).mean()))
 
 
 def times(count: int, dt: float) -> Array:

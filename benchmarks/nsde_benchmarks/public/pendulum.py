@@ -17,21 +17,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nsde_benchmarks.public.benchmark import (
-    BenchmarkMetric,
-    BenchmarkOutcome,
-    PublicBenchmark,
-    Trace,
-)
-from nsde_benchmarks.public.files import Work, found, long_enough, table
-from nsde_benchmarks.public.named import diagnosed, words_of
-from nsde_benchmarks.public.output_error import Stretches, output_error, simulated, times, windows
 from nsde_torch.arrays import Array
 from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Parameter, Port
 from nsde_torch.errors import DataError
 from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
-from nsde_torch.systems.options import system_options
+
+from .benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark, Trace
+from .files import Work, long_enough, table
+from .named import diagnosed, words_of
+from .output_error import Stretches, machine, output_error, rms, simulated, times, windows
 
 STEP = 0.004  # both runs are brought to it: they have 2 and 3 ms
 SECONDS = 0.5
@@ -98,19 +93,18 @@ class TorqueLimitedPendulum(PublicBenchmark):
     published = ()
     minutes = 1
 
-    def paths(self, folder: Path) -> list[Path]:
-        return found(folder, self.files, repository=self.repository)
-
     def run(self, paths: Sequence[Path], work: Work) -> BenchmarkOutcome:
         (x, u), (x_test, u_test) = (_read(path) for path in paths)
 
         log = RawRun("ddp", times(len(x), STEP), x, u)
         first = work.stage("diagnosis", lambda: diagnosed([log], system=MotorPendulum, say=work.say))
-        machine = system_options(MotorPendulum, effects=first["effects"], parameters=first["values"])
+
+        def identified(more: Mapping[str, Any]) -> System:
+            return machine(MotorPendulum, first["effects"], {**first["values"], **more})
 
         def fitted() -> dict[str, Any]:
             estimate = output_error(
-                machine.make().double(),
+                identified({}),
                 _cut(x, u, STRIDE),
                 weights=WEIGHTS,
                 stage="fitting to rollouts",
@@ -122,28 +116,19 @@ class TorqueLimitedPendulum(PublicBenchmark):
         test = _cut(x_test, u_test, STRIDE)
         models = {
             "published parameters, simulated here": _published(),
-            "ours, diagnosis": machine.make().double(),
-            "ours, output error": system_options(machine, parameters=second).make().double(),
+            "ours, diagnosis": identified({}),
+            "ours, output error": identified(second),
         }
         rows, traces = {}, []
         for name, system in models.items():
             path = simulated(system, test.x[:, 0], test.u, dt=STEP)
             error = path[:, 1:] - test.x[:, 1:]
-            rows[name] = {
-                key: float(np.sqrt((error[..., k] ** 2).mean())) for k, key in enumerate(("angle", "rate"))
-            }
+            rows[name] = {key: rms(error[..., k]) for k, key in enumerate(("angle", "rate"))}
         every = round(SECONDS / STEP) // STRIDE  # stretches that follow one another without overlap
         t = times(len(test.x[::every]) * round(SECONDS / STEP), STEP)
         for k, (title, label) in enumerate((("angle", "angle [rad]"), ("rate", "rate [rad/s]"))):
-            traces.append(
-                Trace(
-                    f"{title}, restarted every 0.5 s",
-                    label,
-                    t,
-                    test.x[::every, :-1, k].ravel(),
-                    path[::every, :-1, k].ravel(),
-                )
-            )
+            measured, predicted = (rows[::every, :-1, k].ravel() for rows in (test.x, path))
+            traces.append(Trace(f"{title}, restarted every 0.5 s", label, t, measured, predicted))
         return BenchmarkOutcome(
             rows,
             first["added"],
@@ -166,7 +151,7 @@ def _published() -> System:
         "constant_force.acceleration": -p["offset"] / inertia,
     }
     effects = ("coulomb_friction", "constant_force")
-    return system_options(MotorPendulum, effects=effects, parameters=values).make().double()
+    return machine(MotorPendulum, effects, values)
 
 
 def _read(path: Path) -> tuple[Array, Array]:

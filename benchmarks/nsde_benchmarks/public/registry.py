@@ -1,8 +1,9 @@
 """The public sets by name."""
 
-from nsde_benchmarks.public.benchmark import PublicBenchmark
-from nsde_benchmarks.public.names import BENCHMARK_HOMES
 from nsde_torch.lookup import class_by_name
+
+from .benchmark import PublicBenchmark
+from .names import BENCHMARK_HOMES
 
 BENCHMARKS: dict[str, type[PublicBenchmark]] = {
     name: class_by_name(home, {}, PublicBenchmark, kind="benchmark", home="nsde_benchmarks.public.benchmark")

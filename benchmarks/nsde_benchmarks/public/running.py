@@ -8,11 +8,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nsde_benchmarks.public.benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark
-from nsde_benchmarks.public.files import Work, key_of
-from nsde_benchmarks.public.output_error import silent
-from nsde_benchmarks.public.registry import BENCHMARKS, benchmark_class
 from nsde_torch.plots.style import BLACK, VERMILLION, key, panels, save, styled
+
+from .benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark
+from .files import Work, key_of
+from .output_error import silent
+from .registry import BENCHMARKS, benchmark_class
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -16,20 +16,14 @@ from typing import Any, final
 
 import numpy as np
 
-from nsde_benchmarks.public.benchmark import (
-    BenchmarkMetric,
-    BenchmarkOutcome,
-    PublicBenchmark,
-    PublishedRow,
-    Trace,
-)
-from nsde_benchmarks.public.files import Work, found, long_enough, matrices
-from nsde_benchmarks.public.named import ladder, words_of
-from nsde_benchmarks.public.output_error import output_error, simulated, times, windows
 from nsde_torch.arrays import Array
 from nsde_torch.effects import Parameter, Port
 from nsde_torch.systems import Defaults, ErrorGroup, OneDegreeOfFreedom, ResidualPort
-from nsde_torch.systems.options import system_options
+
+from .benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark, PublishedRow, Trace
+from .files import Work, long_enough, matrices
+from .named import ladder, words_of
+from .output_error import machine, output_error, rms, simulated, times, windows
 
 STEP = 2.0**14 / 1e7  # [s]
 FINER = 2  # steps of the integrator in a sample: 17 a period at resonance
@@ -43,6 +37,7 @@ STRETCHES = 30
 CANDIDATES = ("constant_force", "cubic_stiffness", "quadratic_damping")
 GAIN = 0.05
 NORM = 1e3  # errors are in millivolts
+WEIGHTS = np.array([NORM, 0.0])
 
 
 @final
@@ -79,11 +74,7 @@ class Silverbox(PublicBenchmark):
         "fifth is louder than the multisine) and over the rest of the multisine; root mean square of the output after "
         "the first 50 samples, of which the first state is estimated."
     )
-    metrics = (
-        BenchmarkMetric("arrow", "mV"),
-        BenchmarkMetric("arrow_no_extrapolation", "mV"),
-        BenchmarkMetric("multisine", "mV"),
-    )
+    metrics = tuple(BenchmarkMetric(test, "mV") for test in ("arrow", "arrow_no_extrapolation", "multisine"))
     published = (
         PublishedRow(
             "NARX, polynomial of degree 3, prediction error",
@@ -99,9 +90,6 @@ class Silverbox(PublicBenchmark):
         ),
     )
     minutes = 5
-
-    def paths(self, folder: Path) -> list[Path]:
-        return found(folder, self.files, repository=self.repository)
 
     def run(self, paths: Sequence[Path], work: Work) -> BenchmarkOutcome:
         held = matrices(paths[0], ("V1", "V2"), what="Silverbox")
@@ -130,9 +118,9 @@ class Silverbox(PublicBenchmark):
                     t = times(len(path), STEP)
                     traces.append(Trace(f"{test}, open loop", "output [V]", t, y[part], path))
             rows[f"ours, {name}"] = {
-                "arrow": _rms(errors["arrow"]),
-                "arrow_no_extrapolation": _rms(errors["arrow"][: INSIDE - SKIPPED]),
-                "multisine": _rms(errors["multisine"]),
+                "arrow": NORM * rms(errors["arrow"]),
+                "arrow_no_extrapolation": NORM * rms(errors["arrow"][: INSIDE - SKIPPED]),
+                "multisine": NORM * rms(errors["multisine"]),
             }
         return BenchmarkOutcome(
             rows,
@@ -161,37 +149,38 @@ class _Record:
         """Values on every other stretch of the training part, and the error on those between."""
         stride = max(2 * WINDOW, (stop - start) // STRETCHES)
         data = self._cut(start, stop, WINDOW, stride)
-        system = system_options(SilverboxCircuit, effects=effects, parameters=first).make().double()
-        weights = np.array([NORM, 0.0])
+        system = machine(SilverboxCircuit, effects, first)
         name = " + ".join(["linear", *effects])
         made = output_error(
-            system, data, weights=weights, free=(0, 1), iterations=12, stage=f"fitting {name}", say=work.say
+            system, data, weights=WEIGHTS, free=(0, 1), iterations=12, stage=f"fitting {name}", say=work.say
         )
         other = self._cut(start + stride // 2, stop, WINDOW, stride)
         starts = output_error(
             system,
             other,
-            weights=weights,
+            weights=WEIGHTS,
             free=(0, 1),
             fixed=tuple(made.values),
             iterations=4,
             stage="checking",
         )
-        return {"effects": list(effects), "values": made.values, "held_out_mV": _rms(starts.errors[..., 0])}
+        return {
+            "effects": list(effects),
+            "values": made.values,
+            "held_out_mV": NORM * rms(starts.errors[..., 0]),
+        }
 
     def simulated(self, made: Mapping[str, Any], part: slice, name: str, work: Work) -> Array:
         """Output over a test, from a state that its first samples show."""
 
         def make() -> dict[str, Any]:
             work.say(f"simulating {name}", 0, 1)
-            system = system_options(
-                SilverboxCircuit, effects=made["effects"], parameters={**_FIRST, **made["values"]}
-            ).make()
+            system = machine(SilverboxCircuit, made["effects"], {**_FIRST, **made["values"]})
             first = self._cut(part.start, part.start + SKIPPED + 1, SKIPPED, SKIPPED)
             state = output_error(
-                system.double(),
+                system,
                 first,
-                weights=np.array([NORM, 0.0]),
+                weights=WEIGHTS,
                 free=(0, 1),
                 fixed=tuple(made["values"]),
                 iterations=8,
@@ -212,8 +201,3 @@ def _finer(u: Array) -> Array:
 
     fine: Array = resample_poly(u, 2 * FINER, 1)[1::2]
     return fine
-
-
-def _rms(error: Array) -> float:
-    """Root mean square [mV] of errors in volts."""
-    return 1e3 * float(np.sqrt((error**2).mean()))

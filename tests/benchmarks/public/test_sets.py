@@ -12,7 +12,7 @@ import torch
 from scipy.io import savemat
 
 from nsde_benchmarks.public import BENCHMARKS, named, nanodrone, run_benchmark, silverbox
-from nsde_benchmarks.public.output_error import simulated
+from nsde_benchmarks.public.output_error import machine, simulated
 from nsde_benchmarks.public.running import listing, table
 from nsde_torch.errors import DataError
 from nsde_torch.systems.options import system_options
@@ -133,7 +133,7 @@ def test_the_nano_drone_is_read_and_scored_as_its_protocol_says(
 
 
 def test_a_perfect_prediction_scores_nothing() -> None:
-    system = nanodrone._machine((), nanodrone.FIRST)
+    system = machine("quadrotor", (), nanodrone.FIRST)
     start = np.zeros((1, 13))
     start[0, 6] = 1.0
     u = np.full((1, 80, 4), 0.3) + 0.01 * np.random.default_rng(0).standard_normal((1, 80, 4))
@@ -141,7 +141,7 @@ def test_a_perfect_prediction_scores_nothing() -> None:
     work = type("Silent", (), {"say": staticmethod(lambda *_: None)})()
     scores = nanodrone._scores(system, [(path, u[0])], work, "itself")
     assert max(scores.values()) < 1e-6
-    still = nanodrone._machine((), {**nanodrone.FIRST, "thrust_gain": 1e-3})
+    still = machine("quadrotor", (), {**nanodrone.FIRST, "thrust_gain": 1e-3})
     assert nanodrone._scores(still, [(path, u[0])], work, "falls")["velocity_h50"] > 1.0
 
 

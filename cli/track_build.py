@@ -182,12 +182,7 @@ def autopilot(
         foresight = file.sample
     else:
         controller = Controller(
-            known,
-            problem=problem(mpc),
-            solver=solver(mpc),
-            safety=safety(mpc),
-            batch=batch,
-            say=say,
+            known, problem=problem(mpc), solver=solver(mpc), safety=safety(mpc), batch=batch, say=say
         )
     return PredictivePilot(
         controller,
@@ -204,9 +199,7 @@ def autopilot(
 def estimator(config: DictConfig, *, latency: float, sample: float) -> EstimatorOptions:
     """Options of the estimator: the latency, in whole samples, and how fast pushes are learned."""
     return EstimatorOptions(
-        latency=round(latency / sample) * sample,
-        force_time=config.force_time,
-        moment_time=config.moment_time,
+        latency=round(latency / sample) * sample, force_time=config.force_time, moment_time=config.moment_time
     )
 
 

@@ -53,9 +53,7 @@ class DiagnoseConfig:
     device: str = key("cpu", "where the training's tensors live: cpu, cuda or cuda:N")
     dtype: str = key("float32", "precision of the training", choices=("float32", "float64"))
     threads: int = key(
-        1,
-        "CPU threads; with two on a quiet machine, fits of long logs take two thirds of the time",
-        low=1,
+        1, "CPU threads; with two on a quiet machine, fits of long logs take two thirds of the time", low=1
     )
     out_dir: str = key("???", "folder to write into", file=True)
     system: SystemConfig = group(SystemConfig, "the machine, with the physics that is declared")

@@ -84,12 +84,7 @@ COMMAND = HydraCommand(
     help="Fly a controller on a PX4 vehicle over MAVLink, with checks, limits and a log",
     schema=FlyConfig,
     module=__name__,
-    groups={
-        "system": "hexacopter",
-        "reference": "lemniscate",
-        "link": "default",
-        "mpc": "default",
-    },
+    groups={"system": "hexacopter", "reference": "lemniscate", "link": "default", "mpc": "default"},
     folder="flights/${now:%Y-%m-%d}/${now:%H-%M-%S}_${hydra:runtime.choices.reference}",
     result=("flight.json", "a flight"),
     words=from_file,

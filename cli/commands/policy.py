@@ -127,11 +127,7 @@ def run(config: DictConfig, job: Job) -> float:
 
         def learned(generator: Generator) -> Dynamics:
             return make_learned(
-                model,
-                dt=wanted.dt,
-                sensor_noise=noise,
-                generator=generator,
-                propagation=config.propagation,
+                model, dt=wanted.dt, sensor_noise=noise, generator=generator, propagation=config.propagation
             )
 
         environment, kind = learned, "model"

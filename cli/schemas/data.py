@@ -79,14 +79,10 @@ class Files(DataConfig):
         choices=("restore", "keep"),
     )
     derived_rates: str = key(
-        "infer",
-        "what to do with rates that were made of positions",
-        choices=("infer", "keep"),
+        "infer", "what to do with rates that were made of positions", choices=("infer", "keep")
     )
     stream_offsets: str = key(
-        "undo",
-        "what to do with streams whose offsets differ between runs",
-        choices=("undo", "keep"),
+        "undo", "what to do with streams whose offsets differ between runs", choices=("undo", "keep")
     )
 
 

@@ -9,16 +9,10 @@ from typing import Any
 
 import pytest
 import yaml
-from hydra import compose, initialize_config_module
-from omegaconf import OmegaConf
 
-from nsde_torch.cli import groups
 from nsde_torch.cli.commands.completion import query
 from nsde_torch.cli.evaluated import short_names
-from nsde_torch.cli.help import WIDTH
 from nsde_torch.cli.main import main
-from nsde_torch.cli.registry import hydra_command
-from nsde_torch.cli.store import store
 from tests.cli.test_train_end_to_end import FAST, folder_of_runs
 
 SPRING = (
@@ -263,21 +257,3 @@ def test_keys_and_folders_are_completed(here: Path, monkeypatch: pytest.MonkeyPa
     assert query(["evaluate", "data.te"]) == ["data.test=", "data.test_path="]
     assert query(["evaluate", "sensor_noise="]) == ["sensor_noise=train", "sensor_noise=data"]
     assert query(["evaluate", "--m"]) == []
-
-
-@pytest.mark.parametrize("words", [[], ["data=csv"], ["data=simulated"]])
-def test_help_shows_every_key_and_agrees_with_hydra(
-    words: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["evaluate", "--help", *words]) == 0
-    text = capsys.readouterr().out
-    assert max(map(len, text.splitlines())) <= WIDTH
-    chosen = groups.selected("evaluate", words)
-    store(hydra_command("evaluate"))
-    given = [*words, "out_dir=o", *(["data.path=p"] if "data=csv" in words else [])]
-    with initialize_config_module("nsde_torch.conf", version_base="1.3"):
-        config: Any = compose("evaluate", overrides=given)
-    for entry in groups.keys("evaluate", chosen):
-        assert f" {entry.path}=" in text
-        if entry.path not in ("out_dir", "run", "data.path"):
-            assert OmegaConf.select(config, entry.path) == entry.default, entry.path

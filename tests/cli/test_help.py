@@ -1,4 +1,4 @@
-"""`nsde train --help`."""
+"""Help follows what is typed, and fits a screen; what it says in full is kept in tests/golden."""
 
 from __future__ import annotations
 
@@ -7,34 +7,13 @@ from pathlib import Path
 import pytest
 
 from nsde_torch.cli import groups
-from nsde_torch.cli.help import WIDTH, describe, value_text
+from nsde_torch.cli.help import WIDTH, describe
 from nsde_torch.cli.main import main
 from nsde_torch.cli.registry import hydra_commands
 
 
 def _help(*words: str) -> str:
     return describe("train", list(words))
-
-
-def test_help_shows_every_group_with_every_choice() -> None:
-    text = _help()
-    for group in groups.defaults("train"):
-        for choice in groups.choices(group):
-            assert choice in text
-
-
-def test_help_shows_every_key_with_default_unit_and_meaning() -> None:
-    text = " ".join(_help("all").split())
-    for entry in groups.keys("train", groups.defaults("train")):
-        assert f" {entry.path}=" in text
-        assert " ".join(entry.help.split()) in text
-        if entry.unit:
-            assert f"[{entry.unit}]" in text
-
-
-@pytest.mark.parametrize("words", [[], ["data=csv"], ["data=published", "trainer=fast", "loss=paper"]])
-def test_help_fits_a_hundred_columns(words: list[str]) -> None:
-    assert max(map(len, _help(*words).splitlines())) <= WIDTH
 
 
 def test_help_follows_the_choices_on_the_command_line() -> None:
@@ -53,16 +32,6 @@ def test_help_shows_choices_of_the_users_own_folder(tmp_path: Path) -> None:
     assert "system.dt=0.02 [s]" in text
 
 
-def test_defaults_are_printed_as_a_user_would_type_them() -> None:
-    assert [value_text(v) for v in (None, True, [1, 2.5], 0.001, "a")] == [
-        "null",
-        "true",
-        "[1,2.5]",
-        "0.001",
-        "a",
-    ]
-
-
 @pytest.mark.parametrize("command", [name for name in hydra_commands() if name != "benchmark"])
 def test_help_fits_a_screen_and_all_of_it_is_a_word_away(
     command: str, capsys: pytest.CaptureFixture[str]
@@ -72,6 +41,7 @@ def test_help_fits_a_screen_and_all_of_it_is_a_word_away(
     assert main([command, "--help", "all"]) == 0
     whole = capsys.readouterr().out.splitlines()
     assert len(short) <= 50
+    assert max(map(len, whole[1:])) <= WIDTH
     assert set(whole) >= {line for line in short if "--help all" not in line}
 
 

@@ -21,16 +21,6 @@ def test_alone_or_with_help_it_lists_every_command_with_a_line(
     assert max(map(len, lines)) <= 100
 
 
-def test_every_command_of_the_table_can_be_called_for_help(capsys: pytest.CaptureFixture[str]) -> None:
-    for name in all_commands():
-        try:
-            status = main([name, "--help"])
-        except SystemExit as ended:  # argparse leaves by itself
-            status = int(ended.code or 0)
-        assert status == 0
-        assert f"nsde {name}" in capsys.readouterr().out
-
-
 def test_unknown_command_suggests_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["trian"]) == 2
     assert "Did you mean `nsde train`?" in capsys.readouterr().err

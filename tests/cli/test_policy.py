@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,13 +18,6 @@ TINY = (
     *("steps=96", "ppo.n_envs=4", "ppo.rollout=12", "ppo.batch=24", "ppo.epochs=1", "ppo.hidden=[6]"),
     *("ppo.evaluate_every=48", "ppo.episodes=3", "ppo.final_episodes=4"),
 )
-
-
-@pytest.fixture(autouse=True)
-def _threads_as_before() -> Iterator[None]:
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
 
 
 def model(folder: Path, system: str = "cartpole") -> Path:

@@ -114,8 +114,3 @@ def test_the_objects_of_the_commands_bear_the_names_of_the_table() -> None:
     }
     with pytest.raises(KeyError, match="effects"):
         hydra_command("effects")
-
-
-def test_no_file_of_the_commands_is_longer_than_four_hundred_lines(root: Path) -> None:
-    lengths = {path: len(path.read_text().splitlines()) for path in (root / "cli").rglob("*.py")}
-    assert not {str(path): count for path, count in lengths.items() if count > 400}

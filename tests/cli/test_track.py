@@ -84,10 +84,3 @@ def test_a_folder_with_a_flight_is_not_written_over(capsys: pytest.CaptureFixtur
     Path("out/tracking.json").write_text("{}")
     assert main(["track", "run=declared", "out_dir=out"]) == 2
     assert "holds a flight already" in capsys.readouterr().err
-
-
-def test_help_lists_the_references_and_what_they_take(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["track", "reference=waypoints", "--help", "all"]) == 0
-    printed = capsys.readouterr().out
-    assert "reference.points" in printed
-    assert "mpc.motor_latency" in printed

@@ -70,13 +70,6 @@ TEST_PICTURES = {"calibration", "held_out_errors", "held_out_rollouts"}
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
-@pytest.fixture(autouse=True)
-def _threads_as_before() -> Iterator[None]:
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
-
-
 def numbers(value: Any, path: str = "") -> Iterator[tuple[str, float]]:
     """All numbers of a JSON value with their places."""
     if isinstance(value, dict):

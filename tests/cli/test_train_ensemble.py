@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +24,6 @@ FAST = (
 )
 UNTESTED = ("system=mass_spring_damper", "data.durations=[10]", "data.test=[]")
 PICTURES = {"calibration", "data_summary", "held_out_errors", "held_out_rollouts", "learning_curves"}
-
-
-@pytest.fixture(autouse=True)
-def _threads_as_before() -> Iterator[None]:
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
 
 
 def train(folder: Path, *words: str) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +15,6 @@ from nsde_torch.models import IdentifiedModel
 
 PICTURES = {"data_summary", "held_out_errors", "held_out_rollouts"}
 SPRING = ("system=mass_spring_damper", "data.durations=[5,5,5]", "+data.options.force=multisine")
-
-
-@pytest.fixture(autouse=True)
-def _threads_as_before() -> Iterator[None]:
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
 
 
 def train(folder: Path, *words: str) -> dict[str, Any]:

@@ -19,7 +19,6 @@ from nsde_torch.evaluation.common_grid import Candidate
 from nsde_torch.evaluation.comparison import Comparison, compare
 from nsde_torch.evaluation.comparison_figures import write_figures
 from nsde_torch.evaluation.comparison_text import lines
-from nsde_torch.evaluation.scores import gaussian_nll
 from nsde_torch.evaluation.seen import SeenRuns, record
 from nsde_torch.models import NeuralSDE
 from nsde_torch.recording import assemble
@@ -252,13 +251,6 @@ def test_what_cannot_be_compared_is_refused_before_any_work(
     made = [candidate(name, model()) for name, model in zip(names, models, strict=True)]
     with pytest.raises(error, match=words):
         compare(made, data, data.runs, seed=0, horizons=horizons)
-
-
-def test_nll_is_that_of_torchs_gaussian() -> None:
-    g = torch.Generator().manual_seed(0)
-    e = 0.3 + 2.0 * torch.randn(199, 20, 2, generator=g, dtype=torch.float64)
-    expected = -torch.distributions.Normal(e.mean(0), e.std(0)).log_prob(torch.zeros(20, 2))
-    torch.testing.assert_close(gaussian_nll(e), expected, check_dtype=False)
 
 
 def test_a_model_takes_the_columns_that_it_reads(runs: list[Run]) -> None:

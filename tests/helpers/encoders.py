@@ -42,12 +42,7 @@ def encoder_runs(
     for i in range(runs):
         rng = np.random.default_rng([seed, i])
         x, u = spring(
-            SPRING,
-            lambda q, v: -friction * np.tanh(v / 0.01),
-            seconds=seconds,
-            dt=DT,
-            gust=gust,
-            rng=rng,
+            SPRING, lambda q, v: -friction * np.tanh(v / 0.01), seconds=seconds, dt=DT, gust=gust, rng=rng
         )
         q = measured(x[:, 0], noise, counts, rng)
         if rate == "sensor":

@@ -84,10 +84,7 @@ class MadeResiduals:
         force = push(middle[..., 0], middle[..., 1], t, np.broadcast_to(run, t.shape))
         steps = -forced(space, about, 0, torch.from_numpy(np.ascontiguousarray(force)))
         alone = replace(
-            about,
-            missed=steps,
-            seen=torch.zeros_like(about.seen),
-            first=torch.zeros_like(about.first),
+            about, missed=steps, seen=torch.zeros_like(about.seen), first=torch.zeros_like(about.first)
         )
         moved = with_gains(space, at.levels, alone, here.whitening, here.gain, space.chunks.counted)
         return moved.white

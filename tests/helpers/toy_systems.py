@@ -59,8 +59,7 @@ def make_model(
     own = cls.defaults
     options: dict[str, Any] = {"dt": own.dt, "horizon": own.horizon, "step": own.step, **spec}
     made = NeuralSDE(
-        SDESpec(f"{cls.__module__}:{cls.__name__}", **options),
-        generator=torch.Generator().manual_seed(seed),
+        SDESpec(f"{cls.__module__}:{cls.__name__}", **options), generator=torch.Generator().manual_seed(seed)
     )
     return made.to(dtype)
 

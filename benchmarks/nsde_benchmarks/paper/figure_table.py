@@ -109,10 +109,7 @@ def _spring(name: str) -> Figure:
     return Figure(f"Spring from outside the data, 8 s: SDE, ODE, ensemble ({words})", trainings, draw)
 
 
-_CARTPOLE_SETS = {
-    "learned": ("on_policy", "on-policy data"),
-    "random": ("random", "random data"),
-}
+_CARTPOLE_SETS = {"learned": ("on_policy", "on-policy data"), "random": ("random", "random data")}
 # Twenty of the hundred episodes are held out.
 _EPISODES = "data.test=[" + ",".join(str(k) for k in range(80, 100)) + "]"
 

@@ -188,7 +188,4 @@ def filtered_log(t: Array, q: Array, force: Array, *, step: float) -> RawRun:
 def _scores(measured: Array, path: Array) -> dict[str, float]:
     error = (path - measured)[SKIPPED:]
     spread = float(((measured - measured.mean()) ** 2)[SKIPPED:].sum())
-    return {
-        "r2": 1.0 - float((error**2).sum()) / spread,
-        "rmse": 1e3 * float(np.sqrt((error**2).mean())),
-    }
+    return {"r2": 1.0 - float((error**2).sum()) / spread, "rmse": 1e3 * float(np.sqrt((error**2).mean()))}

@@ -104,11 +104,7 @@ class TorqueLimitedPendulum(PublicBenchmark):
 
         def fitted() -> dict[str, Any]:
             estimate = output_error(
-                identified({}),
-                _cut(x, u, STRIDE),
-                weights=WEIGHTS,
-                stage="fitting to rollouts",
-                say=work.say,
+                identified({}), _cut(x, u, STRIDE), weights=WEIGHTS, stage="fitting to rollouts", say=work.say
             )
             return {"values": estimate.values}
 

@@ -3,16 +3,42 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from numpy.typing import NDArray
 from scipy.io import savemat
 
+from nsde_benchmarks.public import named
 from nsde_benchmarks.public.nanobench import COLUMNS, FLIGHTS
+from nsde_torch.data.raw import RawRun
 
 Array = NDArray[np.float64]
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+@pytest.fixture
+def diagnosed(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[RawRun]]:
+    """Names an effect in the place of a diagnosis; returns the list that will hold the runs that it is given."""
+
+    def name(added: str, **content: Any) -> list[RawRun]:
+        logs: list[RawRun] = []
+        told = {"declared_parameters": {}, "parameters": {}, **content}
+        seen = SimpleNamespace(added=(added,), effects=(), verdict="effect_found", content=lambda: told)
+        seen.finished = lambda: seen
+        monkeypatch.setattr(named, "diagnose", lambda runs, **_: logs.extend(runs) or seen)
+        return logs
+
+    return name
 
 
 def drive(
@@ -125,15 +151,8 @@ def servo_log(seed: int, *, kp: int, rows: int = 100) -> dict[str, object]:
     inertia = (mass + 0.036 / 3) * length**2 + 0.01
     for k in range(rows):
         on = k < 75 or seed % 2 == 0
-        entries.append(
-            {
-                "position": angle + 1e-4 * rng.standard_normal(),
-                "speed": speed,
-                "goal_position": goal[k],
-                "torque_enable": on,
-                "timestamp": t[k],
-            }
-        )
+        row = {"position": angle + 1e-4 * rng.standard_normal(), "speed": speed, "goal_position": goal[k]}
+        entries.append({**row, "torque_enable": on, "timestamp": t[k]})
         for _ in range(10):
             duty = np.clip(0.16383 * kp * (goal[max(k - late, 0)] - angle), -0.97, 0.97)
             motor = on * 8.0 * (duty - 0.15 * speed)
@@ -156,14 +175,8 @@ def servo_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (logs / "validation" / f"run{k}.json").write_text(json.dumps(content, default=bool))
     models = logs.parent / "friction_params"
     models.mkdir()
-    plain = {
-        "kt": 1.2,
-        "R": 2.25,
-        "armature": 0.01,
-        "q_offset": 0.0,
-        "friction_base": 0.1,
-        "friction_viscous": 0.0,
-    }
+    plain = {"kt": 1.2, "R": 2.25, "armature": 0.01, "q_offset": 0.0}
+    plain |= {"friction_base": 0.1, "friction_viscous": 0.0}
     for k in range(1, 7):
         (models / f"m{k}.json").write_text(json.dumps({**plain, "model": f"m{k}"}))
     return folder

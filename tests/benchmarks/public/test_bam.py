@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
-from nsde_benchmarks.public import bam, named, run_benchmark
+from nsde_benchmarks.public import bam, run_benchmark
 from nsde_benchmarks.public.servo import budget, swing
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import DataError
@@ -20,34 +18,11 @@ from nsde_torch.errors import DataError
 FRICTION = {"friction_base": 0.1, "friction_viscous": 0.05}
 
 
-@pytest.fixture(autouse=True)
-def _one_thread() -> None:
-    torch.set_num_threads(1)
-
-
 @pytest.fixture
-def small(monkeypatch: pytest.MonkeyPatch) -> None:
+def small(monkeypatch: pytest.MonkeyPatch, diagnosed: Callable[..., list[RawRun]]) -> list[RawRun]:
     """The protocol, on the few short recordings of the tests; what is diagnosed is told by another."""
-
-    class Seen:
-        added = ("coulomb_friction",)
-        effects = ()
-        verdict = "effect_found"
-
-        def finished(self) -> Seen:
-            return self
-
-        def content(self) -> dict[str, Any]:
-            found = {"coulomb_friction.size": {"value": 0.1, "interval_90": None, "unit": "N m"}}
-            return {"declared_parameters": {}, "parameters": found}
-
-    def diagnose(runs: Sequence[RawRun], **_: Any) -> Seen:
-        assert len(runs) == 2
-        assert runs[0].x.shape == (45, 2)
-        assert np.allclose(np.diff(runs[0].t), 0.01)
-        return Seen()
-
-    monkeypatch.setattr(named, "diagnose", diagnose)
+    found = {"coulomb_friction.size": {"value": 0.1, "interval_90": None, "unit": "N m"}}
+    logs = diagnosed("coulomb_friction", parameters=found)
     for name, value in {
         "LOGS": {"training": 6, "validation": 2},
         "ROWS": 90,
@@ -57,12 +32,17 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
         "CANDIDATES": {name: bam.CANDIDATES[name] for name in ("input_delay", "coulomb_friction")},
     }.items():
         monkeypatch.setattr(bam, name, value)
+    return logs
 
 
-@pytest.mark.usefixtures("small")
 @pytest.mark.slow
-def test_delay_and_dry_friction_of_a_servo_are_found(servo_folder: Path, tmp_path: Path) -> None:
+def test_delay_and_dry_friction_of_a_servo_are_found(
+    servo_folder: Path, tmp_path: Path, small: list[RawRun]
+) -> None:
     content = run_benchmark("bam", servo_folder, out_dir=tmp_path)
+    assert len(small) == 2
+    assert small[0].x.shape == (45, 2)
+    assert np.allclose(np.diff(small[0].t), 0.01)
     assert sorted(content["effects"]) == ["coulomb_friction", "input_delay"]
     values = {name: entry["value"] for name, entry in content["parameters"].items()}
     assert values["input_delay.delay"] == pytest.approx(0.03, abs=0.004)

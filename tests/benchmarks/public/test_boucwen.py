@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from numpy.typing import NDArray
 from scipy.io import savemat
 
@@ -17,11 +16,6 @@ Array = NDArray[np.float64]
 
 FINE = 10  # steps of the truth in a sample
 STIFF, TOWARDS, AWAY = 2.5e4, 800.0, -1100.0
-
-
-@pytest.fixture(autouse=True)
-def _one_thread() -> None:
-    torch.set_num_threads(1)
 
 
 @pytest.fixture(autouse=True)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
-from nsde_benchmarks.public import named, nanobench, run_benchmark
+from nsde_benchmarks.public import nanobench, run_benchmark
 from nsde_benchmarks.public.nanobench import (
     FLIGHTS,
     GRAVITY,
@@ -18,13 +17,9 @@ from nsde_benchmarks.public.nanobench import (
     VerticalRecord,
     read_flight,
 )
+from nsde_benchmarks.public.output_error import machine
+from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import DataError
-from nsde_torch.systems.options import system_options
-
-
-@pytest.fixture(autouse=True)
-def _one_thread() -> None:
-    torch.set_num_threads(1)
 
 
 def _record(rows: int = 400) -> VerticalRecord:
@@ -72,9 +67,7 @@ def test_rows_on_which_the_motors_stand_are_left_out_and_motors_are_in_order(
 
 def test_a_machine_at_rest_under_gravity_is_predicted(nanobench_folder: Path) -> None:
     flight = read_flight(nanobench_folder / f"{FLIGHTS[0]}.csv")
-    system = (
-        system_options("quadrotor", effects=["motor_lag"], parameters={"thrust_gain": 3.0}).make().double()
-    )
+    system = machine("quadrotor", ["motor_lag"], {"thrust_gain": 3.0})
     predicted = nanobench.predicted_acceleration(system, flight)
     assert predicted[0] == pytest.approx(
         3.0 * flight.u[0].sum(), rel=1e-6
@@ -83,28 +76,18 @@ def test_a_machine_at_rest_under_gravity_is_predicted(nanobench_folder: Path) ->
 
 
 def test_the_voltage_explains_what_the_rigid_body_does_not(
-    nanobench_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    nanobench_folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    diagnosed: Callable[..., list[RawRun]],
 ) -> None:
     files = tuple(f"datasets/dataset/{name}.csv" for name in FLIGHTS[:3])
     monkeypatch.setattr(NanoBench, "files", files)
     monkeypatch.setattr(nanobench, "DIAGNOSED", FLIGHTS[:1])
     monkeypatch.setattr(nanobench, "RUNGS", ((), ("battery_voltage",)))
-
-    class Seen:
-        added = ("battery_voltage",)
-        effects = ()
-        verdict = "effect_found"
-
-        def finished(self) -> Seen:
-            return self
-
-        def content(self) -> dict[str, Any]:
-            hidden = {"value": 5e-5, "interval_90": None, "unit": "rad/s2"}
-            found = [{"name": "battery_voltage", "lead": True}]
-            return {"declared_parameters": {"roll_gain": hidden}, "parameters": {}, "findings": found}
-
-    logs = []
-    monkeypatch.setattr(named, "diagnose", lambda runs, **_: logs.extend(runs) or Seen())
+    hidden = {"roll_gain": {"value": 5e-5, "interval_90": None, "unit": "rad/s2"}}
+    lead = [{"name": "battery_voltage", "lead": True}]
+    logs = diagnosed("battery_voltage", declared_parameters=hidden, findings=lead)
     content = run_benchmark("nanobench", nanobench_folder, out_dir=tmp_path)
     assert [log.name for log in logs] == [FLIGHTS[0]]
     assert all("battery_voltage" in log.extra for log in logs)

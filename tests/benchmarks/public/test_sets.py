@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from scipy.io import savemat
 
-from nsde_benchmarks.public import BENCHMARKS, named, nanodrone, run_benchmark, silverbox
+from nsde_benchmarks.public import BENCHMARKS, nanodrone, run_benchmark, silverbox
 from nsde_benchmarks.public.output_error import machine, simulated
 from nsde_benchmarks.public.running import listing, table
+from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import DataError
-from nsde_torch.systems.options import system_options
-
-
-@pytest.fixture(autouse=True)
-def _one_thread() -> None:
-    torch.set_num_threads(1)
 
 
 def test_every_set_says_what_to_fetch_and_how_it_is_scored() -> None:
@@ -84,11 +78,9 @@ def test_the_cubic_spring_is_found_from_the_output_alone(
         "viscous_friction.damping": 42.0,
         "cubic_stiffness.stiffness": 7e5,
     }
-    truth = system_options(silverbox.SilverboxCircuit, effects=["cubic_stiffness"], parameters=values).make()
-    fine = silverbox._finer(u)
-    y = simulated(
-        truth.double(), np.zeros((1, 2)), fine[None, :, None], dt=silverbox.STEP, finer=silverbox.FINER
-    )
+    truth = machine(silverbox.SilverboxCircuit, ["cubic_stiffness"], values)
+    fine = silverbox._finer(u)[None, :, None]
+    y = simulated(truth, np.zeros((1, 2)), fine, dt=silverbox.STEP, finer=silverbox.FINER)
     noisy = y[0, :1700, 0] + 1e-5 * rng.standard_normal(1700)
     savemat(tmp_path / "SNLS80mV.mat", {"V1": u[None], "V2": noisy[None]})
     content = run_benchmark("silverbox", tmp_path, out_dir=tmp_path / "out")
@@ -104,25 +96,15 @@ def test_the_cubic_spring_is_found_from_the_output_alone(
 
 @pytest.mark.slow
 def test_the_nano_drone_is_read_and_scored_as_its_protocol_says(
-    nanodrone_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    nanodrone_folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    diagnosed: Callable[..., list[RawRun]],
 ) -> None:
     monkeypatch.setattr(nanodrone, "TERMS", ("linear_drag",))
     monkeypatch.setattr(nanodrone, "RUNGS", (0, 1))
     monkeypatch.setattr(nanodrone, "ITERATIONS", 1)
-
-    class Seen:
-        added = ("flapping_moment",)
-        effects = ()
-        verdict = "effect_found"
-
-        def finished(self) -> Seen:
-            return self
-
-        def content(self) -> dict[str, Any]:
-            return {"declared_parameters": {}, "parameters": {}}
-
-    logs = []
-    monkeypatch.setattr(named, "diagnose", lambda runs, **_: logs.extend(runs) or Seen())
+    logs = diagnosed("flapping_moment")
     content = run_benchmark("nanodrone", nanodrone_folder, out_dir=tmp_path)
     assert len(logs) == 3
     assert list(content["ours"]) == ["ours, rigid body", "ours, linear_drag"]

@@ -1,0 +1,198 @@
+"""`nsde train model=ensemble` and `model=sysid`: what they write and say, that they load, sample, resume and sweep."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+import nsde_torch
+from nsde_torch.cli.main import main
+from nsde_torch.errors import ConfigError
+from nsde_torch.models import GaussianEnsemble, IdentifiedModel, Model
+
+ENSEMBLE = (
+    *("model=ensemble", "model.steps=20", "threads=1", "trainer.patience=1000"),
+    *("trainer.validate_every=5", "trainer.checkpoint_every=5"),
+)
+SYSID = ("model=sysid", "threads=1")
+UNTESTED = ("system=mass_spring_damper", "data.durations=[10]", "data.test=[]")
+SPRING = ("system=mass_spring_damper", "data.durations=[5,5,5]", "+data.options.force=multisine")
+SYSTEMS = [
+    ("cartpole", "[4,4,4]", 0.02),
+    ("hexacopter", "[6,5]", 0.05),
+    ("mass_spring_damper", "[5,5]", 0.01),
+]
+PICTURES = {"data_summary", "held_out_errors", "held_out_rollouts"}
+
+on_every_system = pytest.mark.parametrize(("system", "durations", "dt"), SYSTEMS)
+
+
+def train(folder: Path, *words: str) -> dict[str, Any]:
+    assert main(["train", f"run_dir={folder}", *words]) == 0
+    metrics: dict[str, Any] = json.loads((folder / "metrics.json").read_text())
+    return metrics
+
+
+def sampled(model: Model, dt: float) -> Tensor:
+    """Four paths (4, 2, 4, nx) of a model."""
+    x0 = model.project(torch.ones(2, model.system.nx))
+    u = torch.full((2, 3, model.system.nu), 0.4)
+    path = model.sample(x0, u, dt=dt, particles=4, generator=torch.Generator().manual_seed(0))
+    assert path.shape == (4, 2, 4, model.system.nx)
+    assert bool(torch.isfinite(path).all())
+    return path
+
+
+@on_every_system
+@pytest.mark.slow
+def test_an_ensemble_trains_saves_loads_samples_and_is_scored(
+    system: str, durations: str, dt: float, tmp_path: Path
+) -> None:
+    metrics = train(tmp_path / "run", *ENSEMBLE, f"system={system}", f"data.durations={durations}")
+    assert (metrics["model"], metrics["loss"], metrics["steps"]) == ("ensemble", "likelihood", 20)
+    assert metrics["parameters"] == {}
+    assert metrics["calibration"] == {"factor": 1.0}
+    assert metrics["polish_steps"] == 0
+    assert len(metrics["members"]["validation"]) == 5
+    assert metrics["test"]["diverged"] == 0
+    assert set(metrics["test"]["errors"]) == {"model", "hold", "constant_velocity"}
+    pictures = {file.stem for file in (tmp_path / "run" / "plots").iterdir()}
+    assert pictures == PICTURES | {"calibration", "learning_curves"}
+    model = nsde_torch.load(tmp_path / "run")
+    assert isinstance(model, GaussianEnsemble)
+    sampled(model, dt)
+    with pytest.raises(ConfigError, match=r"`dt` must be"):
+        sampled(model, 2 * dt)
+
+
+@on_every_system
+@pytest.mark.slow
+def test_an_identified_model_trains_saves_loads_samples_and_is_scored(
+    system: str, durations: str, dt: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    metrics = train(tmp_path / "run", *SYSID, f"system={system}", f"data.durations={durations}")
+    said = capsys.readouterr().out
+    for word in ("identified by weak form", "standard error", "95% interval"):
+        assert word in said
+    assert (metrics["model"], metrics["loss"]) == ("sysid", "least squares")
+    found = metrics["identification"]
+    assert found["rank"] <= found["parameters"] == len(found["estimates"])
+    assert found["condition_number"] >= 1
+    assert set(metrics["parameters"]) == {name.split("[")[0] for name in found["estimates"]}
+    test = metrics["test"]
+    assert test["diverged"] == 0
+    for group in ("position", "velocity"):
+        assert test["errors"]["model"][group]["0.25"] < test["errors"]["hold"][group]["0.25"]
+    assert all(value == 0 for by in test["spread"].values() for value in by.values())
+    assert {file.stem for file in (tmp_path / "run" / "plots").iterdir()} == PICTURES
+    model = nsde_torch.load(tmp_path / "run")
+    assert isinstance(model, IdentifiedModel)
+    for name, (value, _) in model.system.all_declared().items():
+        assert value.tolist() == pytest.approx(metrics["parameters"][name]["value"], rel=1e-5, abs=1e-6)
+    path = sampled(model, dt)
+    assert torch.equal(path[0], path[3])
+
+
+def test_the_keys_of_an_ensemble_reach_it_and_what_does_not_apply_is_let_be(tmp_path: Path) -> None:
+    words = ("model.members=2", "model.hidden=[8]", "model.batch=7", "model.propagation=redrawn")
+    train(tmp_path / "run", *ENSEMBLE, *UNTESTED, "dtype=float64", "loss=paper", "solver=rk4", *words)
+    model = nsde_torch.load(tmp_path / "run")
+    assert isinstance(model, GaussianEnsemble)
+    spec = model.spec
+    assert (spec.members, spec.hidden, spec.batch, spec.propagation) == (2, (8,), 7, "redrawn")
+    assert model.low.dtype == torch.float64
+
+
+def test_the_keys_of_an_identification_and_effects_and_first_values_reach_the_fit(tmp_path: Path) -> None:
+    words = ("model.method=differences", "model.max_iterations=3", "solver=midpoint", "dtype=float64")
+    more = ("system.effects=[constant_force]", "+system.parameters.force_gain=0.5")
+    metrics = train(tmp_path / "run", *SYSID, *SPRING, *words, *more)
+    assert metrics["identification"]["method"] == "differences"
+    assert metrics["identification"]["iterations"] <= 3
+    assert "constant_force.acceleration" in metrics["parameters"]
+    model = nsde_torch.load(tmp_path / "run")
+    assert isinstance(model, IdentifiedModel)
+    spec = model.spec
+    assert (spec.method, spec.max_iterations, spec.step) == ("differences", 3, "midpoint")
+    assert model.clock_scale.dtype == torch.float64
+
+
+def test_what_the_data_do_not_show_is_said_and_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    metrics = train(tmp_path / "run", *SYSID, "system=mass_spring_damper", "data.durations=[5,5]")
+    said = capsys.readouterr().out
+    assert "not shown by the data: force_gain: nothing in the data depends on it" in said
+    assert metrics["identification"]["rank"] == 2
+    assert metrics["identification"]["not_shown"] == ["force_gain: nothing in the data depends on it"]
+    assert metrics["parameters"]["force_gain"]["half_width_90"] == [None]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((*SYSID, *SPRING, "solver=heun"), "`model=sysid` has no diffusion"),
+        ((*SYSID, *SPRING, "model.method=magic"), "`model.method` must be weak | differences"),
+        pytest.param(
+            (*ENSEMBLE, "system=hexacopter", "data.durations=[8,8]", "system.effects=[linear_drag]"),
+            "Leave system.effects out",
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_what_does_not_fit_a_kind_is_refused(
+    words: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["train", *words, f"run_dir={tmp_path / 'run'}"]) == 2
+    printed = capsys.readouterr()
+    assert said in printed.out + printed.err
+
+
+@pytest.mark.parametrize(
+    "words", [(*ENSEMBLE, *UNTESTED), pytest.param((*SYSID, *SPRING), marks=pytest.mark.slow)]
+)
+def test_a_finished_run_resumed_ends_in_the_same_metrics(words: tuple[str, ...], tmp_path: Path) -> None:
+    first = train(tmp_path / "run", *words)
+    (tmp_path / "run" / "metrics.json").unlink()
+    assert main(["train", f"resume={tmp_path / 'run'}"]) == 0
+    again = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    del first["seconds"], again["seconds"]
+    assert first == again
+
+
+@pytest.mark.parametrize(
+    ("words", "last"),
+    [
+        ((*ENSEMBLE, *UNTESTED, "model.propagation=fixed,redrawn"), "model.propagation=redrawn"),
+        ((*SYSID, *SPRING, "model.method=weak,differences"), "model.method=differences"),
+    ],
+)
+@pytest.mark.slow
+def test_a_kind_is_swept_ranked_and_compared(
+    words: tuple[str, ...], last: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sweep = tmp_path / "sweep"
+    assert main(["train", "-m", *words, f"sweep_dir={sweep}"]) == 0
+    capsys.readouterr()
+    assert main(["sweep-report", str(sweep)]) == 0
+    said = capsys.readouterr().out
+    assert "2 done" in said
+    assert last in said
+    if SYSID[0] in words:
+        weak, differences = sorted(p.parent for p in sweep.glob("*/metrics.json"))
+        out = tmp_path / "e"
+        assert main(["evaluate", f"run=['{weak}','{differences}']", f"out_dir={out}", "names=[w,d]"]) == 0
+        models = json.loads((out / "evaluation.json").read_text())["models"]
+        assert [m["name"] for m in models] == ["w", "d"]
+        assert "deterministic" in capsys.readouterr().out
+
+
+def test_options_of_a_choice_are_reached_with_dots(tmp_path: Path) -> None:
+    """`data.options` is a key of data=simulated alone."""
+    words = (SPRING[0], SPRING[1], SPRING[2].lstrip("+"))
+    assert train(tmp_path / "run", *SYSID, *words)["identification"]["rank"] == 3

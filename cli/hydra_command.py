@@ -6,6 +6,7 @@ import contextlib
 import os
 import signal
 import sys
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
@@ -29,11 +30,8 @@ _HYDRA_GROUPS = ("hydra", "hydra.run", "hydra.sweep", "hydra.job")  # that hold 
 _HYDRA_NAMES = ("hydra.output_subdir", "hydra.sweep.subdir", "hydra.job.name")
 # Hydra's options that are followed by a value, and their long names.
 _WITH_VALUE = {
-    "-cd": "--config-dir",
-    "-cn": "--config-name",
-    "-c": "--cfg",
-    "-p": "--package",
-    "-i": "--info",
+    **{"-cd": "--config-dir", "-cn": "--config-name", "-c": "--cfg"},
+    **{"-p": "--package", "-i": "--info"},
 }
 
 
@@ -98,7 +96,7 @@ class HydraCommand:
             if message is None:
                 message = self._sweep_message()
             if message is None:
-                _show_traceback(error)
+                traceback.print_exception(error)
                 return CRASHED
             return self._user_error(error, message)
 
@@ -114,17 +112,21 @@ class HydraCommand:
                 raise ConfigError(f"`--config-dir {folder}`: no such folder.")
             groups.check_own_files(folder, groups.selected(self.name, words))
             sys.path.insert(0, str(folder.resolve()))
-        if _is_sweep(words):
+        sweep = "-m" in words or "--multirun" in words
+        if sweep:
             if not groups.sweeps(self.name):
                 raise ConfigError(f"`nsde {self.name}` has no sweeps; leave out -m.")
             _check_sweep(words)
-            if any(word.startswith("hydra/sweeper=optuna") for word in words):
-                # A failed job is a failed trial, not the end of the sweep.
-                words = _with_default(words, "hydra.sweeper.max_failure_rate", "1.0")
+            rate = (
+                "hydra.sweeper.max_failure_rate="  # a failed job is a failed trial, not the end of the sweep
+            )
+            optuna = any(word.startswith("hydra/sweeper=optuna") for word in words)
+            if optuna and not any(word.startswith(rate) for word in words):
+                words = [*words, f"{rate}1.0"]
         _refuse_other_folders(words)
         _refuse_used_folders(words)
         resumed, files = _resumed(words), groups.files(self.name)
-        words = [path_word(word, files, sweep=_is_sweep(words)) for word in words]
+        words = [path_word(word, files, sweep=sweep) for word in words]
         if resumed is not None:
             words = _resume(words, resumed, self.folder_key)
         return _options_first([_opened(coordinates_named(word), self.name) for word in words])
@@ -170,7 +172,7 @@ class HydraCommand:
 
     def _user_error(self, error: Exception, message: str) -> int:
         if os.environ.get(_TRACEBACK) == "1":
-            _show_traceback(error)
+            traceback.print_exception(error)
         print(f"nsde {self.name}: {message}", file=sys.stderr)
         return USER_ERROR
 
@@ -191,10 +193,6 @@ class HydraCommand:
             line += f"{as_typed(paths={'out_dir': LAST.run_dir})} to go on."
         print(f"\n{line}", file=sys.stderr)
         return INTERRUPTED
-
-
-def _is_sweep(words: Sequence[str]) -> bool:
-    return "-m" in words or "--multirun" in words
 
 
 def _resumed(words: Sequence[str]) -> Path | None:
@@ -246,7 +244,12 @@ def _refuse_used_folders(words: Sequence[str]) -> None:
         folder = Path(typed_path(value))
         if key in ("run_dir", "sweep_dir", "out_dir") and not value.strip("'\""):
             raise ConfigError(f"`{key}` is empty; name a folder.")
-        if key == "run_dir" and (folder / ".hydra").is_dir() and not _never_began(folder):
+        # a run that failed before it did any work (a wrong key, a missing file) has nothing to keep or continue
+        if (
+            key == "run_dir"
+            and (folder / ".hydra").is_dir()
+            and not ((folder / "failed.json").is_file() and _holds_no_work(folder))
+        ):
             raise ConfigError(
                 f"`run_dir={folder}` holds a run already. Continue it with {as_typed(paths={'resume': folder})}, or "
                 "name another."
@@ -258,11 +261,6 @@ def _refuse_used_folders(words: Sequence[str]) -> None:
             raise ConfigError(f"`sweep_dir={folder}` holds a sweep already; name another folder.")
 
 
-def _never_began(folder: Path) -> bool:
-    """Whether a run failed before it did any work (a wrong key, a missing file): nothing there to keep or continue."""
-    return (folder / "failed.json").is_file() and _holds_no_work(folder)
-
-
 def _holds_no_work(folder: Path) -> bool:
     return all(path.name in (".hydra", "failed.json") or path.suffix == ".log" for path in folder.iterdir())
 
@@ -270,10 +268,6 @@ def _holds_no_work(folder: Path) -> bool:
 def _report(sweep_dir: Path) -> str:
     folder = f"./{sweep_dir}" if str(sweep_dir).startswith("-") else str(sweep_dir)
     return as_typed("nsde", "sweep-report", folder, paths={})
-
-
-def _with_default(words: list[str], key: str, value: str) -> list[str]:
-    return words if any(word.startswith(f"{key}=") for word in words) else [*words, f"{key}={value}"]
 
 
 def _opened(word: str, command: str) -> str:
@@ -333,9 +327,3 @@ def _resume(words: list[str], folder: Path, key: str) -> list[str]:
             sys.path.insert(0, path)
             fixed = ["--config-dir", path, *fixed]
     return [*before, *words, *fixed]
-
-
-def _show_traceback(error: Exception) -> None:
-    import traceback
-
-    traceback.print_exception(type(error), error, error.__traceback__)

@@ -11,8 +11,9 @@ import json
 import logging
 import re
 import sys
+import time
 import traceback
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,12 @@ class Job:
 
     run_dir: Path  # folder of this job, made by Hydra
     sweep: bool  # whether it is one of a sweep
+    began: float = field(default_factory=time.perf_counter)
+
+    @property
+    def took(self) -> str:
+        """How long it has taken so far, `took 3 s`."""
+        return f"took {time.perf_counter() - self.began:.0f} s"
 
 
 @dataclass(frozen=True)

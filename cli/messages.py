@@ -6,7 +6,7 @@ import dataclasses
 import difflib
 import errno
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import yaml
@@ -102,21 +102,13 @@ def in_keys(text: str) -> str:
 def _no_group(group: str, command: str) -> str:
     """The message for a group that the command does not have, `system=` of one that reads a model above all."""
     own = groups.defaults(command)
-    of_run = (
-        " The system is that of the model, run=DIR"
-        if group == "system" and groups.has(command, "run")
-        else ""
-    )
-    flies = (
-        "; it has to be a multirotor (hexacopter, quadrotor), which alone the controller flies."
-        if "mpc" in own
-        else "."
-    )
+    said = f"`{group}` is not a group of `nsde {command}`."
+    if group == "system" and groups.has(command, "run"):
+        said += " The system is that of the model, run=DIR"
+        flown = "; it has to be a multirotor (hexacopter, quadrotor), which alone the controller flies."
+        said += flown if "mpc" in own else "."
     takes = ", ".join(f"{name}=" for name in own) or "none"
-    return (
-        f"`{group}` is not a group of `nsde {command}`.{of_run + flies if of_run else ''} Its groups: {takes}. "
-        f"{_POINTER.format(command=command)}"
-    )
+    return f"{said} Its groups: {takes}. {_POINTER.format(command=command)}"
 
 
 def unknown_key(path: str, command: str, words: Sequence[str]) -> str:
@@ -131,6 +123,13 @@ def unknown_key(path: str, command: str, words: Sequence[str]) -> str:
     near = nearest(path, known)
     hint = f" Did you mean `{near}`?" if near else ""
     return f"`{path}` is not a key of `nsde {command}`.{hint} {_POINTER.format(command=command)}"
+
+
+def no_key(word: str, keys: Collection[str]) -> str:
+    """The message for a word of a command that Hydra does not configure and that has none of its keys."""
+    near = difflib.get_close_matches(word.partition("=")[0], keys, n=1)
+    hint = f" Did you mean `{near[0]}=`?" if near else ""
+    return f"`{word}` is none of {', '.join(f'{k}=' for k in keys)}.{hint}"
 
 
 def nearest(name: str, known: Sequence[str]) -> str | None:
@@ -173,17 +172,10 @@ def _unknown_choice(error: Exception, command: str, words: Sequence[str]) -> str
         return _first_line(error)
     near = difflib.get_close_matches(choice, options, n=1, cutoff=0.5)
     hint = f" Did you mean `{group}={near[0]}`?" if near else ""
-    own = (
-        ""
-        if group.startswith("hydra/")
-        else f" (your own: {group}/{choice}.yaml in a folder given with --config-dir)"
-    )
-    extra = (
-        " Launchers and sweepers come with the extras `nsde_torch[sweeps]` and `nsde_torch[ray]`."
-        if own == ""
-        else ""
-    )
-    return f"`{group}={choice}`: no such choice.{hint} Choices: {', '.join(options)}{own}.{extra}"
+    more = f" (your own: {group}/{choice}.yaml in a folder given with --config-dir)."
+    if group.startswith("hydra/"):
+        more = ". Launchers and sweepers come with the extras `nsde_torch[sweeps]` and `nsde_torch[ray]`."
+    return f"`{group}={choice}`: no such choice.{hint} Choices: {', '.join(options)}{more}"
 
 
 def _path_as_choice(path: str) -> str:

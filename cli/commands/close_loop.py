@@ -9,12 +9,12 @@ gusts, which are others than those of the flights that were diagnosed.
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.diagnosis.decisions import Options
+from nsde_torch.whole_files import json_text
 
 from ..hydra_command import HydraCommand
 from ..keys import group, key, of
@@ -87,7 +87,6 @@ def run(config: DictConfig, job: Job) -> float | None:
     from ..closed_loop.loop import AFTER, BEFORE, DIAGNOSIS, LOG, TRUTH, ClosedLoop, say
     from ..closed_loop.record import PICTURE, RESULT, picture, record, text
 
-    started = time.perf_counter()
     torch.set_num_threads(config.threads)
     _check(config)
     _same_settings(config, job.run_dir)
@@ -102,8 +101,6 @@ def run(config: DictConfig, job: Job) -> float | None:
     if stop is None or stop.kind != "waiting":
         loop.compare()
     content = record(loop, experiments, stop)
-    from nsde_torch.whole_files import json_text
-
     (job.run_dir / RESULT).write_text(json_text(content), encoding="utf-8")
     drawn = picture(loop, job.run_dir)
     print()
@@ -111,7 +108,7 @@ def run(config: DictConfig, job: Job) -> float | None:
     flown = [f"{s}/" for s in (LOG, BEFORE, AFTER, TRUTH) if (job.run_dir / s).is_dir()]
     planned = [f"experiment_{e['number']}/" for e in experiments]
     wrote = [RESULT, *([PICTURE] if drawn else []), f"{DIAGNOSIS}/", *planned, *flown]
-    print(f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir}: {', '.join(wrote)}")
+    print(f"\n{job.took}; wrote {job.run_dir}: {', '.join(wrote)}")
     ratio: float | None = content["ratio"]
     return ratio
 

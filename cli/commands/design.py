@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.design.options import DesignOptions
+from nsde_torch.whole_files import json_text
 
 from ..hydra_command import HydraCommand
 from ..keys import key, mirrors
@@ -79,7 +79,6 @@ def run(config: DictConfig, job: Job) -> None:
 
     from ..known_machine import diagnosed
 
-    started = time.perf_counter()
     torch.set_num_threads(config.threads)
     options = DesignOptions(**_options(config))
     known = diagnosed(Path(config.run), config.runs)
@@ -103,7 +102,7 @@ def run(config: DictConfig, job: Job) -> None:
     print(made.report)
     plan = {"plan": job.run_dir}
     print(
-        f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir}: design.json, plan.csv, design.png\n"
+        f"\n{job.took}; wrote {job.run_dir}: design.json, plan.csv, design.png\n"
         f"give the machine plan.csv (simulated: {as_typed('nsde', 'simulate', 'pilot=plan', paths=plan)}), then: "
         f"{as_typed('nsde', 'design', 'flown=LOG', paths={'run': config.run, **plan})}"
     )
@@ -155,8 +154,6 @@ def _read(config: DictConfig, job: Job, known: Any, options: DesignOptions) -> N
         values=known.values,
         expected=expected,
     )
-    from nsde_torch.whole_files import json_text
-
     text = json_text(found.content())
     (job.run_dir / OBTAINED).write_text(text + "\n", encoding="utf-8")
     print(found.report)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -94,7 +93,6 @@ def run(config: DictConfig, job: Job) -> None:
     from .. import build, effects_file
     from ..quoted import as_typed
 
-    started = time.perf_counter()
     build.settings(config, sweep=job.sweep)
     effects_file.expand(config.system)
     machine = build.system_options(config.system)
@@ -133,13 +131,14 @@ def run(config: DictConfig, job: Job) -> None:
         message = f"interrupted. The diagnosis in {job.run_dir} is finished; {note.partition('; ')[2]}"
         raise EndedError(message, INTERRUPTED) from None
     wrote = [RESULT, REPORT, f"{PLOTS}/", EFFECTS, *([f"{MODEL}/"] if "model" in content else [])]
-    print(f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir}: {', '.join(wrote)}")
+    print(f"\n{job.took}; wrote {job.run_dir}: {', '.join(wrote)}")
     if not config.verbose:
         print(f"{job.run_dir / REPORT} has all of it, and so does verbose=true")
 
 
 def _follow(config: DictConfig, job: Job, found: Diagnosis, content: Content) -> None:
     """Train and rehearse with what was found."""
+    import nsde_torch
     from nsde_torch.diagnosis.files import REPORT, write_content
     from nsde_torch.diagnosis.report import write_report
     from nsde_torch.diagnosis.text import rehearsal_lines
@@ -149,7 +148,8 @@ def _follow(config: DictConfig, job: Job, found: Diagnosis, content: Content) ->
         content["model"] = _train(config, job, found)
         write_content(content, job.run_dir)
     if config.rehearse:
-        content["rehearsal"] = _rehearse(config, found)
+        made = nsde_torch.rehearse(found, logs=config.rehearsals, seed=config.seed)
+        content["rehearsal"] = made.content()
         write_content(content, job.run_dir)
         write_report(job.run_dir / REPORT, found, content)
         print("\n".join(rehearsal_lines(content)))
@@ -177,20 +177,13 @@ def _training(config: DictConfig, job: Job) -> str:
     return as_typed(*words, paths=paths)
 
 
-def _rehearse(config: DictConfig, found: Diagnosis) -> dict[str, Any]:
-    """What simulated logs of the machine that was found say."""
-    import nsde_torch
-
-    return nsde_torch.rehearse(found, logs=config.rehearsals, seed=config.seed).content()
-
-
 def _train(config: DictConfig, job: Job, found: Diagnosis) -> dict[str, Any]:
     """Train the model of the configuration with the effects; an ordinary run directory."""
     from omegaconf import open_dict
 
     from nsde_torch.effects.files import own_name
 
-    from .. import effects_file
+    from .. import build, effects_file
 
     for effect, values in found.effects.items():
         for parameter, value in values.items():
@@ -203,17 +196,11 @@ def _train(config: DictConfig, job: Job, found: Diagnosis) -> dict[str, Any]:
                 for name, value in found_values.items():
                     config.data[fault][name] = config.data[fault].get(name, 0.0) + value
     config.system.effects = [*config.system.effects, *found.effects]
-    metrics = fit(config, job, job.run_dir / MODEL, about=_train_config(config))
+    about = {k: v for k, v in build.options(config).items() if k in TrainConfig.__dataclass_fields__}
+    metrics = fit(config, job, job.run_dir / MODEL, about=about)
     test = metrics.get("test", {})
     return {
         "path": MODEL,
         "test_runs": metrics["test_runs"],
         "errors": test.get("errors", {}).get("model", {}),
     }
-
-
-def _train_config(config: DictConfig) -> dict[str, Any]:
-    """The configuration as `nsde train` would have it."""
-    from .. import build
-
-    return {k: v for k, v in build.options(config).items() if k in TrainConfig.__dataclass_fields__}

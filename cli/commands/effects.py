@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import shutil
 import sys
@@ -13,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 from nsde_torch.errors import ConfigError, NsdeError
 
+from .. import messages
 from ..exit_status import OK, USER_ERROR
 from ..own_modules import own_system, split_config_dir
 from ..registry import PlainCommand
 
 if TYPE_CHECKING:
     from nsde_torch.effects import Effect
-    from nsde_torch.systems import System
 
 KEYS = {"system": "only those that this system can have", "format": "text or json"}
 FORMATS = ("text", "json")
@@ -88,6 +87,7 @@ def catalogue(system: str | None = None, *, config_dir: Path | None = None) -> l
     Raises:
         ConfigError: There is no such system.
     """
+    from nsde_torch.diagnosis.candidates import why_not
     from nsde_torch.effects import EFFECTS, effects_of
     from nsde_torch.effects.law import split_name
     from nsde_torch.systems import SYSTEMS, make_system
@@ -109,19 +109,14 @@ def catalogue(system: str | None = None, *, config_dir: Path | None = None) -> l
         name: [s for s, effects in of_machines.items() if name in effects]
         for name in (chosen if system is None else ())
     }
+    # why a diagnosis of the machine does not try an effect: empty where it does, None without a machine
+    reasons = {name: None if machine is None else why_not(machine, name) for name in chosen}
     rows = [
-        {**_row(cls, fits.get(name, [system or ""])), "no_candidate": _no_candidate(machine, name)}
+        {**_row(cls, fits.get(name, [system or ""])), "no_candidate": reasons[name]}
         for name, cls in chosen.items()
     ]
     order = list(dict.fromkeys(tuple(row["systems"]) for row in rows))
     return sorted(rows, key=lambda row: order.index(tuple(row["systems"])))
-
-
-def _no_candidate(machine: System | None, name: str) -> str | None:
-    """Why a diagnosis of a machine does not try an effect; empty where it does, None without a machine."""
-    from nsde_torch.diagnosis.candidates import why_not
-
-    return None if machine is None else why_not(machine, name)
 
 
 def _row(cls: type[Effect], systems: Sequence[str]) -> dict[str, Any]:
@@ -133,7 +128,11 @@ def _row(cls: type[Effect], systems: Sequence[str]) -> dict[str, Any]:
             "unit": spec.unit,
             "low": spec.low,
             "high": spec.high,
-            "axes": "inputs" if spec.per_input else _axes(spec.initial),
+            "axes": "inputs"
+            if spec.per_input
+            else len(spec.initial)
+            if isinstance(spec.initial, tuple)
+            else 1,
             "help": spec.help,
         }
         for name, spec in cls.PARAMETERS.items()
@@ -151,10 +150,6 @@ def _row(cls: type[Effect], systems: Sequence[str]) -> dict[str, Any]:
         "separate": cls.separate,
         "source": cls.source,
     }
-
-
-def _axes(initial: float | tuple[float, ...]) -> int:
-    return len(initial) if isinstance(initial, tuple) else 1
 
 
 def table(rows: Sequence[dict[str, Any]], width: int, *, systems: bool) -> str:
@@ -216,9 +211,7 @@ def _given(arguments: Sequence[str]) -> dict[str, str]:
     for word in arguments:
         key, equals, value = word.partition("=")
         if not equals or key not in KEYS:
-            near = difflib.get_close_matches(key, KEYS, n=1)
-            hint = f" Did you mean `{near[0]}=`?" if near else ""
-            raise ConfigError(f"`{word}` is none of {', '.join(f'{k}=' for k in KEYS)}.{hint}")
+            raise ConfigError(messages.no_key(word, KEYS))
         out[key] = value
     if out.get("format", "text") not in FORMATS:
         raise ConfigError(f"`format` must be one of {', '.join(FORMATS)}; got {out['format']!r}.")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -74,7 +73,6 @@ def run(config: DictConfig, job: Job) -> None:
 
     from .. import build, evaluated
 
-    started = time.perf_counter()
     torch.set_num_threads(config.threads)
     given = OmegaConf.to_container(config.run) if OmegaConf.is_config(config.run) else config.run
     names = None if config.names is None else list(config.names)
@@ -100,7 +98,7 @@ def run(config: DictConfig, job: Job) -> None:
     for text, red in lines(done.content):
         print(f"\033[31m{text}\033[0m" if red and text and _colours() else text)
     wrote = ", ".join([RESULT, *(f"plots/{path.name}" for path in pictures)])
-    print(f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir}: {wrote}")
+    print(f"\n{job.took}; wrote {job.run_dir}: {wrote}")
 
 
 def _colours() -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,7 +64,6 @@ def run(config: DictConfig, job: Job) -> None:
 
     from .. import track_build
 
-    started = time.perf_counter()
     torch.set_num_threads(config.threads)
     path = Path(config.out)
     for file in (path, path.with_suffix(".h")) if config.format == C else (path,):
@@ -91,7 +89,7 @@ def run(config: DictConfig, job: Job) -> None:
         say=lambda line: print(line, flush=True),
     )
     print(
-        f"took {time.perf_counter() - started:.0f} s; wrote {path} ({path.stat().st_size / 1024:.0f} kB, "
+        f"{job.took}; wrote {path} ({path.stat().st_size / 1024:.0f} kB, "
         f"{config.format}, sha256 {digest[:16]}...); check it with: "
         + as_typed("nsde", "verify", paths={"controller": path, "run": config.run})
     )

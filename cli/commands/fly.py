@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.px4.flight.options import FlightOptions
+from nsde_torch.whole_files import json_text
 
 from ..exit_status import FLIGHT_ENDED, EndedError
 from ..hydra_command import HydraCommand
@@ -159,7 +159,8 @@ def run(config: DictConfig, job: Job) -> float | None:
                 return _verdict([report])
             reports.append(report)
             content["flights"].append({**report.as_dict(), "took_s": time.perf_counter() - started})
-            _write(job.run_dir, content)
+            job.run_dir.mkdir(parents=True, exist_ok=True)
+            (job.run_dir / RESULT).write_text(json_text(content), encoding="utf-8")
             print(_line(report), flush=True)
             if report.outcome.trouble is not None:
                 break
@@ -194,13 +195,6 @@ def _line(report: FlightReport) -> str:
             + ", ".join(f"{n} {word}" for word, n in found["status"].items())
         )
     return "\n".join(lines)
-
-
-def _write(folder: Path, content: dict[str, Any]) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    from nsde_torch.whole_files import json_text
-
-    (folder / RESULT).write_text(json_text(content), encoding="utf-8")
 
 
 def _verdict(reports: list[FlightReport]) -> float | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import sys
 from collections.abc import Sequence
@@ -13,6 +12,7 @@ import yaml
 
 from nsde_torch.errors import ConfigError, NsdeError
 
+from .. import messages
 from ..exit_status import FAILED_JOBS, OK, USER_ERROR
 from ..own_modules import own_system, split_config_dir
 from ..quoted import as_typed
@@ -92,14 +92,13 @@ def _inspect(path: str, given: dict[str, str], folder: Path | None) -> int:
     if found.mapping is not None and "mapping" not in given and target is not None:
         print(_write(found, target, overwrite=given.get("overwrite") == "true"))
     used = Path(given["mapping"]) if "mapping" in given else target
-    own = () if folder is None else ("--config-dir", str(folder))
-    system = (
-        f"system={given.get('system', found.system)}",
-        *(f"{_OPTION}{k}={v}" for k, v in options.items()),
-    )
-    paths = {"data.path": path, **_mapping_key(found, used, path)}
-    train = as_typed("nsde", "train", *own, *system, f"data={found.kind}", paths=paths)
-    again = as_typed("nsde", "inspect", path, *own, *system, "mapping=FILE", paths={})
+    words = [] if folder is None else ["--config-dir", str(folder)]
+    words.append(f"system={given.get('system', found.system)}")
+    words += [f"{_OPTION}{k}={v}" for k, v in options.items()]
+    named = found.native or used is None or used == _beside(path)
+    paths = {"data.path": path} if named else {"data.path": path, "data.mapping": used}
+    train = as_typed("nsde", "train", *words, f"data={found.kind}", paths=paths)
+    again = as_typed("nsde", "inspect", path, *words, "mapping=FILE", paths={})
     print(f"\nnext: {_next(found, train, again)}")
     return OK if found.usable else FAILED_JOBS
 
@@ -128,18 +127,11 @@ def _beside(path: str) -> Path:
     return folder / "mapping.yaml"
 
 
-def _mapping_key(found: Inspection, target: Path | None, path: str) -> dict[str, Path]:
-    if found.native or target is None or target == _beside(path):
-        return {}
-    return {"data.mapping": target}
-
-
 def _write(found: Inspection, target: Path, *, overwrite: bool) -> str:
     if found.missing:
         return f"\nnot written: complete the mapping above and save it as {target}"
     if target.exists() and not overwrite:
-        same = target.is_file() and target.read_text(encoding="utf-8", errors="replace") == found.yaml
-        if same:
+        if target.is_file() and target.read_text(encoding="utf-8", errors="replace") == found.yaml:
             return f"\n{target} holds this mapping"
         return f"\n{target} is there and was not replaced (overwrite=true, or out=FILE)"
     _save(target, found.yaml, "out")
@@ -197,10 +189,9 @@ def _table(found: Inspection, *, everything: bool) -> list[str]:
         for r in rows
     ]
     widths = [max(len(row[k]) for row in (head, *cells)) for k in range(len(head))]
+    left_or_right = ["<", "<", *[">"] * (len(head) - 2)]
     out = [
-        "  ".join(
-            f"{c:{'<' if k < 2 else '>'}{w}}" for k, (c, w) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
+        "  ".join(f"{c:{side}{w}}" for c, side, w in zip(row, left_or_right, widths, strict=True)).rstrip()
         for row in (head, *cells)
     ]
     left = len(found.columns) - len(rows)
@@ -216,9 +207,7 @@ def _given(words: Sequence[str]) -> tuple[str, dict[str, str]]:
         if equals and (key in KEYS or key.startswith(_OPTION)):
             out[key] = value
         elif equals and not Path(word).exists():
-            near = difflib.get_close_matches(key, KEYS, n=1)
-            hint = f" Did you mean `{near[0]}=`?" if near else ""
-            raise ConfigError(f"`{word}` is none of {', '.join(f'{k}=' for k in KEYS)}.{hint}")
+            raise ConfigError(messages.no_key(word, KEYS))
         elif path is None:
             path = word
         else:

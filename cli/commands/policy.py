@@ -88,10 +88,7 @@ COMMAND = HydraCommand(
 
 
 def run(config: DictConfig, job: Job) -> float:
-    """Learn one policy.
-
-    Returns:
-        Minus the mean reward per episode where it learned.
+    """Learn one policy; minus the mean reward per episode where it learned.
 
     Raises:
         ConfigError: The environment is no model of this system, `propagation` is given for what is no ensemble, or
@@ -134,23 +131,18 @@ def run(config: DictConfig, job: Job) -> float:
         about = {"kind": kind, "name": model.spec.kind, "run": str(Path(config.environment).resolve())}
         if model.capabilities.propagation is not None:
             about["propagation"] = config.propagation or model.capabilities.propagation
+    ppo = build.options(config.ppo)
     result = PolicyTraining(
         wanted,
         environment=environment,
         truth=truth,
-        options=_options(config, build.options(config.ppo)),
+        options=PolicyOptions(**{**ppo, "hidden": tuple(ppo["hidden"])}, interactions=config.steps),
         seed=config.seed,
         folder=job.run_dir,
         about={"environment": about, "truth": str(config.truth), "sensor_noise": noise},
         scored_against=list(config.scored_against),
     ).run()
     return float(result["validation"]["score"])
-
-
-def _options(config: DictConfig, ppo: dict[str, Any]) -> Any:
-    from nsde_torch.policy import PolicyOptions
-
-    return PolicyOptions(interactions=config.steps, **{**ppo, "hidden": tuple(ppo["hidden"])})
 
 
 def _model(folder: str, system: str) -> Model:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -109,7 +108,6 @@ def run(config: DictConfig, job: Job) -> None:
 
     from .. import build
 
-    started = time.perf_counter()
     torch.set_num_threads(config.threads)
     folder = Path(config.out)
     check_free(folder, truth_path(folder, config.truth), overwrite=config.overwrite)
@@ -131,8 +129,7 @@ def run(config: DictConfig, job: Job) -> None:
     rows = sum(len(run.t) for run in made.runs)
     seconds = sum(made.truth["durations_s"])
     of = f"{config.replay.starts} interventions on flights of " if config.pilot == "replay" else ""
-    took = time.perf_counter() - started
     print(
-        f"took {took:.0f} s; wrote {len(made.runs)} runs of {config.system.name} ({of}{seconds:g} s, {rows} rows) into "
+        f"{job.took}; wrote {len(made.runs)} runs of {config.system.name} ({of}{seconds:g} s, {rows} rows) into "
         f"{folder}, and what is in them to {files[-1]}"
     )

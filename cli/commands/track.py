@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+
+from nsde_torch.whole_files import json_text
 
 from ..hydra_command import HydraCommand
 from ..keys import group, key
@@ -76,7 +77,6 @@ def run(config: DictConfig, job: Job) -> float | None:
 
     from .. import build, track_build
 
-    started = time.perf_counter()
     torch.set_num_threads(config.threads)
     names = [config.run, *config.beside]
     if len(set(names)) < len(names):
@@ -119,13 +119,11 @@ def run(config: DictConfig, job: Job) -> float | None:
         flights[label] = _fly(config, name, known.get(name, first), first, path)
         content["controllers"][label] = {"run": name, **summarise(flights[label])}
         print(_line(label, content["controllers"][label]), flush=True)
-    from nsde_torch.whole_files import json_text
-
     (job.run_dir / RESULT).write_text(json_text(content), encoding="utf-8")
     own = flights[track_build.label(config.run)]
     write_log(own, track_build.system_of(first), job.run_dir / LOG)
     wrote = [RESULT, f"{LOG}/", *_pictures(config, job, flights, path)]
-    print(f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir}: {', '.join(wrote)}")
+    print(f"\n{job.took}; wrote {job.run_dir}: {', '.join(wrote)}")
     rmse: float | None = content["controllers"][track_build.label(config.run)]["rmse_m"]
     return rmse
 

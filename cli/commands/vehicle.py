@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.px4.simulator.clock import CLOCK
@@ -47,6 +49,9 @@ class VehicleConfig:
     sensors: SensorsConfig = group(
         SensorsConfig, "what its sensors get wrong; plant.sensor_noise is a factor"
     )
+
+
+_say = partial(print, flush=True)
 
 
 def _keys(arguments: Sequence[str]) -> list[str]:
@@ -128,16 +133,8 @@ def _simulate(config: DictConfig, body: Callable[[], Body], errors: SensorErrors
     )
     for name, value in airframe(first.system, first.hover_throttle()).items():
         _say(f"  param set {name} {value:g}")
-    try:
+    with closing(transport), suppress(KeyboardInterrupt):
         server.run(_ends(config.duration))
-    except KeyboardInterrupt:
-        pass
-    finally:
-        transport.close()
-
-
-def _say(line: str) -> None:
-    print(line, flush=True)
 
 
 def _ends(duration: float | None) -> Callable[[], bool]:
@@ -168,13 +165,7 @@ def _fly(config: DictConfig, body: Body, parameters: dict[str, float], errors: S
     )
     vehicle = Vehicle(autopilot, transport, speed=config.clock)
     print(f"a simulated {body.system.name} on {config.link.url}; Ctrl-C ends it", flush=True)
-    try:
+    with closing(transport), suppress(KeyboardInterrupt):
         vehicle.run(_ends(config.duration))
-    except KeyboardInterrupt:
-        pass
-    finally:
-        transport.close()
-    print(
-        f"ran {autopilot.time:.1f} s"
-        + (f", {vehicle.slipped:.1f} s lost to a busy machine" if vehicle.slipped else "")
-    )
+    lost = f", {vehicle.slipped:.1f} s lost to a busy machine" if vehicle.slipped else ""
+    print(f"ran {autopilot.time:.1f} s{lost}")

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import logging
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,7 +85,6 @@ def run(config: DictConfig, job: Job) -> None:
         policies=_folder(config.policies, "policies"),
         seed=config.seed,
     )
-    started = time.perf_counter()
     needed = {
         f"{name}_seed{seed}": [*words, f"seed={seed}", *(figure_table.FAST if fast else ())]
         for figure in names
@@ -114,7 +112,7 @@ def run(config: DictConfig, job: Job) -> None:
         print(f"\n{name}: {outcome.title}")
         for check in outcome.checks:
             print(f"  [{check.word}] {check.claim}: {check.measured}")
-    print(f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir / 'figures.md'}")
+    print(f"\n{job.took}; wrote {job.run_dir / 'figures.md'}")
     if failed:
         raise NsdeError(f"not drawn: {'; '.join(f'{k} ({v})' for k, v in failed.items())}")
 

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -83,7 +82,6 @@ def run(config: DictConfig, job: Job) -> None:
     from .registry import benchmark_class
     from .running import PICTURE, RESULT, run_benchmark, table
 
-    started = time.perf_counter()
     torch.set_num_threads(config.threads)
     benchmark = benchmark_class(config.name)
     print(
@@ -102,4 +100,4 @@ def run(config: DictConfig, job: Job) -> None:
         value = entry["value"]
         told = f"{value:.4g}" if isinstance(value, float) else ", ".join(f"{v:.4g}" for v in value)
         print(f"  {name} {told}{ends} {entry.get('unit', '')}".rstrip())
-    print(f"\ntook {time.perf_counter() - started:.0f} s; wrote {job.run_dir}: {RESULT}, {PICTURE}, stages/")
+    print(f"\n{job.took}; wrote {job.run_dir}: {RESULT}, {PICTURE}, stages/")

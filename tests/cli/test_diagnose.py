@@ -46,6 +46,13 @@ def diagnosed(runs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pat
     return out, json.loads((out / "diagnosis.json").read_text())
 
 
+def expanded(effects: list[str], **parameters: Any) -> Any:
+    """The group `system` of a spring once the effects of files are in the place of their names."""
+    config = OmegaConf.create({"name": "mass_spring_damper", "effects": effects, "parameters": parameters})
+    effects_file.expand(config)
+    return config
+
+
 def test_one_command_finds_the_effect_and_writes_what_it_says(diagnosed: tuple[Path, dict[str, Any]]) -> None:
     out, result = diagnosed
     assert result["verdict"] == "effect_found"
@@ -63,24 +70,10 @@ def test_effects_yaml_gives_a_training_the_effects_and_their_values(
     diagnosed: tuple[Path, dict[str, Any]],
 ) -> None:
     out, _ = diagnosed
-    config = OmegaConf.create(
-        {
-            "name": "mass_spring_damper",
-            "effects": [str(out / "effects.yaml"), "input_delay"],
-            "parameters": {},
-        }
-    )
-    effects_file.expand(config)
+    config = expanded([str(out / "effects.yaml"), "input_delay"])
     assert config.effects == ["coulomb_friction", "input_delay"]
     assert config.parameters.coulomb_friction.size == pytest.approx(0.3, rel=0.1)
-    given = OmegaConf.create(
-        {
-            "name": "mass_spring_damper",
-            "effects": [str(out / "effects.yaml")],
-            "parameters": {"coulomb_friction": {"size": 0.7}},
-        }
-    )
-    effects_file.expand(given)
+    given = expanded([str(out / "effects.yaml")], coulomb_friction={"size": 0.7})
     assert given.parameters.coulomb_friction.size == 0.7
 
 
@@ -105,9 +98,8 @@ def test_a_training_takes_effects_yaml(diagnosed: tuple[Path, dict[str, Any]], r
 def test_an_effects_file_that_cannot_be_used_says_why(content: str | None, message: str) -> None:
     if content is not None:
         Path("effects.yaml").write_text(content)
-    config = OmegaConf.create({"name": "mass_spring_damper", "effects": ["effects.yaml"], "parameters": {}})
     with pytest.raises(ConfigError, match=message):
-        effects_file.expand(config)
+        expanded(["effects.yaml"])
 
 
 @pytest.mark.parametrize(
@@ -165,15 +157,8 @@ def test_only_runs_that_are_not_held_back_are_looked_at(runs: Path) -> None:
 
 @pytest.mark.slow
 def test_a_model_is_trained_with_what_was_found_and_loads(runs: Path) -> None:
-    words = [
-        SYSTEM,
-        "data=csv",
-        f"data.path={runs}",
-        "model=sysid",
-        "candidates=[coulomb_friction]",
-        "out_dir=out",
-    ]
-    assert main(["diagnose", *words]) == 0
+    words = [SYSTEM, "data=csv", f"data.path={runs}", "model=sysid", "out_dir=out"]
+    assert main(["diagnose", *words, "candidates=[coulomb_friction]"]) == 0
     result = json.loads(Path("out/diagnosis.json").read_text())
     assert result["model"]["path"] == "model"
     assert result["model"]["test_runs"] == ["run_3"]
@@ -219,10 +204,7 @@ def test_an_effect_of_the_users_own_is_found_and_its_file_names_it_for_other_com
     result = json.loads((tmp_path / "out/diagnosis.json").read_text())
     assert result["added"] == ["cogging"]
     assert result["parameters"]["cogging.pitch"]["value"] == pytest.approx(0.12, rel=0.02)
-    config = OmegaConf.create(
-        {"name": "mass_spring_damper", "effects": ["out/effects.yaml"], "parameters": {}}
-    )
-    effects_file.expand(config)
+    config = expanded(["out/effects.yaml"])
     assert config.effects == [own]
     assert config.parameters.cogging.size == pytest.approx(0.3, rel=0.1)
 
@@ -241,27 +223,12 @@ def test_a_biased_and_late_sensor_is_put_right_in_what_the_model_is_trained_on(t
     write(made, tmp_path / "data")
     few = ["trainer.steps=3", "trainer.polish=0", "trainer.calibrate=false"]
     few.append("candidates=[coulomb_friction,input_delay]")
-    assert (
-        main(
-            [
-                "diagnose",
-                SYSTEM,
-                "data=csv",
-                "data.path=data",
-                "out_dir=out",
-                *few,
-                "candidates=[coulomb_friction,input_delay]",
-            ]
-        )
-        == 0
-    )
-    assert json.loads((tmp_path / "out/diagnosis.json").read_text())["added"] == [
-        "sensor_delay",
-        "sensor_bias",
-    ]
-    about = (tmp_path / "out/model/config.yaml").read_text()
-    assert find(yaml.safe_load(about), "sensor_bias")["q_dot"] == pytest.approx(0.2, abs=0.02)
-    assert find(yaml.safe_load(about), "sensor_delay")["q_dot"] == pytest.approx(0.06, abs=0.02)
+    assert main(["diagnose", SYSTEM, "data=csv", "data.path=data", "out_dir=out", *few]) == 0
+    found = json.loads((tmp_path / "out/diagnosis.json").read_text())
+    assert found["added"] == ["sensor_delay", "sensor_bias"]
+    about = yaml.safe_load((tmp_path / "out/model/config.yaml").read_text())
+    assert find(about, "sensor_bias")["q_dot"] == pytest.approx(0.2, abs=0.02)
+    assert find(about, "sensor_delay")["q_dot"] == pytest.approx(0.06, abs=0.02)
 
 
 @pytest.mark.parametrize("key", ["sensor_bias", "sensor_delay", "sensor_lag"])

@@ -24,46 +24,18 @@ from nsde_torch.cli.main import main
 from nsde_torch.systems import make_system
 
 FAST = (
-    "trainer=fast",
-    "trainer.steps=6",
-    "trainer.polish=2",
-    "trainer.batch=16",
-    "trainer.validate_every=3",
-    "trainer.checkpoint_every=2",
-    "trainer.compile=off",
-    "loss.points=16",
-    "threads=1",
+    *("trainer=fast", "trainer.steps=6", "trainer.polish=2", "trainer.batch=16", "trainer.validate_every=3"),
+    *("trainer.checkpoint_every=2", "trainer.compile=off", "loss.points=16", "threads=1"),
 )
 SPRING = ("system=mass_spring_damper", "data=csv", "system.dt=0.05", "system.horizon=10")
 KEYS = {
-    "best_step",
-    "calibration",
-    "clock_scale",
-    "data_fingerprint",
-    "input_filter",
-    "loss",
-    "loss_options",
-    "parameters",
-    "seconds",
-    "seed",
-    "steps",
-    "system",
-    "test_runs",
-    "train_runs",
-    "trainer_options",
+    *("best_step", "calibration", "clock_scale", "data_fingerprint", "input_filter", "loss", "loss_options"),
+    *("parameters", "seconds", "seed", "steps", "system", "test_runs", "train_runs", "trainer_options"),
     "validation",
 }
 TEST_KEYS = {
-    "coverage",
-    "coverage_channels",
-    "crps",
-    "diverged",
-    "errors",
-    "horizons_s",
-    "particles",
-    "spread",
-    "starts",
-    "units",
+    *("coverage", "coverage_channels", "crps", "diverged", "errors", "horizons_s", "particles", "spread"),
+    *("starts", "units"),
 }
 PICTURES = {"data_summary", "distance", "learning_curves"}
 TEST_PICTURES = {"calibration", "held_out_errors", "held_out_rollouts"}
@@ -92,8 +64,9 @@ def check(folder: Path, system: str, *, tested: bool = True) -> dict[str, Any]:
     assert metrics["seconds"]["total"] > 0
     machine = make_system(system)
     for name in machine.all_declared():
-        assert len(metrics["parameters"][name]["value"]) == len(metrics["parameters"][name]["half_width_90"])
-        assert metrics["parameters"][name]["unit"]
+        found = metrics["parameters"][name]
+        assert len(found["value"]) == len(found["half_width_90"])
+        assert found["unit"]
     assert ("test" in metrics) is tested
     if tested:
         test = metrics["test"]

@@ -7,7 +7,7 @@ import io
 import json
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Event
@@ -145,11 +145,13 @@ class Page:
         return self.ask("GET", "/api/jobs").json["jobs"]
 
 
-def make_page(folder: Path, make: Any, **limits: Any) -> Page:
+def make_page(
+    folder: Path, make: Any, *, hosts: Collection[str] = (HOST, "localhost:8765"), **limits: Any
+) -> Page:
     """A page that keeps its jobs in a folder."""
     bounds, known = ServeLimits(**limits), machines(None)
     runner = JobRunner(Shelf(folder, bounds), known, bounds, make=make)
-    return Page(ServedPage(runner, token=TOKEN, hosts=[HOST, "localhost:8765"]), runner, folder)
+    return Page(ServedPage(runner, token=TOKEN, hosts=hosts), runner, folder)
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests.helpers.browser import chromium, programs
-from tests.serving.conftest import INSPECTION, TOKEN, Played
+from tests.serving.conftest import INSPECTION, TOKEN, Played, make_page
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
@@ -90,17 +90,11 @@ def screen(driver: Any, tmp_path: Path, played: Played) -> Iterator[Screen]:
     programs()
     from waitress.server import create_server
 
-    from nsde_torch.cli.serving.app import ServedPage
-    from nsde_torch.cli.serving.job import ServeLimits, machines
-    from nsde_torch.cli.serving.runner import JobRunner
     from nsde_torch.cli.serving.server import listen
-    from nsde_torch.cli.serving.shelf import Shelf
 
-    bounds = ServeLimits(upload=1 << 16, keep=4)
     server = listen("127.0.0.1", 0, largest=1 << 20, threads=4)
-    runner = JobRunner(Shelf(tmp_path / "served", bounds), machines(None), bounds, make=played)
-    page = ServedPage(runner, token=TOKEN, hosts=[f"127.0.0.1:{server.port}"])
-    running = create_server(page, sockets=[server.socket], threads=4)
+    page = make_page(tmp_path / "served", played, hosts=[f"127.0.0.1:{server.port}"], upload=1 << 16, keep=4)
+    running = create_server(page.app, sockets=[server.socket], threads=4)
 
     def answer() -> None:
         with contextlib.suppress(OSError):  # its socket is closed at the end, from another thread
@@ -116,7 +110,7 @@ def screen(driver: Any, tmp_path: Path, played: Played) -> Iterator[Screen]:
     made.until("#kept li")
     yield made
     played.go.set()
-    runner.close()
+    page.runner.close()
     running.close()
 
 
@@ -171,24 +165,10 @@ def test_what_is_refused_is_said_and_nothing_runs(screen: Screen, played: Played
 
 def test_names_and_sentences_of_a_log_are_text(screen: Screen, played: Played) -> None:
     bad = [{"name": HOSTILE, "passed": False, "text": HOSTILE}]
-    row = {
-        "stream": HOSTILE,
-        "column": "q",
-        "unit": HOSTILE,
-        "rows": 2,
-        "rate": None,
-        "low": 0,
-        "high": 1,
-        "missing": 0,
-        "gaps": 0,
-    }
-    played.inspection |= {
-        "usable": False,
-        "checks": bad,
-        "columns": [row],
-        "notes": [HOSTILE],
-        "runs": [HOSTILE],
-    }
+    row = {"stream": HOSTILE, "column": "q", "unit": HOSTILE, "rows": 2, "rate": None}
+    row |= {"low": 0, "high": 1, "missing": 0, "gaps": 0}
+    played.inspection |= {"usable": False, "checks": bad, "columns": [row]}
+    played.inspection |= {"notes": [HOSTILE], "runs": [HOSTILE]}
     screen.drop({f"{HOSTILE}.csv": "t\n"})
     screen.until("#job .message", lambda box: HOSTILE in box.text)
     assert not screen.all("img")
@@ -207,12 +187,8 @@ def test_a_diagnosis_is_stopped_and_begun_again(screen: Screen, played: Played) 
 
 def test_a_mapping_is_corrected(screen: Screen, played: Played) -> None:
     wrong = [{"name": "q", "passed": False, "text": "q_dot has the opposite sign."}]
-    played.inspection |= {
-        "usable": False,
-        "native": False,
-        "checks": wrong,
-        "mapping": "columns:\n  q: {from: a}\n",
-    }
+    proposed = "columns:\n  q: {from: a}\n"
+    played.inspection |= {"usable": False, "native": False, "checks": wrong, "mapping": proposed}
     screen.drop(CSV)
     field = screen.until("textarea")
     assert field.is_displayed()  # it is opened where it has to be corrected

@@ -14,7 +14,7 @@ from nsde_torch.models.before import inputs_before
 from nsde_torch.models.model import Model
 from nsde_torch.models.neural_sde import NeuralSDE
 
-from .outcome import Check, ExperimentOutcome, prediction, rollout
+from .outcome import Check, ExperimentOutcome, errs_less, prediction, rollout
 
 _X_DOT, _THETA, _THETA_DOT = 1, 2, 3
 _GRID = 90
@@ -37,43 +37,36 @@ def uncertainty_map(
     """eta over angle and speeds; `seed` draws the states that stand for "away from the data"."""
     inside, held = _rows(train), _rows(test)
     like = model.clock_scale
+
+    def distance(states: Array) -> Array:
+        return np.asarray(model.distance(torch.as_tensor(states).to(like)).double().cpu())
+
     turn = np.abs(inside[:, _THETA_DOT]).max()
     speed = np.abs(inside[:, _X_DOT]).max()
-    grids = {
-        "angle": (np.linspace(-pi, pi, _GRID), _THETA, "theta [rad], 0 is upright"),
-        "speed": (np.linspace(-2.5 * speed, 2.5 * speed, _GRID), _X_DOT, "x_dot [m/s]"),
-    }
+    grids = (
+        (np.linspace(-pi, pi, _GRID), _THETA, "theta [rad], 0 is upright"),
+        (np.linspace(-2.5 * speed, 2.5 * speed, _GRID), _X_DOT, "x_dot [m/s]"),
+    )
     rates = np.linspace(-2.5 * turn, 2.5 * turn, _GRID)
     slices = []
-    for values, column, name in grids.values():
+    for values, column, name in grids:
         states = np.zeros((_GRID * _GRID, 4))
         if column == _X_DOT:  # where the pole hangs or stands, whichever the data know better
             states[:, _THETA] = pi if np.median(np.abs(_wrapped(inside[:, _THETA]))) > pi / 2 else 0.0
         first, second = np.meshgrid(values, rates)
         states[:, column], states[:, _THETA_DOT] = first.ravel(), second.ravel()
-        eta = model.distance(torch.as_tensor(states).to(like)).double().cpu().numpy()
+        eta = distance(states)
         points = [
             np.stack([_wrapped(r[:, column]) if column == _THETA else r[:, column], r[:, _THETA_DOT]], axis=1)
             for r in (inside, held)
         ]
-        slices.append(
-            plots.DistanceSlice(
-                values,
-                rates,
-                eta.reshape(_GRID, _GRID),
-                name,
-                "theta_dot [rad/s]",
-                train=points[0],
-                held_out=points[1],
-            )
-        )
+        eta = eta.reshape(_GRID, _GRID)
+        slices.append(plots.DistanceSlice(values, rates, eta, name, "theta_dot [rad/s]", *points))
     rng = np.random.default_rng(seed)
     low, high = inside.min(0), inside.max(0)
     away = (low + high) / 2 + 1.5 * (high - low) * rng.uniform(-1, 1, (5000, 4))
     near = held[rng.permutation(len(held))[:5000]]
-    eta_near, eta_away = (
-        model.distance(torch.as_tensor(r).to(like)).double().cpu().numpy() for r in (near, away)
-    )
+    eta_near, eta_away = (distance(r) for r in (near, away))
     auroc = float(np.searchsorted(np.sort(eta_near), eta_away).mean() / len(eta_near))
     sigma_near, sigma_away = (
         float(model.h(torch.as_tensor(e).to(like))[:, _THETA_DOT].mean()) for e in (eta_near, eta_away)
@@ -133,29 +126,21 @@ def state_evolution(
     values: dict[str, dict[str, dict[str, float]]] = {}
     checks = []
     for kind, results in scores.items():
-        values[kind] = {
-            f"{what}_{group}": {
-                h: float(np.mean([_of(r, what, group)[h] for r in results])) for h in ("0.5", "1")
-            }
-            for what in ("error", "inside_95")
-            for group in results[0]["units"]
-            if results[0]["errors"]
-        }
+        own = values.setdefault(kind, {})
+        for group in results[0]["units"] if results[0]["errors"] else ():
+            errors = [r["errors"]["model"][group] for r in results]
+            inside = [r["coverage"]["0.95"][group] for r in results]
+            for what, rows in (("error", errors), ("inside_95", inside)):
+                own[f"{what}_{group}"] = {h: float(np.mean([r[h] for r in rows])) for h in ("0.5", "1")}
     for h in ("0.5", "1"):
         pairs = {
             g: (values["sde"][f"error_{g}"][h], values["ensemble"].get(f"error_{g}", {}).get(h, np.inf))
             for g in scores["sde"][0]["units"]
         }
-        checks.append(
-            Check(
-                f"at {h} s the SDE errs less than the ensemble in every quantity",
-                "; ".join(f"{g} {a:.3g} against {b:.3g}" for g, (a, b) in pairs.items()),
-                all(a < b for a, b in pairs.values()),
-            )
-        )
-    inside = float(np.mean([values["sde"][f"inside_95_{g}"]["1"] for g in scores["sde"][0]["units"]]))
+        checks.append(errs_less(h, "the ensemble", pairs, {}))
+    held = float(np.mean([values["sde"][f"inside_95_{g}"]["1"] for g in scores["sde"][0]["units"]]))
     checks.append(
-        Check("the 95 % interval of the SDE holds at least 90 % at 1 s", f"{inside:.0%}", inside >= 0.9)
+        Check("the 95 % interval of the SDE holds at least 90 % at 1 s", f"{held:.0%}", held >= 0.9)
     )
     return ExperimentOutcome(
         title="Cartpole: state evolution of the neural SDE and of the ensemble",
@@ -165,11 +150,3 @@ def state_evolution(
         values=values,
         notes=["An error is the root mean square over starts of held-out episodes; attitude in degrees."],
     )
-
-
-def _of(
-    result: Mapping[str, Mapping[str, Mapping[str, Mapping[str, float]]]], what: str, group: str
-) -> Mapping[str, float]:
-    if what == "error":
-        return result["errors"]["model"][group]
-    return result["coverage"]["0.95"][group]

@@ -48,10 +48,6 @@ class Figure:
     draw: Callable[[Settings], ExperimentOutcome]  # makes pictures and checks once these models are there
 
 
-def _none(settings: Settings) -> dict[str, list[str]]:
-    return {}
-
-
 _SPRING_SETS = {
     "fig5": ("TopRight", "[[0.05,0.15],[0.05,0.15]]", "five runs of one corner"),
     "fig9": ("FullSpace", "[[-0.1,0.1],[-0.1,0.1]]", "five runs of the whole region"),
@@ -117,15 +113,9 @@ _EPISODES = "data.test=[" + ",".join(str(k) for k in range(80, 100)) + "]"
 def _cartpole_words(settings: Settings, policy: str) -> list[str]:
     base = ["system=cartpole", _EPISODES]
     if settings.published is None:
-        lengths = ",".join(["4"] * 100)
-        own = _CARTPOLE_SETS[policy][0]
-        return [
-            *base,
-            f"data.durations=[{lengths}]",
-            f"data.options.policy={own}",
-            "data.sensor_noise=10",
-            "data.process_noise=0",
-        ]
+        durations, own = f"data.durations=[{','.join(['4'] * 100)}]", _CARTPOLE_SETS[policy][0]
+        noise = ("data.sensor_noise=10", "data.process_noise=0")
+        return [*base, durations, f"data.options.policy={own}", *noise]
     return [*base, "data=published", f"data.path={settings.published / 'cartpole' / f'{policy}.pkl'}"]
 
 
@@ -134,19 +124,14 @@ def _cartpole_map(policy: str) -> Figure:
     words = _CARTPOLE_SETS[policy][1]
 
     def draw(settings: Settings) -> ExperimentOutcome:
-        from nsde_torch.models import load
+        from nsde_torch.models import NeuralSDE, load
 
         from .cartpole import uncertainty_map
 
         ((folder, *_),) = settings.run_dirs(name)
-        split = held_out(folder)
-        return uncertainty_map(
-            load(folder),  # type: ignore[arg-type]
-            split.train,
-            split.test,
-            data_name=words,
-            seed=settings.seed,
-        )
+        split, model = held_out(folder), load(folder)
+        assert isinstance(model, NeuralSDE)
+        return uncertainty_map(model, split.train, split.test, data_name=words, seed=settings.seed)
 
     return Figure(
         f"Cartpole: map of the uncertainty after training on {words}",
@@ -196,7 +181,7 @@ def _recorded() -> Figure:
         )
         return recorded(data, system, data_name="published flights", note=lost)
 
-    return Figure("Flight data: speed and Euler angles", _none, draw)
+    return Figure("Flight data: speed and Euler angles", lambda settings: {}, draw)
 
 
 def _hexacopter_words(settings: Settings, flight: int) -> list[str]:
@@ -225,25 +210,22 @@ def _identification() -> Figure:
 
         from .flights import against_identification
 
-        sde, sysid = (
-            [
-                f
-                for flight in _flights(settings)
-                for f in settings.run_dirs(f"hexacopter_{kind}_flight{flight}")[0]
-            ]
-            for kind in ("sde_heun", "sysid")
-        )
-        real = settings.published is not None
+        names = [
+            [f"hexacopter_{kind}_flight{k}" for k in _flights(settings)] for kind in ("sde_heun", "sysid")
+        ]
+        sde, sysid = ([f for folders in settings.run_dirs(*own) for f in folders] for own in names)
+        data, note = "simulated flights", ""
+        if settings.published is not None:
+            data = "published flights"
+            note = (
+                "The inputs of the published flights see 0.2 s into the future (a centred moving average); the filter "
+                "of the SDE draws on commands up to 0.6 s ahead."
+            )
         return against_identification(
             {"sde": [load(f) for f in sde], "sysid": [load(f) for f in sysid]},
             [held_out(f).test for f in sde],
-            data_name="published flights" if real else "simulated flights",
-            note=(
-                "The inputs of the published flights see 0.2 s into the future (a centred moving average); the filter "
-                "of the SDE draws on commands up to 0.6 s ahead."
-                if real
-                else ""
-            ),
+            data_name=data,
+            note=note,
             seed=settings.seed,
         )
 
@@ -260,7 +242,7 @@ def _policies(kinds: tuple[str, ...], title: str, source: str) -> Figure:
             return ExperimentOutcome(title, source, checks=[missing])
         return learned_in(settings.policies, kinds, title=title, source=source)
 
-    return Figure(title, _none, draw)
+    return Figure(title, lambda settings: {}, draw)
 
 
 def held_out(folder: Path) -> Split:

@@ -14,7 +14,7 @@ from nsde_torch.plots import PredictionBand
 from nsde_torch.plots.data_figure import roll_pitch_yaw, speed_and_angles
 from nsde_torch.systems import System
 
-from .outcome import Check, ExperimentOutcome, prediction, rollout
+from .outcome import Check, ExperimentOutcome, errs_less, prediction, rollout
 
 # Supplement D: 95 % of the magnitudes lie below the first, the largest is the second.
 _FIGURE_15 = {
@@ -44,13 +44,8 @@ def recorded(data: DataSet, system: System, *, data_name: str, note: str = "") -
     for k, (name, (most, largest)) in enumerate(_FIGURE_15.items()):
         quantity, unit = name.split("_")
         near = abs(q95[k] / most - 1) <= _TOLERANCE and abs(top[k] / largest - 1) <= _TOLERANCE
-        checks.append(
-            Check(
-                f"{quantity}: 95 % below {most:g}, largest near {largest:g} {unit} (within {_TOLERANCE:.0%})",
-                f"{q95[k]:.3g} and {top[k]:.3g} {unit}",
-                bool(near),
-            )
-        )
+        claim = f"{quantity}: 95 % below {most:g}, largest near {largest:g} {unit} (within {_TOLERANCE:.0%})"
+        checks.append(Check(claim, f"{q95[k]:.3g} and {top[k]:.3g} {unit}", bool(near)))
     return ExperimentOutcome(
         title=f"Flight data ({data_name}): speed and Euler angles",
         source="The flights for training are slow and flat most of the time.",
@@ -76,7 +71,6 @@ def against_identification(
     Args:
         models: `sde` and `sysid`, each one model per set of held-out flights.
         tests: The flights that the models of each position were not trained on.
-        note: What the inputs see of the future; may be empty.
     """
     names = {"sde": "neural SDE", "sysid": "system ID"}
     scores = {
@@ -99,13 +93,7 @@ def against_identification(
             continue
         key = f"{h:g}"
         pairs = {g: (values["sde"][g][key], values["sysid"][g][key]) for g in groups}
-        checks.append(
-            Check(
-                f"at {key} s the SDE errs less than system ID in every quantity",
-                "; ".join(f"{g} {a:.3g} against {b:.3g} {groups[g]}" for g, (a, b) in pairs.items()),
-                all(a < b for a, b in pairs.values()),
-            )
-        )
+        checks.append(errs_less(key, "system ID", pairs, groups))
     return ExperimentOutcome(
         title=f"Hexacopter ({data_name}): neural SDE against system identification on held-out flights",
         source="The neural SDE predicts held-out flight more accurately than system identification, with intervals.",
@@ -137,9 +125,7 @@ def _evolution(
     at = _typical(windows, [s.state_names.index(n) for n in ("v_x", "v_y", "v_z")])
     x, u, _ = windows.batch(at)
     before = inputs_before(s, windows, at)
-    channels = [*range(3), *range(3, 6), *range(10, 13)]
-    v = [s.state_names[i] for i in channels]
-    unit = [s.state_units[i] for i in channels]
+    channels = [*range(6), *range(10, 13)]
 
     def shown(state: np.ndarray) -> np.ndarray:
         return np.concatenate([state[..., channels], roll_pitch_yaw(state[..., s.quaternion])], -1)
@@ -159,8 +145,8 @@ def _evolution(
         np.arange(windows.horizon + 1, dtype=np.float64) * dt,
         truth,
         drawn,
-        names=[*v, "roll", "pitch", "yaw"],
-        units=[*unit, "deg", "deg", "deg"],
+        names=[*(s.state_names[i] for i in channels), "roll", "pitch", "yaw"],
+        units=[*(s.state_units[i] for i in channels), "deg", "deg", "deg"],
         title=f"Hexacopter ({data_name}), held-out {windows.locate(at)[0][0]}: open-loop prediction",
         truth_name="measured",
         columns=2,

@@ -1,5 +1,6 @@
 """What an experiment concludes: pictures, what is claimed, what was measured, and whether it holds."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,6 +25,15 @@ class Check:
     def word(self) -> str:
         """pass, fail or not measured."""
         return "not measured" if self.passed is None else "pass" if self.passed else "fail"
+
+
+def errs_less(
+    horizon: str, other: str, pairs: Mapping[str, tuple[float, float]], units: Mapping[str, str]
+) -> Check:
+    """The claim that the SDE errs less at a horizon [s]: its error and that of the other by quantity."""
+    told = (f"{g} {a:.3g} against {b:.3g} {units.get(g, '')}".rstrip() for g, (a, b) in pairs.items())
+    claim = f"at {horizon} s the SDE errs less than {other} in every quantity"
+    return Check(claim, "; ".join(told), all(a < b for a, b in pairs.values()))
 
 
 @dataclass

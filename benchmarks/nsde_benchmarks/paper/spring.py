@@ -27,6 +27,10 @@ _LOST = 100.0
 def state_evolution(models: Mapping[str, Sequence[Model]], *, title: str, seed: int) -> ExperimentOutcome:
     """Neural SDE, neural ODE and ensemble: `models[kind]` has one model per seed, `title` what they were trained on."""
     values: dict[str, dict[str, list[float]]] = {}
+
+    def rms(error: NDArray[np.float64]) -> float:
+        return float(np.sqrt((error**2).mean()))
+
     drawn = []
     names = {"sde": "neural SDE", "ode": "neural ODE", "ensemble": "Gaussian ensemble"}
     t: NDArray[np.float64] = np.zeros(0)
@@ -41,15 +45,14 @@ def state_evolution(models: Mapping[str, Sequence[Model]], *, title: str, seed: 
             x0 = torch.tensor([START]).to(model.clock_scale)
             paths = rollout(model, x0, x0.new_zeros(1, steps, 1), seed=seed, measurement=False)[:, 0]
             p = prediction(model, paths, names[kind], level=_LEVEL, interval=kind != "ode")
-            error = (p.mean - truth) / np.sqrt((truth**2).mean(0))
+            size = np.sqrt((truth**2).mean(0))
+            error = (p.mean - truth) / size
             finite = np.isfinite(error).all(1)
             row["finite_s"].append(float(t[finite][-1]))
-            row["relative_rmse"].append(float(np.sqrt((error[finite] ** 2).mean())))
+            row["relative_rmse"].append(rms(error[finite]))
             if kind == "sde":
-                middle = paths.double().quantile(0.5, dim=0).numpy()
-                row.setdefault("relative_rmse_of_median", []).append(
-                    float(np.sqrt((((middle - truth) / np.sqrt((truth**2).mean(0)))[finite] ** 2).mean()))
-                )
+                middle = (paths.double().quantile(0.5, dim=0).numpy() - truth) / size
+                row.setdefault("relative_rmse_of_median", []).append(rms(middle[finite]))
             if p.low is not None and p.high is not None:
                 inside = (p.low <= truth) & (truth <= p.high)
                 row["inside_95"].append(float(inside.mean()))

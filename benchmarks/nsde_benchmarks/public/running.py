@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nsde_torch.evaluation.report import table as aligned
 from nsde_torch.plots.style import BLACK, VERMILLION, key, panels, save, styled
 
 from .benchmark import BenchmarkMetric, BenchmarkOutcome, PublicBenchmark
@@ -19,11 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def picture(benchmark: PublicBenchmark, outcome: BenchmarkOutcome, path: Path) -> None:
-    """Draw the traces of a run into a file."""
-    save(_figure(benchmark, outcome), path)
-
-
 @styled
 def _figure(benchmark: PublicBenchmark, outcome: BenchmarkOutcome) -> Figure:
     last = list(outcome.rows)[-1]
@@ -31,16 +27,12 @@ def _figure(benchmark: PublicBenchmark, outcome: BenchmarkOutcome) -> Figure:
         len(outcome.traces), 2, height=2.3 * len(outcome.traces) + 0.8, title=f"{benchmark.title}: {last}"
     )
     for row, trace in zip(axes.reshape(-1, 2), outcome.traces, strict=True):
+        thin = {"color": VERMILLION, "linewidth": 0.8}
         row[0].plot(trace.t, trace.measured, color=BLACK, linewidth=0.8, label="measured")
-        row[0].plot(
-            trace.t, trace.simulated, color=VERMILLION, linewidth=0.8, linestyle="--", label="simulated"
-        )
-        row[0].set_title(trace.title)
-        row[0].set_ylabel(trace.label)
-        row[1].plot(trace.t, trace.simulated - trace.measured, color=VERMILLION, linewidth=0.8)
-        row[1].set_title("simulated minus measured")
-        for ax in row:
-            ax.set_xlabel("time [s]")
+        row[0].plot(trace.t, trace.simulated, linestyle="--", label="simulated", **thin)
+        row[0].set(title=trace.title, ylabel=trace.label, xlabel="time [s]")
+        row[1].plot(trace.t, trace.simulated - trace.measured, **thin)
+        row[1].set(title="simulated minus measured", xlabel="time [s]")
     key(figure, axes[0, 0])
     return figure
 
@@ -85,7 +77,7 @@ def run_benchmark(
     text = json.dumps(content, indent=1, allow_nan=False)
     (out / RESULT).write_text(text + "\n", encoding="utf-8")
     if outcome.traces:
-        picture(benchmark, outcome, out / PICTURE)
+        save(_figure(benchmark, outcome), out / PICTURE)
     return content
 
 
@@ -139,20 +131,14 @@ def table(content: Mapping[str, Any], metrics: Sequence[BenchmarkMetric]) -> lis
         return [*first, *(line for part in rest for line in ("", *part))]
     digits = {metric.key: metric.digits for metric in metrics}
     heads = ["", *(f"{m.key} [{m.unit}]" if m.unit else m.key for m in metrics)]
-    rows = [heads]
+    rows = []
     for row in content["published"]:
         note = f" ({row['note']})" if row["note"] else ""
         rows.append([row["name"] + note, *(_cell(row["values"].get(k), d) for k, d in digits.items())])
     for name, values in content["ours"].items():
         rows.append([name, *(_cell(values.get(k), d) for k, d in digits.items())])
-    wide = [max(len(row[k]) for row in rows) for k in range(len(heads))]
-    lines = [
-        "  ".join(
-            [row[0].ljust(wide[0]), *(c.rjust(w) for c, w in zip(row[1:], wide[1:], strict=True))]
-        ).rstrip()
-        for row in rows
-    ]
-    return [lines[0], "-" * len(lines[0]), *lines[1:]]
+    head, _, *lines = aligned(heads, rows).splitlines()
+    return [head, "-" * len(head), *lines]
 
 
 def _cell(value: float | None, digits: int) -> str:

@@ -72,7 +72,7 @@ def pendulum_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pendulum")
     rng = np.random.default_rng(2)
     for name, shift in (("ddp", 0.0), ("direct_collocation", 1.0)):
-        t = 0.002 * np.arange(3000)
+        t = 0.002 * np.arange(1500)
         torque = 1.5 * np.sin(3.0 * t + shift) + 0.8 * np.sin(8.0 * t)
         theta = rate = 0.0
         rows = np.empty((len(t), 4))

@@ -30,8 +30,8 @@ class TrainedRun:
     """A finished run directory."""
 
     name: str  # name in tables and figures
-    folder: Path  # the folder
-    model: Model  # its model
+    folder: Path
+    model: Model
     metrics: Mapping[str, Any]  # what its `metrics.json` holds
     # the configuration that it was trained with; empty if it was trained without the command line
     trained: Mapping[str, Any]
@@ -127,7 +127,7 @@ class Chosen:
     """Runs to score on."""
 
     data: DataSet  # the data set that they are of
-    runs: Sequence[Run]  # the runs
+    runs: Sequence[Run]
     other_sensors: bool  # whether they are the runs of a `data.test_path`, recorded by other sensors perhaps
 
 

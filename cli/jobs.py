@@ -77,7 +77,7 @@ class Job:
 class HydraJob:
     """What Hydra calls for a job, and a launcher sends to other processes: names, and nothing that must be pickled."""
 
-    command: str  # name of the command
+    command: str
     module: str  # module whose function `run(config, job)` does the work, imported when there is some
     folder: bool  # whether the job has a folder, into which a failure is written
 

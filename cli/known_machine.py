@@ -26,7 +26,7 @@ CONFIG = ".hydra/config.yaml"
 class KnownMachine:
     """A machine after a diagnosis."""
 
-    system: System  # declared system
+    system: System
     runs: Sequence[Run]  # runs that were looked at
     clock: float  # physical seconds per logged second
     values: Mapping[str, Any]  # effects that were found, with values

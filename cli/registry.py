@@ -47,7 +47,7 @@ class CommandEntry:
     """One line of the table: the file of a command, and what `nsde --help` says of it."""
 
     module: str  # module with the `COMMAND`
-    summary: str  # one line
+    summary: str
     package: str | None = None  # installed package that adds the command; None for a command of the table
 
     def load(self) -> Command:

@@ -21,7 +21,7 @@ _RESULTS = ("metrics.json", "policy.json")
 class SweepJob:
     """One job of a sweep."""
 
-    folder: Path  # folder of the job
+    folder: Path
     overrides: dict[str, str]  # what was set for it, by key
     status: str  # `done`, `failed` or `unfinished` (running, killed, or never started its work)
     reason: str = ""  # why it failed, one line

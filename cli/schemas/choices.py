@@ -7,19 +7,13 @@ from nsde_torch.systems.names import SYSTEM_HOMES
 
 from .data import DATA_CHOICES
 from .model import MODEL_CHOICES, TorchDiffEqSolver
-from .reference import CircleReference, CsvReference, HoverReference, LemniscateReference, WaypointReference
+from .reference import REFERENCE_CHOICES
 
 CHOICES: dict[str, dict[str, type]] = {
     "data": DATA_CHOICES,
     "model": MODEL_CHOICES,
     "solver": {"torchdiffeq": TorchDiffEqSolver},
-    "reference": {
-        "circle": CircleReference,
-        "lemniscate": LemniscateReference,
-        "hover": HoverReference,
-        "waypoints": WaypointReference,
-        "csv": CsvReference,
-    },
+    "reference": REFERENCE_CHOICES,
 }
 
 NAMES: dict[str, tuple[str, ...]] = {

@@ -19,25 +19,15 @@ class ReferenceConfig:
     tilt_limit: float = key(60.0, "largest tilt that the check lets pass", unit="deg", above=0, high=85)
 
 
-@mirrors(CircleOptions)
-class CircleReference(ReferenceConfig):
-    """A circle."""
-
-    kind: str = key("circle", "kind of the reference, set by reference=")
-
-
-@mirrors(LemniscateOptions)
-class LemniscateReference(ReferenceConfig):
-    """A figure of eight."""
-
-    kind: str = key("lemniscate", "kind of the reference, set by reference=")
-
-
-@mirrors(HoverOptions)
-class HoverReference(ReferenceConfig):
-    """Standing still."""
-
-    kind: str = key("hover", "kind of the reference, set by reference=")
+def _keys_of(kind: str, options: type) -> type:
+    """Keys for every option of a path that has nothing else."""
+    space = {
+        "__annotations__": {"kind": "str"},
+        "__doc__": options.__doc__,
+        "__module__": __name__,
+        "kind": key(kind, "kind of the reference, set by reference="),
+    }
+    return mirrors(options)(type(f"{kind.title()}Reference", (ReferenceConfig,), space))
 
 
 @dataclass
@@ -61,3 +51,14 @@ class CsvReference(ReferenceConfig):
     path: str = key("???", "CSV file with p_x p_y p_z [m], and if there are yaw [rad] and t [s]", file=True)
     speed: float = of(WaypointOptions, "speed", help="largest speed, where the file has no times")
     tilt: float = of(WaypointOptions, "tilt", help="largest tilt, where the file has no times")
+
+
+REFERENCE_CHOICES: dict[str, type] = {
+    "circle": _keys_of("circle", CircleOptions),
+    "lemniscate": _keys_of("lemniscate", LemniscateOptions),
+    "hover": _keys_of("hover", HoverOptions),
+    "waypoints": WaypointReference,
+    "csv": CsvReference,
+}
+# a configuration that a sweep sends to another process finds its class by name
+globals().update({cls.__name__: cls for cls in REFERENCE_CHOICES.values()})

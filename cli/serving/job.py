@@ -68,7 +68,7 @@ class ServedJob:
     id: str  # its name and that of its folder; whoever knows it may see the results
     created: str  # when, ISO 8601
     system: str | None  # machine that was chosen; None: to be guessed
-    files: list[UploadedFile]  # its logs
+    files: list[UploadedFile]
     machine: str = ""  # what it is taken for
     state: str = "uploading"  # key of `STATES`
     sentence: str = ""  # why it is refused or failed; empty where it is not

@@ -406,7 +406,7 @@ def distance_map(
 class PredictionBand:
     """What a model predicts; not-a-number where it has diverged."""
 
-    name: str  # name of the model
+    name: str
     mean: Array  # mean (T + 1, n)
     # ends of its interval (T + 1, n); None for a model without intervals
     low: Array | None = None

@@ -31,7 +31,7 @@ class Settings:
     seeds: int  # models of each kind
     models: Path  # folder of the trained models
     policies: Path | None  # folder of a policy study, or None
-    seed: int  # seed of the particles
+    seed: int
 
     def run_dirs(self, *names: str) -> list[list[Path]]:
         """The run directories of each training name, one per seed."""
@@ -42,7 +42,7 @@ class Settings:
 class Figure:
     """One figure."""
 
-    about: str  # one line
+    about: str
     # words of `nsde train` by name; the seed is added
     trainings: Callable[[Settings], Mapping[str, list[str]]]
     draw: Callable[[Settings], ExperimentOutcome]  # makes pictures and checks once these models are there

@@ -40,9 +40,9 @@ def errs_less(
 class ExperimentOutcome:
     """What an experiment concludes."""
 
-    title: str  # title of the picture
+    title: str
     source: str  # what the supplement says, in other words
-    checks: list[Check] = field(default_factory=list)  # claims and measurements
+    checks: list[Check] = field(default_factory=list)
     figures: dict[str, Any] = field(default_factory=dict)  # matplotlib figures by name
     # numbers behind the checks, JSON-able; units in the keys
     values: dict[str, Any] = field(default_factory=dict)

@@ -30,7 +30,7 @@ class BenchmarkMetric:
 class PublishedRow:
     """What others reached."""
 
-    name: str  # the method
+    name: str
     values: Mapping[str, float]  # value by key of the metric; those that were not published are left out
     source: str  # repository and file, or paper, that states them
     note: str = ""  # what has to be known of them: another split, a bound

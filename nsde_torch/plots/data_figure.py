@@ -6,7 +6,7 @@ Thin lines: the 95 % quantile and the largest magnitude over all runs. Gaps brea
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -30,8 +30,6 @@ from nsde_torch.plots.style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from nsde_torch.data import DataSet, Run, SystemInfo
 
 # Roll, pitch, yaw of quaternions for people's eyes: q = q_z(yaw) q_y(pitch) q_x(roll), in degrees.
 #
@@ -94,8 +92,51 @@ COLUMNS = 4
 """Runs that have a column of their own; of more, the first ones are drawn."""
 
 
+class RunLike(Protocol):
+    """What is read of a run; `nsde_torch.data.Run` has it."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def t(self) -> Array: ...
+    @property
+    def x(self) -> Array: ...
+    @property
+    def u(self) -> Array: ...
+    @property
+    def segments(self) -> tuple[tuple[int, int], ...]: ...
+
+
+class DataSetLike(Protocol):
+    """What is read of a data set; `nsde_torch.data.DataSet` has it."""
+
+    @property
+    def runs(self) -> Sequence[RunLike]: ...
+    @property
+    def input_names(self) -> tuple[str, ...]: ...
+
+
+class SystemLike(Protocol):
+    """What is read of a system; `nsde_torch.systems.System` has it."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def state_names(self) -> tuple[str, ...]: ...
+    @property
+    def state_units(self) -> tuple[str, ...]: ...
+    @property
+    def input_names(self) -> tuple[str, ...]: ...
+    @property
+    def input_units(self) -> tuple[str, ...]: ...
+    @property
+    def quaternion(self) -> slice | None: ...
+    @property
+    def position_derivatives(self) -> tuple[tuple[str, str, str], ...]: ...
+
+
 @styled
-def data_summary(dataset: DataSet, system: SystemInfo, *, title: str | None = None) -> Figure:
+def data_summary(dataset: DataSetLike, system: SystemLike, *, title: str | None = None) -> Figure:
     """The data over time.
 
     Args:
@@ -114,7 +155,7 @@ def data_summary(dataset: DataSet, system: SystemInfo, *, title: str | None = No
     return _channels(dataset, system, title)
 
 
-def speed_and_angles(x: Array, system: SystemInfo) -> Array:
+def speed_and_angles(x: Array, system: SystemLike) -> Array:
     """Speed [m/s], roll, pitch and yaw [deg] (n, 4) of states of a multirotor (n, nx)."""
     assert system.quaternion is not None
     v = [system.state_names.index(n) for n in ("v_x", "v_y", "v_z")]
@@ -123,19 +164,19 @@ def speed_and_angles(x: Array, system: SystemInfo) -> Array:
     return np.column_stack([np.linalg.norm(x[:, v], axis=1), angles])
 
 
-def _pieces(run: Run) -> list[tuple[Array, slice]]:
+def _pieces(run: RunLike) -> list[tuple[Array, slice]]:
     """Time from the start of the run [s] and rows of each segment."""
     return [(run.t[a:b] - run.t[0], slice(a, b)) for a, b in run.segments]
 
 
-def _mark_gaps(ax: Axes, run: Run) -> None:
+def _mark_gaps(ax: Axes, run: RunLike) -> None:
     for (_, stop), (start, _) in zip(run.segments[:-1], run.segments[1:], strict=True):
         a, b = float(run.t[stop - 1] - run.t[0]), float(run.t[start] - run.t[0])
         ax.axvspan(a, b, color=VERMILLION, alpha=0.25, linewidth=0)
         ax.axvline(0.5 * (a + b), color=VERMILLION, linestyle=":", linewidth=1.2, gid="gap")
 
 
-def _flights(runs: Sequence[Run], system: SystemInfo, title: str) -> Figure:
+def _flights(runs: Sequence[RunLike], system: SystemLike, title: str) -> Figure:
     from matplotlib.lines import Line2D
 
     curves = [[speed_and_angles(run.x[rows], system) for _, rows in _pieces(run)] for run in runs]
@@ -183,7 +224,7 @@ def _flights(runs: Sequence[Run], system: SystemInfo, title: str) -> Figure:
     return figure
 
 
-def _channels(dataset: DataSet, system: SystemInfo, title: str) -> Figure:
+def _channels(dataset: DataSetLike, system: SystemLike, title: str) -> Figure:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
@@ -231,7 +272,9 @@ def _channels(dataset: DataSet, system: SystemInfo, title: str) -> Figure:
     return figure
 
 
-def _portrait(ax: Axes, runs: Sequence[Run], colours: Sequence[str], alpha: float, i: int, j: int) -> None:
+def _portrait(
+    ax: Axes, runs: Sequence[RunLike], colours: Sequence[str], alpha: float, i: int, j: int
+) -> None:
     """Velocity against position, segment by segment; a dot marks each start."""
     for run, colour in zip(runs, colours, strict=True):
         for _, rows in _pieces(run):

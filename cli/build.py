@@ -58,6 +58,21 @@ def options(config: DictConfig, *left_out: str) -> dict[str, Any]:
     return {str(key): value for key, value in plain.items() if key not in left_out}
 
 
+def fence(config: DictConfig, group: str) -> tuple[tuple[float, float], ...]:
+    """The key `fence` of a group: lowest and highest x, y, z [m]; ConfigError where it is none."""
+    rows = options(config)["fence"]
+
+    def wall(row: Any) -> bool:
+        number = isinstance(row, list) and all(type(end) in (int, float) for end in row)
+        return number and len(row) == 2 and row[0] < row[1]
+
+    if not (isinstance(rows, list) and len(rows) == 3 and all(map(wall, rows))):
+        raise ConfigError(
+            f"`{group}.fence` takes [[x_low,x_high],[y_low,y_high],[z_low,z_high]]; got {rows!r}."
+        )
+    return tuple((float(low), float(high)) for low, high in rows)
+
+
 def system(config: DictConfig) -> System:
     """The machine of the group `system`; ConfigError where there is no such system, effect, parameter or option."""
     return system_options(config).make()

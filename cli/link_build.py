@@ -6,7 +6,6 @@ from dataclasses import fields
 from functools import partial
 from math import radians
 from pathlib import Path
-from typing import Any
 
 from omegaconf import DictConfig
 
@@ -37,7 +36,7 @@ def key(config: DictConfig) -> bytes | None:
 def limits(config: DictConfig) -> Limits:
     """The group `limits`; ConfigError for a fence that is none."""
     given = {f.name: config[f.name] for f in fields(Limits) if f.name in config}
-    return Limits(**{**given, "fence": _fence(build.options(config)["fence"])})
+    return Limits(**{**given, "fence": build.fence(config, "limits")})
 
 
 def setpoints(config: DictConfig) -> SetpointLimits:
@@ -51,16 +50,6 @@ def setpoints(config: DictConfig) -> SetpointLimits:
         throttle=(throttle[0], throttle[1]),
         tilt=radians(max(config.tilt - 5.0, 5.0)),
     )
-
-
-def _fence(rows: Any) -> Any:
-    good = isinstance(rows, list) and len(rows) == 3
-    good = good and all(isinstance(r, list) and len(r) == 2 and float(r[0]) < float(r[1]) for r in rows)
-    if not good:
-        raise ConfigError(
-            f"`limits.fence` takes [[x_low,x_high],[y_low,y_high],[z_low,z_high]]; got {rows!r}."
-        )
-    return tuple((float(a), float(b)) for a, b in rows)
 
 
 _STOPPED = ("stop", "stopped")

@@ -127,25 +127,13 @@ def problem(config: DictConfig) -> ProblemOptions:
     """What a plan pays for."""
     given = _of(ProblemOptions, config)
     limits = {name: inf if given[name] is None else given[name] for name in ("speed_limit", "tilt_limit")}
-    fence = None
-    if config.fence is not None:
-        fence = tuple((float(a), float(b)) for a, b in _pairs(build.options(config)["fence"]))
+    fence = None if config.fence is None else build.fence(config, "mpc")
     return ProblemOptions(**{**given, **limits, "state_weights": tuple(config.state_weights), "fence": fence})
 
 
 def _of(options: type[Any], config: DictConfig) -> dict[str, Any]:
     """The fields of a class of options that a group has too."""
     return {f.name: config[f.name] for f in fields(options) if f.name in config}
-
-
-def _pairs(fence: Any) -> list[Any]:
-    if not (
-        isinstance(fence, list)
-        and len(fence) == 3
-        and all(isinstance(w, list) and len(w) == 2 for w in fence)
-    ):
-        raise ConfigError(f"`mpc.fence` takes [[x_low,x_high],[y_low,y_high],[z_low,z_high]]; got {fence!r}.")
-    return fence
 
 
 def solver(config: DictConfig) -> SolverOptions:

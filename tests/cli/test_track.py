@@ -63,6 +63,8 @@ def test_many_machines_fly_in_one_batch_with_noise_of_their_own() -> None:
         (["run=declared", "reference.speed=9"], "tilts to"),
         (["run=declared", "reference=waypoints", "reference.points=[[0,0,1]]"], "two or more"),
         (["run=declared", "mpc.fence=[1,2]"], "mpc.fence"),
+        (["run=declared", "mpc.fence=[[1,-1],[0,1],[0,1]]"], "`mpc.fence` takes"),
+        (["run=declared", "mpc.fence=[[a,b],[0,1],[0,1]]"], "`mpc.fence` takes"),
         (["run=nowhere"], "no run directory"),
         (["run=pid"], "run directory"),
         (["run=declared", "beside=[declared]"], "twice"),

@@ -1,9 +1,9 @@
-"""Rates and thrust out of plans of motor commands."""
+"""Rates and thrust out of plans of motor commands, and pushes learned from velocities."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from math import cos, exp, pi, radians, sin
+from math import atan2, cos, exp, pi, radians, sin, tan
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +25,21 @@ from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan
 from nsde_torch.px4.flight.flying import FlightReport
 from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.path import PathPoints
-from nsde_torch.px4.flight.predictive import PredictiveController, PredictiveMaker, without_covered
+from nsde_torch.px4.flight.predictive import (
+    NO_DRAG,
+    PredictiveController,
+    PredictiveMaker,
+    PushEstimate,
+    braking,
+    carried,
+    without_covered,
+)
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.simulated import fly_simulated
 from nsde_torch.systems import make_plant_system
+
+HOVERING = ((-1.0, Demand((0.0, 0.0, 0.0), 9.81)),)
+PERIOD = 0.02
 
 
 @pytest.fixture(scope="module")
@@ -41,12 +52,11 @@ def controller() -> Controller:
     )
 
 
-def _row(**moved: float) -> tuple[float, ...]:
-    x = torch.zeros(13)
-    x[2], x[6] = 1.5, 1.0
-    for name, value in moved.items():
-        x[{"x": 0, "y": 1, "z": 2}[name]] += value
-    return tuple(x.tolist())
+def _row(
+    x: float = 0.0, z: float = 0.0, v: tuple[float, float, float] = (0.0, 0.0, 0.0), yaw: float = 0.0
+) -> tuple[float, ...]:
+    """A level state beside a point at 1.5 m."""
+    return (x, 0.0, 1.5 + z, *v, cos(0.5 * yaw), 0.0, 0.0, sin(0.5 * yaw), 0.0, 0.0, 0.0)
 
 
 def test_hovering_at_the_reference_asks_for_no_rates_and_for_the_weight(controller: Controller) -> None:
@@ -67,14 +77,10 @@ def test_behind_the_reference_it_pitches_forward_and_below_it_climbs(controller:
     assert below.at(10.0).thrust > 10.5
 
 
-def test_a_state_is_carried_forward_over_the_delay_by_what_was_asked_for(controller: Controller) -> None:
-    made = PredictiveController(controller, Reference(shapes.hover()), delay=0.1)
-    # free fall was asked for, and turning to the left at half a turn in a second
-    asked = (
-        (9.85, Demand((0.0, 0.0, pi), 0.0)),
-        (10.0, Demand((9.0, 9.0, 9.0), 99.0)),
-    )  # the last acts later
-    row = made._ahead(_row(), 10.0, asked)
+def test_a_state_is_carried_forward_over_the_delay_by_what_was_asked_for() -> None:
+    # free fall was asked for, and turning to the left at half a turn in a second; the last acts later
+    asked = ((9.85, Demand((0.0, 0.0, pi), 0.0)), (10.0, Demand((9.0, 9.0, 9.0), 99.0)))
+    row = carried(_row(), 10.0, 0.1, asked, delay=0.1)
     assert row[2] == pytest.approx(1.5 - 0.5 * 9.81 * 0.1**2)
     assert row[5] == pytest.approx(-0.981)
     assert row[6:10] == pytest.approx((cos(0.05 * pi), 0.0, 0.0, sin(0.05 * pi)))
@@ -86,12 +92,10 @@ def test_a_state_that_is_carried_forward_is_braked_as_the_model_says() -> None:
         "quadrotor", effects=[{"linear_drag": {"drag": [1.0, 0.5, 0.2]}}], declared_only=True
     )
     problem, solver = ProblemOptions(horizon=0.4, steps=3), SolverOptions(compile="off", iterations=1)
-    made = PredictiveController(
-        Controller(system, problem=problem, solver=solver), Reference(shapes.hover()), delay=0.1
-    )
+    drag = braking(Controller(system, problem=problem, solver=solver))
     # nose north: the body's x is the world's y
     row = (0.0, 0.0, 1.5, 0.0, 3.0, 0.0, cos(0.25 * pi), 0.0, 0.0, sin(0.25 * pi), 0.0, 0.0, 0.0)
-    after = made._ahead(row, 10.0, ((9.8, Demand((0.0, 0.0, 0.0), 9.81)),))
+    after = carried(row, 10.0, 0.1, HOVERING, delay=0.1, drag=drag)
     assert after[4] == pytest.approx(3.0 * exp(-0.1), abs=0.01)
     assert after[3] == pytest.approx(0.0, abs=1e-6)
 
@@ -243,3 +247,77 @@ def test_a_controller_that_knows_the_lag_which_the_delay_makes_up_for_is_refused
     )
     with pytest.raises(ConfigError, match=r"motor_lag, which `delay` makes up for.*run=DIR"):
         PredictiveController(made, Reference(shapes.hover()))
+
+
+def _learned(estimate: PushEstimate, a: tuple[float, float, float], seconds: float, yaw: float = 0.0) -> None:
+    """A level vehicle that is pushed by a constant acceleration `a` of the world while hovering is asked for."""
+    for k in range(round(seconds / PERIOD)):
+        t = k * PERIOD
+        estimate.take(_row(v=(a[0] * t, a[1] * t, a[2] * t), yaw=yaw), t, HOVERING)
+
+
+def test_a_constant_push_is_learned_along_the_body_within_a_few_time_constants() -> None:
+    estimate = PushEstimate(delay=0.08, drag=NO_DRAG, time=0.2, limit=4.0)
+    _learned(estimate, (0.0, 0.8, -0.5), 1.0, yaw=radians(90.0))  # world's y is the body's x
+    assert estimate.value == pytest.approx((0.8, 0.0, -0.5), abs=0.01)
+
+
+@pytest.mark.parametrize(("drag", "wind"), [(0.6, 0.0), (0.0, 0.8), (0.6, 0.8)])
+def test_braking_that_no_model_knows_is_told_from_a_steady_push(drag: float, wind: float) -> None:
+    """To and fro at up to 3 m/s for 15 s: braking changes with the speed, and is known before the speed changes."""
+    estimate = PushEstimate(delay=0.08, drag=NO_DRAG, time=0.2, limit=4.0)
+    x = v = 0.0
+    for k in range(round(15.0 / PERIOD)):
+        t = k * PERIOD
+        wanted = 3.0 * cos(1.5 * t)  # thrust leans as needed for that
+        lean = atan2(-4.5 * sin(1.5 * t) + 2.0 * (wanted - v), 9.81)
+        asked = ((t - 1.0, Demand((0.0, 0.0, 0.0), 9.81 / cos(lean))),)
+        row = (x, 0.0, 1.5, v, 0.0, 0.0, cos(0.5 * lean), 0.0, sin(0.5 * lean), 0.0, 0.0, 0.0, 0.0)
+        estimate.take(row, t, asked)
+        x, v = x + PERIOD * v, v + PERIOD * (9.81 * tan(lean) + wind - drag * v)
+    assert estimate.slopes[0] == pytest.approx(drag, abs=0.12)
+    fast = estimate.at(_row(v=(3.0, 0.0, 0.0)))
+    assert fast[0] == pytest.approx(wind - 3.0 * drag, abs=0.35)
+
+
+def test_what_a_model_says_of_drag_is_no_push() -> None:
+    drag = ((0.5, 0.0, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, 0.5))
+    estimate = PushEstimate(delay=0.08, drag=drag, time=0.2, limit=4.0)
+    v = 2.0
+    for k in range(100):
+        estimate.take(_row(v=(v, 0.0, 0.0)), k * PERIOD, HOVERING)
+        v -= 0.5 * v * PERIOD
+    assert estimate.value == pytest.approx((0.0, 0.0, 0.0), abs=0.02)
+
+
+def test_a_push_is_bounded_forgotten_and_not_learned_across_a_silence() -> None:
+    estimate = PushEstimate(delay=0.08, drag=NO_DRAG, time=0.2, limit=1.5)
+    _learned(estimate, (5.0, 0.0, 0.0), 1.0)
+    assert estimate.value == pytest.approx((1.5, 0.0, 0.0))
+    estimate.take(_row(v=(-20.0, 0.0, 0.0)), 3.0, HOVERING)
+    assert estimate.value == pytest.approx((1.5, 0.0, 0.0))
+    estimate.reset()
+    assert estimate.value == (0.0, 0.0, 0.0)
+    off = PushEstimate(delay=0.08, drag=NO_DRAG, time=0.0, limit=1.5)
+    _learned(off, (1.0, 0.0, 0.0), 1.0)
+    assert off.value == (0.0, 0.0, 0.0)
+
+
+def test_a_state_carried_over_a_delay_knows_the_push() -> None:
+    after = carried(_row(v=(0.0, 0.0, 0.0)), 0.0, 0.1, HOVERING, delay=0.1, push=(1.0, 0.0, 0.5))
+    assert after[3] == pytest.approx(0.1)
+    assert after[5] == pytest.approx(0.05)
+    assert after[0] == pytest.approx(0.005)
+
+
+@pytest.mark.slow
+def test_a_machine_that_is_pushed_forward_is_asked_to_lean_back_further_once_the_push_is_known(
+    controller: Controller,
+) -> None:
+    asked = {}
+    for time in (0.0, 0.2):
+        made = PredictiveController(controller, Reference(shapes.hover()), push_time=time)
+        for k in range(15):
+            plan = made(_row(v=(0.02 * k, 0.0, 0.0)), k * PERIOD, k * PERIOD, HOVERING)
+        asked[time] = plan.at(plan.time).w[1]
+    assert asked[0.2] < asked[0.0] - 0.1

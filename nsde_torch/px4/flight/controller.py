@@ -51,10 +51,7 @@ class DemandPlan:
         if k >= len(self.demands) - 1:
             return self.demands[-1]
         a, b, share = self.demands[k], self.demands[k + 1], s - k
-        return Demand(
-            between(a.w, b.w, share),
-            a.thrust + share * (b.thrust - a.thrust),
-        )
+        return Demand(between(a.w, b.w, share), a.thrust + share * (b.thrust - a.thrust))
 
     @property
     def end(self) -> float:
@@ -67,7 +64,7 @@ Asked = Sequence[tuple[float, Demand]]
 
 
 class FlightController(Protocol):
-    """A callable with the state's row of 13 numbers, the time that it is valid for, and the time in the reference."""
+    """What plans."""
 
     def __call__(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> DemandPlan:
         """Plan.

@@ -24,12 +24,8 @@ from dataclasses import dataclass
 from math import ceil, inf
 
 OF_LOSS, ACTION, STICKS = "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_RC_IN_MODE"
-CLIMBS_TO, BATTERY, OVERRIDE, PROFILE = (
-    "RTL_RETURN_ALT",
-    "COM_LOW_BAT_ACT",
-    "COM_RC_OVERRIDE",
-    "SDLOG_PROFILE",
-)
+CLIMBS_TO, BATTERY = "RTL_RETURN_ALT", "COM_LOW_BAT_ACT"
+OVERRIDE, PROFILE = "COM_RC_OVERRIDE", "SDLOG_PROFILE"
 LONGEST_LOSS = 2.0
 """Time for which PX4 may hold the last rates when the stream stops [s]."""
 BLIND = 2.0
@@ -69,14 +65,8 @@ OWN_FENCE = ("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST")
 OPTIONAL = ("COM_DLL_EXCEPT", *GPS_DELAYS)
 """Parameters that some versions of PX4 do not have."""
 PARAMETERS = (
-    OF_LOSS,
-    *(one.name for one in _FAILSAFES),
-    "COM_RCL_EXCEPT",
-    STICKS,
-    *OWN_FENCE,
-    CLIMBS_TO,
-    OVERRIDE,
-    PROFILE,
+    *(OF_LOSS, *(one.name for one in _FAILSAFES), "COM_RCL_EXCEPT", STICKS),
+    *(*OWN_FENCE, CLIMBS_TO, OVERRIDE, PROFILE),
 )
 
 
@@ -86,11 +76,7 @@ def line(name: str, value: float) -> str:
 
 
 def faults(known: Mapping[str, float]) -> list[str]:
-    """Reasons not to fly.
-
-    Args:
-        known: Parameters of the autopilot, as far as they were answered.
-    """
+    """Reasons not to fly, by the autopilot's parameters as far as they were answered."""
     out = []
     loss, action = known.get(OF_LOSS), known.get(ACTION)
     if loss is not None and not 0.0 < loss <= LONGEST_LOSS:

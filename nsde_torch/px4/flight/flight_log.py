@@ -8,11 +8,9 @@ not known is `nan`. Beside it the same flight as ULog, for PX4's tools.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from io import BufferedWriter, TextIOWrapper
 from math import isfinite, nan
 from pathlib import Path
-from types import TracebackType
 from typing import final
 
 from nsde_torch.px4.link import frames
@@ -52,11 +50,7 @@ _NUMBERS = {name: k for k, name in enumerate(_TOPICS)}
 
 @final
 class UlogFile:
-    """One log; nothing is on disk before the first state.
-
-    Args:
-        file: The `.ulg` file.
-    """
+    """One log; nothing is on disk before the first state."""
 
     def __init__(self, file: Path) -> None:
         self.file = file
@@ -72,7 +66,7 @@ class UlogFile:
 
     def motors(self, stamp: float, u: tuple[float, ...]) -> None:
         """Motor commands, 0 to 1; left out while they are not known."""
-        if u and all(map(isfinite, u)):
+        if all(map(isfinite, u)):
             us = round(stamp * 1e6)
             self._data("actuator_motors", us, us, *u, *(nan,) * (_MOTORS - len(u)))
 
@@ -121,24 +115,6 @@ STATE = ("p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "
 EXTRA = ("rate_sp_x", "rate_sp_y", "rate_sp_z", "throttle_sp", "battery_voltage")
 RESET = 0.05
 """Time after a reset of the estimate that is left out, so that the run is cut there: no motion made that step [s]."""
-_NAN = float("nan")
-
-
-@dataclass(frozen=True)
-class FlownState:
-    """A state in flight, with what was known and asked for when it came.
-
-    Args:
-        state: The state.
-        motors: Commands of the motors, 0 to 1, as far as the autopilot reports them.
-        voltage: Of the battery [V].
-        sent: Time, rates and throttle that left last.
-    """
-
-    state: VehicleState
-    motors: tuple[float, ...]
-    voltage: float
-    sent: tuple[float, Vec, float] | None
 
 
 @final
@@ -162,17 +138,21 @@ class FlightLog:
     def __enter__(self) -> FlightLog:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._out is not None:
             self._out.close()
             self._out = None
         self._ulog.close()
 
-    def add(self, row: FlownState) -> None:
-        """Log a state, once."""
-        state, sent = row.state, row.sent
+    def add(
+        self,
+        state: VehicleState,
+        motors: tuple[float, ...],
+        voltage: float,
+        sent: tuple[float, Vec, float] | None,
+    ) -> None:
+        """Log a state, once, with the motors' commands and the battery's voltage [V] as they were known when it came,
+        and the time, rates and throttle that had left last."""
         if state.stamp <= self._last:
             return
         self._last = state.stamp
@@ -183,18 +163,18 @@ class FlightLog:
         if self._out is None:
             self.file.parent.mkdir(parents=True, exist_ok=True)
             self._out = self.file.open("w", encoding="utf-8", newline="\n")
-            motors = tuple(f"u_{k + 1}" for k in range(self._motors))
-            self._out.write(",".join(("t", *STATE, *motors, *EXTRA)) + "\n")
-        known = row.motors[: self._motors]
-        u = known if len(known) == self._motors else (_NAN,) * self._motors
-        asked = (*sent[1], sent[2]) if sent is not None else (_NAN,) * 4
-        values = (round(state.stamp, 6), *state.row, *u, *asked, row.voltage)
+            names = (f"u_{k + 1}" for k in range(self._motors))
+            self._out.write(",".join(("t", *STATE, *names, *EXTRA)) + "\n")
+        known = motors[: self._motors]
+        u = known if len(known) == self._motors else (nan,) * self._motors
+        asked = (*sent[1], sent[2]) if sent is not None else (nan,) * 4
+        values = (round(state.stamp, 6), *state.row, *u, *asked, voltage)
         self._out.write(",".join(f"{v:.7g}" if k else repr(v) for k, v in enumerate(values)) + "\n")
         self._ulog.state(state.stamp, state.p, state.v, state.q, state.w)
-        self._ulog.motors(state.stamp, known if len(known) == self._motors else ())
+        self._ulog.motors(state.stamp, u)
         if sent is not None:
             self._ulog.setpoint(state.stamp, sent[1], sent[2])
-        self._ulog.voltage(state.stamp, row.voltage)
+        self._ulog.voltage(state.stamp, voltage)
         self.rows += 1
         if state.received - self._flushed > 1.0:
             self._flushed = state.received

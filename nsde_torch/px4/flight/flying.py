@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from nsde_torch.px4.flight.flight_log import FlightLog, FlownState
+from nsde_torch.px4.flight.flight_log import FlightLog
 from nsde_torch.px4.flight.offboard import Offboard
 from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.path import PathPoints
@@ -85,13 +85,9 @@ def land(
         if confirmed and status.mode != d.LAND:
             return end("mode", f"the mode is {status.mode}: whoever chose it has the vehicle")
         if not confirmed and now - since > options.confirm:
-            why = (
-                "; ".join(dict.fromkeys(t.text for t in status.texts if t.time >= since))
-                or "it gave no reason"
-            )
-            return end(
-                "mode", f"LAND was not confirmed, the mode is {status.mode}: {why}. Land it with the sticks"
-            )
+            said = "; ".join(dict.fromkeys(t.text for t in status.texts if t.time >= since))
+            why = f"LAND was not confirmed, the mode is {status.mode}: {said or 'it gave no reason'}"
+            return end("mode", f"{why}. Land it with the sticks")
         if status.landed != d.ON_GROUND:
             stood = now
         if not confirmed and now - asked > 0.5:
@@ -210,7 +206,7 @@ class Recorder:
         self._sent, self._plan, self._streamed = -1.0, None, False
         self._ages, self._gaps = array("d"), array("d")
         self._looked: VehicleState | None = None
-        self._flown: deque[tuple[FlownState, bool]] = deque()
+        self._flown: deque[tuple[VehicleState, tuple[Any, ...], bool]] = deque()
 
     def look(self, now: float) -> None:
         """After a tick at `now` [s]."""
@@ -230,9 +226,9 @@ class Recorder:
             for name, value in vars(status.quality).items() if status.quality else ():
                 if name != "time" and isfinite(value):
                     worst[name] = max(worst.get(name, value), value)
-            tracked = f.phase is Phase.TRACK
-            self._flown += [(FlownState(one, status.motors, status.voltage, f.sent), tracked) for one in new]
-        while self._flown and self._flown[0][0].state.received <= f.ours_until:
+            known = (status.motors, status.voltage, f.sent)
+            self._flown += [(one, known, f.phase is Phase.TRACK) for one in new]
+        while self._flown and self._flown[0][0].received <= f.ours_until:
             self._take(*self._flown.popleft(), f.home)
 
     def _look_at_setpoints(self, now: float, state: VehicleState | None) -> None:
@@ -250,13 +246,13 @@ class Recorder:
             )  # the last one was not closed by a setpoint, however long it was
         self._streamed = flying and f.streaming
 
-    def _take(self, flown: FlownState, tracked: bool, home: Vec) -> None:
+    def _take(self, state: VehicleState, known: tuple[Any, ...], tracked: bool, home: Vec) -> None:
         """A state that is known to be ours: into the statistics while the reference was tracked, and into the log."""
-        f, state = self._flight, flown.state
+        f = self._flight
         # PX4 counts from where it was switched on; fences and plans count from the place of take-off
         at: Vec = (state.p[0] - home[0], state.p[1] - home[1], state.p[2] - home[2])
         if self._log is not None and at[2] > LOGGED_FROM:
-            self._log.add(replace(flown, state=replace(state, p=at)))
+            self._log.add(replace(state, p=at), *known)
         if f.started is None or not tracked:
             return
         # at the time for which the state is valid
@@ -313,9 +309,7 @@ def fly(
         path: Where to fly, from the place of take-off.
         motors: Number of motors, for the log.
         log: File of the log; None: none.
-        limits: See `Limits`.
-        setpoints: See `SetpointLimits`.
-        options: See `FlightOptions`.
+        limits, setpoints, options: See `Limits`, `SetpointLimits` and `FlightOptions`.
         say: Takes a line about each step.
         rate: Setpoints in a second.
         watch: Called after every tick, for tests and pictures.
@@ -339,7 +333,16 @@ def fly(
                     "           note: no real-time priority: a busy computer delays setpoints. `ulimit -r 2` allows it"
                 )
         try:
-            _loop(link, flight, recorder, 1.0 / rate, watch)
+            due = link.now()
+            while not flight.done:
+                now = link.now()
+                flight.tick(now)
+                recorder.look(now)
+                if watch is not None:
+                    watch(flight, now)
+                due = max(due + 1.0 / rate, now)  # ticks that were missed are not made up for
+                if due > link.now():
+                    link.pause(due - link.now())
         except BaseException:
             # whatever it was: the last thing that PX4 hears from us is to land, and no more rates
             flight.streaming = False
@@ -348,26 +351,6 @@ def fly(
                     link.endpoint.ask_mode(d.LAND)
             raise
     return recorder.finish()
-
-
-def _loop(
-    link: Connection,
-    flight: Offboard,
-    recorder: Recorder,
-    period: float,
-    watch: Callable[[Offboard, float], None] | None,
-) -> None:
-    due = link.now()
-    while not flight.done:
-        now = link.now()
-        flight.tick(now)
-        recorder.look(now)
-        if watch is not None:
-            watch(flight, now)
-        due = max(due + period, now)  # ticks that were missed are not made up for
-        wait = due - link.now()
-        if wait > 0:
-            link.pause(wait)
 
 
 @contextlib.contextmanager

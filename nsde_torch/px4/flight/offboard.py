@@ -8,33 +8,113 @@ again: the vehicle is the operator's or PX4's. Landing is PX4's own LAND mode, w
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
-from math import inf
+from math import degrees, inf, pi
 from typing import final
 
 from nsde_torch.px4.flight import failsafe, preflight
-from nsde_torch.px4.flight.cascade import GRAVITY, Point
-from nsde_torch.px4.flight.controller import DemandPlan
-from nsde_torch.px4.flight.path import LEAD
-from nsde_torch.px4.flight.phases import FLYING, Phase
-from nsde_torch.px4.flight.safety import Action, Trouble, Watch
-from nsde_torch.px4.flight.setpoint import HoverThrottle, level
-from nsde_torch.px4.flight.supervised import Supervised
+from nsde_torch.px4.flight.cascade import GRAVITY, Point, SetpointCascade
+from nsde_torch.px4.flight.controller import Demand, DemandPlan
+from nsde_torch.px4.flight.options import FlightOptions
+from nsde_torch.px4.flight.path import LEAD, PathPoints
+from nsde_torch.px4.flight.phases import FLYING, REFUSED, FlightOutcome, Phase
+from nsde_torch.px4.flight.runner import Runner
+from nsde_torch.px4.flight.safety import Action, Limits, Trouble, Watch
+from nsde_torch.px4.flight.setpoint import Guard, HoverThrottle, SetpointLimits, level
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.connection import why_no_state
+from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.link.telemetry import Status, VehicleState
-from nsde_torch.px4.link.vectors import distance, length, yaw_of
+from nsde_torch.px4.link.vectors import Vec, between, distance, length, yaw_of
 
 REST, SETTLE = 1.0, 4.0
 """Time of rest after the reference, and longest wait for it above the place of take-off [s]."""
+STALL = 0.15
+"""Time between two ticks from which on this process stood still [s]; what came meanwhile must be heard first."""
+GRACE = 0.05
+"""Time that the hearing is given for it [s]."""
+REMEMBERED = 0.3
+"""Time for which a controller is given what was sent [s]."""
+SETPOINTS = 500
+"""Newest rates that are recognised as ours when PX4 reports them: it may hold them for 2 s, at 250 a second."""
 
 
 @final
-class Offboard(Supervised):
-    """One flight; see `Supervised` for what it takes and shows."""
+class Offboard:
+    """One flight: its phases, the stream, the place to hold, and the watch over all of them.
+
+    Args:
+        endpoint: The link's end.
+        runner: The controller of the reference.
+        path: The reference, from the place of take-off.
+        limits: When something is wrong.
+        setpoints: Bounds of the commands that are sent.
+        options: How the flight goes.
+        say: Takes one line about each step.
+
+    Attributes:
+        phase: Where we are.
+        outcome: How it ended.
+        home: Place of take-off [m], once known.
+        sent: Time, rates and throttle that left last.
+        started: When the reference began, on our clock [s].
+        ours_until: Newest time at which the vehicle said that it flies by our setpoints [s].
+    """
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        runner: Runner,
+        path: PathPoints,
+        *,
+        limits: Limits | None = None,
+        setpoints: SetpointLimits | None = None,
+        options: FlightOptions | None = None,
+        say: Callable[[str], None] = lambda line: None,
+    ) -> None:
+        self.endpoint, self.runner, self.path = endpoint, runner, path
+        self.limits, self.options = limits or Limits(), options or FlightOptions()
+        self.guard = Guard(setpoints or SetpointLimits())
+        self.phase, self.outcome = Phase.CONNECT, FlightOutcome()
+        self.home: Vec | None = None
+        self.hover = HoverThrottle(0.5)
+        self.sent: tuple[float, Vec, float] | None = None
+        self._left: deque[tuple[float, Demand]] = deque()
+        self._rates: deque[Vec] = deque(maxlen=SETPOINTS)
+        self.started: float | None = None
+        self.ours_until = -inf
+        self.streaming = False
+        self._say = say
+        self._cascade = SetpointCascade()
+        self._watch: Watch | None = None
+        self._begun = inf  # until the first tick
+        self._since = self._asked = self._now = self._last = self._grace = self._arrived = 0.0
+        self._good_since: float | None = None
+        self._bad_since: float | None = None
+        self._where = Point((0.0, 0.0, 0.0))
+        self._ground = 0.0
+        self._yaw = 0.0
+        self._seen: VehicleState | None = None
+        self._stop = 0
+        self._lifted = False
+        self._on_plans = True
+
+    # from outside
+
+    @property
+    def done(self) -> bool:
+        """Whether the flight is over."""
+        return self.phase is Phase.DONE
+
+    def stop(self) -> None:
+        """Ctrl-C: hold and land; twice: land at once; thrice: leave."""
+        self._stop += 1
 
     def tick(self, now: float) -> None:
-        if self._begun is None:
+        """Do what is due at a time [s]; call it at the rate of the stream."""
+        if self._begun == inf:
             self._begun = self._since = self._last = now
         self._now = now
         state, status = self.endpoint.state, self.endpoint.telemetry.status
@@ -46,35 +126,54 @@ class Offboard(Supervised):
             self.ours_until = status.heartbeat
         if not self._stood_still(status):
             self._supervise(state, status)
-            self._step(state, status)
+            if not self.done:
+                getattr(self, f"_in_{self.phase.name.lower()}")(state, status)
         self._last = now
 
-    def _step(self, state: VehicleState | None, status: Status) -> None:
-        {
-            Phase.CONNECT: self._connect,
-            Phase.PREFLIGHT: self._preflight,
-            Phase.STREAM: self._idle,
-            Phase.OFFBOARD: self._offboard,
-            Phase.ARM: self._arm,
-            Phase.TAKEOFF: self._takeoff,
-            Phase.HOLD: self._hold,
-            Phase.TRACK: self._track,
-            Phase.RETURN: self._return,
-            Phase.SAFE_HOLD: self._safe_hold,
-            Phase.BLIND: self._blind,
-            Phase.LAND: self._land,
-            Phase.DISARM: self._disarm,
-            Phase.WATCH: self._watching,
-            Phase.DONE: lambda state, status: None,
-        }[self.phase](state, status)
+    # from phase to phase
 
-    def _connect(self, state: VehicleState | None, status: Status) -> None:
+    def _go(self, phase: Phase, why: str = "") -> None:
+        self.phase, self._since, self._asked = phase, self._now, 0.0
+        self.outcome.actions.append((self._now - self._begun, phase.value, why))
+        self._say(f"{self._now - self._begun:7.2f} s  {phase.value}{': ' + why if why else ''}")
+
+    def _refuse(self, why: str) -> None:
+        """End a flight that has not begun."""
+        self.streaming = False
+        self.outcome.trouble = self.outcome.trouble or Trouble(REFUSED, why, Action.SILENCE)
+        self._go(Phase.DONE, why)
+
+    @property
+    def _elapsed(self) -> float:
+        return self._now - self._since
+
+    def _every(self, period: float) -> bool:
+        """Whether something that is repeated is due, at once when a phase begins."""
+        if self._asked and self._now - self._asked < period:
+            return False
+        self._asked = self._now
+        return True
+
+    def _texts(self, status: Status) -> str:
+        """What the autopilot said since this phase began, warnings and worse first."""
+        new = [t for t in status.texts if t.time >= self._since - 0.5]
+        bad = [t.text for t in new if t.severity <= 4] or [t.text for t in new]
+        return "; ".join(dict.fromkeys(bad)) or "it gave no reason"
+
+    def _finished(self) -> None:
+        self.streaming = False
+        self.outcome.landed = self.endpoint.telemetry.status.landed != d.IN_AIR
+        self._go(Phase.DONE, "disarmed")
+
+    # phases, one method each, named like it
+
+    def _in_connect(self, state: VehicleState | None, status: Status) -> None:
         if state is not None and status.heartbeat > -inf:
             self._go(Phase.PREFLIGHT)
         elif self._elapsed > self.options.connect:
             self._refuse(why_no_state(self.endpoint, self.options.connect))
 
-    def _preflight(self, state: VehicleState | None, status: Status) -> None:
+    def _in_preflight(self, state: VehicleState | None, status: Status) -> None:
         if self._every(0.3):
             for name in (*preflight.PARAMETERS, *failsafe.OPTIONAL):
                 if name not in status.parameters:
@@ -82,13 +181,7 @@ class Offboard(Supervised):
             if self.options.takeover:
                 self.endpoint.ask_home()
         found = preflight.faults(
-            self.endpoint,
-            status,
-            state,
-            self.path,
-            self.limits,
-            options=self.options,
-            now=self._now,
+            self.endpoint, status, state, self.path, self.limits, options=self.options, now=self._now
         )
         if found:
             self._good_since = None
@@ -102,11 +195,8 @@ class Offboard(Supervised):
         if self._good_since is None:
             self._good_since = self._now
         known = all(name in status.parameters for name in preflight.PARAMETERS)
-        if (
-            self._now - self._good_since < 1.0
-            or not (known or self._elapsed > 3.0)
-            or not self._controller_ready()
-        ):
+        settled = self._now - self._good_since >= 1.0 and (known or self._elapsed > 3.0)
+        if not (settled and self._controller_ready()):
             return
         self._list([], status)
         if self.options.only_check:
@@ -135,7 +225,7 @@ class Offboard(Supervised):
             self._refuse(f"the controller failed: {self.runner.fault}")
         return self.runner.ready and self.runner.fault is None
 
-    def _idle(self, state: VehicleState | None, status: Status) -> None:
+    def _in_stream(self, state: VehicleState | None, status: Status) -> None:
         self.streaming = True
         self._send_first(state)
         if self._elapsed > self.options.idle:
@@ -149,7 +239,7 @@ class Offboard(Supervised):
         self._cascade.reset()
         self._hold_at(Point(state.p, yaw=yaw_of(state.q)), state)
 
-    def _offboard(self, state: VehicleState | None, status: Status) -> None:
+    def _in_offboard(self, state: VehicleState | None, status: Status) -> None:
         self._send_first(state)
         if status.mode == d.OFFBOARD:
             self._go(Phase.HOLD if self._lifted else Phase.ARM)
@@ -160,7 +250,7 @@ class Offboard(Supervised):
         elif self._every(1.0):
             self.endpoint.ask_mode(d.OFFBOARD)
 
-    def _arm(self, state: VehicleState | None, status: Status) -> None:
+    def _in_arm(self, state: VehicleState | None, status: Status) -> None:
         self._send_idle(0.0)
         if status.armed:
             self._cascade.reset()
@@ -176,7 +266,7 @@ class Offboard(Supervised):
         highest = self.limits.fence[2][1] - preflight.climb_room(self.options)
         return max(self.options.height, min(self.options.climb_past, highest))
 
-    def _takeoff(self, state: VehicleState | None, status: Status) -> None:
+    def _in_takeoff(self, state: VehicleState | None, status: Status) -> None:
         if state is None or self.home is None:
             return
         rise = self._elapsed - self.options.spool
@@ -201,7 +291,7 @@ class Offboard(Supervised):
         if self._lifted and abs(state.p[2] - top) < 0.15 and length(state.v) < 0.4 and z >= top:
             self._go(Phase.HOLD)
 
-    def _hold(self, state: VehicleState | None, status: Status) -> None:
+    def _in_hold(self, state: VehicleState | None, status: Status) -> None:
         """Hover, go to the start of the reference, and wait until the controller plans."""
         if state is None or self.home is None:
             return
@@ -213,9 +303,8 @@ class Offboard(Supervised):
             at = self._towards(self._where.p, goal, self.options.approach)
             yaw = self._turn_towards(self._where.yaw, start.yaw)
         self._hold_at(Point(at, yaw=yaw), state)
-        if (
-            distance(state.p, goal) < 0.5
-        ):  # integrals and the like of the controller should not grow on the way
+        # integrals and the like of the controller should not grow on the way
+        if distance(state.p, goal) < 0.5:
             self.runner.offer(self._own(state), state.time, 0.0, tuple(self._left))
         self.runner.collect()
         ready = self.runner.plan is not None and self._now - self.runner.plan.time < self.limits.solver
@@ -224,14 +313,13 @@ class Offboard(Supervised):
             self.started = self._now
             self._go(Phase.TRACK, self.path.name)
         elif self._elapsed > self.options.hold + 60.0:
-            why = (
-                "the start of the reference is not reached"
-                if ready
-                else "the controller does not plan in time"
-            )
-            self._act(Trouble("solver" if not ready else "start", why, Action.HOLD), state, status)
+            if ready:
+                trouble = Trouble("start", "the start of the reference is not reached", Action.HOLD)
+            else:
+                trouble = Trouble("solver", "the controller does not plan in time", Action.HOLD)
+            self._act(trouble, state, status)
 
-    def _track(self, state: VehicleState | None, status: Status) -> None:
+    def _in_track(self, state: VehicleState | None, status: Status) -> None:
         if state is None or self.started is None:
             return
         t = self._now - self.started
@@ -283,7 +371,7 @@ class Offboard(Supervised):
         off = distance(state.p, self._moved(self.path.at(t).p))
         return self._watch.track(off, plan, self._now)
 
-    def _return(self, state: VehicleState | None, status: Status) -> None:
+    def _in_return(self, state: VehicleState | None, status: Status) -> None:
         """Come to rest, and where that is asked for fly back: the next flight then has the same place and fence."""
         if state is None or self.home is None or self._watch is None:
             return
@@ -298,14 +386,14 @@ class Offboard(Supervised):
         if self._now > self._arrived and (length(state.v) < 0.4 or self._now - self._arrived > SETTLE):
             self._go(Phase.LAND)
 
-    def _safe_hold(self, state: VehicleState | None, status: Status) -> None:
+    def _in_safe_hold(self, state: VehicleState | None, status: Status) -> None:
         if state is None:
             return
         self._hold_at(self._where, state)
         if self._elapsed > self.options.safe_hold:
             self._go(Phase.LAND)
 
-    def _blind(self, state: VehicleState | None, status: Status) -> None:
+    def _in_blind(self, state: VehicleState | None, status: Status) -> None:
         """No believable state: keep level by what is known, ask PX4 to land, and end the stream soon."""
         if self._every(0.2):
             self.endpoint.ask_mode(d.LAND)
@@ -318,7 +406,7 @@ class Offboard(Supervised):
             fresh = state is not None and self._now - state.time < 0.5
             self._send(level(state if fresh else None, 0.97 * GRAVITY), state if fresh else None)
 
-    def _land(self, state: VehicleState | None, status: Status) -> None:
+    def _in_land(self, state: VehicleState | None, status: Status) -> None:
         if status.mode != d.LAND:
             if not self.streaming:
                 self._silence(f"the mode is {status.mode}")
@@ -345,7 +433,7 @@ class Offboard(Supervised):
         elif self._elapsed > self.options.landing:
             self._silence("the landing is not confirmed")
 
-    def _disarm(self, state: VehicleState | None, status: Status) -> None:
+    def _in_disarm(self, state: VehicleState | None, status: Status) -> None:
         if self.streaming:
             self._send_idle(0.0)
         if self._dead(status):
@@ -357,7 +445,7 @@ class Offboard(Supervised):
         elif self._every(1.0):
             self.endpoint.command(d.ARM, 0.0)
 
-    def _watching(self, state: VehicleState | None, status: Status) -> None:
+    def _in_watch(self, state: VehicleState | None, status: Status) -> None:
         """Nothing is streamed; if the link lives and the vehicle is still ours by name, PX4 is asked to land it."""
         heard = self._now - status.heard < self.limits.silence
         if self._dead(status):
@@ -368,3 +456,185 @@ class Offboard(Supervised):
             self._go(Phase.DONE, "no longer watched")
         elif heard and status.mode == d.OFFBOARD and self._every(1.0):
             self.endpoint.ask_mode(d.LAND)
+
+    # troubles
+
+    def _supervise(self, state: VehicleState | None, status: Status) -> None:
+        """Look for troubles, and act on them."""
+        followed = self.endpoint.telemetry.followed
+        if self.phase not in FLYING:
+            followed.clear()  # what it followed before is not another client's
+        if self.phase in (Phase.STREAM, Phase.OFFBOARD, Phase.ARM, Phase.PREFLIGHT, Phase.CONNECT):
+            self._supervise_ground(state, status)
+            return
+        if self.phase not in FLYING:
+            return
+        assert self._watch is not None
+        if not status.armed:
+            self._trouble(Trouble("disarmed", f"it is disarmed: {self._texts(status)}", Action.SILENCE))
+            self._finished()
+            return
+        if status.mode != d.OFFBOARD:
+            self._hand_back(status)
+            return
+        trouble = self._watch.look(state, status, self._now)
+        trouble = trouble or self._watch.check_setpoints(followed, self._rates, self.ours_until)
+        self._follow(self._watch)
+        if trouble is None and self._stop:
+            trouble = Trouble("stop", "asked to stop", Action.HOLD if self._stop == 1 else Action.LAND)
+        if trouble is not None:
+            self._act(trouble, state, status)
+
+    def _follow(self, watch: Watch) -> None:
+        """Note resets of the estimate; a heading that is held moves with its estimate, so that nothing turns."""
+        for step in watch.steps:
+            self.outcome.steps.append((self._now - self._begun, step))
+            self._say(
+                f"{self._now - self._begun:7.2f} s  note: the estimate was reset: heading "
+                f"{degrees(step.heading):+.1f} deg, position {step.position:.2f} m, velocity {step.velocity:.2f} m/s"
+            )
+            self._yaw += step.heading
+            self._where = replace(self._where, yaw=self._where.yaw + step.heading)
+        watch.steps.clear()
+
+    def _supervise_ground(self, state: VehicleState | None, status: Status) -> None:
+        """Before the flight every trouble ends it; what may have been armed is disarmed."""
+        if self._stop:
+            why = "asked to stop"
+            self._trouble(Trouble("stop", why, Action.LAND))
+        elif self.phase in (Phase.CONNECT, Phase.PREFLIGHT):
+            return
+        elif self._now - status.heard > self.limits.silence:
+            why = f"nothing heard for {self._now - status.heard:.1f} s"
+        elif state is None or self._now - state.time > self.limits.estimate:
+            why = "the state is too old"
+        elif self.phase is Phase.ARM and status.mode != d.OFFBOARD:
+            why = f"the operator chose {status.mode}"
+        else:
+            return
+        if self.phase is Phase.ARM:
+            self._trouble(Trouble("stopped", why, Action.LAND))
+            self._go(Phase.DISARM, why)
+        else:
+            self._refuse(why)
+
+    def _stood_still(self, status: Status) -> bool:
+        """Whether this process stood still just now, so that nothing may be judged or sent yet.
+
+        Setpoints that come back after PX4 has failed over would bring it back to OFFBOARD: then none are sent.
+        """
+        gap = self._now - self._last
+        if self.streaming and gap > STALL and self.phase in (*FLYING, Phase.BLIND, Phase.LAND):
+            self._grace = self._now + GRACE
+            longest = min(self.limits.silence, status.parameters.get("COM_OF_LOSS_T", inf))
+            if gap > longest:
+                self._give_up("late", f"this process stood still for {gap:.2f} s: PX4 had no setpoints")
+        return self._now < self._grace
+
+    def _dead(self, status: Status) -> bool:
+        """Whether the link is dead, which ends the waiting for what it would say."""
+        silent = self._now - status.heard
+        if silent <= self.options.dead:
+            return False
+        text = f"the link is dead: nothing heard for {silent:.0f} s"
+        self._trouble(Trouble("link", text, Action.SILENCE))
+        self.streaming = False
+        self._go(Phase.DONE, text)
+        return True
+
+    def _trouble(self, trouble: Trouble) -> None:
+        self.outcome.trouble = self.outcome.trouble or trouble
+
+    def _act(self, trouble: Trouble, state: VehicleState | None, status: Status) -> None:
+        """Do what a trouble asks for."""
+        self._trouble(trouble)
+        if trouble.action is Action.SILENCE:
+            self._silence(trouble.text)
+        elif trouble.action is Action.BLIND:
+            self._go(Phase.BLIND, trouble.text)
+        elif not self._lifted:
+            self._disarm_or_land(trouble, status)
+        elif trouble.action is Action.LAND or state is None:
+            if state is not None:
+                self._where = self._stop_point(state)
+            self._go(Phase.LAND, trouble.text)
+        elif self.phase is not Phase.SAFE_HOLD:
+            self._where = self._stop_point(state)
+            self._cascade.reset()
+            self._go(Phase.SAFE_HOLD, trouble.text)
+
+    def _disarm_or_land(self, trouble: Trouble, status: Status) -> None:
+        self._trouble(trouble)
+        self._go(Phase.DISARM if status.landed == d.ON_GROUND else Phase.LAND, trouble.text)
+
+    def _hand_back(self, status: Status) -> None:
+        """Another mode than ours: whoever chose it has the vehicle."""
+        self._give_up("mode", f"the mode is {status.mode}, not ours: {self._texts(status)}")
+
+    def _give_up(self, kind: str, why: str) -> None:
+        self._trouble(Trouble(kind, why, Action.SILENCE))
+        self._silence(why)
+
+    def _silence(self, why: str) -> None:
+        self.streaming = False
+        self._go(Phase.WATCH, why)
+
+    # flying
+
+    def _own(self, state: VehicleState) -> tuple[float, ...]:
+        """The state in the coordinates of the reference."""
+        assert self.home is not None
+        row = state.row
+        return (row[0] - self.home[0], row[1] - self.home[1], row[2] - self._ground, *row[3:])
+
+    def _moved(self, p: Vec) -> Vec:
+        """A point of the reference in the world."""
+        assert self.home is not None
+        return (p[0] + self.home[0], p[1] + self.home[1], p[2] + self._ground)
+
+    def _stop_point(self, state: VehicleState) -> Point:
+        """Where to hold: where it comes to rest from its speed, inside the fence, above the ground."""
+        assert self._watch is not None
+        (x, y, z), (vx, vy, vz) = state.p, state.v
+        p = (x + 0.35 * vx, y + 0.35 * vy, max(z + 0.2 * vz, self._ground + 0.5))
+        return Point(self._watch.inside(p), yaw=yaw_of(state.q))
+
+    def _towards(self, at: Vec, goal: Vec, speed: float) -> Vec:
+        """A point that moves to the goal at a speed."""
+        left, step = distance(at, goal), speed * max(self._now - self._last, 0.0)
+        if left <= step:
+            return goal
+        return between(at, goal, step / left)
+
+    def _turn_towards(self, yaw: float, goal: float) -> float:
+        left = (goal - yaw + pi) % (2.0 * pi) - pi
+        step = 0.6 * max(self._now - self._last, 0.0)
+        return goal if abs(left) <= step else yaw + (step if left > 0 else -step)
+
+    def _hold_at(self, to: Point, state: VehicleState) -> None:
+        """Fly the built-in cascade to a point."""
+        self._where = to
+        dt = min(max(self._now - self._last, 0.0), 0.05)
+        self._send(self._cascade(state.p, state.v, state.q, to, dt), state)
+
+    def _send(self, demand: Demand, state: VehicleState | None) -> None:
+        checked = self.guard.check(demand.w, self.hover.throttle(demand.thrust), state)
+        if checked is None:
+            safe = level(state)
+            checked = self.guard.check(safe.w, self.hover.throttle(safe.thrust), state)
+            assert checked is not None
+        self._leave(*checked)
+
+    def _send_idle(self, throttle: float) -> None:
+        self._leave((0.0, 0.0, 0.0), throttle)
+
+    def _leave(self, w: Vec, throttle: float) -> None:
+        if not self.streaming:
+            return
+        self.endpoint.send_rates(w, throttle, self._now)
+        self.hover.sent(self._now, throttle)
+        self.sent = (self._now, w, throttle)
+        self._left.append((self._now, Demand(w, self.hover.thrust(throttle))))
+        self._rates.append(w)
+        while self._left[0][0] < self._now - REMEMBERED:
+            self._left.popleft()

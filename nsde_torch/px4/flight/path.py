@@ -7,7 +7,7 @@ from typing import final
 import numpy as np
 
 from nsde_torch.control.reference import FlightPath
-from nsde_torch.px4.flight.cascade import CascadeGains, Point, SetpointCascade
+from nsde_torch.px4.flight.cascade import Point, SetpointCascade
 from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan
 from nsde_torch.px4.link.vectors import Vec
 
@@ -19,11 +19,7 @@ LEAD = 0.1
 
 @final
 class PathPoints:
-    """Points of a path by time; before its start and after its end at rest.
-
-    Args:
-        path: The path.
-    """
+    """Points of a path by time; before its start and after its end at rest."""
 
     def __init__(self, path: FlightPath) -> None:
         self.name, self.duration, self._dt = path.name, path.duration, path.dt
@@ -52,20 +48,19 @@ class PathPoints:
 
 @final
 class CascadeController:
-    """The cascade along a path, as a `Controller`.
+    """The cascade along a path, as a `FlightController`.
 
     Args:
         path: Points, in the controller's own coordinates.
-        gains: Gains.
         lead: See `PathPoints.led` [s].
     """
 
-    def __init__(self, path: PathPoints, gains: CascadeGains | None = None, *, lead: float = LEAD) -> None:
-        self._path, self._cascade, self._lead = path, SetpointCascade(gains), lead
+    def __init__(self, path: PathPoints, *, lead: float = LEAD) -> None:
+        self._path, self._cascade, self._lead = path, SetpointCascade(), lead
         self._last: float | None = None
 
     def __call__(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> DemandPlan:
-        """See `Controller`."""
+        """See `FlightController`."""
         dt = 0.0 if self._last is None else time - self._last
         if abs(dt) > PAUSE:
             self._cascade.reset()

@@ -149,13 +149,7 @@ class PushEstimate:
         return self._bounded(d - k * v for d, k, v in zip(self.rest, self.slopes, u, strict=True))
 
     def take(self, row: tuple[float, ...], time: float, asked: Asked) -> Vec:
-        """Learn from a state.
-
-        Args:
-            row: State of 13 numbers.
-            time: When it was valid [s].
-            asked: What was sent lately, as it left.
-        """
+        """Learn from a state of 13 numbers, when it was valid [s], and what was sent lately; returns `value`."""
         last, self._last = self._last, (time, row)
         if last is None or not self._time > 0 or not 0.0 < time - last[0] <= self.LONGEST:
             return self.value
@@ -265,7 +259,7 @@ def braking(controller: Controller) -> Drag:
 
 @final
 class PredictiveController:
-    """Plans with a model; see `nsde_torch.px4.flight.path.Controller`.
+    """Plans with a model; a `FlightController`.
 
     Args:
         controller: The solver and what it pays for; batch of one.
@@ -309,7 +303,7 @@ class PredictiveController:
 
     @torch.no_grad()
     def __call__(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> DemandPlan:
-        """See `Controller`."""
+        """See `FlightController`."""
         started = clock.perf_counter()
         c, o = self.controller, self.controller.options
         window = self.reference.window(t + self._delay, dt=o.dt, steps=o.steps)
@@ -325,7 +319,8 @@ class PredictiveController:
         window[:, :3] += self._trim
         before = None if self._last is None else self._last[1]
         self._push.take(row, time, asked)
-        ahead = self._ahead(row, time, asked)
+        known = self._push
+        ahead = carried(row, time, self._delay, asked, delay=self._delay, drag=known.drag, push=known.rest)
         x = torch.tensor([ahead], dtype=torch.float64)
         forces = self._forces(self._push.at(ahead))
         plan = c.plan(x, window[None], before, elapsed=elapsed, push=forces)
@@ -333,8 +328,10 @@ class PredictiveController:
         if self._tips(plan):
             plan, status = self._upright_plan(x, window, before, elapsed, forces)
         self._last = (time, plan)
+        rates, thrust = (one[0].tolist() for one in setpoints(plan, self._system, ahead=self._lead))
+        demands = tuple(Demand((w[0], w[1], w[2]), a) for w, a in zip(rates, thrust, strict=True))
         took = 1e3 * (clock.perf_counter() - started)
-        return DemandPlan(time, plan.dt, self._demands(plan), status, took)
+        return DemandPlan(time, plan.dt, demands, status, took)
 
     def _forces(self, push: Vec) -> Tensor | None:
         """The push on the ports of the model (1, nd); None where it has none."""
@@ -363,15 +360,6 @@ class PredictiveController:
         kept = before.shifted(elapsed)
         return kept, f"{TIPPED}:{KEPT}" if float(kept.age[0]) <= KEEP else f"{TIPPED}: failed"
 
-    def _demands(self, plan: MotorPlan) -> tuple[Demand, ...]:
-        rates, thrust = (one[0].tolist() for one in setpoints(plan, self._system, ahead=self._lead))
-        return tuple(Demand((w[0], w[1], w[2]), a) for w, a in zip(rates, thrust, strict=True))
-
-    def _ahead(self, row: tuple[float, ...], time: float, asked: Asked) -> tuple[float, ...]:
-        """The state a delay later, by what was asked for a delay before."""
-        known = self._push
-        return carried(row, time, self._delay, asked, delay=self._delay, drag=known.drag, push=known.rest)
-
 
 @dataclass(frozen=True)
 class PredictiveMaker:
@@ -385,9 +373,7 @@ class PredictiveMaker:
         problem: What a plan pays for.
         solver: How it is found.
         safety: When to reject a state or a plan.
-        delay: See `PredictiveController`.
-        lead: See `PredictiveController`.
-        tilt: See `PredictiveController`.
+        delay, lead, tilt: See `PredictiveController`.
         effects: Effects beside the declared ones, for `declared`.
         threads: Threads of torch.
     """
@@ -407,9 +393,6 @@ class PredictiveMaker:
     def __call__(self, say: Callable[[str], None]) -> PredictiveController:
         """Load, compile, and solve some times, so that the first plan in flight is none of a cold start.
 
-        Args:
-            say: Takes a line about what takes long.
-
         Raises:
             ConfigError: plans take too long to fly on.
         """
@@ -426,9 +409,8 @@ class PredictiveMaker:
         made = self._made(controller, reference)
         times = [self.path.duration * k / (COLD + WARM_UP) for k in range(COLD + WARM_UP)]
         with urgent(PLANS):  # as they are in flight
-            solves = [made(tuple(reference.at(torch.tensor(t)).tolist()), t, t).solve_ms for t in times][
-                COLD:
-            ]
+            plans = [made(tuple(reference.at(torch.tensor(t)).tolist()), t, t) for t in times]
+        solves = [plan.solve_ms for plan in plans[COLD:]]
         median, took = (sorted(solves)[int(share * WARM_UP)] for share in (0.5, 1.0 - TAIL))
         how = "compiled" if controller.solver.compiled else "not compiled"
         if isinstance(controller, ExportedController):

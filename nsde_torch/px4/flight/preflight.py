@@ -44,17 +44,7 @@ def faults(
     options: FlightOptions,
     now: float,
 ) -> list[str]:
-    """Reasons not to fly; empty: none.
-
-    Args:
-        endpoint: The link.
-        status: See `Status`.
-        state: The newest state.
-        path: Where to fly, from the place of take-off.
-        limits: See `Limits`.
-        options: See `FlightOptions`.
-        now: [s]
-    """
+    """Reasons not to fly a path from the place of take-off, at a time of our clock [s]; empty: none."""
     out = []
     if state is None:
         return ["no state: neither ODOMETRY nor ATTITUDE_QUATERNION with LOCAL_POSITION_NED"]

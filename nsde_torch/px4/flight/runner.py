@@ -176,9 +176,8 @@ class _Line:
 
 def _work(maker: Maker, pipe: Connection) -> None:
     """What runs in the process."""
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # Ctrl-C is the loop's business: it needs plans until it has landed
+    # Ctrl-C is the loop's business: it needs plans until it has landed
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(OSError, AttributeError):
         os.nice(1)  # the stream goes first
     try:

@@ -298,9 +298,9 @@ class Watch:
             return False
         return now - self._since.setdefault(kind, now) >= patience
 
-    def inside(self, p: Vec, margin: float = MARGIN) -> Vec:
+    def inside(self, p: Vec) -> Vec:
         """The nearest point well inside the fence."""
         out = []
         for c, h, (low, high) in zip(p, self._home, self.limits.fence, strict=True):
-            out.append(min(max(c, h + min(low + margin, 0.0)), h + high - margin))
+            out.append(min(max(c, h + min(low + MARGIN, 0.0)), h + high - MARGIN))
         return (out[0], out[1], out[2])

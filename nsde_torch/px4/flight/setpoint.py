@@ -18,17 +18,15 @@ from nsde_torch.px4.flight.options import SetpointLimits
 from nsde_torch.px4.link.telemetry import VehicleState
 from nsde_torch.px4.link.vectors import Vec, cos_tilt, finite, rotate_back
 
+LAG, WINDOW, LEARNING = 0.07, 0.2, 1.5
+"""From throttle to thrust, the window that the velocity is looked at over, and time constant of learning [s]."""
+LOWEST, HIGHEST = 0.08, 0.85
+"""Throttles that are accepted as one that hovers."""
+
 
 @final
 class Guard:
-    """Checks demands.
-
-    Args:
-        limits: Bounds.
-
-    Attributes:
-        counts: How often what was bounded.
-    """
+    """Checks demands; `counts` says how often what was bounded."""
 
     def __init__(self, limits: SetpointLimits) -> None:
         self.limits = limits
@@ -61,29 +59,12 @@ def _bounded(value: float, most: float) -> float:
 
 @final
 class HoverThrottle:
-    """Learns the throttle that carries the vehicle, in flight.
+    """Learns the throttle that carries the vehicle, in flight; `first` is the autopilot's own idea (MPC_THR_HOVER)."""
 
-    Args:
-        first: The autopilot's own idea of it (MPC_THR_HOVER).
-        lag: From throttle to thrust [s].
-        time: Time constant of learning [s].
-        bounds: Lowest and highest that is accepted.
-    """
-
-    WINDOW = 0.2
-
-    def __init__(
-        self,
-        first: float,
-        *,
-        lag: float = 0.07,
-        time: float = 1.5,
-        bounds: tuple[float, float] = (0.08, 0.85),
-    ) -> None:
-        self.value, self._lag, self._time, self._bounds = first, lag, time, bounds
+    def __init__(self, first: float) -> None:
+        self.value = first
         self._sent: deque[tuple[float, float]] = deque()
         self._states: deque[VehicleState] = deque()
-        self.samples = 0
 
     def throttle(self, thrust: float) -> float:
         """Throttle for a thrust over mass [m/s2]."""
@@ -102,15 +83,15 @@ class HoverThrottle:
     def seen(self, state: VehicleState, *, learn: bool) -> None:
         """A state came; `learn` only in the air, away from the ground."""
         self._states.append(state)
-        while self._states and self._states[0].time < state.time - self.WINDOW - 0.02:
+        while self._states and self._states[0].time < state.time - WINDOW - 0.02:
             self._states.popleft()
         first = self._states[0]
         span = state.time - first.time
-        if not learn or span < 0.8 * self.WINDOW:
+        if not learn or span < 0.8 * WINDOW:
             return
         if degrees(acos(min(max(cos_tilt(state.q), -1.0), 1.0))) > 35.0:
             return
-        used = [u for t, u in self._sent if first.time - self._lag <= t <= state.time - self._lag]
+        used = [u for t, u in self._sent if first.time - LAG <= t <= state.time - LAG]
         if len(used) < 5:
             return
         a = tuple((n - o) / span for n, o in zip(state.v, first.v, strict=True))
@@ -119,10 +100,8 @@ class HoverThrottle:
             return
         wanted = sum(used) / len(used) * GRAVITY / force
         # states come far more often than windows end; each counts for its own share of the time
-        share = min((state.time - self._states[-2].time) / self._time, 0.1) if len(self._states) > 1 else 0.0
-        low, high = self._bounds
-        self.value = min(max(self.value + share * (wanted - self.value), low), high)
-        self.samples += 1
+        share = min((state.time - self._states[-2].time) / LEARNING, 0.1) if len(self._states) > 1 else 0.0
+        self.value = min(max(self.value + share * (wanted - self.value), LOWEST), HIGHEST)
 
 
 def level(state: VehicleState | None, thrust: float = GRAVITY) -> Demand:

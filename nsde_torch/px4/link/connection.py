@@ -13,7 +13,6 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from types import TracebackType
 from typing import final
 
 from nsde_torch.px4.link.endpoint import Endpoint
@@ -76,12 +75,7 @@ class Connection(ABC):
     def __enter__(self) -> Connection:
         return self
 
-    def __exit__(  # noqa: B027
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:  # noqa: B027
         """Release what it holds."""
 
 
@@ -91,21 +85,12 @@ class Link(Connection):
 
     Args:
         transport: Bytes in and out.
-        system: See `Endpoint`.
-        target: See `Endpoint`.
-        key: See `Endpoint`.
-
-    Attributes:
-        endpoint: Says and hears.
+        target, key: See `Endpoint`.
     """
 
-    def __init__(
-        self, transport: Transport, *, system: int = 245, target: int | None = None, key: bytes | None = None
-    ) -> None:
+    def __init__(self, transport: Transport, *, target: int | None = None, key: bytes | None = None) -> None:
         self._transport = transport
-        self.endpoint = Endpoint(
-            transport.send, system=system, target=target, key=key, stream=transport.stream
-        )
+        self.endpoint = Endpoint(transport.send, target=target, key=key, stream=transport.stream)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._receive, name="mavlink", daemon=True)
         self.fault: Exception | None = None
@@ -114,12 +99,7 @@ class Link(Connection):
         self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._stop.set()
         self._thread.join(1.0)
         self._transport.close()
@@ -179,17 +159,10 @@ def why_no_state(endpoint: Endpoint, timeout: float) -> str:
     return f"nothing was heard within {timeout:g} s. Is the vehicle on, and does it send to this address?"
 
 
-def open_link(
-    url: str,
-    *,
-    expose: bool = False,
-    system: int = 245,
-    target: int | None = None,
-    key: bytes | None = None,
-) -> Link:
+def open_link(url: str, *, expose: bool = False, target: int | None = None, key: bytes | None = None) -> Link:
     """A link to what a url names; see `transport` and `Endpoint`.
 
     Raises:
         LinkError: the url is not understood or cannot be opened.
     """
-    return Link(open_transport(url, expose=expose), system=system, target=target, key=key)
+    return Link(open_transport(url, expose=expose), target=target, key=key)

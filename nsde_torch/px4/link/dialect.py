@@ -17,11 +17,11 @@ SET_MODE, ARM, SET_INTERVAL, REQUEST_MESSAGE = 176, 400, 511, 512
 """Numbers of commands: MAV_CMD_DO_SET_MODE, _COMPONENT_ARM_DISARM, _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE."""
 FORCE = 21196.0
 """Second parameter of the arming command that makes PX4 obey in the air."""
-ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
+ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED = 0, 1, 2, 3
 ARMED_FLAG, RECEIVER = 128, 65536
 """Bits of HEARTBEAT's `base_mode`, and of SYS_STATUS' sensors: PX4 sets the second while it hears a transmitter."""
-GCS, ONBOARD = 6, 18
-"""Types of a heartbeat. PX4 sends STATUSTEXT only to a link on which a ground station is heard."""
+GCS = 6
+"""Type of a ground station's heartbeat. PX4 sends STATUSTEXT only to a link on which a ground station is heard."""
 AUTOPILOT_PX4, NO_AUTOPILOT = 12, 8
 RATES_MASK, ATTITUDE_MASK = 128, 7
 """Type masks of SET_ATTITUDE_TARGET: attitude ignored, or rates ignored."""
@@ -53,15 +53,8 @@ UNKNOWN = Mode(0)
 MANUAL, ALTITUDE, POSITION, OFFBOARD = Mode(1), Mode(2), Mode(3), Mode(6)
 TAKEOFF, HOLD, MISSION, RETURN, LAND = Mode(4, 2), Mode(4, 3), Mode(4, 4), Mode(4, 5), Mode(4, 6)
 NAMES = {
-    MANUAL: "MANUAL",
-    ALTITUDE: "ALTITUDE",
-    POSITION: "POSITION",
-    OFFBOARD: "OFFBOARD",
-    TAKEOFF: "TAKEOFF",
-    HOLD: "HOLD",
-    MISSION: "MISSION",
-    RETURN: "RETURN",
-    LAND: "LAND",
+    **{MANUAL: "MANUAL", ALTITUDE: "ALTITUDE", POSITION: "POSITION", OFFBOARD: "OFFBOARD"},
+    **{TAKEOFF: "TAKEOFF", HOLD: "HOLD", MISSION: "MISSION", RETURN: "RETURN", LAND: "LAND"},
 }
 
 REAL32, INT32 = 9, 6

@@ -7,24 +7,15 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from math import isfinite
 from typing import final
 
+from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link import frames
 from nsde_torch.px4.link.codec import Codec, Message
-from nsde_torch.px4.link.dialect import (
-    GCS,
-    NO_AUTOPILOT,
-    RATES_MASK,
-    REQUEST_MESSAGE,
-    SET_INTERVAL,
-    SET_MODE,
-    Mode,
-    mavlink,
-)
+from nsde_torch.px4.link.dialect import Mode, mavlink
 from nsde_torch.px4.link.telemetry import Status, Telemetry, VehicleState
 from nsde_torch.px4.link.timesync import PERIOD
-from nsde_torch.px4.link.vectors import Vec
+from nsde_torch.px4.link.vectors import Vec, finite
 
 INTERVALS: dict[str, float] = {
     "ODOMETRY": 125.0,
@@ -42,17 +33,12 @@ INTERVALS: dict[str, float] = {
 PX4's estimator runs at 125 Hz in simulation: 100 Hz would come as three states after 8 ms each and one after 16. The
 two targets are the setpoints that it follows; it sends no position while it follows rates.
 """
-_OTHERS = (
-    "HEARTBEAT",
-    "STATUSTEXT",
-    "PARAM_VALUE",
-    "TIMESYNC",
-    "ACTUATOR_OUTPUT_STATUS",
-    "HOME_POSITION",
-)
+_OTHERS = ("HEARTBEAT", "STATUSTEXT", "PARAM_VALUE", "TIMESYNC", "ACTUATOR_OUTPUT_STATUS", "HOME_POSITION")
 _IN_ORDER = frozenset(("HEARTBEAT", "STATUSTEXT", "EXTENDED_SYS_STATE", "SYS_STATUS"))
 NUMBERS: dict[str, int] = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
 WANTED = frozenset(NUMBERS[name] for name in (*INTERVALS, *_OTHERS))
+GROUND_STATION = (245, 190)
+"""Our system and component ids."""
 HEARTBEATS = 0.2
 """Time between requests for the vehicle's heartbeat [s]; PX4 sends one a second, and no other interval is accepted."""
 CHECKED = 2.0
@@ -67,8 +53,6 @@ class Endpoint:
 
     Args:
         send: Where bytes go.
-        system: Our system id; as a rule that of a ground station.
-        component: Our component id.
         target: The vehicle's system id; None: the first autopilot that is heard.
         key: Signing key; None: no signing.
         stream: Whether bytes come as a stream.
@@ -81,13 +65,11 @@ class Endpoint:
         self,
         send: Callable[[bytes], None],
         *,
-        system: int = 245,
-        component: int = 190,
         target: int | None = None,
         key: bytes | None = None,
         stream: bool = False,
     ) -> None:
-        self.codec = Codec(system, component, key=key, wanted=WANTED, stream=stream)
+        self.codec = Codec(*GROUND_STATION, key=key, wanted=WANTED, stream=stream)
         self.telemetry = Telemetry()
         self.lock = threading.RLock()
         self.target, self._send = target, send
@@ -111,7 +93,7 @@ class Endpoint:
                 if self.target is None and not self._adopt(message):
                     continue
                 name = message.get_type()
-                if name == "HEARTBEAT" and message.autopilot == NO_AUTOPILOT:
+                if name == "HEARTBEAT" and message.autopilot == d.NO_AUTOPILOT:
                     continue  # a camera, or a ground station, of the same system
                 if self._overtaken(name, message.get_seq(), now):
                     continue
@@ -141,7 +123,7 @@ class Endpoint:
 
     def _adopt(self, message: Message) -> bool:
         """The first autopilot that introduces itself is ours, and no other from then on."""
-        if message.get_type() != "HEARTBEAT" or message.autopilot == NO_AUTOPILOT:
+        if message.get_type() != "HEARTBEAT" or message.autopilot == d.NO_AUTOPILOT:
             return False
         self.target = self.codec.only = message.get_srcSystem()
         self._component = message.get_srcComponent()
@@ -170,12 +152,12 @@ class Endpoint:
             if now >= self._due["heartbeat"]:
                 self._due["heartbeat"] = now + 1.0
                 # as a ground station: PX4 sends its texts to no other
-                self.say(mavlink.MAVLink_heartbeat_message(GCS, NO_AUTOPILOT, 0, 0, 4, 3))
+                self.say(mavlink.MAVLink_heartbeat_message(d.GCS, d.NO_AUTOPILOT, 0, 0, 4, 3))
             if self.target is None:
                 return
             if now >= self._due["theirs"]:
                 self._due["theirs"] = now + HEARTBEATS
-                self.command(REQUEST_MESSAGE, NUMBERS["HEARTBEAT"])
+                self.command(d.REQUEST_MESSAGE, NUMBERS["HEARTBEAT"])
             if now >= self._due["timesync"]:
                 self._due["timesync"] = now + PERIOD
                 self.say(mavlink.MAVLink_timesync_message(0, int(now * 1e9)))
@@ -189,7 +171,7 @@ class Endpoint:
         self._counts, self._counted_since = {}, now
         for name, rate in INTERVALS.items():
             if self.rates.get(name, 0.0) < SHARE * rate:
-                self.command(SET_INTERVAL, NUMBERS[name], 1e6 / rate)
+                self.command(d.SET_INTERVAL, NUMBERS[name], 1e6 / rate)
 
     def command(self, number: int, *parameters: float) -> None:
         """Send a command to the vehicle, once."""
@@ -198,11 +180,11 @@ class Endpoint:
 
     def ask_mode(self, mode: Mode) -> None:
         """Ask for a flight mode."""
-        self.command(SET_MODE, 1, mode.main, mode.sub)
+        self.command(d.SET_MODE, 1, mode.main, mode.sub)
 
     def ask_home(self) -> None:
         """Ask for the place of take-off; it turns up in `status().home`."""
-        self.command(REQUEST_MESSAGE, NUMBERS["HOME_POSITION"])
+        self.command(d.REQUEST_MESSAGE, NUMBERS["HOME_POSITION"])
 
     def ask_parameter(self, name: str) -> None:
         """Ask for a parameter; it turns up in `status().parameters`."""
@@ -215,21 +197,15 @@ class Endpoint:
 
         Nothing that is not finite leaves here, whatever was meant to be checked before: PX4 would stop the motors.
         """
-        if not all(map(isfinite, (*w, throttle))):
+        if not finite(*w, throttle):
             return
         if self._origin is None:
             self._origin = now
-        x, y, z = frames.body(w)
+        stamp = int((now - self._origin) * 1e3) & 0xFFFFFFFF
+        to = (self.target or 0, self._component)
+        thrust, unturned = min(max(throttle, 0.0), 1.0), (1.0, 0.0, 0.0, 0.0)
         self.say(
             mavlink.MAVLink_set_attitude_target_message(
-                int((now - self._origin) * 1e3) & 0xFFFFFFFF,
-                self.target or 0,
-                self._component,
-                RATES_MASK,
-                (1.0, 0.0, 0.0, 0.0),
-                x,
-                y,
-                z,
-                min(max(throttle, 0.0), 1.0),
+                stamp, *to, d.RATES_MASK, unturned, *frames.body(w), thrust
             )
         )

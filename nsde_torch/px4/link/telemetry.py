@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field, replace
-from math import inf, isfinite, nan
+from math import inf, nan
 from typing import final
 
 from nsde_torch.px4.link import frames
@@ -217,7 +217,7 @@ class Telemetry:
         self._motors(tuple(float(v) for v in m.actuator[:8]), m.time_usec * 1e-6)
 
     def _motors(self, raw: tuple[float, ...], stamp: float) -> None:
-        if not all(map(isfinite, raw)):
+        if not finite(*raw):
             return
         if max(raw) > 2.0:  # pulse widths in microseconds
             raw = tuple(min(max((v - 1000.0) * 1e-3, 0.0), 1.0) for v in raw)

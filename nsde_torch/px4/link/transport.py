@@ -15,6 +15,7 @@ import socket
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, final
 
 from nsde_torch.errors import NsdeError
@@ -103,10 +104,15 @@ def _loopback(host: str) -> bool:
         return False
 
 
-def _udp() -> socket.socket:
+def _udp(host: str, port: int, *, listens: bool) -> socket.socket:
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
     sock.setblocking(False)
+    try:
+        (sock.bind if listens else sock.connect)((host, port))
+    except OSError:
+        sock.close()
+        raise
     return sock
 
 
@@ -122,12 +128,7 @@ class UdpIn(Transport):
     """Waits for the vehicle; answers to the address from which its first good message came."""
 
     def __init__(self, host: str, port: int) -> None:
-        self._socket = _udp()
-        try:
-            self._socket.bind((host, port))
-        except OSError:
-            self._socket.close()
-            raise
+        self._socket = _udp(host, port, listens=True)
         self.address: tuple[str, int] = self._socket.getsockname()
         self._peer: tuple[str, int] | None = None
         self._last: tuple[str, int] | None = None
@@ -158,10 +159,8 @@ class UdpIn(Transport):
 
     def send(self, data: bytes) -> None:
         if self._peer is not None:
-            try:
+            with suppress(OSError):  # nobody there, or no room: the next one is due in milliseconds
                 self._socket.sendto(data, self._peer)
-            except OSError:  # nobody there, or no room: the next one is due in milliseconds
-                return
 
     def close(self) -> None:
         self._socket.close()
@@ -172,12 +171,7 @@ class UdpOut(Transport):
     """Sends to an address and hears only it."""
 
     def __init__(self, host: str, port: int) -> None:
-        self._socket = _udp()
-        try:
-            self._socket.connect((host, port))
-        except OSError:
-            self._socket.close()
-            raise
+        self._socket = _udp(host, port, listens=False)
 
     def receive(self, timeout: float) -> bytes:
         if not _readable(self._socket, timeout):
@@ -189,10 +183,8 @@ class UdpOut(Transport):
             return b""
 
     def send(self, data: bytes) -> None:
-        try:
+        with suppress(OSError):
             self._socket.send(data)
-        except OSError:
-            return
 
     def close(self) -> None:
         self._socket.close()
@@ -307,10 +299,8 @@ class Serial(Transport):
         return data
 
     def send(self, data: bytes) -> None:
-        try:
+        with suppress(OSError, ValueError):
             self._port.write(data)
-        except (OSError, ValueError):
-            return
 
     def close(self) -> None:
         self._port.close()

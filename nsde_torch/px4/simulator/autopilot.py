@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from math import hypot, inf, isfinite, nan
+from math import hypot, inf, nan
 from typing import final
 
 from nsde_torch.px4.flight.cascade import GRAVITY, Point, SetpointCascade, levelling
@@ -23,7 +23,7 @@ from nsde_torch.px4.link import frames
 from nsde_torch.px4.link.codec import Codec, Message
 from nsde_torch.px4.link.dialect import Mode, mavlink
 from nsde_torch.px4.link.endpoint import NUMBERS
-from nsde_torch.px4.link.vectors import Quat, Vec, conjugate, multiply, rotation_vector, yaw_of
+from nsde_torch.px4.link.vectors import Quat, Vec, conjugate, finite, multiply, rotation_vector, yaw_of
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.estimate import Estimate, SimulatedEstimator
 from nsde_torch.px4.simulator.sensor_errors import SensorErrors
@@ -88,8 +88,7 @@ class SimulatedAutopilot:
         sensor_noise: Factor on it.
         stream: Whether bytes come as a stream.
         parameters: Values of parameters other than `PARAMETERS`.
-        heading_error: See `SimulatedEstimator`.
-        errors: Of the sensors.
+        heading_error, errors: See `SimulatedEstimator`.
 
     Attributes:
         mode: Flight mode in force; `intended` is what was asked for and comes back when a failsafe ends.
@@ -126,7 +125,7 @@ class SimulatedAutopilot:
         self.clock_error, self.blind, self.mute = 0.0, False, False
         std = body._spec.sensor_std
         self.estimator = SimulatedEstimator(
-            std=(std[0] * sensor_noise, std[3] * sensor_noise, std[6] * sensor_noise, std[9] * sensor_noise),
+            std=tuple(sensor_noise * std[k] for k in (0, 3, 6, 9)),
             seed=seed,
             heading=heading_error,
             errors=errors,
@@ -173,18 +172,13 @@ class SimulatedAutopilot:
         if self.estimator.stepped:  # a heading that is held is held as it is
             self._point = replace(self._point, yaw=self._point.yaw + self.estimator.stepped)
         self._failsafe(now)
-        if not self.armed:
-            self.commands = (0.0,) * body.nu
-        else:
-            self.commands = self._control(now)
+        self.commands = self._control(now) if self.armed else (0.0,) * body.nu
         body.step(self.commands)
         self._automatic(now)
         for name, (due, interval) in list(self._due.items()):
             if is_due(name, due, now):
                 self._due[name] = (due_next(name, due, interval, now), interval)
-                message = self._message(name, now)
-                if message is not None:
-                    self._send(message)
+                self._report(name, now)
 
     # modes
 
@@ -257,11 +251,9 @@ class SimulatedAutopilot:
             if mask == d.ATTITUDE_MASK:
                 r = rotation_vector(multiply(conjugate(q), attitude))
                 rates = (6.5 * r[0], 6.5 * r[1], 2.8 * r[2])
-            if not isfinite(thrust):
-                return (0.0,) * self.body.nu  # PX4 does not sanitise it: the motors stop
+            if not finite(thrust, *rates):
+                return (0.0,) * self.body.nu  # PX4 does not sanitise them: the motors stop
             throttle = min(thrust, NEARLY_FULL) if thrust > 1.0 else max(thrust, 0.0)
-            if not all(map(isfinite, rates)):
-                return (0.0,) * self.body.nu
             self.rates = rates
             # thrust of mean command, as the mixer of PX4 has it
             lift = self.body._gain * self.body.nu * throttle
@@ -279,8 +271,7 @@ class SimulatedAutopilot:
             elif self.body.on_ground and self.mode != d.OFFBOARD:
                 return (0.1,) * self.body.nu
             if self.failsafe and self.mode in STICK_MODES:
-                level = levelling(q)
-                return self._rates(level, ABANDONED * GRAVITY - self.body._offset, w, dt)
+                return self._rates(levelling(q), ABANDONED * GRAVITY - self.body._offset, w, dt)
             to = self._wanted if self.mode == d.OFFBOARD and self._wanted is not None else self._point
             demand = self._cascade(p, v, q, to, dt)
             rates, lift = demand.w, demand.thrust - self.body._offset
@@ -296,14 +287,10 @@ class SimulatedAutopilot:
                 min(max(s + k * dt * e, -5.0), 5.0)
                 for s, k, e in zip(self._integral, RATE_INTEGRAL, error, strict=True)
             )
-        moment = [k * e + s for k, e, s in zip(RATE_GAINS, error, self._integral, strict=True)]
-        demand = (lift, *moment)
-        a = self.body.allocation
-        out = []
-        for motor in range(self.body.nu):
-            u = sum(demand[k] * a[k][motor] for k in range(4))
-            out.append(float(min(max(u, 0.0), 1.0)))
-        return tuple(out)
+        demand = (lift, *(k * e + s for k, e, s in zip(RATE_GAINS, error, self._integral, strict=True)))
+        columns = zip(*self.body.allocation, strict=True)
+        motors = (sum(k * a for k, a in zip(demand, column, strict=True)) for column in columns)
+        return tuple(float(min(max(u, 0.0), 1.0)) for u in motors)
 
     # hearing
 
@@ -423,9 +410,7 @@ class SimulatedAutopilot:
             self._ack(d.REQUEST_MESSAGE, d.DENIED)
             return
         self._ack(d.REQUEST_MESSAGE, d.ACCEPTED)
-        message = self._message(name, self.time)
-        if message is not None:
-            self._send(message)
+        self._report(name, self.time)
 
     # saying
 
@@ -440,10 +425,12 @@ class SimulatedAutopilot:
         for piece in texts(severity, text, self._texts) if self.time - self._gcs < 5.0 else ():
             self._send(piece)
 
-    def _message(self, name: str, now: float) -> Message | None:
-        if self.blind and name in ("ODOMETRY", "LOCAL_POSITION_NED"):
-            return None
-        return MESSAGES[name](self, now + self.clock_error)
+    def _report(self, name: str, now: float) -> None:
+        if self.blind and name in _ESTIMATED:
+            return
+        message = MESSAGES[name](self, now + self.clock_error)
+        if message is not None:
+            self._send(message)
 
 
 def _heartbeat(a: SimulatedAutopilot, now: float) -> Message:
@@ -466,17 +453,10 @@ def _extended_sys_state(a: SimulatedAutopilot, now: float) -> Message:
 def _odometry(a: SimulatedAutopilot, now: float) -> Message:
     p, v, q, w = a.estimate
     unknown = [nan] * 21
+    where = (*frames.world(p), frames.attitude(q), *frames.world(v), *frames.body(w))
+    resets = a.estimator.resets % 256
     return mavlink.MAVLink_odometry_message(
-        int(now * 1e6),
-        1,
-        1,
-        *frames.world(p),
-        frames.attitude(q),
-        *frames.world(v),
-        *frames.body(w),
-        unknown,
-        unknown,
-        reset_counter=a.estimator.resets % 256,
+        int(now * 1e6), 1, 1, *where, unknown, unknown, reset_counter=resets
     )
 
 

@@ -96,19 +96,23 @@ class Body:
             [self._gain, *self._gains]
         ).reshape(4, 1)
         names = set(system.effect_names)
-        values = {f"{n}.{k}": v for n in _NATIVE & names for k, v in _values(system, n).items()}
+        values = {k: v.tolist() for k, (v, _) in system.all_declared().items()}
         self._tau = values["motor_lag.time_constant"][0] if "motor_lag" in names else 0.0
         self._keep = exp(-dt / self._tau) if self._tau > 0 else 0.0
-        self._drag: Vec = tuple(values["linear_drag.drag"]) if "linear_drag" in names else (0.0,) * 3  # type: ignore[assignment]
+        self._drag: Vec = tuple(values["linear_drag.drag"]) if "linear_drag" in names else (0.0,) * 3
+        self._lag: slice | None = None  # of the motors, in the plant's memory
+        at = 13
+        for effect in system.effects:
+            count = int(effect.n_memory)  # type: ignore[arg-type]
+            self._lag = slice(at, at + count) if effect.name == "motor_lag" else self._lag
+            at += count
         self._others = bool(names - _NATIVE) or system.thrust_degree > 1
-        generator = torch.Generator().manual_seed(seed)
         self._gusts = Gusts(
             spec.gusts,
-            widths=system.ports,
+            system.ports,
             dt=HELD,
             scale=process_noise,
-            generator=generator,
-            dtype=torch.float64,
+            generator=torch.Generator().manual_seed(seed),
         )
         self._gusts.reset(1)
         self._delay = round(latency / dt)
@@ -220,46 +224,22 @@ class Body:
             z = self._full.augment(row, inputs)
             if self._memory is not None:
                 z[:, 13:] = self._memory
-            z = self._with_motors(z)
+            if self._lag is not None:
+                z[:, self._lag] = torch.tensor([self.motors], dtype=torch.float64)
             rate = self._full.drift(self.time, z, inputs)
             bare, spin = self._bare(self.v, self.q, self.w, self.motors)
             found = rate[0].tolist()
             push = _plus(push, tuple(a - b for a, b in zip(found[3:6], bare, strict=True)), 1.0)
             twist = _plus(twist, tuple(a - b for a, b in zip(found[10:13], spin, strict=True)), 1.0)
             self._memory, self._memory_rate = z[:, 13:], rate[:, 13:]
-            self._motor_push = self._beyond_lag(rate, command)
-        self._push, self._twist = push, twist
-
-    def _with_motors(self, z: torch.Tensor) -> torch.Tensor:
-        """The plant's memory with the motors as they are here."""
-        at = 13
-        for effect in self._full.effects:
-            count = int(effect.n_memory)  # type: ignore[arg-type]
-            if effect.name == "motor_lag":
-                z[:, at : at + count] = torch.tensor([self.motors], dtype=torch.float64)
-            at += count
-        return z
-
-    def _beyond_lag(self, rate: torch.Tensor, command: tuple[float, ...]) -> tuple[float, ...]:
-        """What effects before the lag (a dead band, a limit) add to the motors' rates."""
-        at = 13
-        for effect in self._full.effects:
-            count = int(effect.n_memory)  # type: ignore[arg-type]
-            if effect.name == "motor_lag":
-                found = rate[0, at : at + count].tolist()
-                return tuple(
-                    r - (c - m) / self._tau for r, c, m in zip(found, command, self.motors, strict=True)
+            if (
+                self._lag is not None
+            ):  # what effects before the lag (a dead band, a limit) add to the motors' rates
+                self._motor_push = tuple(
+                    r - (c - m) / self._tau
+                    for r, c, m in zip(rate[0, self._lag].tolist(), command, self.motors, strict=True)
                 )
-            at += count
-        return (0.0,) * self.nu
-
-
-def _values(system: Multirotor, name: str) -> dict[str, list[float]]:
-    """Parameters of one effect of a system."""
-    for effect in system.effects:
-        if effect.name == name:
-            return {k: v.tolist() for k, (v, _) in effect.declared_parameters().items()}  # type: ignore[operator]
-    raise AssertionError(name)
+        self._push, self._twist = push, twist
 
 
 def _plus(a: Vec, b: Vec, k: float) -> Vec:

@@ -60,7 +60,7 @@ class SimulatedEstimator:
     def __init__(
         self,
         *,
-        std: tuple[float, float, float, float],
+        std: tuple[float, ...],
         seed: int,
         heading: float | None = None,
         errors: SensorErrors | None = None,

@@ -119,12 +119,11 @@ class HilSensors:
             w: Body rates, FLU [rad/s].
         """
         k, self._count = self._count, self._count + 1
-        a, b = v, self._before
-        r = self._rest
+        b, r = self._before, self._rest
         gained = (
-            RATE * (a[0] - b[0]) + r[0],
-            RATE * (a[1] - b[1]) + r[1],
-            RATE * (a[2] - b[2]) + r[2] + GRAVITY,
+            RATE * (v[0] - b[0]) + r[0],
+            RATE * (v[1] - b[1]) + r[1],
+            RATE * (v[2] - b[2]) + r[2] + GRAVITY,
         )
         share = HARDEST / max(length(gained), HARDEST)
         shown: Vec = (share * gained[0], share * gained[1], share * gained[2])
@@ -181,21 +180,8 @@ class HilSensors:
         lat, lon, alt = place(at)
         course = round(100.0 * degrees(atan2(e, n)) % 36000.0) % 36000
         ground = min(round(100.0 * (n * n + e * e) ** 0.5), 0xFFFF)
-        return mavlink.MAVLink_hil_gps_message(
-            stamp,
-            3,
-            lat,
-            lon,
-            alt,
-            30,
-            40,
-            ground,
-            _int16(100.0 * n),
-            _int16(100.0 * e),
-            _int16(100.0 * d),
-            course,
-            12,
-        )
+        speed = (ground, _int16(100.0 * n), _int16(100.0 * e), _int16(100.0 * d))
+        return mavlink.MAVLink_hil_gps_message(stamp, 3, lat, lon, alt, 30, 40, *speed, course, 12)
 
     def _noisy(self, v: Vec, std: Vec, bias: Vec = (0.0, 0.0, 0.0)) -> Vec:
         gauss, k = self._random.gauss, self._noise

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from pathlib import Path
 from typing import final
 
@@ -12,7 +11,6 @@ from nsde_torch.px4.flight.flying import FlightReport, fly
 from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.path import PathPoints
 from nsde_torch.px4.flight.runner import Inline
-from nsde_torch.px4.flight.safety import Limits
 from nsde_torch.px4.link.connection import POLL, Connection
 from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
@@ -36,23 +34,17 @@ class VirtualLink(Connection):
     """A connection to a simulated vehicle.
 
     Args:
-        autopilot: The vehicle.
+        autopilot: The vehicle, whose clock runs as that of PX4's own simulator (`CLOCK`).
         key: See `Endpoint`.
         latency: Of messages, in each direction [s].
-        speed: Seconds of its clock in a second of ours.
     """
 
     live = False  # Ctrl-C ends the program, not the flight
 
     def __init__(
-        self,
-        autopilot: SimulatedAutopilot,
-        *,
-        key: bytes | None = None,
-        latency: float = 0.0,
-        speed: float = CLOCK,
+        self, autopilot: SimulatedAutopilot, *, key: bytes | None = None, latency: float = 0.0
     ) -> None:
-        self.autopilot, self._latency, self._speed = autopilot, latency, speed
+        self.autopilot, self._latency = autopilot, latency
         self.endpoint = Endpoint(self._say, key=key)
         self._time, self._polled = START, START
         self._up: deque[tuple[float, bytes]] = deque()
@@ -70,7 +62,7 @@ class VirtualLink(Connection):
             self._time = min(self._time + STEP, until)
             while self._up and self._up[0][0] <= self._time + 1e-9:
                 self.autopilot.receive(self._up.popleft()[1])
-            for frame in self.autopilot.advance((self._time - START) * self._speed):
+            for frame in self.autopilot.advance((self._time - START) * CLOCK):
                 self._down.append((self._time + self._latency, frame))
             while self._down and self._down[0][0] <= self._time + 1e-9:
                 self.endpoint.receive(self._down.popleft()[1], self._time)
@@ -96,10 +88,8 @@ def fly_simulated(
     seed: int,
     period: float,
     sensor_noise: float = 1.0,
-    limits: Limits | None = None,
     options: FlightOptions | None = None,
     log: Path | None = None,
-    say: Callable[[str], None] = lambda line: None,
 ) -> FlightReport:
     """Fly once, from the ground to the ground, in virtual time.
 
@@ -110,10 +100,8 @@ def fly_simulated(
         seed: Of the noise of the estimate.
         period: Time between plans [s].
         sensor_noise: Factor on that noise.
-        limits: See `Limits`.
         options: See `FlightOptions`.
         log: File of the log; None: none.
-        say: Takes a line about each step.
 
     Returns:
         What was measured; the same for the same seeds on every machine on which arithmetic is the same.
@@ -121,4 +109,4 @@ def fly_simulated(
     autopilot = SimulatedAutopilot(body, seed=seed, sensor_noise=sensor_noise)
     runner = Inline(controller, period=period, delay=SOLVE)
     with VirtualLink(autopilot, latency=LINE) as link:
-        return fly(link, runner, path, motors=body.nu, log=log, limits=limits, options=options, say=say)
+        return fly(link, runner, path, motors=body.nu, log=log, options=options)

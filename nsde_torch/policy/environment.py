@@ -73,12 +73,7 @@ _ABSURD = 1e4
 
 @dataclass(frozen=True)
 class Box:
-    """First states, uniform between two corners.
-
-    Args:
-        low: Smallest state.
-        high: Largest state.
-    """
+    """First states, uniform between two corners."""
 
     low: tuple[float, ...]
     high: tuple[float, ...]

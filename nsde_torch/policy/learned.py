@@ -9,6 +9,7 @@ its sensors is added to what is measured.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import final
 
 import torch
@@ -60,6 +61,33 @@ def make_truth(
     return made(system, dt=dt, sensor_noise=sensor_noise, generator=generator)
 
 
+class _Rows(Dynamics):
+    """Machines that are nothing but the rows of a tensor, each its state first."""
+
+    _x: Tensor
+    _nx: int
+
+    @property
+    def state(self) -> Tensor:
+        return self._x[:, : self._nx]
+
+    def reset(self, x0: Tensor) -> Tensor:
+        self._x = self._started(x0)
+        return self._measured(self.state)
+
+    def restart(self, rows: Tensor, x0: Tensor) -> Tensor:
+        fresh = self._started(x0)
+        self._x = self._x.index_copy(0, rows, fresh)
+        return self._measured(fresh[:, : self._nx])
+
+    @abstractmethod
+    def _started(self, x0: Tensor) -> Tensor:
+        """Rows of machines that start in the states (K, nx)."""
+
+    def _measured(self, x: Tensor) -> Tensor:
+        return x
+
+
 @final
 class PlantDynamics(Dynamics):
     """A plant of the package.
@@ -108,15 +136,8 @@ class PlantDynamics(Dynamics):
 
 
 @final
-class PublishedCartpole(Dynamics):
-    """The cart and pole of the published data.
-
-    Args:
-        system: Which machine.
-        dt: Sample, which is the step of Euler's method [s].
-        sensor_noise: Factor on the published sensor noise, >= 0.
-        generator: Source of all randomness.
-    """
+class PublishedCartpole(_Rows):
+    """The cart and pole of the published data; arguments are those of `make_truth`."""
 
     name = "published"
 
@@ -124,20 +145,13 @@ class PublishedCartpole(Dynamics):
         self.system = make_plant_system(system, declared_only=True).double().requires_grad_(False)
         self._dt = dt
         std = tuple(variance**0.5 for variance in PUBLISHED_VARIANCES)
-        self._sensor = Sensor(self.system, std, scale=sensor_noise, generator=generator, dtype=torch.float64)
-        self._x = torch.empty(0, self.system.nx, dtype=torch.float64)
+        self._sensor = Sensor(self.system, std, scale=sensor_noise, generator=generator)
+        self._nx = self.system.nx
 
-    @property
-    def state(self) -> Tensor:
-        return self._x
+    def _started(self, x0: Tensor) -> Tensor:
+        return x0.double()
 
-    def reset(self, x0: Tensor) -> Tensor:
-        self._x = x0.double()
-        return self._sensor(self._x)
-
-    def restart(self, rows: Tensor, x0: Tensor) -> Tensor:
-        x = x0.double()
-        self._x = self._x.index_copy(0, rows, x)
+    def _measured(self, x: Tensor) -> Tensor:
         return self._sensor(x)
 
     @torch.no_grad()
@@ -176,64 +190,39 @@ def make_learned(
             f"`propagation={propagation}` chooses members of an ensemble, and this model is {model.spec.kind}. "
             "Leave it out."
         )
-    made = _SDEDynamics if is_equation(model) else _SampledDynamics
-    return made(model, dt=dt, sensor_noise=sensor_noise, generator=generator)  # type: ignore[arg-type]
+    if is_equation(model):
+        return _SDEDynamics(model, dt=dt, sensor_noise=sensor_noise, generator=generator)
+    return _SampledDynamics(model, dt=dt, generator=generator)
 
 
 @final
-class _SDEDynamics(Dynamics):
-    """A neural SDE, stepped by its integrator."""
+class _SDEDynamics(_Rows):
+    """A neural SDE, stepped by its integrator; rows go on with its memory and disturbance."""
 
     def __init__(
-        self,
-        model: NeuralSDE,
-        *,
-        dt: float,
-        sensor_noise: float,
-        generator: torch.Generator,
+        self, model: NeuralSDE, *, dt: float, sensor_noise: float, generator: torch.Generator
     ) -> None:
         self.model, self.name = model, model.spec.kind
         self._dt, self._generator = dt, generator
         self._std = sensor_noise * model.measurement_std
         self._noisy = bool((self._std > 0).any())
-        self._z = model.clock_scale.new_empty(0, model.nz)
-
-    @property
-    def state(self) -> Tensor:
-        return self._z[:, : self.model.system.nx]
-
-    def reset(self, x0: Tensor) -> Tensor:
-        self._z = self._start(x0)
-        return self._measured(self.state)
-
-    def restart(self, rows: Tensor, x0: Tensor) -> Tensor:
-        z = self._start(x0)
-        self._z = self._z.index_copy(0, rows, z)
-        return self._measured(z[:, : self.model.system.nx])
+        self._x, self._nx = model.clock_scale.new_empty(0, model.nz), model.system.nx
 
     @torch.no_grad()
     def step(self, u: Tensor) -> Tensor:
-        z, step = self._z, self.model.step
+        z, step = self._x, self.model.step
         noise = None
         if not step.deterministic:
             made = {"generator": self._generator, "device": z.device, "dtype": z.dtype}
             noise = brownian(1, len(z), 1, z.shape[1], dt=self._dt, **made)  # type: ignore[arg-type]
-        path = rollout(
-            self.model,
-            z,
-            u.to(z)[:, None],
-            dt=self._dt,
-            step=step,
-            noise=noise,
-            check=False,
-        )
-        self._z = path[0, :, 1]
+        path = rollout(self.model, z, u.to(z)[:, None], dt=self._dt, step=step, noise=noise, check=False)
+        self._x = path[0, :, 1]
         return self._measured(self.state)
 
     @torch.no_grad()
-    def _start(self, x0: Tensor) -> Tensor:
+    def _started(self, x0: Tensor) -> Tensor:
         model = self.model
-        x = model.project(x0.to(self._z))
+        x = model.project(x0.to(self._x))
         draw = normal((len(x), model.nd), self._generator, x) if model.nd else None
         return model.augment(x, x.new_zeros(len(x), model.system.nu + len(model.system.exogenous)), draw)
 
@@ -244,7 +233,7 @@ class _SDEDynamics(Dynamics):
 
 
 @final
-class _EnsembleDynamics(Dynamics):
+class _EnsembleDynamics(_Rows):
     """A Gaussian ensemble; every machine moves by its own member."""
 
     def __init__(
@@ -260,67 +249,42 @@ class _EnsembleDynamics(Dynamics):
             )
         self.model, self.name = model, model.spec.kind
         self._generator, self._redrawn = generator, propagation == "redrawn"
-        self._x = model.clock_scale.new_empty(0, model.system.nx)
-        self._members = torch.empty(0, dtype=torch.long, device=self._x.device)
-
-    @property
-    def state(self) -> Tensor:
-        return self._x
-
-    @property
-    def members(self) -> Tensor:
+        self._x, self._nx = model.clock_scale.new_empty(0, model.system.nx), model.system.nx
+        self.members = torch.empty(0, dtype=torch.long, device=self._x.device)
         """The member that moved each machine last, or moves it next after a start (N,)."""
-        return self._members
 
     def reset(self, x0: Tensor) -> Tensor:
-        self._x = self.model.project(x0.to(self._x))
-        self._members = self.model.draw_members(len(x0), self._generator)
-        return self._x
+        self.members = self.model.draw_members(len(x0), self._generator)
+        return super().reset(x0)
 
     def restart(self, rows: Tensor, x0: Tensor) -> Tensor:
-        x = self.model.project(x0.to(self._x))
-        self._x = self._x.index_copy(0, rows, x)
         drawn = self.model.draw_members(len(rows), self._generator)
-        self._members = self._members.index_copy(0, rows, drawn)
-        return x
+        self.members = self.members.index_copy(0, rows, drawn)
+        return super().restart(rows, x0)
+
+    def _started(self, x0: Tensor) -> Tensor:
+        return self.model.project(x0.to(self._x))
 
     @torch.no_grad()
     def step(self, u: Tensor) -> Tensor:
         if self._redrawn:
-            self._members = self.model.draw_members(len(self._x), self._generator)
+            self.members = self.model.draw_members(len(self._x), self._generator)
         noise = normal((len(self._x), self.model.chart.n_change), self._generator, self._x)
-        self._x = self.model.advance(self._x, u.to(self._x), self._members, noise)
+        self._x = self.model.advance(self._x, u.to(self._x), self.members, noise)
         return self._x
 
 
 @final
-class _SampledDynamics(Dynamics):
+class _SampledDynamics(_Rows):
     """Any other model, through `sample` with one step."""
 
-    def __init__(
-        self,
-        model: Model,
-        *,
-        dt: float,
-        sensor_noise: float,
-        generator: torch.Generator,
-    ) -> None:
+    def __init__(self, model: Model, *, dt: float, generator: torch.Generator) -> None:
         self.model, self.name = model, model.spec.kind
         self._dt, self._generator = dt, generator
-        self._x = model.clock_scale.new_empty(0, model.system.nx)
+        self._x, self._nx = model.clock_scale.new_empty(0, model.system.nx), model.system.nx
 
-    @property
-    def state(self) -> Tensor:
-        return self._x
-
-    def reset(self, x0: Tensor) -> Tensor:
-        self._x = self.model.project(x0.to(self._x))
-        return self._x
-
-    def restart(self, rows: Tensor, x0: Tensor) -> Tensor:
-        x = self.model.project(x0.to(self._x))
-        self._x = self._x.index_copy(0, rows, x)
-        return x
+    def _started(self, x0: Tensor) -> Tensor:
+        return self.model.project(x0.to(self._x))
 
     @torch.no_grad()
     def step(self, u: Tensor) -> Tensor:

@@ -102,7 +102,7 @@ class Learner:
             actor.log_std.copy_(policy.log_std)
         return actor.eval().requires_grad_(False)
 
-    def learn(self, between_updates: Callable[[], None], *, at_every_step: Callable[[int], None]) -> None:
+    def learn(self, between_updates: Callable[[], None], *, at_every_step: Callable[[int], object]) -> None:
         """Learn until all interactions are done.
 
         Args:
@@ -187,7 +187,7 @@ class Learner:
 class _Calls(BaseCallback):
     """Passes on when an update is about to be collected, and every step."""
 
-    def __init__(self, between: Callable[[], None], at_every_step: Callable[[int], None]) -> None:
+    def __init__(self, between: Callable[[], None], at_every_step: Callable[[int], object]) -> None:
         super().__init__()
         self._between, self._at_every_step = between, at_every_step
 

@@ -76,13 +76,8 @@ def episode_rewards(policy: Policy, environment: BatchEnvironment) -> Rewards:
         total = torch.where(first, made.total, total)
         left |= first & made.terminated
         seen = made.observation
-    return Rewards(
-        float(total.mean()),
-        float(total.std(correction=0)),
-        float(total.min()),
-        environment.n,
-        int(left.sum()),
-    )
+    mean, std, worst = float(total.mean()), float(total.std(correction=0)), float(total.min())
+    return Rewards(mean, std, worst, environment.n, int(left.sum()))
 
 
 def random_policy(environment: BatchEnvironment, generator: torch.Generator) -> Policy:
@@ -171,14 +166,12 @@ class PolicyTraining:
                 self._evaluate(learner, bar)
 
         with bar:
-            learner.learn(between_updates, at_every_step=lambda done: _advance(bar, done))
+            learner.learn(between_updates, at_every_step=lambda done: bar.update(done - bar.n))
         result = self._conclude(learner.actor())
         (self.folder / REPORT).write_text(json_text(result))
         self._draw(result)
         self._tell(result)
         return result
-
-    # ---- stages ---------------------------------------------------------------------------------------
 
     def _learner(self) -> Learner:
         from nsde_torch.policy.ppo import Learner
@@ -204,11 +197,9 @@ class PolicyTraining:
     def _evaluate(self, learner: Learner, bar: Any) -> None:
         actor, done = learner.actor(), learner.interactions
         true = self._play(actor, self._truth, self.options.episodes, _EVALUATION_SEED)
-        own = (
-            true
-            if self._on_truth
-            else self._play(actor, self._environment, self.options.episodes, _EVALUATION_SEED)
-        )
+        own = true
+        if not self._on_truth:
+            own = self._play(actor, self._environment, self.options.episodes, _EVALUATION_SEED)
         row = {
             "interactions": done,
             "environment_reward": own.mean,
@@ -311,18 +302,12 @@ class PolicyTraining:
             self._say("no score: name policies trained on the truth, scored_against=[DIR,...]")
         self._say(f"took {result['seconds']:.0f} s; wrote {self.folder}")
 
-    # ---- small things ---------------------------------------------------------------------------------
-
     @property
     def _on_truth(self) -> bool:
         return self._environment is self._truth
 
     def _seconds(self) -> float:
         return self._seconds_before + time.perf_counter() - self._started
-
-
-def _advance(bar: Any, done: int) -> None:
-    bar.update(done - bar.n)
 
 
 def _reference_reward(folders: Sequence[str | Path], about: Mapping[str, Any]) -> float | None:

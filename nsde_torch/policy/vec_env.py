@@ -150,10 +150,5 @@ class PolicyEnv(gymnasium.Env[Any, Any]):
             What the policy sees, reward, terminated, truncated, and nothing more.
         """
         made = self.environment.step(torch.as_tensor(np.asarray(action, dtype=np.float32))[None])
-        return (
-            made.last[0].numpy(),
-            float(made.reward[0]),
-            bool(made.terminated[0]),
-            bool(made.truncated[0]),
-            {},
-        )
+        ended = (bool(made.terminated[0]), bool(made.truncated[0]))
+        return (made.last[0].numpy(), float(made.reward[0]), *ended, {})

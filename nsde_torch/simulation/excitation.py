@@ -77,7 +77,8 @@ def excited_runs(
     phase = rng.uniform(0.0, 2.0 * pi, shape)
 
     def control(t: float, x: torch.Tensor) -> torch.Tensor:
-        u = torch.as_tensor(mean + swing * np.sin(2.0 * pi * frequencies * t + phase).sum(2))
+        waves = swing[:, None] * np.sin(2.0 * pi * frequencies * t + phase)
+        u = torch.as_tensor(mean + waves.sum(2))
         if feedback is None:
             return u
         answer = torch.as_tensor(feedback(t, x), dtype=u.dtype)

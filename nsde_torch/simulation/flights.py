@@ -19,7 +19,7 @@ from nsde_torch.data.quaternion import euler_zyx
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
 from nsde_torch.simulation.battery import battery_column, battery_of
-from nsde_torch.simulation.make import Making, noise_generator
+from nsde_torch.simulation.make import Making, noise_generator, simulated_run
 from nsde_torch.simulation.pilot import Path, Pilot, Sticks, figures
 from nsde_torch.systems import Multirotor
 from nsde_torch.systems.machines import make_plant_system
@@ -175,13 +175,7 @@ def chosen_flights(
     rounds: int = ROUNDS,
     keep_truth: bool = False,
 ) -> list[Flown]:
-    """The flights of `manual_flights`, before they are runs.
-
-    Args:
-        keep_truth: Keep the true states too; they change nothing else.
-
-    Arguments beside that, and errors, are those of `manual_flights`.
-    """
+    """The flights of `manual_flights`, before they are runs; with `keep_truth`, their true states too."""
     if min(variants, rounds) < 1:
         raise ConfigError(f"`variants` and `rounds` must be 1 or more; got {variants!r} and {rounds!r}.")
     dt = making.sample(name)
@@ -194,14 +188,7 @@ def chosen_flights(
         sticks = pilot.rehearse(sticks, aim)
         tried = pilot.variants(sticks, variants, 0.1)
         paths = [path for variant in tried for path in pilot.paths(variant)]
-        made = fly(
-            name,
-            paths,
-            generator=generator,
-            making=making,
-            durations=lengths,
-            keep_truth=keep_truth,
-        )
+        made = fly(name, paths, generator=generator, making=making, durations=lengths, keep_truth=keep_truth)
         x, count = made.x, len(pilot.rows)
         takes = [[x[:n, k * count + i] for k in range(len(tried))] for i, n in enumerate(pilot.rows)]
         miss, choice = _choose(takes, pilot.targets)
@@ -248,23 +235,10 @@ def manual_flights(
             fly.
     """
     flights = chosen_flights(
-        name,
-        durations=durations,
-        seed=seed,
-        making=making,
-        variants=variants,
-        rounds=rounds,
+        name, durations=durations, seed=seed, making=making, variants=variants, rounds=rounds
     )
-    dt = making.sample(name)
-    digits = len(str(len(flights) - 1))
+    dt, digits = making.sample(name), len(str(len(flights) - 1))
     return [
-        RawRun(
-            f"flight_{i:0{digits}d}",
-            dt * np.arange(len(flight.x), dtype=np.float64),
-            flight.x,
-            flight.u,
-            source="simulated",
-            extra=battery_column(flight.voltage),
-        )
+        simulated_run(f"flight_{i:0{digits}d}", dt, flight.x, flight.u, battery_column(flight.voltage))
         for i, flight in enumerate(flights)
     ]

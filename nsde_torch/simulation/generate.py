@@ -18,7 +18,7 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.effects import Effect, Parameter, effect_class
 from nsde_torch.errors import ConfigError, NonFiniteError
 from nsde_torch.recording.chain import Recording
-from nsde_torch.simulation.make import Making
+from nsde_torch.simulation.make import Making, check_numbers
 from nsde_torch.simulation.registry import RECORDINGS, RunRecorder, planned, recorder
 from nsde_torch.simulation.replay import Replay, joined
 from nsde_torch.systems import System, make_system, system_class
@@ -115,7 +115,11 @@ def simulate(
         named_effects(effects, system), parameters or {}, known, spec.effects, system
     )
     chain.check(known)
-    _check(durations, dt, seed, battery=battery and "u_1" not in known.input_names, system=system)
+    check_numbers(durations, seed)
+    if dt is not None and not (isfinite(dt) and dt > 0):
+        raise ConfigError(f"`dt` must be a step above 0 s; got {dt!r}.")
+    if battery and "u_1" not in known.input_names:
+        raise ConfigError(f"`battery`: system {system!r} has none; leave it out.")
     nominal = spec.dt if dt is None else float(dt)
     step = nominal * chain.clock
     latency, fine = _latency(asked.pop("input_delay", None), step, spec.step)
@@ -181,11 +185,7 @@ def simulate(
         "battery": battery,
     }
     if replay is not None:
-        truth["replay"] = {
-            "starts": replay.starts,
-            "duration_s": replay.duration,
-            "before_s": replay.before,
-        }
+        truth["replay"] = {"starts": replay.starts, "duration_s": replay.duration, "before_s": replay.before}
     if latency is not None:
         truth["effects"]["input_delay"] = {
             "parameters": {"delay": latency},
@@ -338,16 +338,3 @@ def _undeclared(
 def _plain(values: list[float]) -> float | list[float]:
     rounded = [float(f"{v:.7g}") for v in values]
     return rounded[0] if len(rounded) == 1 else rounded
-
-
-def _check(
-    durations: Sequence[float] | None, dt: float | None, seed: int, *, battery: bool, system: str
-) -> None:
-    if durations is not None and not (len(durations) and all(isfinite(d) and d > 0 for d in durations)):
-        raise ConfigError(f"`durations` must be one or more times above 0 s; got {list(durations)}.")
-    if dt is not None and not (isfinite(dt) and dt > 0):
-        raise ConfigError(f"`dt` must be a step above 0 s; got {dt!r}.")
-    if isinstance(seed, bool) or int(seed) != seed or seed < 0:
-        raise ConfigError(f"`seed` must be a whole number of 0 or more; got {seed!r}.")
-    if battery:
-        raise ConfigError(f"`battery`: system {system!r} has none; leave it out.")

@@ -52,7 +52,7 @@ class LearnedPlant:
         self._step = model.step if not model.step.deterministic else make_step("rk4")
         self._noise, self._limits, self._delay = process_noise, limits, round(latency / dt)
         std = (0.0,) * len(model.system.error_names) if sensor_std is None else sensor_std
-        self._sensor = Sensor(model.system, std, scale=sensor_noise, generator=generator, dtype=torch.float64)
+        self._sensor = Sensor(model.system, std, scale=sensor_noise, generator=generator)
         self._z, self._commands = torch.empty(0), [torch.empty(0)]
         self._samples = 0
 
@@ -81,9 +81,7 @@ class LearnedPlant:
         m.set_step(dt)
         dw = torch.randn(self._z.shape, generator=self._generator).to(self._z) * (self._noise * dt**0.5)
         t = self._samples * dt
-        moved = self._step.advance(
-            m, t, self._z, self._commands[0], dt, None if self._step.deterministic else dw
-        )
-        self._z = m.project(moved)
+        noise = None if self._step.deterministic else dw
+        self._z = m.project(self._step.advance(m, t, self._z, self._commands[0], dt, noise))
         self._samples += 1
         return self._sensor(self.state)

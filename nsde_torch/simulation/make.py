@@ -5,7 +5,8 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import ceil, inf
+from math import ceil, inf, isfinite
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -122,17 +123,11 @@ def make_plant(
     Args:
         name: Name of the system.
         generator: Source of all randomness; it also sets the device.
-        effects: Effects beyond those that the plant has: `name` or `{name: {parameter: value}}`.
-        declared_only: Leave out the effects that the declared physics does not have.
-        process_noise: Factor on the machine's gusts.
-        sensor_noise: Factor on the machine's sensor noise.
-        latency: Time from a command to its effect [s]; default: the machine's.
-        dt: Sample [s]; default: the machine's.
-        step: Fine step [s]; default: the machine's, or less to fit into `dt` and to follow the fastest effect.
+        step: Fine step [s]; None: the machine's, or less to fit into `dt` and to follow the fastest effect.
         check: Raise when a state is not finite.
         dtype: Precision.
-        values: Parameters of the declared physics in place of the machine's.
         sensor_std: Noise of each error channel in place of the machine's.
+        effects, declared_only, process_noise, sensor_noise, latency, dt, values: See `Making`.
 
     Raises:
         ConfigError: no plant of that name, an unknown effect or parameter, or a number out of range.
@@ -204,12 +199,29 @@ def record(
     xs, us = torch.stack(states).cpu().numpy(), torch.stack(commands).cpu().numpy()
     digits = len(str(len(rows) - 1))
     return [
-        RawRun(
-            f"{prefix}_{i:0{digits}d}",
-            plant.dt * np.arange(n, dtype=np.float64),
-            xs[:n, i].copy(),
-            us[:n, i].copy(),
-            source="simulated",
-        )
+        simulated_run(f"{prefix}_{i:0{digits}d}", plant.dt, xs[:n, i].copy(), us[:n, i].copy())
         for i, n in enumerate(rows)
     ]
+
+
+def simulated_run(
+    name: str, dt: float, x: Array, u: Array, extra: Mapping[str, Array] = MappingProxyType({})
+) -> RawRun:
+    """A run that begins at 0: measured states, commands and further columns at every sample `dt` [s]."""
+    t = dt * np.arange(len(x), dtype=np.float64)
+    return RawRun(name, t, x, u, source="simulated", extra=dict(extra))
+
+
+def check_numbers(durations: Sequence[float] | None, seed: int, **factors: float) -> None:
+    """Refuse durations that are no times, a seed that is none, and factors below 0.
+
+    Raises:
+        ConfigError: names the number.
+    """
+    if durations is not None and not (len(durations) and all(isfinite(d) and d > 0 for d in durations)):
+        raise ConfigError(f"`durations` must be one or more times above 0 s; got {list(durations)}.")
+    if isinstance(seed, bool) or int(seed) != seed or seed < 0:
+        raise ConfigError(f"`seed` must be a whole number of 0 or more; got {seed!r}.")
+    for name, value in factors.items():
+        if not (isfinite(value) and value >= 0):
+            raise ConfigError(f"`{name}` must be a factor of 0 or more; got {value!r}.")

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError
+from nsde_torch.rotation import turned
 from nsde_torch.systems import System
 from nsde_torch.systems.machine import Gust
 
@@ -43,12 +44,12 @@ class Gusts:
     def __init__(
         self,
         spec: Mapping[Port, Gust],
-        *,
         widths: Mapping[Port, int],
+        *,
         dt: float,
         scale: float,
         generator: torch.Generator,
-        dtype: torch.dtype,
+        dtype: torch.dtype = torch.float64,
     ) -> None:
         if not scale >= 0:
             raise ConfigError(f"`process_noise` must be a factor of 0 or more; got {scale!r}.")
@@ -117,7 +118,6 @@ class Sensor:
             for the three of an attitude].
         scale: Factor on all of them, >= 0; with 0 the state is returned as it is.
         generator: Source of all randomness.
-        dtype: Precision.
 
     Raises:
         ConfigError: wrong number of channels, or a negative value.
@@ -130,7 +130,7 @@ class Sensor:
         *,
         scale: float,
         generator: torch.Generator,
-        dtype: torch.dtype,
+        dtype: torch.dtype = torch.float64,
     ) -> None:
         n = len(system.error_names)
         if len(std) != n or min(std) < 0:
@@ -148,34 +148,11 @@ class Sensor:
         """The state (B, nx) as measured, (B, nx)."""
         if self._silent:
             return x
-        noise = self._std * torch.randn(
-            x.shape[0],
-            len(self._std),
-            generator=self._generator,
-            dtype=self._std.dtype,
-            device=self._std.device,
-        )
+        unit = self._std.new_empty(len(x), len(self._std)).normal_(generator=self._generator)
+        noise = self._std * unit
         if self._quaternion is None:
             return x + noise
         start = self._quaternion.start
         before, turn, after = noise[:, :start], noise[:, start : start + 3], noise[:, start + 3 :]
         q = turned(x[:, self._quaternion], turn)
         return torch.cat((x[:, :start] + before, q, x[:, self._quaternion.stop :] + after), 1)
-
-
-def turned(q: Tensor, r: Tensor) -> Tensor:
-    """Attitude q (B, 4) turned by the rotation vector r (B, 3) [rad] in body axes: q exp(r / 2)."""
-    half = 0.5 * r
-    angle = torch.linalg.vector_norm(half, dim=1, keepdim=True)
-    a, b, c = (half * torch.sinc(angle / torch.pi)).unbind(1)
-    s = torch.cos(angle)[:, 0]
-    w, x, y, z = q.unbind(1)
-    return torch.stack(
-        (
-            w * s - x * a - y * b - z * c,
-            w * a + x * s + y * c - z * b,
-            w * b - x * c + y * s + z * a,
-            w * c + x * b - y * a + z * s,
-        ),
-        1,
-    )

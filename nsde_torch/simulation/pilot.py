@@ -40,6 +40,8 @@ TRIM_S = 4.0
 LOW, HEIGHT = 0.4, 1.4
 """Heights at both ends and of the flight [m]."""
 SHORTEST_S = 2.0
+DRAG = 0.15
+"""Of the machines, along x and y of the body [1/s]."""
 
 
 @dataclass(frozen=True)
@@ -170,9 +172,9 @@ def _path(mood: _Mood, sticks: Sticks, dt: float) -> Path:
     return Path(p, v, np.gradient(v, dt, axis=0), yaw, np.gradient(yaw, dt))
 
 
-def attained(path: Path, drag: float = 0.15) -> Array:
+def attained(path: Path) -> Array:
     """Speed [m/s] and |roll|, |pitch|, |yaw| [deg] of flying a path exactly, (4, n)."""
-    force = path.a + drag * path.v * np.array([1.0, 1.0, 0.0]) + np.array([0.0, 0.0, 9.81])
+    force = path.a + DRAG * path.v * np.array([1.0, 1.0, 0.0]) + np.array([0.0, 0.0, 9.81])
     c, s = np.cos(path.yaw), np.sin(path.yaw)
     fx, fy = c * force[:, 0] + s * force[:, 1], c * force[:, 1] - s * force[:, 0]
     pitch, roll = np.arctan2(fx, force[:, 2]), np.arctan2(-fy, np.hypot(fx, force[:, 2]))
@@ -192,21 +194,18 @@ class Pilot:
         durations: Length of each run [s], each at least 2.
         dt: Sample [s].
         seed: Seed of everything that the pilot does.
-        targets: Figures to reach, in the order of `TARGETS`.
 
     Raises:
         ConfigError: no run, or one too short.
     """
 
-    def __init__(
-        self, durations: Sequence[float], *, dt: float, seed: int, targets: Sequence[float] = TARGETS
-    ) -> None:
+    def __init__(self, durations: Sequence[float], *, dt: float, seed: int) -> None:
         if not durations or min(durations) < SHORTEST_S:
             raise ConfigError(
                 f"`durations` of flights must be one or more times of {SHORTEST_S:g} s or longer; "
                 f"got {list(durations)}."
             )
-        self.dt, self.targets = dt, np.asarray(targets, dtype=np.float64)
+        self.dt, self.targets = dt, np.array(TARGETS)
         self.rows = [round(d / dt) + 1 for d in durations]
         rng = np.random.default_rng([seed, 1])
         turning = int(rng.integers(len(durations)))
@@ -217,15 +216,15 @@ class Pilot:
         """What the pilot wants of each run with sticks of this size."""
         return [_path(mood, sticks, self.dt) for mood in self._moods]
 
-    def rehearse(self, start: Sticks, aim: Array, rounds: int = 40) -> Sticks:
+    def rehearse(self, start: Sticks, aim: Array) -> Sticks:
         """Sizes for which the wanted paths have the figures `aim` (8,), by fixed-point iteration.
 
         Figures that the random part cannot reach are left as near as the bounds of the sizes allow.
         """
         sticks = start
-        for k in range(rounds):
+        for k in range(40):
             now = figures(np.concatenate([attained(path) for path in self.paths(sticks)], axis=1))
-            rate = 0.7 if k < rounds // 2 else 0.35
+            rate = 0.7 if k < 20 else 0.35
             quantile = (aim[0::2] / now[0::2]) ** rate  # speed, roll, pitch, yaw
             shape = rate * 0.7 * np.log((aim[1::2] / aim[0::2]) / (now[1::2] / now[0::2]))
             sticks = replace(

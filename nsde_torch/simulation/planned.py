@@ -17,7 +17,7 @@ from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.simulation.battery import battery_column
 from nsde_torch.simulation.flights import fly
-from nsde_torch.simulation.make import Making, noise_generator, record
+from nsde_torch.simulation.make import Making, noise_generator, record, simulated_run
 from nsde_torch.simulation.pilot import Path as Wanted
 
 PLAN, DESIGN = "plan.csv", "design.json"
@@ -82,20 +82,12 @@ def planned_flights(
         wanted.append(
             Wanted(p, v, a, np.interp(t, grid, path.yaw), np.interp(t, grid, np.gradient(path.yaw, path.dt)))
         )
-    flown = fly(
-        name,
-        wanted,
-        generator=noise_generator(seed, 1),
-        making=making,
-        durations=lengths,
-    )
-    out = []
-    for i, one in enumerate(wanted):
-        n, part = len(one.p), flown.one(len(one.p), i)
-        t = dt * np.arange(n, dtype=np.float64)
-        extra = battery_column(part.voltage)
-        out.append(RawRun(f"experiment_{i}", t, part.x, part.u, source="simulated", extra=extra))
-    return out
+    flown = fly(name, wanted, generator=noise_generator(seed, 1), making=making, durations=lengths)
+    parts = (flown.one(len(one.p), i) for i, one in enumerate(wanted))
+    return [
+        simulated_run(f"experiment_{i}", dt, part.x, part.u, battery_column(part.voltage))
+        for i, part in enumerate(parts)
+    ]
 
 
 def plan_file(plan: str | Path) -> Path:

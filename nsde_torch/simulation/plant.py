@@ -112,7 +112,7 @@ class Plant:
         self._limits, self._check, self._dtype = limits, check, dtype
         self._generator = generator
         self._gusts = Gusts(
-            gusts or {}, widths=system.ports, dt=dt, scale=process_noise, generator=generator, dtype=dtype
+            gusts or {}, system.ports, dt=dt, scale=process_noise, generator=generator, dtype=dtype
         )
         std = (0.0,) * len(system.error_names) if sensor_std is None else sensor_std
         self._sensor = Sensor(system, std, scale=sensor_noise, generator=generator, dtype=dtype)
@@ -239,8 +239,7 @@ class Plant:
         u = self._rows("u", u, self._width)
         if len(u) != len(self._z):
             raise ShapeError(
-                f"`u` must have a row for each of the {len(self._z)} machines of the last reset; got "
-                f"{len(u)}."
+                f"`u` must have a row for each of the {len(self._z)} machines of the last reset; got {len(u)}."
             )
         self._commands = [*self._commands[1:], self._clipped(u)]
         self._sde.forces = self._gusts.draw()
@@ -248,9 +247,8 @@ class Plant:
         for k in range(self._substeps):
             # the command that was given `delay` fine steps before this one
             command = self._commands[-1 + (k - self._delay) // self._substeps]
-            z = self._sde.project(
-                self._solver.advance(self._sde, start + k * self._fine, z, command, self._fine, None)
-            )
+            z = self._solver.advance(self._sde, start + k * self._fine, z, command, self._fine, None)
+            z = self._sde.project(z)
         self._z = z
         self._samples += 1
         if self._check and not bool(torch.isfinite(z).all()):

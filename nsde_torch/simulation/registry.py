@@ -6,7 +6,6 @@ set is a `DataSet` like any other, of kind `simulated`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,7 +20,7 @@ from nsde_torch.simulation import cartpole, flights
 from nsde_torch.simulation.cartpole import cartpole_episodes
 from nsde_torch.simulation.excitation import excited_runs
 from nsde_torch.simulation.flights import manual_flights
-from nsde_torch.simulation.make import Making
+from nsde_torch.simulation.make import Making, check_numbers
 from nsde_torch.simulation.mass_spring_damper import spring_runs
 from nsde_torch.simulation.planned import plan_file, planned_flights, planned_runs, read_plan
 from nsde_torch.simulation.replay import replayed_flights
@@ -139,7 +138,7 @@ def simulated(
             f"{own.state_names} and inputs {own.input_names}. Give your system a name of its own and use "
             "data=csv data.path=FOLDER."
         )
-    _check_numbers(durations, seed, process_noise=process_noise, sensor_noise=sensor_noise)
+    check_numbers(durations, seed, process_noise=process_noise, sensor_noise=sensor_noise)
     if info.exogenous or own.exogenous:
         raise ConfigError(
             f"simulated runs of {name!r} have no further channels, but effects read "
@@ -178,16 +177,6 @@ def _key(system: SystemInfo) -> str:
     """What names the system of a plant: its name, or `module:Class` of the user's own."""
     own = isinstance(system, System) and system.name not in RECORDINGS and type(system).machine is not None
     return key_of_class(type(system)) if own else system.name  # type: ignore[arg-type]
-
-
-def _check_numbers(durations: Sequence[float] | None, seed: int, **factors: float) -> None:
-    if durations is not None and not (len(durations) and all(math.isfinite(d) and d > 0 for d in durations)):
-        raise ConfigError(f"`durations` must be one or more times above 0 s; got {list(durations)}.")
-    if isinstance(seed, bool) or int(seed) != seed or seed < 0:
-        raise ConfigError(f"`seed` must be a whole number of 0 or more; got {seed!r}.")
-    for name, value in factors.items():
-        if not (math.isfinite(value) and value >= 0):
-            raise ConfigError(f"`{name}` must be a factor of 0 or more; got {value!r}.")
 
 
 def _plain(value: Any) -> Any:

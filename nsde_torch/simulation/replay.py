@@ -38,7 +38,7 @@ GAP_ROWS = 10
 
 @dataclass(frozen=True)
 class Replay(ReplayOptions):
-    """Interventions that are made of flights; `ReplayOptions` says what."""
+    """Interventions that are made of flights."""
 
     def rows(self, dt: float) -> tuple[int, int]:
         """Samples before the start, and of the replay.
@@ -77,14 +77,7 @@ def replayed_flights(
     Raises:
         ConfigError: see `manual_flights`; or flights that are too short.
     """
-    flights = chosen_flights(
-        name,
-        durations=durations,
-        seed=seed,
-        making=making,
-        keep_truth=True,
-        **options,
-    )
+    flights = chosen_flights(name, durations=durations, seed=seed, making=making, keep_truth=True, **options)
     dt = making.sample(name)
     before, after = replay.rows(dt)
     starts, sources = _drawn(flights, replay.starts, before, after, np.random.default_rng([seed, 4]))

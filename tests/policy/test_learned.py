@@ -76,13 +76,13 @@ def test_disturbance_of_a_path_lasts_and_is_its_own() -> None:
     machines.reset(x0)
     gusts = []
     for _ in range(3):
-        gusts.append(machines._z[:, own.system.nz :].clone())  # type: ignore[attr-defined]
+        gusts.append(machines._x[:, own.system.nz :].clone())  # type: ignore[attr-defined]
         machines.step(torch.full((400, 6), 0.38))
     first, later = gusts[0][:, 0], gusts[2][:, 0]
     assert float(first.std()) > 0
     assert float(torch.corrcoef(torch.stack((first, later)))[0, 1]) > 0.8
     machines.restart(torch.tensor([5]), x0[:1])
-    assert float(machines._z[5, own.system.nz]) != pytest.approx(float(later[5]))  # type: ignore[attr-defined]
+    assert float(machines._x[5, own.system.nz]) != pytest.approx(float(later[5]))  # type: ignore[attr-defined]
 
 
 def test_sensor_noise_is_learned_noise_and_does_not_move_the_state() -> None:
@@ -172,7 +172,7 @@ def test_any_other_model_is_asked_for_one_step_at_a_time() -> None:
     own: Model = model(kind="node", step="rk4")
     x0, u = start(3)
     path = own.sample(x0, u, dt=0.02, particles=1, generator=generator(), measurement=False)[0]
-    machines = _SampledDynamics(own, dt=0.02, sensor_noise=1.0, generator=generator())
+    machines = _SampledDynamics(own, dt=0.02, generator=generator())
     assert torch.equal(machines.reset(x0), x0)
     for k in range(20):
         machines.step(u[:, k])

@@ -111,16 +111,9 @@ def test_what_cannot_be_flown_is_said_at_once(
 
 
 TIED = (
-    *("plant=quadrotor", "plant.effects=[{linear_drag:{drag:[0.6,0.6,0.2]}}]", "reference=hover"),
-    *(
-        "reference.duration=1",
-        "logged=1",
-        "flights=1",
-        "candidates=[linear_drag,quadratic_drag]",
-        "out_dir=out",
-    ),
-    *("experiments=1", "experiment.duration=4", "experiment.samples=1", "experiment.proposals=4"),
-    *("experiment.generations=0", "experiment.rehearsals=2", "experiment.baselines=false"),
+    *(*SHORT, "candidates=[linear_drag,quadratic_drag]", "experiments=1", "experiment.duration=4"),
+    *("experiment.samples=1", "experiment.proposals=4", "experiment.generations=0"),
+    *("experiment.rehearsals=2", "experiment.baselines=false"),
 )
 
 
@@ -135,12 +128,14 @@ def _open(folder: Path = Path("out/diagnosis"), **changed: Any) -> None:
     _diagnosed({"linear_drag": {"drag": [0.5, 0.5, 0.1]}}, folder)
     finding = {"name": "linear_drag", "kind": "effect", "sentence": "There is drag.", "lead": False}
     content = {
-        "verdict": "effect_found",
-        "findings": [finding],
+        **{
+            "verdict": "effect_found",
+            "findings": [finding],
+            "not_shown": [],
+            "ranking": [],
+            "parameters": {},
+        },
         "ties": [{"effects": ["linear_drag", "quadratic_drag"], "experiment": ""}],
-        "not_shown": [],
-        "ranking": [],
-        "parameters": {},
         "data": {"runs": ["flight_0"], "clock_scale": 1.0},
         **changed,
     }

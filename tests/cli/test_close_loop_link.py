@@ -27,22 +27,10 @@ pytestmark = pytest.mark.usefixtures("elsewhere")
 
 
 LINKED = (
-    *(
-        "close-loop",
-        "by=link",
-        "plant=quadrotor",
-        "reference=hover",
-        "reference.duration=1",
-        "logged=1",
-        "flights=1",
-    ),
-    *("experiments=1", "out_dir=out"),
+    *("close-loop", "by=link", "plant=quadrotor", "reference=hover", "reference.duration=1", "logged=1"),
+    *("flights=1", "experiments=1", "out_dir=out"),
 )
-TIE = {
-    "kind": "tie",
-    "members": [["linear_drag"], ["quadratic_drag"]],
-    "names": ["linear_drag", "quadratic_drag"],
-}
+NAMES = ["linear_drag", "quadratic_drag"]
 
 
 class Flights:
@@ -95,11 +83,8 @@ class Obtained:
         """See `nsde_torch.design.Obtained`."""
         nats = {"linear_drag": 9.0, "quadratic_drag": -9.0}
         return {
-            "nats": nats,
-            "speaks_for": "linear_drag",
-            "broken": True,
-            "expected_nats": 8.0,
-            "doubt": None,
+            **{"nats": nats, "speaks_for": "linear_drag", "broken": True},
+            **{"expected_nats": 8.0, "doubt": None},
         }
 
 
@@ -108,28 +93,24 @@ def _diagnosis(out: Path, *, tied: bool, runs: list[str]) -> None:
     files.write(out / "effects.yaml", "quadrotor", {"linear_drag": {"drag": [0.5, 0.5, 0.1]}}, "found")
     finding = {"name": "linear_drag", "kind": "effect", "sentence": "There is drag.", "lead": False}
     content = {
-        "verdict": "effect_found",
-        "findings": [finding],
-        "ties": [{"effects": ["linear_drag", "quadratic_drag"], "experiment": ""}] if tied else [],
-        "not_shown": [],
-        "ranking": [],
-        "parameters": {},
-        "warnings": [],
-        "data": {"runs": runs, "clock_scale": 1.0},
+        **{"verdict": "effect_found", "findings": [finding], "not_shown": [], "ranking": []},
+        **{"parameters": {}, "warnings": [], "data": {"runs": runs, "clock_scale": 1.0}},
+        "ties": [{"effects": NAMES, "experiment": ""}] if tied else [],
     }
     (out / "diagnosis.json").write_text(json.dumps(content))
 
 
-def _plan(content: Any = TIE) -> None:
+def _plan() -> None:
     """A plan for the tie, as an earlier start left it: two metres away in four seconds."""
     place = Path("out/experiment_1")
     place.mkdir(parents=True)
     path = waypoints([[0.0, 0.0, 1.5], [2.0, 0.0, 1.2]], times=[0.0, 4.0])
     rows = [[0.0, 0.0, 0.0, 1.5, 0.0], [4.0, 2.0, 0.0, 1.2, 0.0]]
     write_plan(place / "plan.csv", ("p_x", "p_y", "p_z", "yaw"), torch.tensor(rows).double().numpy())
-    expected = [{"if_true": n, "nats": {"mean": 8.0}} for n in TIE["names"]]
+    expected = [{"if_true": n, "nats": {"mean": 8.0}} for n in NAMES]
+    question = {"kind": "tie", "members": [[n] for n in NAMES], "names": NAMES, "parameters": []}
     plan = {"words": ["one way"], "duration_s": path.duration, "largest_share_of_limits": {}}
-    design = {"question": {**TIE, "parameters": []}, "expected": expected, "plan": plan, "path_limits": None}
+    design = {"question": question, "expected": expected, "plan": plan, "path_limits": None}
     (place / "design.json").write_text(json.dumps(design))
 
 

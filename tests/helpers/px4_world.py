@@ -9,7 +9,6 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 from nsde_torch.control import shapes
 from nsde_torch.px4.flight.offboard import Offboard
@@ -17,7 +16,7 @@ from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.path import CascadeController, PathPoints
 from nsde_torch.px4.flight.phases import Phase
 from nsde_torch.px4.flight.runner import Inline, Runner
-from nsde_torch.px4.flight.safety import Limits
+from nsde_torch.px4.flight.safety import Limits, Trouble
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.codec import Codec
 from nsde_torch.px4.link.dialect import mavlink
@@ -49,7 +48,6 @@ class World:
         path: The reference; 6 s of hovering by default.
         down: What becomes of frames from the vehicle; `up`: of those to it.
         speed: Seconds of the vehicle's clock in one of ours.
-        at: Called at every tick with this and the time since take-off of the phase, to make faults happen.
     """
 
     path: PathPoints = field(default_factory=lambda: PathPoints(shapes.hover(duration=6.0, height=1.0)))
@@ -172,14 +170,15 @@ class World:
         return float((sum(e * e for e in self.errors) / len(self.errors)) ** 0.5)
 
     @property
+    def trouble(self) -> Trouble:
+        """What went wrong, as it has to."""
+        assert self.flight.outcome.trouble is not None, self.says
+        return self.flight.outcome.trouble
+
+    @property
     def safe(self) -> bool:
         """On the ground, disarmed, and nothing streamed any more."""
         return self.body.on_ground and not self.vehicle.armed and not self.flight.streaming
-
-    def stream_gap(self, since: float, to: float) -> float:
-        """Largest time between setpoints in a span."""
-        times = [since, *(t for t in self.setpoints if since < t < to), to]
-        return max(b - a for a, b in pairwise(times))
 
 
 def lossy(share: float, seed: int = 0) -> Line:

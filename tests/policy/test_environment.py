@@ -1,4 +1,4 @@
-"""Batched environments: the truth is the plant, single machines are rows of many, episodes end as they should."""
+"""The swing-up task and batches of it: the truth is the plant, machines are rows, episodes end as they should."""
 
 from __future__ import annotations
 
@@ -11,13 +11,52 @@ import torch
 from torch import Tensor
 
 from nsde_torch.errors import ConfigError, ShapeError
-from nsde_torch.policy import BatchEnvironment, Dynamics, make_task, make_truth
+from nsde_torch.policy import BatchEnvironment, Box, Dynamics, make_task, make_truth
 from nsde_torch.policy.learned import PUBLISHED_VARIANCES, PlantDynamics
 from nsde_torch.recording import read
 from nsde_torch.simulation import make_plant
 from nsde_torch.systems import make_system
 
 TASK = make_task("cartpole")
+
+
+def test_reward_is_its_formula() -> None:
+    x = torch.tensor([[2.0, -3.0, pi / 3, 4.0]])
+    reward = TASK.reward(x, torch.tensor([[-0.5]]))
+    assert float(reward) == pytest.approx(0.5 - 0.02 - 0.5 - 0.4 - 0.3, abs=1e-6)
+
+
+def test_reward_takes_the_clipped_action_and_has_a_floor() -> None:
+    still = torch.zeros(1, 4)
+    assert float(TASK.reward(still, torch.tensor([[7.0]]))) == pytest.approx(0.0)
+    absurd = torch.tensor([[0.0, 1e9, 0.0, 0.0], [torch.nan, 0.0, 0.0, 0.0], [0.0, 0.0, torch.inf, 0.0]])
+    assert TASK.reward(absurd, torch.zeros(3, 1)).tolist() == [TASK.lowest] * 3
+
+
+def test_full_action_is_the_force_of_the_published_data() -> None:
+    assert TASK.command(torch.tensor([[-2.0], [0.5]])).tolist() == [[-25.0], [12.5]]
+
+
+def test_policy_sees_direction_and_not_turns() -> None:
+    x = torch.tensor([[0.1, 0.2, 0.3, 0.4], [0.1, 0.2, 0.3 + 2 * pi, 0.4]])
+    seen = TASK.observe(x)
+    torch.testing.assert_close(seen[0], seen[1])
+    assert seen.shape[1] == len(TASK.observation_names) == len(TASK.observation_scale)
+
+
+@pytest.mark.parametrize("box", [TASK.training, TASK.evaluation])
+def test_first_states_fill_their_box(box: Box) -> None:
+    drawn = box.draw(2000, torch.Generator().manual_seed(0)).numpy()
+    low, high = np.array(box.low), np.array(box.high)
+    assert (drawn >= low).all()
+    assert (drawn <= high).all()
+    np.testing.assert_allclose(drawn.min(0), low, atol=0.01 * (high - low).max())
+    np.testing.assert_allclose(drawn.max(0), high, atol=0.01 * (high - low).max())
+
+
+def test_system_without_a_task_is_refused_with_those_that_have_one() -> None:
+    with pytest.raises(ConfigError, match="cartpole"):
+        make_task("hexacopter")
 
 
 def generator(seed: int = 0) -> torch.Generator:
@@ -193,17 +232,6 @@ def test_machine_that_leaves_the_finite_numbers_ends_its_episode_alone() -> None
     assert ended == [[False] * 3, [False] * 3, [True, False, False], [False] * 3, [False] * 3]
 
 
-def test_same_seed_gives_the_same_episodes_and_another_gives_others() -> None:
-    def play(seed: int) -> Tensor:
-        machines = noisy(seed)
-        rows = [machines.reset()]
-        rows += [machines.step(torch.full((6, 1), 0.1)).observation for _ in range(5)]
-        return torch.stack(rows)
-
-    assert torch.equal(play(3), play(3))
-    assert not torch.equal(play(3), play(4))
-
-
 def test_staggered_machines_end_their_first_episodes_at_different_times() -> None:
     machines = noisy(0, n=64, stagger=True)
     machines.reset()
@@ -215,16 +243,6 @@ def test_staggered_machines_end_their_first_episodes_at_different_times() -> Non
     assert len(ends.unique()) > 40
 
 
-def test_restart_leaves_the_other_machines_alone() -> None:
-    truth = quiet()
-    truth.reset(TASK.training.draw(4, generator()))
-    truth.step(torch.ones(4, 1))
-    before = truth.state.clone()
-    truth.restart(torch.tensor([2]), torch.full((1, 4), 0.5))
-    assert truth.state[2].tolist() == [0.5] * 4
-    assert torch.equal(truth.state[[0, 1, 3]], before[[0, 1, 3]])
-
-
 def test_what_does_not_fit_is_refused() -> None:
     machines = environment(quiet(), 2)
     with pytest.raises(ConfigError, match="n_envs"):
@@ -234,7 +252,9 @@ def test_what_does_not_fit_is_refused() -> None:
     machines.reset()
     with pytest.raises(ShapeError, match="action"):
         machines.step(torch.zeros(2))
-    with pytest.raises(ConfigError, match="plant, published"):
-        make_truth("gym", system="cartpole", dt=0.02, sensor_noise=1.0, generator=generator())
-    with pytest.raises(ConfigError, match="cartpole alone"):
-        make_truth("published", system="hexacopter", dt=0.02, sensor_noise=1.0, generator=generator())
+    for name, system, said in (
+        ("gym", "cartpole", "plant, published"),
+        ("published", "hexacopter", "cartpole alone"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            make_truth(name, system=system, dt=0.02, sensor_noise=1.0, generator=generator())

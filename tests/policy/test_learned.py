@@ -76,13 +76,13 @@ def test_disturbance_of_a_path_lasts_and_is_its_own() -> None:
     machines.reset(x0)
     gusts = []
     for _ in range(3):
-        gusts.append(machines._x[:, own.system.nz :].clone())  # type: ignore[attr-defined]
+        gusts.append(machines._x[:, own.system.nz :].clone())
         machines.step(torch.full((400, 6), 0.38))
     first, later = gusts[0][:, 0], gusts[2][:, 0]
     assert float(first.std()) > 0
     assert float(torch.corrcoef(torch.stack((first, later)))[0, 1]) > 0.8
     machines.restart(torch.tensor([5]), x0[:1])
-    assert float(machines._x[5, own.system.nz]) != pytest.approx(float(later[5]))  # type: ignore[attr-defined]
+    assert float(machines._x[5, own.system.nz]) != pytest.approx(float(later[5]))
 
 
 def test_sensor_noise_is_learned_noise_and_does_not_move_the_state() -> None:
@@ -117,19 +117,19 @@ def test_machine_of_an_ensemble_keeps_its_member_until_its_episode_ends() -> Non
     x0, u = start(40)
     machines = make_learned(own, dt=0.02, sensor_noise=1.0, generator=generator())
     machines.reset(x0)
-    members = machines.members.clone()  # type: ignore[attr-defined]
+    members = machines.members.clone()
     assert set(members.tolist()) == set(range(5))
     x = x0
     for k in range(10):
         machines.step(u[:, k])
         x = own.advance(x, u[:, k], members, torch.zeros(40, 4))
     torch.testing.assert_close(machines.state, x, rtol=0.02, atol=0.02)
-    assert torch.equal(machines.members, members)  # type: ignore[attr-defined]
+    assert torch.equal(machines.members, members)
     rows = torch.arange(20)
     machines.restart(rows, x0[:20])
     machines.step(u[:, 0])
-    assert torch.equal(machines.members[20:], members[20:])  # type: ignore[attr-defined]
-    assert not torch.equal(machines.members[:20], members[:20])  # type: ignore[attr-defined]
+    assert torch.equal(machines.members[20:], members[20:])
+    assert not torch.equal(machines.members[:20], members[:20])
 
 
 @pytest.mark.parametrize(("trained", "asked"), [("redrawn", None), ("fixed", "redrawn")])
@@ -142,7 +142,7 @@ def test_redrawn_members_change_at_every_step(trained: str, asked: str | None) -
     seen = []
     for k in range(3):
         machines.step(u[:, k])
-        seen.append(machines.members.clone())  # type: ignore[attr-defined]
+        seen.append(machines.members.clone())
     assert not torch.equal(seen[0], seen[1])
     assert not torch.equal(seen[1], seen[2])
 

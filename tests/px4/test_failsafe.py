@@ -29,35 +29,33 @@ def _killed(parameters: dict[str, float]) -> float:
     raise AssertionError("it never came down")
 
 
-def test_with_px4s_default_a_flight_that_is_killed_drifts_into_the_ground_and_with_4_it_lands() -> None:
+def test_a_flight_that_is_killed_drifts_into_the_ground_by_px4s_default_and_lands_with_4_and_falls_with_7() -> (
+    None
+):
     assert _killed({"COM_OBL_RC_ACT": 0.0}) > 3.0
     assert _killed({"COM_OBL_RC_ACT": 4.0}) < 1.2
+    assert _killed({"COM_OBL_RC_ACT": 7.0}) > 4.0
 
 
-def _refused(action: float, sticks: float) -> str:
-    """Why a flight is refused before a setpoint leaves."""
-    world = World(
-        path=SHORT,
-        options=FlightOptions(checks=1.0),
-        parameters={"COM_OBL_RC_ACT": action, "COM_RC_IN_MODE": sticks},
-    ).run()
-    trouble = world.flight.outcome.trouble
-    assert trouble is not None
-    assert trouble.kind == "refused"
+@pytest.mark.parametrize(
+    ("action", "sticks", "said"),
+    [
+        (0.0, 4.0, "goes to POSITION, which is flown with sticks, and COM_RC_IN_MODE is 4: there are none"),
+        (1.0, 4.0, "goes to ALTITUDE, which is flown with sticks"),
+        (2.0, 4.0, "goes to MANUAL, which is flown with sticks"),
+        (6.0, 1.0, "terminates the flight in the air"),
+        (7.0, 1.0, "disarms in the air"),
+    ],
+)
+def test_flying_is_refused_where_nobody_could_take_over_or_px4_would_stop_the_motors(
+    action: float, sticks: float, said: str
+) -> None:
+    parameters = {"COM_OBL_RC_ACT": action, "COM_RC_IN_MODE": sticks}
+    world = World(path=SHORT, options=FlightOptions(checks=1.0), parameters=parameters).run()
+    assert world.trouble.kind == "refused"
+    assert f"COM_OBL_RC_ACT is {action:g}: when the stream ends PX4 {said}" in world.trouble.text
+    assert "`param set COM_OBL_RC_ACT 4` makes it land" in world.trouble.text
     assert not world.setpoints
-    return trouble.text
-
-
-@pytest.mark.parametrize("action", [0.0, 1.0, 2.0])
-def test_flying_is_refused_where_nobody_could_take_over(action: float) -> None:
-    assert "`param set COM_OBL_RC_ACT 4`" in _refused(action, sticks=4.0)
-
-
-@pytest.mark.parametrize(("action", "what"), [(6.0, "terminates the flight"), (7.0, "disarms")])
-def test_flying_is_refused_where_px4_would_stop_the_motors_in_the_air(action: float, what: str) -> None:
-    text = _refused(action, sticks=1.0)
-    assert f"COM_OBL_RC_ACT is {action:g}: when the stream ends PX4 {what} in the air" in text
-    assert "`param set COM_OBL_RC_ACT 4` makes it land" in text
 
 
 @pytest.mark.parametrize(
@@ -140,10 +138,6 @@ def test_a_check_lists_everything_a_line_each_and_sends_no_setpoint(action: floa
     assert (world.flight.outcome.trouble is None) == (action == 4.0)
     assert not world.setpoints
     assert not world.vehicle.armed
-
-
-def test_a_flight_that_is_killed_falls_where_px4_stops_the_motors() -> None:
-    assert _killed({"COM_OBL_RC_ACT": 7.0}) > 4.0
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,11 @@ from tests.helpers.px4_world import World
 
 def test_a_flight_is_read_back_as_a_run_with_states_motors_and_setpoints(tmp_path: Path) -> None:
     world = World(path=PathPoints(shapes.hover(duration=2.0, height=1.0)))
+    world.body.p = (
+        40.0,
+        -7.0,
+        0.0,
+    )  # PX4 counts from where it was switched on, a log from the place of take-off
     with FlightLog(tmp_path / "log" / "flight_0.csv", 4) as log:
         recorder = Recorder(world.flight, log)
         world.run(lambda w: recorder.look(w.now))
@@ -35,6 +40,8 @@ def test_a_flight_is_read_back_as_a_run_with_states_motors_and_setpoints(tmp_pat
     run = data.runs[0]
     assert run.t[-1] - run.t[0] > 3.0
     assert run.x[:, 2].min() > 0.2
+    assert np.abs(run.x[:, :2]).max() < 0.5
+    assert world.body.p[:2] == pytest.approx((40.0, -7.0), abs=0.5)
     hovering = run.u[(run.x[:, 2] > 0.9)].mean()
     assert hovering == pytest.approx(world.body.hover_throttle(), abs=0.03)
     assert {"rate_sp_x", "throttle_sp", "battery_voltage"} <= set(run.extra)
@@ -44,18 +51,6 @@ def test_a_flight_is_read_back_as_a_run_with_states_motors_and_setpoints(tmp_pat
     assert np.abs(same.x - run.x).max() < 1e-5
     assert np.abs(same.u - run.u).max() < 1e-6
     assert same.extra["battery_voltage"] == pytest.approx(run.extra["battery_voltage"], abs=1e-4)
-
-
-def test_positions_are_from_the_place_of_take_off_wherever_px4_was_switched_on(tmp_path: Path) -> None:
-    world = World(path=PathPoints(shapes.hover(duration=1.0, height=1.0)))
-    world.body.p = (40.0, -7.0, 0.0)
-    with FlightLog(tmp_path / "flight_0.csv", 4) as log:
-        recorder = Recorder(world.flight, log)
-        world.run(lambda w: recorder.look(w.now))
-    rows = np.loadtxt(tmp_path / "flight_0.csv", delimiter=",", skiprows=1)
-    assert np.abs(rows[:, 1:3]).max() < 0.5
-    assert np.median(rows[:, 3]) == pytest.approx(1.0, abs=0.4)
-    assert world.body.p[:2] == pytest.approx((40.0, -7.0), abs=0.5)
 
 
 def test_landing_is_px4s_and_not_logged_though_the_estimate_sinks_at_touch_down(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ def _plant(system: str = "quadrotor", **more: Any) -> HilPlant:
     return HilPlant(Body(system, seed=0, process_noise=0.0, **more), seed=0, noise=0.0)
 
 
-def _of(messages: list[Any], name: str) -> Any:
+def _of(messages: list[Any], name: str = "HIL_SENSOR") -> Any:
     return next(m for m in messages if m.get_type() == name)
 
 
@@ -54,29 +54,23 @@ def _shown(*, v: Vec = REST, q: Quat = NORTH, w: Vec = REST, p: Vec = REST, samp
     return [m for k in range(samples) for m in sensors.messages(1.0 + 0.004 * (k + 1), p, v, q, w)]
 
 
-def test_at_rest_the_accelerometer_shows_minus_g_along_frd_z() -> None:
-    imu = _of(_shown(), "HIL_SENSOR")
-    assert (imu.xacc, imu.yacc, imu.zacc) == pytest.approx((0.0, 0.0, -9.81), abs=1e-6)
-
-
-def test_with_the_nose_straight_up_gravity_is_along_the_nose() -> None:
-    # FLU y points left, so a nose that rises turns about minus y; specific force is up, along x
-    imu = _of(_shown(q=(S, 0.0, -S, 0.0)), "HIL_SENSOR")
-    assert (imu.xacc, imu.yacc, imu.zacc) == pytest.approx((9.81, 0.0, 0.0), abs=1e-5)
-
-
-def test_speeding_up_northwards_with_the_nose_north_shows_forward() -> None:
+@pytest.mark.parametrize(
+    ("what", "before", "after", "q", "shown"),
+    [
+        ("at rest minus g along FRD z", REST, REST, NORTH, (0.0, 0.0, -9.81)),
+        # FLU y points left, so a nose that rises turns about minus y; specific force is up, along x
+        ("nose straight up", REST, REST, (S, 0.0, -S, 0.0), (9.81, 0.0, 0.0)),
+        ("speeding up northwards, nose north", REST, (0.0, 0.008, 0.0), NORTH, (2.0, 0.0, -9.81)),
+        ("a touch-down, as hard as sensors show", (0.0, 0.0, -3.0), REST, NORTH, (0.0, 0.0, -4 * 9.81)),
+    ],
+)
+def test_the_accelerometer_shows_the_specific_force(
+    what: str, before: Vec, after: Vec, q: Quat, shown: Vec
+) -> None:
     sensors = HilSensors(seed=0, noise=0.0)
-    sensors.messages(1.0, REST, REST, NORTH, REST)
-    imu = _of(sensors.messages(1.004, REST, (0.0, 0.008, 0.0), NORTH, REST), "HIL_SENSOR")
-    assert (imu.xacc, imu.yacc, imu.zacc) == pytest.approx((2.0, 0.0, -9.81), abs=1e-5)
-
-
-def test_a_touch_down_is_not_shown_harder_than_sensors_show() -> None:
-    sensors = HilSensors(seed=0, noise=0.0)
-    sensors.messages(1.0, REST, (0.0, 0.0, -3.0), NORTH, REST)
-    imu = _of(sensors.messages(1.004, REST, REST, NORTH, REST), "HIL_SENSOR")
-    assert imu.zacc == pytest.approx(-4 * 9.81, rel=1e-5)
+    sensors.messages(1.0, REST, before, q, REST)
+    imu = _of(sensors.messages(1.004, REST, after, q, REST))
+    assert (imu.xacc, imu.yacc, imu.zacc) == pytest.approx(shown, rel=1e-5, abs=1e-5), what
 
 
 @pytest.mark.parametrize("speed", [0.2, 0.68, 1.28, 3.0])
@@ -86,7 +80,7 @@ def test_a_touch_down_loses_no_velocity_to_what_sensors_do_not_show(speed: float
         sensors.messages(1.0, REST, (0.3, 0.0, -speed), NORTH, REST)
     v = -speed  # upwards, as an estimator integrates it
     for k in range(60):
-        imu = _of(sensors.messages(1.004 + 0.004 * k, REST, REST, NORTH, REST), "HIL_SENSOR")
+        imu = _of(sensors.messages(1.004 + 0.004 * k, REST, REST, NORTH, REST))
         assert sqrt(imu.xacc**2 + imu.yacc**2 + imu.zacc**2) < 4.001 * 9.81
         v += 0.004 * (-imu.zacc - 9.81)
     assert v == pytest.approx(0.0, abs=1e-3)
@@ -103,7 +97,7 @@ def test_a_machine_that_comes_down_tilted_and_sideways_is_level_and_at_rest_for_
     for _ in range(60):
         sensors.messages(1.0, REST, v, q, REST)
     for k in range(100):
-        imu = _of(sensors.messages(1.004 + 0.004 * k, REST, REST, EAST, REST), "HIL_SENSOR")
+        imu = _of(sensors.messages(1.004 + 0.004 * k, REST, REST, EAST, REST))
         q = turned_by_rates(q, (imu.xgyro, -imu.ygyro, -imu.zgyro), 0.004)
         a = rotate(q, (imu.xacc, -imu.yacc, -imu.zacc))
         v = (v[0] + 0.004 * a[0], v[1] + 0.004 * a[1], v[2] + 0.004 * (a[2] - 9.81))
@@ -121,12 +115,12 @@ def test_a_hard_touch_down_can_be_told_to_px4(speed: float) -> None:
 
 
 def test_rates_are_frd() -> None:
-    imu = _of(_shown(w=(0.1, 0.2, 0.3)), "HIL_SENSOR")
+    imu = _of(_shown(w=(0.1, 0.2, 0.3)))
     assert (imu.xgyro, imu.ygyro, imu.zgyro) == pytest.approx((0.1, -0.2, -0.3))
 
 
 def test_the_field_points_north_and_down_and_turns_with_the_nose() -> None:
-    north, east = _of(_shown(), "HIL_SENSOR"), _of(_shown(q=EAST), "HIL_SENSOR")
+    north, east = _of(_shown()), _of(_shown(q=EAST))
     assert (north.xmag, north.ymag, north.zmag) == pytest.approx(FIELD_NED)
     assert degrees(atan2(FIELD_NED[1], FIELD_NED[0])) == pytest.approx(3.0)
     # nose east: what lay ahead lies to the left, which is minus y
@@ -136,7 +130,7 @@ def test_the_field_points_north_and_down_and_turns_with_the_nose() -> None:
 def test_pressure_is_that_of_the_standard_atmosphere_and_altitude_comes_back_from_it() -> None:
     assert pressure(0.0) == pytest.approx(1013.25)
     assert pressure(1000.0) == pytest.approx(898.75, abs=0.05)  # ISO 2533, table
-    imu = _of(_shown(p=(0.0, 0.0, 12.0)), "HIL_SENSOR")
+    imu = _of(_shown(p=(0.0, 0.0, 12.0)))
     assert imu.abs_pressure == pytest.approx(pressure(500.0), abs=1e-3)
     assert imu.pressure_alt == pytest.approx(500.0, abs=0.1)
 
@@ -180,10 +174,6 @@ def test_a_gps_says_where_the_machine_was_a_delay_ago(delay: float) -> None:
     assert len(late) > 4
 
 
-def test_px4s_default_age_of_a_fix_is_the_default_delay() -> None:
-    assert SensorErrors().gps_delay == 0.01  # SENS_GPS0_DELAY, or EKF2_GPS_DELAY, in its simulation
-
-
 def test_sensors_have_the_noise_and_the_bias_that_they_are_given() -> None:
     errors = SensorErrors(
         accelerometer=(0.5, 1.7, 1.4),
@@ -203,22 +193,24 @@ def test_sensors_have_the_noise_and_the_bias_that_they_are_given() -> None:
     assert pstdev(heights) == pytest.approx(0.5, rel=0.12)
 
 
-def test_rotors_of_the_quadrotor_are_where_px4_has_them() -> None:
-    found = airframe(Body("quadrotor", seed=0).system, 0.5)
-    assert found["CA_ROTOR_COUNT"] == 4
-    # front right, rear left, front left, rear right; the first two turn counter-clockwise
-    assert [found[f"CA_ROTOR{k}_PX"] for k in range(4)] == [1, -1, 1, -1]
-    assert [found[f"CA_ROTOR{k}_PY"] for k in range(4)] == [1, -1, -1, 1]
-    assert [found[f"CA_ROTOR{k}_KM"] for k in range(4)] == [0.05, 0.05, -0.05, -0.05]
-    assert [found[f"PWM_MAIN_FUNC{k}"] for k in range(1, 5)] == [101, 102, 103, 104]
-
-
-def test_rotors_of_the_hexacopter_are_where_px4_has_them() -> None:
-    found = airframe(Body("hexacopter", seed=0).system, 0.39)
-    assert [(found[f"CA_ROTOR{k}_PX"], found[f"CA_ROTOR{k}_PY"]) for k in range(6)] == [
-        *((0, 1), (0, -1), (0.866, -0.5), (-0.866, 0.5), (0.866, 0.5), (-0.866, -0.5))
-    ]
-    assert [found[f"CA_ROTOR{k}_KM"] for k in range(6)] == [-0.05, 0.05, -0.05, 0.05, 0.05, -0.05]
+@pytest.mark.parametrize(
+    ("system", "places", "turns"),
+    [
+        # front right, rear left, front left, rear right; the first two turn counter-clockwise
+        ("quadrotor", [(1, 1), (-1, -1), (1, -1), (-1, 1)], "++--"),
+        (
+            "hexacopter",
+            [(0, 1), (0, -1), (0.866, -0.5), (-0.866, 0.5), (0.866, 0.5), (-0.866, -0.5)],
+            "-+-++-",
+        ),
+    ],
+)
+def test_rotors_are_where_px4_has_them(system: str, places: list[tuple[float, float]], turns: str) -> None:
+    found, n = airframe(Body(system, seed=0).system, 0.5), len(places)
+    assert found["CA_ROTOR_COUNT"] == n
+    assert [(found[f"CA_ROTOR{k}_PX"], found[f"CA_ROTOR{k}_PY"]) for k in range(n)] == places
+    assert [found[f"CA_ROTOR{k}_KM"] for k in range(n)] == [0.05 if turn == "+" else -0.05 for turn in turns]
+    assert [found[f"PWM_MAIN_FUNC{k + 1}"] for k in range(n)] == [101 + k for k in range(n)]
 
 
 class Px4:
@@ -272,7 +264,7 @@ def test_more_on_the_left_rolls_right_and_turns_by_the_reaction() -> None:
             motors = [1.3 * hover, 1.35 * hover, 1.35 * hover, 1.3 * hover]  # 2 and 3 are on the left
         plant.receive(px4.answer(plant.sample(), tuple(motors)))
         plant.step()
-    imu = _of(px4.messages[::-1], "HIL_SENSOR")
+    imu = _of(px4.messages[::-1])
     assert imu.xgyro > 0.05
     assert abs(imu.ygyro) < 1e-6
 

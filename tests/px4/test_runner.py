@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import pytest
 
 from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan, FlightController
-from nsde_torch.px4.flight.runner import Process
+from nsde_torch.px4.flight.runner import Maker, Process
 from nsde_torch.px4.link.connection import PLANS, STREAM, urgent
 
 ROW = (0.0,) * 6 + (1.0,) + (0.0,) * 6
@@ -34,6 +35,18 @@ def crashing(say: Callable[[str], None]) -> FlightController:
     return crash
 
 
+@contextmanager
+def _made(maker: Maker) -> Iterator[Process]:
+    """A process that is ready, and was offered a state."""
+    runner = Process(maker)
+    try:
+        _wait(runner, lambda: runner.ready)
+        runner.offer(ROW, 5.0, 0.0)
+        yield runner
+    finally:
+        runner.close()
+
+
 def _wait(runner: Process, until: Callable[[], bool], longest: float = 60.0) -> None:
     end = time.monotonic() + longest
     while not until() and time.monotonic() < end:
@@ -43,33 +56,21 @@ def _wait(runner: Process, until: Callable[[], bool], longest: float = 60.0) -> 
 
 
 def test_plans_come_back_and_a_killed_process_is_noticed() -> None:
-    runner = Process(good)
-    try:
-        _wait(runner, lambda: runner.ready)
-        runner.offer(ROW, 5.0, 0.0)
+    with _made(good) as runner:
         _wait(runner, lambda: runner.plan is not None)
-        assert runner.plan is not None
         assert runner.plan.demands[0].thrust == 9.81
-        assert runner.pid is not None
         os.kill(runner.pid, signal.SIGKILL)
         _wait(runner, lambda: runner.fault is not None)
         assert "gone" in str(runner.fault)
         begun = time.monotonic()
         runner.offer(ROW, 6.0, 0.0)
         assert time.monotonic() - begun < 0.5
-    finally:
-        runner.close()
 
 
 def test_an_error_over_there_is_told_here_in_its_words() -> None:
-    runner = Process(crashing)
-    try:
-        _wait(runner, lambda: runner.ready)
-        runner.offer(ROW, 5.0, 0.0)
+    with _made(crashing) as runner:
         _wait(runner, lambda: runner.fault is not None)
         assert "no plan today" in str(runner.fault)
-    finally:
-        runner.close()
 
 
 def scheduled(say: Callable[[str], None]) -> FlightController:
@@ -87,17 +88,11 @@ def test_stream_and_plans_go_before_other_processes_where_the_system_allows_it()
     with urgent(STREAM) as allowed:
         assert os.sched_getscheduler(0) & 0xFF == (os.SCHED_RR if allowed else os.SCHED_OTHER)
     assert os.sched_getscheduler(0) == before
-    runner = Process(scheduled)
-    try:
-        _wait(runner, lambda: runner.ready)
-        runner.offer(ROW, 5.0, 0.0)
+    with _made(scheduled) as runner:
         _wait(runner, lambda: runner.plan is not None)
-        assert runner.plan is not None
         alone = len(os.sched_getaffinity(0)) == 1
         kind = os.SCHED_RR if allowed and not alone else os.SCHED_OTHER
         assert int(runner.plan.demands[0].thrust) & 0xFF == kind
-    finally:
-        runner.close()
 
 
 @pytest.mark.parametrize("cores", [1, 2])

@@ -31,6 +31,12 @@ def short(system: str, **settings: Any) -> Simulation:
     return simulate(system, **{**SHORT[system], "seed": 1, **settings})
 
 
+@pytest.fixture(scope="module")
+def flown() -> Simulation:
+    """A short flight of the hexacopter."""
+    return short("hexacopter")
+
+
 def first(made: Simulation) -> np.ndarray:
     return made.runs[0].x
 
@@ -75,17 +81,14 @@ def test_the_spring_is_excited_unless_told() -> None:
 
 
 def test_equal_seeds_make_equal_data_and_others_other() -> None:
-    a, b, c = (short("cartpole", seed=s) for s in (1, 1, 2))
-    np.testing.assert_array_equal(first(a), first(b))
-    assert not np.array_equal(first(a), first(c))
+    a, b, c = (first(short("cartpole", seed=s)) for s in (1, 1, 2))
+    np.testing.assert_array_equal(a, b)
+    assert not np.array_equal(a, c)
 
 
-def test_the_standing_effects_of_a_machine_are_in_the_truth_and_can_be_left_out() -> None:
-    made = short("hexacopter")
-    assert {k: v["standing"] for k, v in made.truth["effects"].items()} == {
-        "linear_drag": True,
-        "motor_lag": True,
-    }
+def test_the_standing_effects_of_a_machine_are_in_the_truth_and_can_be_left_out(flown: Simulation) -> None:
+    standing = {k: v["standing"] for k, v in flown.truth["effects"].items()}
+    assert standing == {"linear_drag": True, "motor_lag": True}
     assert short("hexacopter", declared_only=True).truth["effects"] == {}
 
 
@@ -126,14 +129,14 @@ def test_a_wrong_clock_is_found_by_the_checks_of_measured_data(tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_a_battery_falls_with_use_and_is_logged_where_asked() -> None:
+def test_a_battery_falls_with_use_and_is_logged_where_asked(flown: Simulation) -> None:
     made = short("hexacopter", effects=["battery_voltage"], durations=[3.0, 3.0])
     unloaded = [run.extra["battery_voltage"] + LOAD * run.u.mean(1) for run in made.runs]
     assert pytest.approx(unloaded[0][0]) == FULL
     assert all(bool((np.diff(v) < 0).all()) for v in unloaded)
     assert unloaded[1][0] == pytest.approx(unloaded[0][-1], abs=0.01)
     assert "battery_voltage" in short("hexacopter", battery=True).runs[0].extra
-    assert short("hexacopter").runs[0].extra == {}
+    assert flown.runs[0].extra == {}
     with pytest.raises(ConfigError, match="battery"):
         short("cartpole", battery=True)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import exp, pi, sqrt
+from typing import Any
 
 import pytest
 import torch
@@ -35,12 +36,12 @@ def hover(batch: int = 1, motors: int = 6) -> Tensor:
     return torch.full((batch, motors), (9.81 + 1.0) / (6 * 4.6), dtype=torch.float64)
 
 
-def test_hover_command_holds_the_hexacopter_for_ten_seconds() -> None:
+def test_hover_command_holds_the_hexacopter() -> None:
     plant = quiet()
     plant.reset(level(), hover())
-    for _ in range(1000):
+    for _ in range(300):
         x = plant.step(hover())
-    torch.testing.assert_close(x, level(), rtol=0, atol=1e-4)
+    torch.testing.assert_close(x, level(), rtol=0, atol=1e-5)
 
 
 def test_without_thrust_it_falls_freely() -> None:
@@ -62,15 +63,6 @@ def test_speed_under_linear_drag_decays_to_zero_as_in_closed_form() -> None:
         x = plant.step(hover())
     assert x[0, 3].item() == pytest.approx(2.0 * exp(-0.5 * 3.0), rel=1e-5)
     assert x[0, 0].item() == pytest.approx(2.0 * (1.0 - exp(-0.5 * 3.0)) / 0.5, rel=1e-5)
-
-
-def test_terminal_velocity_of_a_fall_is_gravity_over_drag() -> None:
-    plant = quiet(effects={"linear_drag": {"drag": [0.15, 0.15, 2.0]}})
-    at_rest = torch.full((1, 6), 1.0 / (6 * 4.6), dtype=torch.float64)
-    plant.reset(level(), at_rest)
-    for _ in range(1000):
-        x = plant.step(at_rest)
-    assert x[0, 5].item() == pytest.approx(-9.81 / 2.0, rel=1e-5)
 
 
 def test_thrust_follows_a_step_of_the_command_with_the_motor_lag() -> None:
@@ -176,9 +168,7 @@ def test_a_frictionless_cartpole_keeps_its_energy() -> None:
 
 def test_gusts_have_the_variance_and_the_correlation_time_of_their_process() -> None:
     spec = {Port.FORCE: Gust(std=(0.7,), time_constant=0.2)}
-    gusts = Gusts(
-        spec, widths={Port.FORCE: 1}, dt=0.02, scale=1.0, generator=generator(), dtype=torch.float64
-    )
+    gusts = Gusts(spec, {Port.FORCE: 1}, dt=0.02, scale=1.0, generator=generator())
     gusts.reset(20000)
     first = gusts.draw()[Port.FORCE]
     for _ in range(9):
@@ -225,16 +215,6 @@ def test_the_true_state_is_free_of_sensor_noise() -> None:
     torch.testing.assert_close(noisy.state, clean.state)
 
 
-def test_equal_seeds_give_equal_numbers_and_unequal_seeds_others() -> None:
-    def run(seed: int) -> Tensor:
-        plant = make_plant("hexacopter", generator=generator(seed))
-        plant.reset(level(2), hover(2))
-        return torch.stack([plant.step(hover(2)) for _ in range(5)])
-
-    assert torch.equal(run(1), run(1))
-    assert not torch.equal(run(1), run(2))
-
-
 def test_commands_beyond_the_limits_are_clipped() -> None:
     ends = []
     for command in (1.0, 7.0):
@@ -254,15 +234,14 @@ def test_the_plant_leaves_the_system_of_the_caller_alone() -> None:
 
 
 def test_an_effect_with_parameters_replaces_those_that_the_plant_has_and_a_new_one_is_added() -> None:
-    system = make_plant_system(
-        "hexacopter", effects=[{"motor_lag": {"time_constant": 0.1}}, "quadratic_drag"]
-    )
+    effects = [{"motor_lag": {"time_constant": 0.1}}, "quadratic_drag"]
+    system = make_plant_system("hexacopter", effects=effects)
     assert system.effect_names == ("linear_drag", "motor_lag", "quadratic_drag")
     assert system.all_declared()["motor_lag.time_constant"][0].item() == pytest.approx(0.1)
     assert system.all_declared()["linear_drag.drag"][0].tolist() == pytest.approx([0.15, 0.15, 0.05])
 
 
-def test_faults_of_the_caller_are_named() -> None:
+def test_rows_that_do_not_fit_are_named() -> None:
     plant = quiet()
     with pytest.raises(ShapeError, match=r"`x0` must be \(batch, 13\)"):
         plant.reset(torch.zeros(1, 12), hover())
@@ -271,25 +250,30 @@ def test_faults_of_the_caller_are_named() -> None:
     plant.reset(level(2), hover(2))
     with pytest.raises(ShapeError, match="row for each of the 2 machines"):
         plant.step(hover(3))
-    with pytest.raises(ConfigError, match="multiple of the fine `step`"):
-        quiet(dt=0.01, step=0.004)
-    with pytest.raises(ConfigError, match="`latency`"):
-        quiet(latency=-1.0)
-    with pytest.raises(ConfigError, match="sensor_std"):
-        Plant(make_system("cartpole"), dt=0.02, generator=generator(), sensor_std=(1.0,))
+    with pytest.raises(ShapeError, match="rows"):
+        plant.restart(torch.tensor([0, 1]), level(), hover())
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"dt": 0.01, "step": 0.004}, "multiple of the fine `step`"),
+        ({"latency": -1.0}, "`latency`"),
+        ({"effects": ["quadratic_drga"]}, "Did you mean 'quadratic_drag'"),
+        ({"effects": ["quadratic_drag", "quadratic_drag"]}, "twice"),
+        ({"name": "mass_spring_damper", "process_noise": 2.0}, "process noise"),
+        ({"sensor_std": (1.0,)}, "sensor_std"),
+    ],
+)
+def test_faults_of_the_caller_are_named(settings: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        make_plant(**{"name": "hexacopter", "generator": generator(), **settings})
+
+
+def test_gusts_on_a_port_that_the_system_lacks_are_refused() -> None:
+    gusts = {Port.BODY_FORCE: Gust(white=(1.0,))}
     with pytest.raises(ConfigError, match="the system lacks"):
-        Plant(
-            make_system("cartpole"),
-            dt=0.02,
-            generator=generator(),
-            gusts={Port.BODY_FORCE: Gust(white=(1.0,))},
-        )
-    with pytest.raises(ConfigError, match="Did you mean 'quadratic_drag'"):
-        quiet(effects=["quadratic_drga"])
-    with pytest.raises(ConfigError, match="twice"):
-        quiet(effects=["quadratic_drag", "quadratic_drag"])
-    with pytest.raises(ConfigError, match="process noise"):
-        make_plant("mass_spring_damper", generator=generator(), process_noise=2.0)
+        Plant(make_system("cartpole"), dt=0.02, generator=generator(), gusts=gusts)
 
 
 def test_a_state_that_leaves_the_finite_numbers_is_reported_with_its_rows() -> None:
@@ -319,19 +303,10 @@ def test_restarted_machine_forgets_its_memory_and_the_others_go_on() -> None:
         plant.step(hover(3))
         fresh.step(hover())
     torch.testing.assert_close(plant.state[1], fresh.state[0], rtol=0, atol=1e-12)
-    with pytest.raises(ShapeError, match="rows"):
-        plant.restart(torch.tensor([0, 1]), level(), hover())
 
 
 def test_restarted_machine_draws_gusts_of_its_own() -> None:
-    gusts = Gusts(
-        {Port.FORCE: Gust(std=(2.0,))},
-        widths={Port.FORCE: 1},
-        dt=0.01,
-        scale=1.0,
-        generator=generator(),
-        dtype=torch.float64,
-    )
+    gusts = Gusts({Port.FORCE: Gust(std=(2.0,))}, {Port.FORCE: 1}, dt=0.01, scale=1.0, generator=generator())
     gusts.reset(4000)
     before = gusts._state[0].clone()
     gusts.restart(torch.arange(2000))

@@ -1,0 +1,272 @@
+"""The vehicle's estimate: what its estimator says of itself (ESTIMATOR_STATUS), and its resets, one in every flight."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from math import degrees, inf, nan, radians
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from nsde_torch.control import shapes
+from nsde_torch.px4.flight.flight_log import FlightLog
+from nsde_torch.px4.flight.flying import Recorder
+from nsde_torch.px4.flight.options import FlightOptions, Limits
+from nsde_torch.px4.flight.path import PathPoints
+from nsde_torch.px4.flight.phases import Phase
+from nsde_torch.px4.flight.safety import contradicted, step_between
+from nsde_torch.px4.link.dialect import mavlink
+from nsde_torch.px4.link.telemetry import EstimateQuality, Telemetry, VehicleState
+from nsde_torch.px4.link.vectors import from_rotation_vector, yaw_of
+from nsde_torch.px4.simulator.body import Body
+from nsde_torch.px4.simulator.estimate import SimulatedEstimator
+from nsde_torch.px4.simulator.sensor_errors import SensorErrors
+from nsde_torch.recording import read
+from nsde_torch.systems import make_system
+from tests.helpers.px4_world import World
+
+HOVER = PathPoints(shapes.hover(duration=4.0, height=1.0))
+GOOD = EstimateQuality(0.0, 0.1, 0.2, 0.3, 0.4, 0.3, 0.4)
+
+
+def _with(**changed: float) -> EstimateQuality:
+    return EstimateQuality(**{**vars(GOOD), **changed})
+
+
+@pytest.mark.parametrize(
+    ("quality", "said"),
+    [
+        (GOOD, ""),
+        (None, ""),
+        (_with(velocity_ratio=1.2), "velocity innovation ratio is 1.20, more than 1"),
+        (_with(position_ratio=7.0, velocity_ratio=2.0), "position innovation ratio is 7.00"),
+        (_with(height_ratio=1.01), "height innovation ratio"),
+        (_with(heading_ratio=9.0), ""),  # wrong by design until it is reset in the climb
+        (EstimateQuality(0.0, *[nan] * 6), ""),
+        (_with(horizontal_m=1.6), "gives its position an error of 1.6 m, more than 1.5"),
+        (_with(vertical_m=inf), ""),
+        (_with(velocity_ratio=9.0, time=-3.0), ""),  # it no longer says anything
+    ],
+)
+def test_what_an_estimator_says_against_itself_is_put_in_words(
+    quality: EstimateQuality | None, said: str
+) -> None:
+    found = contradicted(quality, Limits(), 0.0)
+    assert said in found
+    assert bool(said) == bool(found)
+
+
+def test_the_message_is_read_by_px4s_names() -> None:
+    telemetry = Telemetry()
+    telemetry.take(mavlink.MAVLink_estimator_status_message(0, 0, *range(1, 9)), 5.0)
+    assert telemetry.status.quality == EstimateQuality(5.0, 1, 2, 3, 4, 7, 8)
+
+
+@pytest.mark.parametrize(("lasts", "flown_on"), [(0.6, True), (9.0, False)])
+def test_a_flight_lands_where_the_estimator_rejects_its_sensors_for_longer_than_a_second(
+    lasts: float, flown_on: bool
+) -> None:
+    def doubt(world: World) -> None:
+        t = world.flight._elapsed if world.phase is Phase.TRACK else 0.0
+        world.vehicle.estimator.contradicted = 1.6 if 1.0 < t < 1.0 + lasts else 0.02
+
+    world = World(path=HOVER).run(doubt)
+    assert world.flight.outcome.tracked == flown_on, world.says
+    assert world.flight.outcome.landed
+    assert world.safe
+    if not flown_on:
+        assert world.trouble.kind == "quality"
+        assert "innovation ratio is 1.60, more than 1: it may not be where it says" in world.trouble.text
+
+
+def test_no_flight_begins_on_an_estimate_that_has_not_settled() -> None:
+    world = World(path=HOVER, options=FlightOptions(checks=1.0))
+    world.vehicle.estimator.contradicted = 0.7
+    world.run()
+    assert "position innovation ratio is 0.70, more than 0.5" in world.trouble.text
+    assert not world.setpoints
+
+
+def test_a_version_that_does_not_say_is_flown_with_a_note() -> None:
+    def silent(data: bytes, now: float) -> list[tuple[float, bytes]]:
+        said = int.from_bytes(data[7:10], "little") == mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS
+        return [] if said else [(now, data)]
+
+    world = World(path=HOVER, down=silent).run()
+    assert world.flight.outcome.tracked
+    assert any("note: ESTIMATOR_STATUS is not sent" in line for line in world.says)
+
+
+def test_the_worst_in_flight_is_in_the_report() -> None:
+    world = World(path=HOVER)
+    recorder = Recorder(world.flight, None)
+
+    def doubt(world: World) -> None:
+        recorder.look(world.now)
+        world.vehicle.estimator.contradicted = 0.8 if world.phase is Phase.TRACK else 0.02
+
+    world.run(doubt)
+    worst = recorder.finish().as_dict()["estimator_worst"]
+    assert worst["height_ratio"] == pytest.approx(0.8)
+    assert (worst["horizontal_m"], worst["vertical_m"]) == pytest.approx((0.2, 0.2))
+    assert "time" not in worst
+
+
+@pytest.mark.parametrize(("heading", "flown_on"), [(20.0, True), (90.0, False)])
+def test_a_wrong_heading_is_flown_with_or_landed_on(heading: float, flown_on: bool) -> None:
+    """Horizontal loops bear 20 deg; by 90 deg every correction leads sideways."""
+    path = PathPoints(shapes.circle(duration=16.0, speed=2.0))
+    world = World(path=path).until(Phase.TRACK, 2.0)
+    world.vehicle.estimator.aligns, world.vehicle.estimator._error = False, radians(heading)
+    world.run()
+    assert world.safe, world.says
+    assert world.flight.outcome.tracked == flown_on, world.says
+    assert flown_on or world.flight.outcome.trouble is not None
+
+
+def test_an_error_that_all_sensors_share_is_not_seen() -> None:
+    """A receiver that drifts by a metre in five seconds: documented as unseen, and the flight ends a metre off."""
+
+    def drift(world: World) -> None:
+        if world.phase is Phase.TRACK:
+            world.vehicle.estimator.offset = (min(0.2 * world.flight._elapsed, 1.0), 0.0, 0.0)
+
+    world = World(path=PathPoints(shapes.hover(duration=8.0, height=1.0))).run(drift)
+    assert world.flight.outcome.tracked, world.says
+    assert world.errors[-1] == pytest.approx(1.0, abs=0.15)
+    assert world.safe
+
+
+def test_the_slow_error_of_a_poor_estimate_has_its_size_and_its_velocity_belongs_to_it() -> None:
+    errors = SensorErrors(estimate=(0.2, 0.1, 0.45), estimate_time=0.5)
+    estimator = SimulatedEstimator(std=(0.0,) * 4, seed=1, heading=0.0, errors=errors)
+    still = SimpleNamespace(
+        p=(0.0, 0.0, 1.0), v=(0.0,) * 3, q=(1.0, 0.0, 0.0, 0.0), w=(0.0,) * 3, dt=0.004, on_ground=False
+    )
+    rows = [estimator.sense(still)[:2] for _ in range(100_000)]  # type: ignore[arg-type]
+    p, v = np.array(rows).swapaxes(0, 1)
+    assert np.sqrt(np.mean((p - still.p) ** 2, 0)) == pytest.approx([0.1, 0.2, 0.45], rel=0.25)  # ENU
+    # less than that error alone would move
+    assert np.abs(np.diff(p[:, 0]) - 0.004 * v[:-1, 0]).mean() < 0.004 * 2.0 * 0.1 / 0.5
+
+
+def test_on_an_estimate_as_poor_as_of_sih_a_flight_goes_to_its_end() -> None:
+    """The truth is off by that error, which neither PX4's estimator nor this program can see."""
+    errors = SensorErrors(estimate=(0.2, 0.12, 0.45))
+    world = World(path=PathPoints(shapes.circle(duration=16.0)), errors=errors).run()
+    assert world.flight.outcome.tracked, world.says
+    assert world.flight.outcome.landed
+    assert world.safe
+    assert 0.2 < world.rmse < 1.0
+
+
+HIGH = PathPoints(shapes.hover(duration=2.5, height=1.5))
+
+
+def _state(stamp: float, *, yaw: float = 0.0, resets: int = 0, **more: tuple[float, ...]) -> VehicleState:
+    still = VehicleState(
+        stamp, stamp, stamp, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.5)
+    )
+    return replace(still, q=from_rotation_vector((0.0, 0.0, yaw)), resets=resets, **more)  # type: ignore[arg-type]
+
+
+def test_the_step_is_what_motion_does_not_explain() -> None:
+    first = _state(5.0)
+    moved = step_between(first, _state(5.1, yaw=0.05, p=(0.1, 0.0, 1.0), v=(1.3, 0.0, 0.0)))
+    assert moved.position == pytest.approx(0.0, abs=1e-9)
+    assert moved.velocity == 0.0  # three metres a second squared is flying
+    assert moved.heading == pytest.approx(0.0, abs=1e-9)
+    assert not moved.announced
+    reset = step_between(first, _state(5.01, yaw=0.205, p=(0.31, 0.0, 1.0), v=(4.0, 0.0, 0.0), resets=1))
+    assert (reset.position, reset.velocity) == pytest.approx((0.3, 2.7))
+    assert reset.heading == pytest.approx(0.2)
+    assert reset.announced
+    assert step_between(first, _state(6.0)) is None  # too far apart to tell
+    assert step_between(first, first) is None
+
+
+def test_the_simulated_heading_is_wrong_below_a_metre_and_a_half_and_is_reset_there_once_in_each_flight() -> (
+    None
+):
+    body = Body("quadrotor", seed=0, process_noise=0.0)
+    estimator = SimulatedEstimator(std=(0.0, 0.0, 0.0, 0.0), seed=3)
+    sizes = []
+    for _ in range(20):
+        body.p = (0.0, 0.0, 1.4)
+        wrong = yaw_of(estimator.sense(body)[2])
+        count = estimator.resets
+        body.p = (0.0, 0.0, 1.6)
+        assert yaw_of(estimator.sense(body)[2]) == pytest.approx(0.0, abs=1e-9)
+        assert estimator.stepped == pytest.approx(-wrong)
+        estimator.sense(body)
+        assert estimator.resets == count + 1
+        assert estimator.stepped == 0.0
+        estimator.new_flight()
+        sizes.append(abs(degrees(wrong)))
+    assert 1.0 <= min(sizes) < 3.0
+    assert 7.0 < max(sizes) <= 9.0
+
+
+@pytest.mark.parametrize("error", [1.0, -8.9])
+def test_a_flight_at_default_height_goes_on_over_the_reset_of_the_heading(error: float) -> None:
+    world = World(path=HIGH, options=FlightOptions(), heading_error=radians(error))
+    yaws: list[tuple[float, float]] = []
+    world.run(lambda w: yaws.append((w.body.p[2], degrees(yaw_of(w.body.q)))))
+    assert world.flight.outcome.trouble is None, world.says
+    assert world.flight.outcome.tracked
+    assert world.safe
+    ((_, step),) = world.flight.outcome.steps
+    assert degrees(step.heading) == pytest.approx(-error, abs=1.0)
+    assert step.announced
+    assert any("heading" in line for line in world.says)
+    # what was held is held as it is: the vehicle does not turn by the step
+    held = [yaw for z, yaw in yaws if z > 1.0]
+    before = next(yaw for z, yaw in yaws if z > 1.4)
+    assert max(abs(yaw - before) for yaw in held[:300]) < 2.0
+
+
+def test_the_height_of_the_reset_is_climbed_past_before_the_reference() -> None:
+    world = World(path=HIGH, options=FlightOptions()).until(Phase.TRACK)
+    assert world.highest > 1.7
+    assert len(world.flight.outcome.steps) == 1
+    low = World(
+        path=PathPoints(shapes.hover(duration=1.0, height=1.0)),
+        options=FlightOptions(height=1.0),
+        limits=Limits(fence=((-6.0, 6.0), (-6.0, 6.0), (-0.5, 1.6))),
+    ).until(Phase.TRACK)
+    assert low.highest < 1.6  # there is no room, and the fence was kept
+    assert low.flight.outcome.trouble is None
+
+
+@pytest.mark.parametrize(("kind", "by"), [("position", 0.2), ("velocity", 0.8)])
+def test_small_resets_of_position_and_velocity_are_noted_and_flown_through(kind: str, by: float) -> None:
+    world = World(path=HIGH).until(Phase.TRACK, 0.5)
+    if kind == "position":
+        world.body.p = (world.body.p[0] + by, *world.body.p[1:])
+    else:
+        world.body.v = (world.body.v[0] + by, *world.body.v[1:])
+    world.vehicle.estimator.resets += 1
+    world.run()
+    assert world.flight.outcome.tracked, world.says
+    step = world.flight.outcome.steps[-1][1]
+    assert getattr(step, kind) == pytest.approx(by if kind == "position" else 0.5, abs=0.1)
+
+
+def test_the_log_is_cut_at_a_reset_so_that_no_model_must_explain_it(tmp_path: Path) -> None:
+    world = World(path=HIGH, heading_error=radians(8.0))
+    with FlightLog(tmp_path / "flight_0.csv", 4) as log:
+        recorder = Recorder(world.flight, log)
+        world.run(lambda w: recorder.look(w.now))
+    run = read("csv", make_system("quadrotor"), path=tmp_path).runs[0]
+    assert len(run.segments) == 2
+    for a, b in run.segments:
+        q = run.x[a:b, 6:10]
+        yaw = np.unwrap(
+            np.arctan2(2 * (q[:, 0] * q[:, 3] + q[:, 1] * q[:, 2]), 1 - 2 * (q[:, 2:] ** 2).sum(1))
+        )
+        assert max(abs(d - c) for c, d in pairwise(np.degrees(yaw))) < 2.0
+    (noted,) = recorder.finish().as_dict()["estimate_resets"]
+    assert noted["heading_deg"] == pytest.approx(-8.0, abs=1.0)

@@ -21,7 +21,6 @@ from omegaconf import DictConfig
 
 from nsde_torch.design import (
     DesignOptions,
-    Experiment,
     Question,
     Standing,
     design,
@@ -49,46 +48,31 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class StoppedLoop:
-    """Why there is no further experiment.
-
-    Args:
-        kind: `settled`, `budget`, `limits`, `other_machine` or `waiting` (for a log).
-        sentence: In words.
-    """
+    """Why there is no further experiment."""
 
     kind: str
+    """`settled`, `budget`, `limits`, `other_machine` or `waiting` (for a log)."""
     sentence: str
 
 
 @dataclass(frozen=True)
 class ExperimentLoop:
-    """What experiments need of the loop.
-
-    Args:
-        config: The configuration.
-        folder: Of the loop.
-        logs: Folder of all logs.
-        kind: Kind of the logs; None chooses by their names.
-        fly: Flies a plan and writes a log, and returns what was measured; None where a person does.
-        diagnose: Diagnoses all logs into a folder.
-        say: Takes a line.
-    """
+    """What experiments need of the loop."""
 
     config: DictConfig
     folder: Path
     logs: Path
     kind: str | None
+    """Of the logs; None chooses by their names."""
     fly: Callable[[Path, Path, int], dict[str, Any]] | None
+    """Flies a plan and writes a log, and returns what was measured; None where a person does."""
     diagnose: Callable[[Path], None]
+    """Diagnoses all logs into a folder."""
     say: Say
 
 
 def run_experiments(loop: ExperimentLoop, diagnosis: Path) -> tuple[list[dict[str, Any]], StoppedLoop, Path]:
-    """Experiments until nothing is open, the budget is spent, or none is informative.
-
-    Args:
-        loop: See `ExperimentLoop`.
-        diagnosis: Folder of the first diagnosis.
+    """Experiments from a first diagnosis on, until nothing is open, the budget is spent, or none is informative.
 
     Returns:
         A record of each experiment, why there is no further one, and the folder of the last diagnosis.
@@ -122,7 +106,10 @@ def run_experiments(loop: ExperimentLoop, diagnosis: Path) -> tuple[list[dict[st
         for line in experiment_lines(done[-1]):
             loop.say(line)
     now = standing_of(diagnosis_content(diagnosis))
-    return done, settled(now) if now.settled else _spent(loop.config.experiments, now), diagnosis
+    if now.settled:
+        return done, settled(now), diagnosis
+    spent = f"the budget of experiments={loop.config.experiments} is spent; {now.words}."
+    return done, StoppedLoop("budget", f"{spent} A larger one goes on from here."), diagnosis
 
 
 def settled(now: Standing) -> StoppedLoop:
@@ -133,31 +120,8 @@ def settled(now: Standing) -> StoppedLoop:
             f"; the intervals of {', '.join(now.confounded)} are wide by what feedback may hide, which a further "
             "flight of this kind leaves: log what the controller saw"
         )
-    what = (
-        "nothing is tied, and what was found is sure"
-        if now.found
-        else "nothing was found, and nothing is tied"
-    )
-    return StoppedLoop("settled", what + rest)
-
-
-def _spent(budget: int, now: Standing) -> StoppedLoop:
-    return StoppedLoop(
-        "budget", f"the budget of experiments={budget} is spent; {now.words}. A larger one goes on from here."
-    )
-
-
-def _options(config: DictConfig, number: int) -> DesignOptions:
-    e = config.experiment
-    return DesignOptions(
-        duration=e.duration,
-        limits=plan_limits(config),
-        samples=e.samples,
-        proposals=e.proposals,
-        generations=e.generations,
-        rehearsals=e.rehearsals,
-        seed=config.seed * 100 + number,
-    )
+    sure, nothing = "nothing is tied, and what was found is sure", "nothing was found, and nothing is tied"
+    return StoppedLoop("settled", (sure if now.found else nothing) + rest)
 
 
 def _planned(
@@ -167,11 +131,8 @@ def _planned(
     file = place / REFUSED
     refused: list[str] = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else []
     for question in questions[len(refused) :]:
-        found = (
-            read_design(place)
-            if (place / RESULT).is_file()
-            else _designed(loop, place, known, question, number)
-        )
+        made = (place / RESULT).is_file()
+        found = read_design(place) if made else _designed(loop, place, known, question, number)
         if isinstance(found, dict):
             told = expected_nats(found)
             if told >= loop.config.experiment.least_nats:
@@ -189,33 +150,29 @@ def _designed(
 ) -> dict[str, Any] | str:
     """A plan for a question; the limit that is in the way where none stays within them."""
     loop.say(f"\nexperiment {number}: {asked(question.content())}")
-    stages = Stages()
+    e, stages = loop.config.experiment, Stages()
+    options = DesignOptions(
+        duration=e.duration,
+        limits=plan_limits(loop.config),
+        **{k: e[k] for k in ("samples", "proposals", "generations", "rehearsals")},
+        seed=loop.config.seed * 100 + number,
+    )
+    machine: dict[str, Any] = {"clock": known.clock, "values": known.values}
     try:
         made = design(
-            known.system,
-            known.runs,
-            question,
-            _options(loop.config, number),
-            clock=known.clock,
-            values=known.values,
-            baselines=loop.config.experiment.baselines,
-            say=stages,
+            known.system, known.runs, question, options, **machine, baselines=e.baselines, say=stages
         )
     except ConfigError as error:
         return f"{asked(question.content())} {error}"
     finally:
         stages.close()
-    _save(made, place)
-    loop.say(made.report)
-    return read_design(place)
-
-
-def _save(made: Experiment, place: Path) -> None:
-    """Write a plan; `design.json` is last, because it says that the stage is finished."""
     made.save(place / ".unfinished")
+    # `design.json` is last, because it says that the stage is finished
     for file in sorted((place / ".unfinished").iterdir(), key=lambda p: p.name == RESULT):
         file.replace(place / file.name)
     (place / ".unfinished").rmdir()
+    loop.say(made.report)
+    return read_design(place)
 
 
 def _flown(loop: ExperimentLoop, place: Path, number: int) -> StoppedLoop | None:

@@ -38,13 +38,7 @@ def log_files(folder: Path, name: str = "") -> list[Path]:
 def read_logs(
     folder: Path, system: str, kind: str | None, content: Mapping[str, Any] | None = None
 ) -> DataSet:
-    """Read all logs.
-
-    Args:
-        folder: Where they are.
-        system: Name of the system.
-        kind: Their kind; None chooses by their names.
-        content: Content of a `diagnosis.json`: what it found that sensors did is taken out.
+    """Read all logs of a kind; None chooses by their names. What a diagnosis found that sensors did is taken out.
 
     Raises:
         DataError: they are of several kinds, or cannot be read as runs of this machine.
@@ -75,15 +69,7 @@ def diagnosis_content(folder: Path) -> dict[str, Any]:
 def diagnose_logs(
     folder: Path, out: Path, system: str, kind: str | None, *, settings: Mapping[str, Any]
 ) -> None:
-    """Diagnose all logs, unless that is done, and write what a diagnosis writes.
-
-    Args:
-        folder: Where the logs are.
-        out: Where to write.
-        system: Name of the system.
-        kind: Kind of the logs.
-        settings: `alpha`, `max_effects`, `candidates` and `seed` (see `nsde_torch.diagnose`).
-    """
+    """Diagnose all logs, unless that is done, and write what a diagnosis writes; settings are those of `diagnose`."""
     if (out / RESULT).is_file():
         return
     out.mkdir(parents=True, exist_ok=True)

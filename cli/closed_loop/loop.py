@@ -34,11 +34,7 @@ LEAST = 0.5
 
 
 class ClosedLoop:
-    """The stages, on what is finished already.
-
-    Args:
-        config: The configuration.
-        folder: Where to write.
+    """The stages, on what is finished already in a folder.
 
     Raises:
         ConfigError: no multirotor, or options that it does not have.
@@ -59,15 +55,9 @@ class ClosedLoop:
         Raises:
             ConfigError: names what is too much.
         """
-        problem = track_build.problem(self.config.mpc)
+        problem, tilt = track_build.problem(self.config.mpc), self.config.reference.tilt_limit
         predictor = Predictor(physics(self.config, []), dt=problem.dt)
-        feasible.check(
-            self.reference,
-            predictor,
-            low=problem.low,
-            high=problem.high,
-            tilt=self.config.reference.tilt_limit,
-        )
+        feasible.check(self.reference, predictor, low=problem.low, high=problem.high, tilt=tilt)
 
     def fly_logged(self) -> StoppedLoop | None:
         """The flights that are diagnosed; why there is none, where a person is to fly them."""
@@ -92,15 +82,9 @@ class ClosedLoop:
         self.diagnosis = first
         if not self.config.experiments:
             return [], None
-        settings = ExperimentLoop(
-            self.config,
-            self.folder,
-            self.folder / LOG,
-            self.kind,
-            None if self.machine is None else self.fly_plan,
-            self.diagnose,
-            say,
-        )
+        fly = None if self.machine is None else self.fly_plan
+        logs = self.folder / LOG
+        settings = ExperimentLoop(self.config, self.folder, logs, self.kind, fly, self.diagnose, say)
         done, stop, self.diagnosis = run_experiments(settings, first)
         say(f"no further experiment: {stop.sentence}")
         return done, stop
@@ -108,12 +92,8 @@ class ClosedLoop:
     def diagnose(self, out: Path) -> None:
         """Diagnose all logs there are into a folder, unless that is done."""
         c = self.config
-        settings = {
-            "alpha": c.alpha,
-            "max_effects": c.max_effects,
-            "candidates": None if c.candidates is None else list(c.candidates),
-            "seed": c.seed,
-        }
+        candidates = None if c.candidates is None else list(c.candidates)
+        settings = {"alpha": c.alpha, "max_effects": c.max_effects, "candidates": candidates, "seed": c.seed}
         diagnose_logs(self.folder / LOG, out, c.plant.system, self.kind, settings=settings)
 
     @property

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from math import radians
+from math import inf, radians
 from pathlib import Path
 from typing import Any, Protocol, final
 
@@ -160,21 +160,15 @@ class TrackedPlant:
         autopilot = track_build.autopilot(
             DECLARED, known, self._config, reference, batch=1, sample=plant.dt, say=self._say
         )
-        flight = fly_plant(
-            autopilot,
-            plant,
-            reference,
-            state_latency=self._config.plant.state_latency,
-            duration=path.duration,
-        )
+        latency = self._config.plant.state_latency
+        flight = fly_plant(autopilot, plant, reference, state_latency=latency, duration=path.duration)
         (made,) = write_log([flight], known, log.parent / f".{log.stem}")
         log.parent.mkdir(parents=True, exist_ok=True)
         made.replace(log)
         made.parent.rmdir()
-        lost = float(flight.lost[0])
-        t, x = flight.t, flight.x[:, 0]
+        lost, t, x = float(flight.lost[0]), flight.t, flight.x[:, 0]
         errors = (x[:, :3] - flight.ref[:, :3]).norm(dim=1)
-        whole = bool(lost == float("inf"))
+        whole = lost == inf
         return {
             "tracked": whole,
             "trouble": None if whole else {"kind": "lost", "text": f"the machine was lost at {lost:.1f} s"},
@@ -258,11 +252,8 @@ def machine_of(config: DictConfig, say: Say) -> FlyingMachine:
     Raises:
         ConfigError: options that the machine does not have.
     """
-    kinds: dict[str, Callable[[DictConfig, Say], FlyingMachine]] = {
-        VEHICLE: VirtualVehicle,
-        PLANT: TrackedPlant,
-        LINK: LinkedVehicle,
-    }
+    kinds: dict[str, Callable[[DictConfig, Say], FlyingMachine]]
+    kinds = {VEHICLE: VirtualVehicle, PLANT: TrackedPlant, LINK: LinkedVehicle}
     return kinds[config.by](config, say)
 
 

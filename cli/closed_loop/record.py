@@ -22,13 +22,7 @@ _DRAWN = {BEFORE: "declared physics", AFTER: "with what was found", TRUTH: "told
 
 
 def record(loop: ClosedLoop, experiments: list[dict[str, Any]], stop: StoppedLoop | None) -> dict[str, Any]:
-    """What `close_loop.json` holds.
-
-    Args:
-        loop: The loop, flown.
-        experiments: Evidence of each experiment.
-        stop: Why there was no further one; None where none was asked for.
-    """
+    """What `close_loop.json` holds of a loop that was flown; `stop` is None where no experiment was asked for."""
     told, diagnosed = loop.told, loop.found
     before = loop.flown(BEFORE)
     after = loop.flown(AFTER) if told else before  # nothing found: nothing to fly with
@@ -42,16 +36,12 @@ def record(loop: ClosedLoop, experiments: list[dict[str, Any]], stop: StoppedLoo
     whole = bool(pairs) and all(f["tracked"] for f in (*before, *after))
     ratios = [p["after_m"] / p["before_m"] for p in pairs] if whole else []
     config = loop.config
+    plant = {k: build.options(config.plant)[k] for k in ("effects", "declared_only")}
     content: dict[str, Any] = {
         "system": config.plant.system,
         "by": config.by,
         # what a person flies, or is at the other end of a link, is not known
-        "plant": None
-        if config.by in (LINK, HAND)
-        else {
-            "effects": build.options(config.plant)["effects"],
-            "declared_only": config.plant.declared_only,
-        },
+        "plant": None if config.by in (LINK, HAND) else plant,
         "reference": {"name": loop.reference.name, "duration_s": loop.reference.duration},
         "verdict": diagnosed["verdict"],
         "told": told,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, final
@@ -56,13 +56,27 @@ class Actor(nn.Module):
     def save(self, folder: str | Path) -> Path:
         """Write `policy.safetensors` into a folder; returns its path."""
         path = Path(folder) / POLICY
-        path.parent.mkdir(parents=True, exist_ok=True)
         about = {"system": self.system, "hidden": list(self.hidden), "n_actions": len(self.log_std)}
-        tensors = {k: v.detach().cpu().contiguous().clone() for k, v in self.state_dict().items()}
-        temporary = path.with_suffix(".partial")
-        save_file(tensors, str(temporary), metadata={"format": _FORMAT, "about": json.dumps(about)})
-        os.replace(temporary, path)
+        write_tensors(path, self.state_dict(), format=_FORMAT, about=about)
         return path
+
+
+def write_tensors(
+    path: Path, tensors: Mapping[str, Tensor], *, format: str, about: Mapping[str, Any]
+) -> None:
+    """Write tensors with plain values in the header, in place of the file that is there."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    whole = {k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}
+    temporary = path.with_suffix(".partial")
+    save_file(whole, str(temporary), metadata={"format": format, "about": json.dumps(about)})
+    os.replace(temporary, path)
+
+
+def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
+    """Tensors and header of a file that `write_tensors` wrote."""
+    with safe_open(str(path), framework="pt") as opened:
+        metadata = opened.metadata() or {}
+    return load_file(str(path)), metadata
 
 
 def load_policy(folder: str | Path) -> Actor:
@@ -79,15 +93,12 @@ def load_policy(folder: str | Path) -> Actor:
     if not path.is_file():
         raise CheckpointError(f"no policy {path}; give the folder that `nsde policy` printed.")
     try:
-        tensors = load_file(str(path))
-        with safe_open(str(path), framework="pt") as opened:
-            metadata = opened.metadata() or {}
+        tensors, metadata = read_tensors(path)
         if metadata.get("format") != _FORMAT:
             raise CheckpointError(f"{path} is not of the format {_FORMAT}; another version wrote it.")
         about: dict[str, Any] = json.loads(metadata["about"])
-        actor = Actor(
-            tensors["scale"].tolist(), about["hidden"], about["n_actions"], system=str(about["system"])
-        )
+        scale, system = tensors["scale"].tolist(), str(about["system"])
+        actor = Actor(scale, about["hidden"], about["n_actions"], system=system)
         actor.load_state_dict(tensors)
     except (SafetensorError, OSError, LookupError, TypeError, ValueError, RuntimeError) as error:
         if isinstance(error, CheckpointError):

@@ -33,13 +33,10 @@ from nsde_torch.errors import ConfigError, ShapeError
 
 
 class Dynamics(ABC):
-    """A batch of machines. What a path carries beside its state (memory, disturbance) stays in here.
-
-    Attributes:
-        name: For tables and files.
-    """
+    """A batch of machines. What a path carries beside its state (memory, disturbance) stays in here."""
 
     name: str
+    """For tables and files."""
 
     @property
     @abstractmethod
@@ -52,15 +49,7 @@ class Dynamics(ABC):
 
     @abstractmethod
     def restart(self, rows: Tensor, x0: Tensor) -> Tensor:
-        """Start some of the machines anew.
-
-        Args:
-            rows: Indices (K,).
-            x0: Their states (K, nx).
-
-        Returns:
-            These states as measured (K, nx).
-        """
+        """Start some of the machines (K,) anew in the states (K, nx); returns these as measured."""
 
     @abstractmethod
     def step(self, u: Tensor) -> Tensor:
@@ -86,13 +75,7 @@ class Box:
 
 @dataclass(frozen=True)
 class CartpoleSwingUp:
-    """Swing the pole up and hold it.
-
-    Args:
-        steps: Length of an episode [steps].
-        training: First states of training.
-        evaluation: First states of the supplement's figures.
-    """
+    """Swing the pole up and hold it, in episodes of some steps; evaluations start as the supplement's figures do."""
 
     steps: int = 200
     training: Box = Box((-1.0, -1.0, pi - 0.8, -0.8), (1.0, 1.0, pi + 0.8, 0.8))
@@ -239,10 +222,7 @@ class BatchEnvironment:
 
     @torch.no_grad()
     def step(self, action: Tensor) -> Transition:
-        """Advance all episodes by one step.
-
-        Args:
-            action: Actions (N, na); what lies beyond the bounds is clipped.
+        """Advance all episodes by one step under actions (N, na); what lies beyond the bounds is clipped.
 
         Raises:
             ShapeError: wrong rows or columns.

@@ -41,14 +41,7 @@ PUBLISHED_VARIANCES = (0.005, 0.01, 0.009, 0.05)
 def make_truth(
     name: str, *, system: str, dt: float, sensor_noise: float, generator: torch.Generator
 ) -> Dynamics:
-    """The true machines.
-
-    Args:
-        name: One of `TRUTHS`.
-        system: Which machine.
-        dt: Sample [s].
-        sensor_noise: Factor on the sensor noise, >= 0.
-        generator: Source of all randomness.
+    """The true machines of a system, one of `TRUTHS`, with a sample of `dt` [s] and a factor on the sensor noise.
 
     Raises:
         ConfigError: no such truth, or none of this system.
@@ -90,15 +83,7 @@ class _Rows(Dynamics):
 
 @final
 class PlantDynamics(Dynamics):
-    """A plant of the package.
-
-    Args:
-        system: Which machine.
-        dt: Sample [s].
-        sensor_noise: Factor on the plant's sensor noise, >= 0.
-        generator: Source of all randomness.
-        process_noise: Factor on the plant's gusts, >= 0.
-    """
+    """A plant of the package; arguments are those of `make_plant`."""
 
     name = "plant"
 

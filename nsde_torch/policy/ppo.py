@@ -9,14 +9,12 @@ learning that was interrupted is continued, not repeated.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, final
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save_file
+from safetensors import SafetensorError
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
@@ -24,7 +22,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
 from nsde_torch.errors import CheckpointError, NonFiniteError
-from nsde_torch.policy.actor import Actor
+from nsde_torch.policy.actor import Actor, read_tensors, write_tensors
 from nsde_torch.policy.environment import BatchEnvironment
 from nsde_torch.policy.options import PolicyOptions
 from nsde_torch.policy.vec_env import PolicyVecEnv
@@ -48,13 +46,7 @@ class _Scaled(BaseFeaturesExtractor):
 
 @final
 class Learner:
-    """A policy in the making. Making one seeds torch's, numpy's and Python's global sources of randomness.
-
-    Args:
-        environment: What it learns in.
-        options: Settings.
-        seed: Seed of weights, actions and batches.
-    """
+    """A policy in the making. Making one seeds torch's, numpy's and Python's global sources of randomness."""
 
     def __init__(self, environment: BatchEnvironment, *, options: PolicyOptions, seed: int) -> None:
         self.environment, self.options, self._seed = environment, options, seed
@@ -132,38 +124,21 @@ class Learner:
         between()
 
     def save(self, path: Path, about: Mapping[str, Any]) -> None:
-        """Write a checkpoint; `about` (plain values) travels in its header.
-
-        Args:
-            path: File.
-            about: What to find again beside the tensors.
-        """
-        path.parent.mkdir(parents=True, exist_ok=True)
+        """Write a checkpoint; `about` (plain values) travels in its header."""
         tensors = {f"policy.{k}": v for k, v in self._ppo.policy.state_dict().items()}
         for index, moments in self._ppo.policy.optimizer.state_dict()["state"].items():
             tensors |= {f"adam.{index}.{name}": torch.as_tensor(value) for name, value in moments.items()}
-        kept = {k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}
-        header = json.dumps({"interactions": self.interactions, "updates": self._ppo._n_updates, **about})
-        temporary = path.with_suffix(".partial")
-        save_file(kept, str(temporary), metadata={"format": _FORMAT, "about": header})
-        os.replace(temporary, path)
+        header = {"interactions": self.interactions, "updates": self._ppo._n_updates, **about}
+        write_tensors(path, tensors, format=_FORMAT, about=header)
 
     def restore(self, path: Path) -> dict[str, Any]:
-        """Go on from a checkpoint.
-
-        Args:
-            path: File that `save` wrote.
-
-        Returns:
-            What was saved beside the tensors.
+        """Go on from a checkpoint that `save` wrote; returns what was saved beside the tensors.
 
         Raises:
             CheckpointError: the file is damaged, or of another network.
         """
         try:
-            tensors = load_file(str(path))
-            with safe_open(str(path), framework="pt") as opened:
-                metadata = opened.metadata() or {}
+            tensors, metadata = read_tensors(path)
             about: dict[str, Any] = json.loads(metadata["about"])
             policy = {k[7:]: v for k, v in tensors.items() if k.startswith("policy.")}
             adam: dict[int, dict[str, Tensor]] = {}

@@ -42,15 +42,7 @@ Policy = Callable[[Tensor], Tensor]
 
 @dataclass(frozen=True)
 class Rewards:
-    """Rewards of episodes.
-
-    Args:
-        mean: Mean over episodes.
-        std: Standard deviation over episodes.
-        worst: Smallest.
-        episodes: How many.
-        left: Episodes that left the track or the finite numbers.
-    """
+    """Rewards of episodes; `left` of these left the track or the finite numbers."""
 
     mean: float
     std: float
@@ -61,12 +53,7 @@ class Rewards:
 
 @torch.no_grad()
 def episode_rewards(policy: Policy, environment: BatchEnvironment) -> Rewards:
-    """Play one whole episode on every machine of an environment.
-
-    Args:
-        policy: Actions (N, na) from what is seen (N, no).
-        environment: The machines; not staggered.
-    """
+    """Play one whole episode on every machine of an environment that is not staggered."""
     seen = environment.reset()
     total = torch.full((environment.n,), torch.nan, dtype=torch.float64)
     left = torch.zeros(environment.n, dtype=torch.bool)

@@ -31,13 +31,7 @@ EMPTY = 0.9
 
 @final
 class Battery:
-    """Batteries of a batch of machines.
-
-    Args:
-        used: Share of the charge that is spent at the start (B,).
-        dt: Sample [s].
-        logged: Whether the voltage is logged.
-    """
+    """Batteries of a batch of machines, of whose charge a share is used at the start (B,); `dt` is the sample [s]."""
 
     def __init__(self, used: Sequence[float], *, dt: float, logged: bool) -> None:
         self._used = torch.tensor(list(used), dtype=torch.float64)[:, None]

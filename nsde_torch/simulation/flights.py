@@ -38,19 +38,16 @@ ROOM, FLOOR = 4.0, 0.2
 
 @dataclass(frozen=True)
 class Flown:
-    """Flights, time first; rows of a batch in between where there are several.
-
-    Args:
-        x: Measured states (n, ..., 13).
-        u: Commands given at them (n, ..., nu).
-        voltage: Voltage of the battery (n, ..., 1), or (n, ..., 0) where none is logged.
-        z: True states with the memory of the effects (n, ..., nz), or (n, ..., 0) where they are not kept.
-    """
+    """Flights, time first; rows of a batch in between where there are several."""
 
     x: Array
+    """Measured states (n, ..., 13)."""
     u: Array
+    """Commands given at them (n, ..., nu)."""
     voltage: Array
+    """Of the battery (n, ..., 1), or (n, ..., 0) where none is logged."""
     z: Array
+    """True states with the memory of the effects (n, ..., nz), or (n, ..., 0) where they are not kept."""
 
     def one(self, rows: int, index: int) -> Flown:
         """The first rows of one flight of a batch, copied."""
@@ -66,18 +63,11 @@ def fly(
     durations: Sequence[float] = (),
     keep_truth: bool = False,
 ) -> Flown:
-    """Fly wanted paths at once, with the battery's voltage; the shorter ones hold their end.
+    """Fly wanted paths of a multirotor at once (n, B, ...), with its battery's voltage; shorter ones hold their end.
 
     Args:
-        name: System, `hexacopter` or `quadrotor`.
-        paths: What the pilot wants, one for each row.
-        generator: Source of the noise.
-        making: Effects and noise of the plant, and how it is made.
         durations: Lengths of the runs that take turns on one battery [s]; row i is run i modulo their number.
         keep_truth: Keep the true states too.
-
-    Returns:
-        The flights, (n, B, ...).
 
     Raises:
         NonFiniteError: the flight left the finite numbers.
@@ -136,15 +126,8 @@ def _inside(x: Array) -> bool:
 
 
 def _choose(takes: Sequence[Sequence[Array]], targets: Array) -> tuple[float, list[int]]:
-    """For each run one of its takes, so that all together come nearest to the figures.
-
-    Args:
-        takes: For each run, the states (n, 13) of its takes.
-        targets: The figures (8,).
-
-    Returns:
-        The departure left, and the index of each run's take; infinite where a run has no take in the room.
-    """
+    """For each run one of its takes (n, 13), so that all together come nearest to the figures (8,): the departure left,
+    and the index of each run's take; infinite where a run has no take in the room."""
     values = [[flown(x) if _inside(x) else None for x in run] for run in takes]
     common = [k for k in range(len(takes[0])) if all(run[k] is not None for run in values)]
     free = [[k for k, v in enumerate(run) if v is not None] for run in values]

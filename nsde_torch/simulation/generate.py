@@ -85,8 +85,7 @@ def simulate(
         parameters: Further values, `effect.parameter` (or a mapping), or `name` of the declared physics.
         durations: Length of each run [s] on the clock of the log; None: the system's own.
         seed: Seed of everything random.
-        process_noise: Factor on the machine's gusts.
-        sensor_noise: Factor on the machine's sensor noise.
+        process_noise, sensor_noise: Factors on the machine's gusts and on its sensor noise.
         declared_only: Leave out the undeclared effects that the machine has anyway.
         dt: Step of the log [s]; None: the machine's.
         battery: Log the voltage of a battery though no effect reads it (multirotors).
@@ -111,9 +110,8 @@ def simulate(
     spec, recorded = machine(system), recorder(system) if plan is None else planned(system, plan)
     chain = recording or Recording()
     known = make_system(system)
-    asked, own_values = _with_parameters(
-        named_effects(effects, system), parameters or {}, known, spec.effects, system
-    )
+    named = named_effects(effects, system)
+    asked, own_values = _with_parameters(named, parameters or {}, known, spec.effects, system)
     chain.check(known)
     check_numbers(durations, seed)
     if dt is not None and not (isfinite(dt) and dt > 0):
@@ -129,26 +127,20 @@ def simulate(
     own = make_plant_system(system, effects=asked, declared_only=declared_only, values=own_values)
     if replay is not None:
         _check_replay(system, recorded, replay, chain, nominal)
+    flown = [(round(d / nominal) + late) * step for d in lengths]
+    making = Making(
+        effects=asked,
+        process_noise=process_noise,
+        sensor_noise=sensor_noise,
+        declared_only=declared_only,
+        latency=latency,
+        dt=step,
+        step=fine,
+        battery=battery,
+        values=own_values,
+    )
     try:
-        made = _recorded(
-            recorded,
-            system,
-            replay,
-            durations=[(round(d / nominal) + late) * step for d in lengths],
-            seed=seed,
-            making=Making(
-                effects=asked,
-                process_noise=process_noise,
-                sensor_noise=sensor_noise,
-                declared_only=declared_only,
-                latency=latency,
-                dt=step,
-                step=fine,
-                battery=battery,
-                values=own_values,
-            ),
-            **used,
-        )
+        made = _recorded(recorded, system, replay, durations=flown, seed=seed, making=making, **used)
     except TypeError as error:
         if "unexpected keyword" in str(error):
             raise ConfigError(f"the recording of {system!r}: {error}.") from error
@@ -166,9 +158,7 @@ def simulate(
     truth: dict[str, Any] = {
         "schema": SCHEMA,
         "system": system,
-        "effects": _undeclared(
-            own, known, standing=() if declared_only else tuple(spec.effects), asked=asked
-        ),
+        "effects": _undeclared(own, known, () if declared_only else tuple(spec.effects), asked),
         "recording": chain.as_dict(nominal),
         "declared": {
             name: {"value": _plain(value.tolist()), "unit": unit}
@@ -187,11 +177,8 @@ def simulate(
     if replay is not None:
         truth["replay"] = {"starts": replay.starts, "duration_s": replay.duration, "before_s": replay.before}
     if latency is not None:
-        truth["effects"]["input_delay"] = {
-            "parameters": {"delay": latency},
-            "units": {"delay": "s"},
-            "standing": False,
-        }
+        delay = {"parameters": {"delay": latency}, "units": {"delay": "s"}, "standing": False}
+        truth["effects"]["input_delay"] = delay
     return Simulation(system, own.state_names, own.input_names, tuple(runs), truth)
 
 
@@ -316,16 +303,15 @@ def _latency(values: Values | None, step: float, fine: float) -> tuple[float | N
 
 
 def _undeclared(
-    own: System, known: System, *, standing: Sequence[str], asked: Mapping[str, Values]
+    own: System, known: System, standing: Sequence[str], asked: Mapping[str, Values]
 ) -> dict[str, Any]:
-    wanted = {effect_class(key).name for key in asked}
+    wanted = {effect_class(key).name: values for key, values in asked.items()}
     out: dict[str, Any] = {}
     for effect in own.effects:
         assert isinstance(effect, Effect)
         if effect.name in known.effect_names:
             continue
-        values = effect.declared_parameters()
-        given = {effect_class(k).name: v for k, v in asked.items()}.get(effect.name, {})
+        values, given = effect.declared_parameters(), wanted.get(effect.name, {})
         out[effect.name] = {
             # as they were given: what the effect holds went through single precision
             "parameters": {k: given.get(k, _plain(v.tolist())) for k, (v, _) in values.items()},

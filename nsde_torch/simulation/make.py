@@ -54,28 +54,12 @@ class Making:
         self, name: str, *, generator: torch.Generator, sensor_std: Sequence[float] | None = None
     ) -> Plant:
         """The plant of a system; arguments and errors are those of `make_plant`."""
-        return make_plant(
-            name,
-            generator=generator,
-            effects=self.effects,
-            declared_only=self.declared_only,
-            process_noise=self.process_noise,
-            sensor_noise=self.sensor_noise,
-            latency=self.latency,
-            dt=self.dt,
-            step=self.step,
-            values=self.values,
-            sensor_std=sensor_std,
-        )
+        settings = {k: v for k, v in vars(self).items() if k != "battery"}
+        return make_plant(name, generator=generator, sensor_std=sensor_std, **settings)
 
 
 def noise_generator(seed: int, stream: int) -> torch.Generator:
-    """Random numbers of a plant's noise, apart from those that are drawn of the same seed for other things.
-
-    Args:
-        seed: Of the recording.
-        stream: Which of its random numbers.
-    """
+    """Random numbers of a plant's noise, apart from those that are drawn of the same seed for other things."""
     return torch.Generator().manual_seed(int(np.random.default_rng([seed, stream]).integers(2**62)))
 
 

@@ -35,7 +35,6 @@ class Gusts:
         dt: Sample [s].
         scale: Factor on everything, >= 0.
         generator: Source of all randomness; it also sets the device.
-        dtype: Precision.
 
     Raises:
         ConfigError: a port that the system lacks, or a time constant or scale out of range.

@@ -60,12 +60,7 @@ def planned_runs(
 
 
 def planned_flights(
-    name: str,
-    *,
-    durations: Sequence[float] | None = None,
-    seed: int,
-    making: Making = Making(),
-    plan: str,
+    name: str, *, durations: Sequence[float] | None = None, seed: int, making: Making = Making(), plan: str
 ) -> list[RawRun]:
     """One flight of a plan for each duration, along a path through points (`nsde_torch.control.shapes.from_csv`).
 
@@ -97,11 +92,7 @@ def plan_file(plan: str | Path) -> Path:
 
 
 def read_plan(plan: str | Path, names: Sequence[str]) -> tuple[Array, Array]:
-    """Times (N,) [s] and inputs (N, nu) of a plan, each held to the next.
-
-    Args:
-        plan: The file, or the folder that holds it.
-        names: Columns of the inputs.
+    """Times (N,) [s] and inputs (N, nu) of a plan, a file or the folder that holds it, each held to the next.
 
     Raises:
         DataError: the file or a column is missing, something is no number, or times do not increase.

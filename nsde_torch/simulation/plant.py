@@ -197,12 +197,7 @@ class Plant:
 
     @torch.no_grad()
     def restart(self, rows: Tensor, x0: Tensor, u0: Tensor) -> Tensor:
-        """Put some of the machines into a state, as `reset` does with all; the time runs on.
-
-        Args:
-            rows: Indices of the machines (K,).
-            x0: Their true states (K, nx).
-            u0: Commands (K, nu) that were given until now.
+        """Put some machines (K,) into states (K, nx), as `reset` does with all; the time runs on.
 
         Returns:
             Measured states (K, nx).

@@ -107,8 +107,7 @@ def simulated(
         seed: Seed of everything random.
         effects: Effects that the plant has and the model need not declare: `name`, or
             `{name: {parameter: value}}`; parameters of an effect that the plant has anyway are replaced.
-        process_noise: Factor on the machine's gusts.
-        sensor_noise: Factor on the machine's sensor noise.
+        process_noise, sensor_noise: Factors on the machine's gusts and on its sensor noise.
         cache: Folder that keeps the runs; default: NSDE_CACHE, else the user's cache folder.
         use_cache: Whether to read and write the cache.
         gap: Time between rows that counts as a gap [s] (see `nsde_torch.recording.read`).
@@ -144,15 +143,10 @@ def simulated(
             f"simulated runs of {name!r} have no further channels, but effects read "
             f"{sorted({*info.exogenous, *own.exogenous})}. Leave those effects out, or use data=csv."
         )
-    when: dict[str, Any] = {
-        "durations": None if durations is None else [float(d) for d in durations],
-        "seed": int(seed),
-    }
-    which: dict[str, Any] = {
-        "effects": named_effects(effects, name),
-        "process_noise": float(process_noise),
-        "sensor_noise": float(sensor_noise),
-    }
+    lengths = None if durations is None else [float(d) for d in durations]
+    when: dict[str, Any] = {"durations": lengths, "seed": int(seed)}
+    noise = {"process_noise": float(process_noise), "sensor_noise": float(sensor_noise)}
+    which: dict[str, Any] = {"effects": named_effects(effects, name), **noise}
     key = _cache.key_of(_plain({"system": name, **when, **which, "options": options}))
     raw = _cache.load(key, cache) if use_cache else None
     if raw is None:
@@ -168,8 +162,7 @@ def simulated(
         return assemble(raw, info, kind="simulated", gap=gap, clock=clock)
     except DataError as error:
         raise DataError(
-            f"the simulated runs do not pass the checks of measured ones: {error} Weaker noise or "
-            "effects may help."
+            f"the simulated runs do not pass the checks of measured ones: {error} Weaker noise or effects may help."
         ) from error
 
 

@@ -105,10 +105,9 @@ def warnings(
     reach: float = inf,
     receiver: bool | None = None,
 ) -> list[str]:
-    """What is not right and does not forbid to fly.
+    """What is not right and does not forbid to fly, by the autopilot's parameters as far as they were answered.
 
     Args:
-        known: Parameters of the autopilot, as far as they were answered.
         speed: Largest speed of the reference [m/s].
         top: Height of the fence's top above the place of take-off [m].
         reach: Distance of the fence's farthest corner from there, horizontally [m].

@@ -119,12 +119,7 @@ RESET = 0.05
 
 @final
 class FlightLog:
-    """Writes one run; a context manager.
-
-    Args:
-        file: The CSV file; its folder is made. It is created with the first row.
-        motors: Number of motors.
-    """
+    """Writes one run of a vehicle with some motors; a context manager. File and folder are made with the first row."""
 
     def __init__(self, file: Path, motors: int) -> None:
         self.file, self._motors = file, motors

@@ -37,20 +37,12 @@ STANDS = 1.0
 
 
 def land(
-    link: Connection,
-    *,
-    options: FlightOptions | None = None,
-    say: Callable[[str], None] = lambda line: None,
+    link: Connection, *, options: FlightOptions | None = None, say: Callable[[str], None] = lambda line: None
 ) -> FlightOutcome:
     """Ask for LAND until that is confirmed, and wait until the vehicle is disarmed, however long that takes.
 
     No setpoint is sent. Whoever chooses another mode meanwhile has the vehicle; to disarm is asked for on the ground
     alone, and never by force.
-
-    Args:
-        link: An open link.
-        options: How long is waited for the vehicle, a confirmation, and a silent link.
-        say: Takes a line about each step.
 
     Returns:
         Whether it landed, or what kept it from that; raises nothing.
@@ -152,21 +144,19 @@ class FlightReport:
     def as_dict(self) -> dict[str, Any]:
         """Numbers with units in their keys."""
         o = self.outcome
+        resets = [
+            {
+                **{"t_s": round(t, 3), "heading_deg": degrees(s.heading), "position_m": s.position},
+                **{"velocity_m_s": s.velocity, "announced": s.announced},
+            }
+            for t, s in o.steps
+        ]
         return {
             "tracked": o.tracked,
             "landed": o.landed,
             "trouble": None if o.trouble is None else {"kind": o.trouble.kind, "text": o.trouble.text},
             "phases": [{"t_s": round(t, 3), "phase": p, "reason": why} for t, p, why in o.actions],
-            "estimate_resets": [
-                {
-                    "t_s": round(t, 3),
-                    "heading_deg": degrees(s.heading),
-                    "position_m": s.position,
-                    "velocity_m_s": s.velocity,
-                    "announced": s.announced,
-                }
-                for t, s in o.steps
-            ],
+            "estimate_resets": resets,
             "without_plans_s": o.without_plans,
             "rmse_m": self.rmse,
             "position_error_max_m": max(self.errors, default=None),
@@ -194,10 +184,6 @@ class Recorder:
     """Looks at a flight at every tick.
 
     What counts and what is logged is flown by us: states wait until a heartbeat that came after them says so.
-
-    Args:
-        flight: The flight.
-        log: Where states go.
     """
 
     def __init__(self, flight: Offboard, log: FlightLog | None) -> None:

@@ -49,14 +49,10 @@ class Offboard:
         endpoint: The link's end.
         runner: The controller of the reference.
         path: The reference, from the place of take-off.
-        limits: When something is wrong.
-        setpoints: Bounds of the commands that are sent.
-        options: How the flight goes.
+        limits, setpoints, options: See `Limits`, `SetpointLimits` and `FlightOptions`.
         say: Takes one line about each step.
 
     Attributes:
-        phase: Where we are.
-        outcome: How it ended.
         home: Place of take-off [m], once known.
         sent: Time, rates and throttle that left last.
         started: When the reference began, on our clock [s].

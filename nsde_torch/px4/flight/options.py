@@ -36,10 +36,7 @@ class FlightOptions:
     connect: float = key(10.0, "longest wait for the vehicle", unit="s", low=0)
     checks: float = key(10.0, "longest wait for the checks to pass", unit="s", low=0)
     confirm: float = key(
-        5.0,
-        "longest wait for a step to be confirmed; PX4's heartbeats come once a second",
-        unit="s",
-        low=0,
+        5.0, "longest wait for a step to be confirmed; PX4's heartbeats come once a second", unit="s", low=0
     )
     idle: float = key(1.0, "time of streaming before OFFBOARD", unit="s", low=0)
     spool: float = key(0.7, "time in which the throttle rises before the climb", unit="s", low=0)

@@ -114,8 +114,7 @@ class PushEstimate:
     """What pushes the vehicle, learned from velocities while it flies.
 
     Args:
-        delay: From a setpoint to its effect [s].
-        drag: See `carried`.
+        delay, drag: See `carried`.
         time: Time constant of learning [s]; 0: nothing is learned.
         limit: Largest push along each axis [m/s2].
 
@@ -198,11 +197,7 @@ COVERED = ("input_delay", "motor_lag", "actuator_lag")
 
 
 def told(effects: Effects) -> list[dict[str, Any]]:
-    """Effects that a controller of rates and thrust needs to know: those that are more than lateness.
-
-    Args:
-        effects: Names, or names with values, as a diagnosis found them.
-    """
+    """Effects, as a diagnosis found them, that a controller of rates and thrust needs to know: not only lateness."""
     return [{name: values} for name, values in named_effects(effects).items() if name not in COVERED]
 
 
@@ -211,9 +206,6 @@ def without_covered(known: Model | System) -> Model | System:
 
     A trained model has learned the motors' lag. Beside `delay`, and with motors that stand at the plan's first command,
     a quadrotor flew 54 cm beside its path (rms) on its own machine, with 103 plans that tipped; without, 2.7 cm.
-
-    Args:
-        known: A model, which is copied, or declared physics.
     """
     if isinstance(known, System):
         return known.without_effects(*COVERED)
@@ -242,11 +234,7 @@ SLOW = 2.0
 
 
 def braking(controller: Controller) -> Drag:
-    """How a model brakes by its speed along the body, D of a = -D v: slopes at hovering, level [1/s].
-
-    Args:
-        controller: The controller with the model; a file of `nsde export` does not hold it.
-    """
+    """How a controller's model brakes by its speed along the body, D of a = -D v: slopes at hovering, level [1/s]."""
     known = controller.predictor
     x = torch.zeros(6, known.nx, dtype=known.dtype)
     x[:, 6] = 1.0

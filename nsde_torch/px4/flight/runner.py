@@ -15,7 +15,6 @@ import traceback
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from math import inf
 from multiprocessing.connection import Connection
 from typing import final
@@ -35,17 +34,14 @@ class ControllerError(NsdeError, RuntimeError):
 
 
 class Runner(ABC):
-    """Runs a controller.
-
-    Attributes:
-        plan: The newest plan.
-        fault: Why there will be no more.
-        ready: Whether the controller is made.
-    """
+    """Runs a controller."""
 
     plan: DemandPlan | None = None
+    """The newest plan."""
     fault: str | None = None
+    """Why there will be no more."""
     ready: bool = False
+    """Whether the controller is made."""
 
     @abstractmethod
     def offer(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> None:
@@ -151,8 +147,8 @@ class Process(Runner):
                     self._take(answer)
                 elif answer is None:
                     self._busy, self.ready = False, True
-                elif isinstance(answer, _Line):
-                    self._say(answer.text)
+                elif isinstance(answer, tuple):  # a line that was said over there
+                    self._say(*answer)
                 else:
                     self.fault = str(answer)
         except (EOFError, OSError):
@@ -167,13 +163,6 @@ class Process(Runner):
             self._process.join(1.0)
 
 
-@dataclass(frozen=True)
-class _Line:
-    """Said over there."""
-
-    text: str
-
-
 def _work(maker: Maker, pipe: Connection) -> None:
     """What runs in the process."""
     # Ctrl-C is the loop's business: it needs plans until it has landed
@@ -181,7 +170,7 @@ def _work(maker: Maker, pipe: Connection) -> None:
     with contextlib.suppress(OSError, AttributeError):
         os.nice(1)  # the stream goes first
     try:
-        controller = maker(lambda line: pipe.send(_Line(line)))
+        controller = maker(lambda line: pipe.send((line,)))
         pipe.send(None)
         with urgent(PLANS):  # now that it is compiled
             while True:

@@ -64,14 +64,12 @@ class EstimateStep:
     """What a reset changed.
 
     Args:
-        stamp: Of the first state after it, on the autopilot's clock [s].
         position: Step of the position [m].
         velocity: Step of the velocity, beyond what thrust explains [m/s].
         heading: Step of the heading, counter-clockwise from above [rad].
         announced: Whether the autopilot said so.
     """
 
-    stamp: float
     position: float
     velocity: float
     heading: float
@@ -88,7 +86,6 @@ def step_between(last: VehicleState, state: VehicleState) -> EstimateStep | None
     before = turned_by_rates(last.q, w, dt)
     turn = multiply(state.q, (before[0], -before[1], -before[2], -before[3]))
     return EstimateStep(
-        state.stamp,
         distance(state.p, p),
         max(distance(state.v, last.v) - HARDEST * dt, 0.0),
         rotation_vector(turn)[2],
@@ -133,13 +130,8 @@ def contradicted(quality: EstimateQuality | None, limits: Limits, now: float, *,
     """What an estimator says against its own estimate, in words; empty: nothing.
 
     The heading is not in it: PX4's is wrong by design until it is reset in the climb. An error that the estimator does
-    not know of, as of a satellite receiver that is wrong by a metre, shows in none of these.
-
-    Args:
-        quality: The newest, None where it is not sent.
-        limits: See `Limits`.
-        now: [s]
-        part: Share of the largest innovation ratio that is allowed.
+    not know of, as of a satellite receiver that is wrong by a metre, shows in none of these. `part` is the share of the
+    largest innovation ratio that is allowed.
     """
     if quality is None or now - quality.time > QUALITY_AGE:
         return ""
@@ -161,11 +153,7 @@ _UNSUITED = "the controller or its model does not suit the machine, or its plans
 
 @final
 class Watch:
-    """Looks at state and status, and says what is wrong.
-
-    Args:
-        limits: When something is wrong.
-        home: Place of take-off [m].
+    """Looks at state and status of a flight from a place of take-off [m], and says what is wrong.
 
     Attributes:
         steps: Resets of the estimate that were announced or seen, since somebody took them.
@@ -201,13 +189,7 @@ class Watch:
         return self._motion(state, status, now)
 
     def track(self, off: float, plan: DemandPlan, now: float) -> Trouble | None:
-        """What is wrong with how the reference is followed; None: nothing.
-
-        Args:
-            off: Distance from it [m].
-            plan: The newest plan.
-            now: [s]
-        """
+        """What is wrong with how the reference is followed, `off` [m] from it by the newest plan; None: nothing."""
         m = self.limits
         if plan is not self._plan and TIPPED in plan.status:
             self._tipped.append(now)
@@ -263,12 +245,9 @@ class Watch:
         speed = length(state.v)
         tilt = degrees(acos(min(max(cos_tilt(state.q), -1.0), 1.0)))
         self._look_for_steps(state)
+        where = f"outside the fence at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) m"
         checks = (
-            (
-                "fence",
-                m.outside(state.p, self._home),
-                f"outside the fence at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) m",
-            ),
+            ("fence", m.outside(state.p, self._home), where),
             ("speed", speed > m.speed, f"{speed:.1f} m/s is more than {m.speed:g}"),
             ("tilt", tilt > m.tilt, f"tilt of {tilt:.0f} deg is more than {m.tilt:g}"),
         )

@@ -33,9 +33,7 @@ STREAM, PLANS = 2, 1
 def urgent(priority: int) -> Iterator[bool]:
     """Run this thread before those of a lower priority (SCHED_RR), as far as the system allows that; gives whether.
 
-    Args:
-        priority: `STREAM`, which must wait most of the time, or `PLANS`, which may take a whole core and is not urgent
-            where there is only one: what carries the link runs on the others.
+    `PLANS`, which may take a whole core, are not urgent where there is only one: what carries the link runs on others.
     """
     asked = False
     with contextlib.suppress(OSError, AttributeError):  # not allowed, or not Linux

@@ -97,8 +97,6 @@ class Status:
 
     Args:
         heard: Any message.
-        heartbeat: HEARTBEAT.
-        mode: Flight mode.
         armed: Whether motors may turn.
         landed: `landed_state` of EXTENDED_SYS_STATE, 0 unknown.
         voltage: Of the battery [V].
@@ -271,20 +269,15 @@ class Telemetry:
             self.rejected += 1
             return False
         before = self.state
-        if before is not None and stamp <= before.stamp:
-            # late or repeated; but a clock that starts again says so more than once
-            self._old = self._old + 1 if stamp < before.stamp - BACK else 0
-            if self._old < 5:
-                self.rejected += 1
-                return False
-            self.sync.reset()
-        elif before is not None and stamp > before.stamp + BACK and now - before.received < 0.5 * BACK:
-            # a leap ahead of the time that has passed: the same holds
-            self._old += 1
-            if self._old < 5:
-                self.rejected += 1
-                return False
-            self.sync.reset()
+        if before is not None:
+            leap = stamp > before.stamp + BACK and now - before.received < 0.5 * BACK
+            if stamp <= before.stamp or leap:
+                # late, repeated, or ahead of the time that has passed; a clock that is set says so more than once
+                self._old = self._old + 1 if leap or stamp < before.stamp - BACK else 0
+                if self._old < 5:
+                    self.rejected += 1
+                    return False
+                self.sync.reset()
         self._old = 0
         self.sync.arrived(stamp, now)
         # nothing is valid in the future: a state that came is at least as old as its way here

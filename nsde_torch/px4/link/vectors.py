@@ -17,11 +17,7 @@ def rotate(q: Quat, v: Vec) -> Vec:
     a, b, c = v
     # t = 2 r x v, then v + w t + r x t
     ta, tb, tc = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
-    return (
-        a + w * ta + y * tc - z * tb,
-        b + w * tb + z * ta - x * tc,
-        c + w * tc + x * tb - y * ta,
-    )
+    return (a + w * ta + y * tc - z * tb, b + w * tb + z * ta - x * tc, c + w * tc + x * tb - y * ta)
 
 
 def conjugate(q: Quat) -> Quat:

@@ -185,9 +185,9 @@ class SimulatedAutopilot:
     @property
     def streaming(self) -> bool:
         """Whether setpoints come."""
-        if self._setpoint is None:
-            return False
-        return self.time - self._setpoint[0] <= self.parameters["COM_OF_LOSS_T"]
+        return (
+            self._setpoint is not None and self.time - self._setpoint[0] <= self.parameters["COM_OF_LOSS_T"]
+        )
 
     def set_mode(self, mode: Mode) -> None:
         """Change the mode, as an operator's switch does."""
@@ -223,8 +223,7 @@ class SimulatedAutopilot:
         b = self.body
         if not self.armed:
             return
-        if not b.on_ground:
-            self.flown = True
+        self.flown = self.flown or not b.on_ground
         if not self.landed:
             self._landed_at = now
         wait = self.parameters["COM_DISARM_LAND"]
@@ -307,9 +306,8 @@ class SimulatedAutopilot:
 
     def _on_timesync(self, m: Message) -> None:
         if m.tc1 == 0:
-            self._send(
-                mavlink.MAVLink_timesync_message(int((self.time + self.clock_error) * 1e9) or 1, m.ts1)
-            )
+            now = int((self.time + self.clock_error) * 1e9) or 1
+            self._send(mavlink.MAVLink_timesync_message(now, m.ts1))
 
     def _on_set_attitude_target(self, m: Message) -> None:
         rates = frames.body((m.body_roll_rate, m.body_pitch_rate, m.body_yaw_rate))
@@ -325,10 +323,8 @@ class SimulatedAutopilot:
         if name in self.parameters:
             kind = PARAMETERS[name][1]
             value = d.parameter_number(self.parameters[name], kind)
-            index = list(self.parameters).index(name)
-            self._send(
-                mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), index)
-            )
+            place = (len(self.parameters), list(self.parameters).index(name))
+            self._send(mavlink.MAVLink_param_value_message(name.encode(), value, kind, *place))
 
     def _on_param_set(self, m: Message) -> None:
         name = m.param_id.rstrip("\x00")
@@ -337,16 +333,16 @@ class SimulatedAutopilot:
             self._on_param_request_read(m)
 
     def _on_command_long(self, m: Message) -> None:
-        handler = {
-            d.SET_MODE: self._command_mode,
-            d.ARM: self._command_arm,
-            d.SET_INTERVAL: self._command_interval,
-            d.REQUEST_MESSAGE: self._command_message,
-        }.get(m.command)
-        if handler is None:
-            self._ack(m.command, d.UNSUPPORTED)
+        if m.command == d.SET_MODE:
+            self._command_mode(m)
+        elif m.command == d.ARM:
+            self._command_arm(m)
+        elif m.command == d.SET_INTERVAL:
+            self._command_interval(m)
+        elif m.command == d.REQUEST_MESSAGE:
+            self._command_message(m)
         else:
-            handler(m)
+            self._ack(m.command, d.UNSUPPORTED)
 
     def _command_mode(self, m: Message) -> None:
         mode = Mode(int(m.param2), int(m.param3))
@@ -440,10 +436,8 @@ def _heartbeat(a: SimulatedAutopilot, now: float) -> Message:
 
 
 def _sys_status(a: SimulatedAutopilot, now: float) -> Message:
-    left = round(100 * (1.0 - a.body.used))
-    return mavlink.MAVLink_sys_status_message(
-        0, 0, 0, 0, round(1000 * a.body.voltage), -1, left, 0, 0, 0, 0, 0, 0
-    )
+    left, millivolts = round(100 * (1.0 - a.body.used)), round(1000 * a.body.voltage)
+    return mavlink.MAVLink_sys_status_message(0, 0, 0, 0, millivolts, -1, left, *[0] * 6)
 
 
 def _extended_sys_state(a: SimulatedAutopilot, now: float) -> Message:
@@ -480,10 +474,8 @@ def _position_target_local_ned(a: SimulatedAutopilot, now: float) -> Message | N
     to, a.position = a.position, None
     if to is None:
         return None
-    still = [0.0] * 6
-    return mavlink.MAVLink_position_target_local_ned_message(
-        int(now * 1e3), 1, 0, *frames.world(to), *still, 0.0, 0.0
-    )
+    at = (*frames.world(to), *[0.0] * 8)
+    return mavlink.MAVLink_position_target_local_ned_message(int(now * 1e3), 1, 0, *at)
 
 
 def _estimator_status(a: SimulatedAutopilot, now: float) -> Message:
@@ -496,9 +488,8 @@ def _home_position(a: SimulatedAutopilot, now: float) -> Message | None:
     """Known from the first arming on."""
     if a.home is None:
         return None
-    return mavlink.MAVLink_home_position_message(
-        0, 0, 0, *frames.world(a.home), [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0
-    )
+    unturned = [1.0, 0.0, 0.0, 0.0]
+    return mavlink.MAVLink_home_position_message(0, 0, 0, *frames.world(a.home), unturned, *[0.0] * 3)
 
 
 def _servo_output_raw(a: SimulatedAutopilot, now: float) -> Message:

@@ -109,15 +109,7 @@ class HilSensors:
         self._flown = deque[tuple[Vec, Vec]](maxlen=ceil(self._errors.gps_delay * RATE) + 1)
 
     def messages(self, time: float, p: Vec, v: Vec, q: Quat, w: Vec) -> list[Message]:
-        """What is sent of one state; call it once for each sample.
-
-        Args:
-            time: [s]
-            p: Position from the place of take-off, ENU [m].
-            v: Velocity, ENU [m/s].
-            q: Attitude, FLU to ENU.
-            w: Body rates, FLU [rad/s].
-        """
+        """What is sent of one state, ENU and FLU, at a time [s]; call it once for each sample."""
         k, self._count = self._count, self._count + 1
         b, r = self._before, self._rest
         gained = (
@@ -232,13 +224,7 @@ _LOCKSTEP = 1
 
 @final
 class HilPlant:
-    """The machine and its sensors, without a connection and without a clock.
-
-    Args:
-        body: The machine; its step must be the IMU's.
-        seed: Of the sensors' noise.
-        noise: Factor on it.
-        errors: Of the sensors.
+    """The machine, whose step must be the IMU's, and its sensors, without a connection and without a clock.
 
     Attributes:
         controls: Motor commands in force.

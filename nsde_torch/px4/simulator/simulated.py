@@ -97,9 +97,8 @@ def fly_simulated(
         body: The machine, on the ground.
         controller: See `FlightController`.
         path: Where to fly, from the place of take-off.
-        seed: Of the noise of the estimate.
+        seed: Of the noise of the estimate; `sensor_noise` is a factor on it.
         period: Time between plans [s].
-        sensor_noise: Factor on that noise.
         options: See `FlightOptions`.
         log: File of the log; None: none.
 

@@ -18,12 +18,9 @@ LONGEST = 0.1
 
 @final
 class Vehicle:
-    """Runs a simulated autopilot; a context manager that does so in a thread.
+    """Runs a simulated autopilot on a transport, `speed` seconds of its clock in one of ours.
 
-    Args:
-        autopilot: The vehicle.
-        transport: Bytes in and out.
-        speed: Seconds of its clock in a second.
+    A context manager does so in a thread.
 
     Attributes:
         slipped: Time that its clock lost because the machine was busy [s].

@@ -151,14 +151,14 @@ def _designed(
     """A plan for a question; the limit that is in the way where none stays within them."""
     loop.say(f"\nexperiment {number}: {asked(question.content())}")
     e, stages = loop.config.experiment, Stages()
-    options = DesignOptions(
-        duration=e.duration,
-        limits=plan_limits(loop.config),
-        **{k: e[k] for k in ("samples", "proposals", "generations", "rehearsals")},
-        seed=loop.config.seed * 100 + number,
-    )
     machine: dict[str, Any] = {"clock": known.clock, "values": known.values}
     try:
+        options = DesignOptions(
+            duration=e.duration,
+            limits=plan_limits(loop.config),
+            **{k: e[k] for k in ("samples", "proposals", "generations", "rehearsals")},
+            seed=loop.config.seed * 100 + number,
+        )
         made = design(
             known.system, known.runs, question, options, **machine, baselines=e.baselines, say=stages
         )

@@ -97,11 +97,9 @@ class VirtualVehicle:
         self._body(0)  # what the machine cannot be is said before anything is flown
 
     def told(self, effects: list[Any]) -> list[Any]:
-        """See `FlyingMachine`."""
         return _by_name(told(effects))
 
     def fly(self, path: FlightPath, effects: list[Any], *, seed: int, log: Path) -> dict[str, Any]:
-        """See `FlyingMachine`."""
         report = fly_simulated(
             self._body(seed),
             self._controller(path, effects),
@@ -149,11 +147,9 @@ class TrackedPlant:
         track_build.plant(config.plant, physics(config, []), seed=0)
 
     def told(self, effects: list[Any]) -> list[Any]:
-        """See `FlyingMachine`."""
         return _by_name(effects)
 
     def fly(self, path: FlightPath, effects: list[Any], *, seed: int, log: Path) -> dict[str, Any]:
-        """See `FlyingMachine`."""
         known = physics(self._config, effects)
         plant = track_build.plant(self._config.plant, known, seed=seed)
         reference = Reference(path)
@@ -197,7 +193,6 @@ class LinkedVehicle:
         self._motors = system.nu
 
     def told(self, effects: list[Any]) -> list[Any]:
-        """See `FlyingMachine`."""
         return _by_name(told(effects))
 
     def fly(self, path: FlightPath, effects: list[Any], *, seed: int, log: Path) -> dict[str, Any]:

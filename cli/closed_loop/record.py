@@ -36,12 +36,12 @@ def record(loop: ClosedLoop, experiments: list[dict[str, Any]], stop: StoppedLoo
     whole = bool(pairs) and all(f["tracked"] for f in (*before, *after))
     ratios = [p["after_m"] / p["before_m"] for p in pairs] if whole else []
     config = loop.config
-    plant = {k: build.options(config.plant)[k] for k in ("effects", "declared_only")}
+    plant = build.options(config.plant)
     content: dict[str, Any] = {
         "system": config.plant.system,
         "by": config.by,
         # what a person flies, or is at the other end of a link, is not known
-        "plant": None if config.by in (LINK, HAND) else plant,
+        "plant": None if config.by in (LINK, HAND) else {k: plant[k] for k in ("effects", "declared_only")},
         "reference": {"name": loop.reference.name, "duration_s": loop.reference.duration},
         "verdict": diagnosed["verdict"],
         "told": told,

@@ -102,8 +102,7 @@ def run(config: DictConfig, job: Job) -> None:
 
     from nsde_torch.errors import ConfigError
     from nsde_torch.recording.chain import Recording
-    from nsde_torch.simulation.files import check_free, truth_path, write
-    from nsde_torch.simulation.generate import simulate
+    from nsde_torch.simulation.generate import check_free, simulate, truth_path, write
     from nsde_torch.simulation.replay import Replay
 
     from .. import build

@@ -141,10 +141,7 @@ class PolicyEnv(gymnasium.Env[Any, Any]):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Advance by one step; after the end of an episode comes `reset`.
-
-        Args:
-            action: Action (na,).
+        """Advance by one step under an action (na,); after the end of an episode comes `reset`.
 
         Returns:
             What the policy sees, reward, terminated, truncated, and nothing more.

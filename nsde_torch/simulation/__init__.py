@@ -6,13 +6,11 @@ from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
     from nsde_torch.simulation.cartpole import SwingUp, cartpole_episodes
-    from nsde_torch.simulation.excitation import excited_runs
-    from nsde_torch.simulation.files import write
+    from nsde_torch.simulation.excitation import excited_runs, spring_runs
     from nsde_torch.simulation.flights import manual_flights
-    from nsde_torch.simulation.generate import Simulation, simulate
+    from nsde_torch.simulation.generate import Simulation, simulate, write
     from nsde_torch.simulation.learned_plant import LearnedPlant
     from nsde_torch.simulation.make import Making, make_plant, record
-    from nsde_torch.simulation.mass_spring_damper import spring_runs
     from nsde_torch.simulation.options import ReplayOptions
     from nsde_torch.simulation.plant import Plant
     from nsde_torch.simulation.registry import simulated

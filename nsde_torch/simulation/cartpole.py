@@ -94,9 +94,8 @@ def cartpole_episodes(
     """Episodes of the cart and pole.
 
     Args:
-        name: System.
+        name, seed: See `excited_runs`.
         durations: Length of each episode [s]; default: twenty of 4 s.
-        seed: Seed of first states, actions and noise.
         policy: `random` (a new action, uniform in [-1, 1], at every sample), `on_policy` (swing up and
             balance), or `mixed` (the episodes in turn).
         exploration: Standard deviation of the noise added to the actions of the controller.

@@ -20,13 +20,9 @@ class LearnedPlant:
 
     Args:
         model: The model.
-        dt: Sample [s].
-        generator: Source of all randomness.
-        sensor_std: Noise of each error channel; None: the state itself is measured.
         process_noise: Factor on the diffusion.
-        sensor_noise: Factor on the sensor noise.
         latency: Time from a command to its effect [s], rounded to samples.
-        limits: Lowest and highest command.
+        dt, generator, sensor_std, sensor_noise, limits: See `Plant`.
 
     Raises:
         ConfigError: the model is no neural SDE.

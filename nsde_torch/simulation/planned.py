@@ -35,10 +35,8 @@ def planned_runs(
     """One run of a plan for each duration, which the plan is held to the end of.
 
     Args:
-        name: System.
+        name, seed, making: See `excited_runs`.
         durations: Length of each run [s]; default: one of the plan's.
-        seed: Seed of the noise.
-        making: Effects and noise of the plant, and how it is made.
         plan: CSV file of `t` and the inputs, or the folder that `nsde design` wrote.
         start: First values of states; default: those of `design.json` beside the plan, else 0.
 

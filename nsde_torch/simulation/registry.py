@@ -18,10 +18,9 @@ from nsde_torch.recording import assemble
 from nsde_torch.simulation import cache as _cache
 from nsde_torch.simulation import cartpole, flights
 from nsde_torch.simulation.cartpole import cartpole_episodes
-from nsde_torch.simulation.excitation import excited_runs
+from nsde_torch.simulation.excitation import excited_runs, spring_runs
 from nsde_torch.simulation.flights import manual_flights
 from nsde_torch.simulation.make import Making, check_numbers
-from nsde_torch.simulation.mass_spring_damper import spring_runs
 from nsde_torch.simulation.planned import plan_file, planned_flights, planned_runs, read_plan
 from nsde_torch.simulation.replay import replayed_flights
 from nsde_torch.systems import Multirotor, System, make_system

@@ -66,10 +66,9 @@ def replayed_flights(
     """Interventions on the machine of `manual_flights`, from states of its flights.
 
     Args:
-        name: System, `hexacopter` or `quadrotor`.
         replay: How many interventions, and how long.
         seed: Seed of the flights, which are those of `manual_flights`, and of the draws from them.
-        durations, making, options: As for `manual_flights`.
+        name, durations, making, options: As for `manual_flights`.
 
     Returns:
         For each run its interventions in the order of time, each with the column `intervention`.

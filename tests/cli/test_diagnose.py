@@ -19,7 +19,7 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.models import IdentifiedModel
 from nsde_torch.recording import Recording
 from nsde_torch.simulation import simulate
-from nsde_torch.simulation.files import write
+from nsde_torch.simulation.generate import write
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 

@@ -20,7 +20,7 @@ from nsde_torch.diagnosis.files import EFFECTS, REPORT, RESULT
 from nsde_torch.diagnosis.stages import SELECTION
 from nsde_torch.progress import Stages
 from nsde_torch.simulation import simulate
-from nsde_torch.simulation.files import write
+from nsde_torch.simulation.generate import write
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 

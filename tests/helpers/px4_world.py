@@ -175,6 +175,17 @@ class World:
         assert self.flight.outcome.trouble is not None, self.says
         return self.flight.outcome.trouble
 
+    def ended(self, kind: str, said: str) -> None:
+        """It went wrong, of this kind and in these words."""
+        assert self.trouble.kind == kind, self.says
+        assert said in self.trouble.text
+
+    @property
+    def flown(self) -> bool:
+        """To the end of the reference, and landed, and nothing went wrong."""
+        outcome = self.flight.outcome
+        return outcome.tracked and outcome.landed and outcome.trouble is None and self.safe
+
     @property
     def safe(self) -> bool:
         """On the ground, disarmed, and nothing streamed any more."""

@@ -52,8 +52,7 @@ def test_flying_is_refused_where_nobody_could_take_over_or_px4_would_stop_the_mo
 ) -> None:
     parameters = {"COM_OBL_RC_ACT": action, "COM_RC_IN_MODE": sticks}
     world = World(path=SHORT, options=FlightOptions(checks=1.0), parameters=parameters).run()
-    assert world.trouble.kind == "refused"
-    assert f"COM_OBL_RC_ACT is {action:g}: when the stream ends PX4 {said}" in world.trouble.text
+    world.ended("refused", f"COM_OBL_RC_ACT is {action:g}: when the stream ends PX4 {said}")
     assert "`param set COM_OBL_RC_ACT 4` makes it land" in world.trouble.text
     assert not world.setpoints
 

@@ -16,8 +16,7 @@ from nsde_torch.recording import read
 from nsde_torch.recording.chain import Recording
 from nsde_torch.simulation import make_plant
 from nsde_torch.simulation.battery import FULL, LOAD
-from nsde_torch.simulation.files import write
-from nsde_torch.simulation.generate import Simulation, simulate
+from nsde_torch.simulation.generate import Simulation, simulate, write
 from nsde_torch.systems import MACHINES, make_plant_system, make_system, system_class
 
 SHORT: dict[str, dict[str, Any]] = {

@@ -116,7 +116,6 @@ class FlightReport:
         hover: Throttle that hovers, as learned.
         log: The log, None where nothing was flown.
         link: What became of frames.
-        texts: What the autopilot said.
         drift: Seconds that its clock gains in one of ours.
         quality: The worst that the vehicle's estimator said of itself in flight, by the names of `EstimateQuality`.
     """
@@ -287,12 +286,9 @@ def fly(
     rate: float = RATE,
     watch: Callable[[Offboard, float], None] | None = None,
 ) -> FlightReport:
-    """Fly once, from the ground to the ground.
+    """Fly a path from the place of take-off once, from the ground to the ground.
 
     Args:
-        link: An open link.
-        runner: The controller.
-        path: Where to fly, from the place of take-off.
         motors: Number of motors, for the log.
         log: File of the log; None: none.
         limits, setpoints, options: See `Limits`, `SetpointLimits` and `FlightOptions`.
@@ -327,8 +323,9 @@ def fly(
                 if watch is not None:
                     watch(flight, now)
                 due = max(due + 1.0 / rate, now)  # ticks that were missed are not made up for
-                if due > link.now():
-                    link.pause(due - link.now())
+                wait = due - link.now()
+                if wait > 0:
+                    link.pause(wait)
         except BaseException:
             # whatever it was: the last thing that PX4 hears from us is to land, and no more rates
             flight.streaming = False

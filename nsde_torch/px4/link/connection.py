@@ -83,12 +83,15 @@ class Link(Connection):
 
     Args:
         transport: Bytes in and out.
-        target, key: See `Endpoint`.
+        system, target, key: See `Endpoint`.
     """
 
-    def __init__(self, transport: Transport, *, target: int | None = None, key: bytes | None = None) -> None:
+    def __init__(
+        self, transport: Transport, *, system: int = 245, target: int | None = None, key: bytes | None = None
+    ) -> None:
         self._transport = transport
-        self.endpoint = Endpoint(transport.send, target=target, key=key, stream=transport.stream)
+        stream = transport.stream
+        self.endpoint = Endpoint(transport.send, system=system, target=target, key=key, stream=stream)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._receive, name="mavlink", daemon=True)
         self.fault: Exception | None = None
@@ -157,10 +160,12 @@ def why_no_state(endpoint: Endpoint, timeout: float) -> str:
     return f"nothing was heard within {timeout:g} s. Is the vehicle on, and does it send to this address?"
 
 
-def open_link(url: str, *, expose: bool = False, target: int | None = None, key: bytes | None = None) -> Link:
+def open_link(
+    url: str, *, expose: bool = False, system: int = 245, target: int | None = None, key: bytes | None = None
+) -> Link:
     """A link to what a url names; see `transport` and `Endpoint`.
 
     Raises:
         LinkError: the url is not understood or cannot be opened.
     """
-    return Link(open_transport(url, expose=expose), target=target, key=key)
+    return Link(open_transport(url, expose=expose), system=system, target=target, key=key)

@@ -37,8 +37,6 @@ _OTHERS = ("HEARTBEAT", "STATUSTEXT", "PARAM_VALUE", "TIMESYNC", "ACTUATOR_OUTPU
 _IN_ORDER = frozenset(("HEARTBEAT", "STATUSTEXT", "EXTENDED_SYS_STATE", "SYS_STATUS"))
 NUMBERS: dict[str, int] = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
 WANTED = frozenset(NUMBERS[name] for name in (*INTERVALS, *_OTHERS))
-GROUND_STATION = (245, 190)
-"""Our system and component ids."""
 HEARTBEATS = 0.2
 """Time between requests for the vehicle's heartbeat [s]; PX4 sends one a second, and no other interval is accepted."""
 CHECKED = 2.0
@@ -53,6 +51,7 @@ class Endpoint:
 
     Args:
         send: Where bytes go.
+        system: Our system id; as a rule that of a ground station.
         target: The vehicle's system id; None: the first autopilot that is heard.
         key: Signing key; None: no signing.
         stream: Whether bytes come as a stream.
@@ -65,11 +64,12 @@ class Endpoint:
         self,
         send: Callable[[bytes], None],
         *,
+        system: int = 245,
         target: int | None = None,
         key: bytes | None = None,
         stream: bool = False,
     ) -> None:
-        self.codec = Codec(*GROUND_STATION, key=key, wanted=WANTED, stream=stream)
+        self.codec = Codec(system, 190, key=key, wanted=WANTED, stream=stream)
         self.telemetry = Telemetry()
         self.lock = threading.RLock()
         self.target, self._send = target, send

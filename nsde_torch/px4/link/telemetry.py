@@ -71,11 +71,9 @@ class EstimateQuality:
     Args:
         time: When it came, on our clock [s].
         velocity_ratio: Innovation over the gate of its test, squared; above 1 the estimator rejects that sensor.
-        position_ratio: The same of the horizontal position.
-        height_ratio: The same of the height.
+        position_ratio, height_ratio: The same of the horizontal position and of the height.
         heading_ratio: The same of the heading, or of the magnetometer.
-        horizontal_m: Standard deviation of the horizontal position [m].
-        vertical_m: Standard deviation of the height [m].
+        horizontal_m, vertical_m: Standard deviations of the horizontal position and of the height [m].
     """
 
     time: float
@@ -130,7 +128,6 @@ class Telemetry:
 
     Attributes:
         sync: The autopilot's clock.
-        status: See `Status`.
         state: The newest consistent state, None before the first.
         history: The newest ones, for who looks less often than they come.
         followed: Setpoints that the autopilot says it follows, for who takes them.

@@ -81,11 +81,9 @@ class SimulatedAutopilot:
     """A vehicle without a connection: bytes in by `receive`, bytes out from `advance`, on its own clock.
 
     Args:
-        body: The machine.
         system: Its MAVLink system id.
         key: Signing key; with one, unsigned messages are ignored.
-        seed: Of the estimate's noise.
-        sensor_noise: Factor on it.
+        seed: Of the estimate's noise; `sensor_noise` is a factor on it.
         stream: Whether bytes come as a stream.
         parameters: Values of parameters other than `PARAMETERS`.
         heading_error, errors: See `SimulatedEstimator`.

@@ -40,11 +40,8 @@ class Body:
     """One multirotor.
 
     Args:
-        name: A system that has a multirotor plant.
-        seed: Of gusts and noise.
-        effects: Effects beyond those of the machine (see `make_plant_system`).
-        declared_only: Leave out the undeclared effects that the machine has anyway.
-        process_noise: Factor on the gusts.
+        name, effects, declared_only: See `make_plant_system`; a multirotor.
+        seed: Of the gusts; `process_noise` is a factor on them.
         latency: Time from a command to its effect [s]; an effect `input_delay` adds to it.
         dt: Step [s].
 
@@ -232,9 +229,8 @@ class Body:
             push = _plus(push, tuple(a - b for a, b in zip(found[3:6], bare, strict=True)), 1.0)
             twist = _plus(twist, tuple(a - b for a, b in zip(found[10:13], spin, strict=True)), 1.0)
             self._memory, self._memory_rate = z[:, 13:], rate[:, 13:]
-            if (
-                self._lag is not None
-            ):  # what effects before the lag (a dead band, a limit) add to the motors' rates
+            if self._lag is not None:
+                # what effects before the lag (a dead band, a limit) add to the motors' rates
                 self._motor_push = tuple(
                     r - (c - m) / self._tau
                     for r, c, m in zip(rate[0, self._lag].tolist(), command, self.motors, strict=True)

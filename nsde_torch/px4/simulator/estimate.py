@@ -45,7 +45,6 @@ class SimulatedEstimator:
 
     Args:
         std: Noise of position, velocity, attitude and rates.
-        seed: Of the noise, and of the heading's errors.
         heading: Error of the heading until it is reset [rad]; None: another one in each flight.
         errors: Of the sensors, of which the slow error of the position is this one's.
 

@@ -90,13 +90,9 @@ def pressure(height: float) -> float:
 
 @final
 class HilSensors:
-    """Sensors with errors.
+    """Sensors with noise, a factor on which is `noise`, biases and delay.
 
-    Args:
-        seed: Of the noise.
-        noise: Factor on it.
-        errors: Noise, biases and delay. A delay other than the one that PX4 expects sets its position and velocity
-            apart from its attitude.
+    A delay other than the one that PX4 expects sets its position and velocity apart from its attitude.
     """
 
     def __init__(self, *, seed: int, noise: float = 1.0, errors: SensorErrors | None = None) -> None:
@@ -135,11 +131,8 @@ class HilSensors:
         fields |= BAROMETER if _due("baro", k) else 0
         stamp = round(time * 1e6)
         self._flown.append((p, v))
-        out = [
-            mavlink.MAVLink_hil_sensor_message(
-                stamp, *acc, *gyro, *mag, air, 0.0, _height(air), 15.0 - 0.0065 * height, fields, 0
-            )
-        ]
+        rest = (air, 0.0, _height(air), 15.0 - 0.0065 * height, fields, 0)
+        out = [mavlink.MAVLink_hil_sensor_message(stamp, *acc, *gyro, *mag, *rest)]
         if _due("gps", k):
             out.append(self._gps(stamp, *self._before_delay()))
         if _due("truth", k):

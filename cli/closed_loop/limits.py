@@ -15,24 +15,6 @@ from nsde_torch.systems import System
 from .. import build
 
 
-def fence_of(experiment: DictConfig) -> list[list[float]]:
-    """Lowest and highest x, y, z of an experiment [m].
-
-    Raises:
-        ConfigError: a fence that is none.
-    """
-    fence = build.options(experiment)["fence"]
-    if not (
-        isinstance(fence, list)
-        and len(fence) == 3
-        and all(isinstance(p, list) and len(p) == 2 and float(p[0]) < float(p[1]) for p in fence)
-    ):
-        raise ConfigError(
-            f"`experiment.fence` takes [[x_low,x_high],[y_low,y_high],[z_low,z_high]]; got {fence!r}."
-        )
-    return fence
-
-
 def plan_limits(config: DictConfig) -> dict[str, list[float]]:
     """Lowest and highest value of each state of a plan, by its name.
 
@@ -40,7 +22,7 @@ def plan_limits(config: DictConfig) -> dict[str, list[float]]:
         ConfigError: a fence that is none.
     """
     e = config.experiment
-    limits = {f"p_{axis}": pair for axis, pair in zip("xyz", fence_of(e), strict=True)}
+    limits = {f"p_{axis}": list(pair) for axis, pair in zip("xyz", build.fence(e, "experiment"), strict=True)}
     limits |= {f"v_{axis}": [-e.speed, e.speed] for axis in "xyz"}
     for axis in "xyz":
         group, _, key = limit_key(f"w_{axis}", config).partition(".")
@@ -63,8 +45,8 @@ def check_inside(experiment: DictConfig, limits: Limits) -> None:
     Raises:
         ConfigError: names both keys.
     """
-    names = ("x", "y", "z")
-    for axis, (low, high), (lowest, highest) in zip(names, fence_of(experiment), limits.fence, strict=True):
+    fence = build.fence(experiment, "experiment")
+    for axis, (low, high), (lowest, highest) in zip("xyz", fence, limits.fence, strict=True):
         # a path nearer to the fence's top is refused before take-off
         highest -= MARGIN if axis == "z" else 0.0
         if low < lowest or high > highest + 1e-6:

@@ -17,10 +17,9 @@ from nsde_torch.errors import DataError
 from nsde_torch.px4.link.transport import LinkError
 from nsde_torch.whole_files import json_text
 
-from .. import track_build
+from .. import build, track_build
 from ..exit_status import FLIGHT_ENDED, EndedError
 from .experiments import ExperimentLoop, StoppedLoop, run_experiments
-from .limits import fence_of
 from .logs import diagnose_logs, diagnosis_content, effects_found, log_files
 from .machines import HAND, LINK, FlyingMachine, machine_of, physics, true_effects
 
@@ -43,7 +42,7 @@ class ClosedLoop:
     def __init__(self, config: DictConfig, folder: Path) -> None:
         self.config, self.folder = config, folder
         if config.experiments:
-            fence_of(config.experiment)
+            build.fence(config.experiment, "experiment")
         self.reference: Reference = track_build.reference(config.reference)
         self.machine: FlyingMachine | None = None if config.by == HAND else machine_of(config, say)
         # what a person flew may be of any kind; what we fly we log as CSV, with a .ulg beside it

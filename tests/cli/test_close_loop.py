@@ -98,6 +98,7 @@ def test_where_nothing_is_found_nothing_changes(told: list[Any], capsys: pytest.
         (["plant.effects=[linear_drg]"], "linear_drag"),
         (["reference.speed=20"], "reference.check=false"),
         (["experiments=1", "experiment.fence=[[3,-3],[-3,3],[0.4,4]]"], "`experiment.fence` takes"),
+        (["experiments=1", "experiment.fence=[[wall,3],[-3,3],[0.4,4]]"], "`experiment.fence` takes"),
         (["flights=0"], "`flights` must be at least 1"),
         (["flihgts=2"], "Did you mean `flights`"),
     ],

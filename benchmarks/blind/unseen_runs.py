@@ -3,7 +3,8 @@
     python benchmarks/blind/unseen_runs.py --seed 1 --count 24 --out runs/unseen
 
 Machines are those of `run_differences`; what differs is drawn for each of fifteen runs from one normal law. A model is
-trained by default on five of them, and the coverage is that of the ten others, by horizon.
+trained by default on five of them; coverage, by horizon, and minus the log density of a measurement are of the ten
+others.
 """
 
 from __future__ import annotations
@@ -62,6 +63,7 @@ def trained(name: str, seed: int) -> Json:
         "networks": {k: v["variables"] for k, v in metrics["innovations"]["networks"].items() if v["kept"]},
         "factor": metrics["calibration"]["factor"],
         "coverage": {h: float(np.mean([by[h] for by in coverage.values()])) for h in horizons},
+        "nll": float(np.mean([v for by in metrics["test"]["nll"].values() for v in by.values()])),
         "seconds": round(time.perf_counter() - start, 1),
     }
 
@@ -74,7 +76,8 @@ def line(answer: Json) -> str:
     found = ", ".join(answer["found"]) or "nothing"
     learned = "; ".join(f"{k}: {', '.join(v)}" for k, v in answer["networks"].items())
     return (
-        f"{answer['kind']:18} {answer['seed']} {held}; differs: {found}; sigma times {answer['factor']:.2f}"
+        f"{answer['kind']:18} {answer['seed']} {held}; differs: {found}; sigma times {answer['factor']:.2f}; "
+        f"{answer['nll']:.2f} nats"
         + (f"; networks of {learned}" if learned else "")
         + f" ({answer['seconds']:.0f} s)"
     )

@@ -160,7 +160,7 @@ def test_sigma_is_learned_unless_the_loss_or_the_user_declares_it(words: list[st
 def test_system_identification_takes_plain_differences_where_the_log_smoothed_its_inputs(
     asked: list[str], reach: int, expected: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kind, "filter_reach", lambda *given: reach)
+    monkeypatch.setattr(kind.Choice, "filter_reach", property(lambda _: reach))
     spec = _spec(_configuration("system=cartpole", "model=sysid", *asked))
     assert (spec.method, spec.step, spec.max_iterations) == (expected, "rk4", 20)
 

@@ -151,7 +151,6 @@ class AsymmetricGain(Effect):
             0.0, "1", low=-0.9, high=0.9, scale=0.1, help="half the difference of the gains of both signs"
         )
     }
-    null = {"asymmetry": 0.0}
     amplitudes = ("asymmetry",)
     sentence = "Positive commands act 1 + {asymmetry} times, negative ones 1 - {asymmetry} times."
     separate = "give inputs of both signs and of several sizes, at rest in between"
@@ -169,7 +168,6 @@ class ActuatorGainDrift(Effect):
     formula = "u_eff = u (1 + r t)"
     source = "warming or wear of an actuator, first order in time"
     PARAMETERS = {"rate": Parameter(0.0, "1/s", scale=0.01, help="relative change of strength per second")}
-    null = {"rate": 0.0}
     amplitudes = ("rate",)
     sentence = "The actuator's strength changes by {rate}, counted from the start of the clock."
     separate = "repeat the same inputs early and late in a long run"
@@ -193,7 +191,6 @@ class _EfficiencyLoss(Effect):
             1e-3, "1", low=-0.3, high=1.0, scale=0.1, help="share lost, one per input", per_input=True
         )
     }
-    null = {"loss": 0.0}
     amplitudes = ("loss",)
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:

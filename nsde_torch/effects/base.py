@@ -24,17 +24,11 @@ from torch import Tensor, nn
 
 from nsde_torch.errors import ConfigError
 
-# Copies of modules, without the dozen empty tables of hooks that `copy.deepcopy` takes apart in every one.
-#
-# A diagnosis copies systems by the thousand.
-
 
 def copied(module: nn.Module, memo: dict[int, Any]) -> Any:
-    """A deep copy of a module, for its `__deepcopy__`.
+    """A deep copy of a module, for its `__deepcopy__`; a diagnosis copies systems by the thousand.
 
-    Args:
-        module: What is copied.
-        memo: That of `copy.deepcopy`.
+    Without the dozen empty tables of hooks that `copy.deepcopy` takes apart in every one.
     """
     out = memo[id(module)] = type(module).__new__(type(module))
     for name, value in vars(module).items():
@@ -93,25 +87,16 @@ class Port(str, Enum):
 
 @dataclass(frozen=True)
 class Parameter:
-    """A physical parameter with bounds; the optimiser sees an unbounded number.
+    """A physical parameter with bounds; the optimiser sees an unbounded number."""
 
-    Args:
-        initial: First value, one number or one per axis, strictly inside the bounds.
-        unit: Unit of the value.
-        low: Lower bound, or None.
-        high: Upper bound, or None.
-        scale: Size of a typical change; sets the speed of learning (default: |initial|, at least 0.1).
-        help: What it is, one line.
-        per_input: One number per input of the system; `initial` is then that of each.
-    """
-
-    initial: float | tuple[float, ...]
+    initial: float | tuple[float, ...]  # first value, one number or one per axis, strictly inside the bounds
     unit: str
     low: float | None = None
     high: float | None = None
     scale: float | None = None
-    help: str = ""
-    per_input: bool = False
+    """Size of a typical change; sets the speed of learning (default: |initial|, at least 0.1)."""
+    help: str = ""  # what it is, one line
+    per_input: bool = False  # one number per input of the system; `initial` is then that of each
 
     def __deepcopy__(self, memo: dict[int, object]) -> Parameter:
         """Itself: nothing of it can change, and systems are copied by the hundred."""
@@ -249,8 +234,8 @@ class Effect(Parametrised, ABC):
         exogenous: Logged columns that it reads beside the inputs.
         quantities: What it reads of the system's own working, name -> columns (see `System.quantities`).
         null: Values at which it adds nothing (a bound may mean "arbitrarily close to"). Parameters left out
-            are without effect at these values.
-        amplitudes: Parameters of `null` that the term is linear in.
+            are without effect at these values. Those of `amplitudes` are 0 unless it says otherwise.
+        amplitudes: Parameters that the term is linear in.
         shapes: First values to try for parameters that it is not linear in; a vector parameter takes one number for
             all axes or a tuple.
         smooth: Parameters of `shapes` that one linear step fits again to some of the runs, as it does amplitudes.
@@ -299,6 +284,11 @@ class Effect(Parametrised, ABC):
     separate: ClassVar[str] = ""
     whole_steps: ClassVar[bool] = False
     jumps: ClassVar[bool] = False
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        if "amplitudes" in cls.__dict__ and "null" not in cls.__dict__:
+            cls.null = dict.fromkeys(cls.amplitudes, 0.0)
 
     def __init__(self, values: Mapping[str, float | list[float]] | None = None, *, n_inputs: int = 1) -> None:
         self.n_inputs = n_inputs

@@ -138,7 +138,6 @@ class RunDifference(ByRun):
     PARAMETERS = {
         "change": Parameter(0.0, "1", scale=0.1, help="in each run but the reference, against that")
     }
-    null = {"change": 0.0}
     amplitudes = ("change",)
     separate = "record a run of each kind again, in another order"
 
@@ -169,8 +168,6 @@ def difference_class(target: str, width: int = 1, unit: str = "1", scale: float 
     Args:
         target: See `RunDifference`.
         width: Numbers that the parameter has.
-        unit: Its unit.
-        scale: Its typical size.
     """
     effect, _, own = target.rpartition("/")
     what = "The mass" if target == MASS else f"{own} of {effect}" if effect else target

@@ -26,7 +26,6 @@ class TrackTilt(Effect):
     formula = "-g s, s = sin(angle of the track)"
     source = "gravity along an incline, in the equations of " + FLORIAN
     PARAMETERS = {"slope": Parameter(0.0, "1", scale=0.01, help="rise over length along the track")}
-    null = {"slope": 0.0}
     amplitudes = ("slope",)
     sentence = "The track rises by {slope} of its length, so that cart and pole are pulled along it."
     separate = "leave it alone, at rest: a tilt moves cart and pole alike, a force on the cart tilts the pole"
@@ -51,7 +50,6 @@ class PoleGravity(Effect):
     PARAMETERS = {
         "excess": Parameter(0.0, "1/s2", scale=0.02, help="by how much gravity turns the pole more")
     }
-    null = {"excess": 0.0}
     amplitudes = ("excess",)
     sentence = "Gravity turns the pole by {excess} times the sine of its angle more than 9.8 m/s2 does."
     separate = "let the pole swing freely, the cart held: how fast it swings tells gravity over its length"

@@ -18,60 +18,37 @@ KINDS = ("rail", "joint", "axis")
 
 @dataclass(frozen=True)
 class Coordinate:
-    """One way in which a machine can move, as a system declares it.
+    """One way in which a machine can move, as a system declares it."""
 
-    Args:
-        name: What effects of it are called by: `coulomb_friction[NAME]`.
-        velocity: State that is its velocity.
-        port: Port that pushes it.
-        position: State that is its position; empty where none is logged.
-        row: Row of the port, where that has several.
-        kind: `rail` (along a line), `joint` (an angle within limits) or `axis` (turns without end).
-        unit: Unit of the port's row; empty: that of `residual_ports`, or unit of the velocity per second.
-        words: What reports call it: "the cart"; empty: its name.
-        load: One of the system's `quantities`, one column wide: the load [any unit] that friction of it grows with.
-    """
-
-    name: str
-    velocity: str
+    name: str  # what effects of it are called by: `coulomb_friction[NAME]`
+    velocity: str  # state that is its velocity
     port: Port
-    position: str = ""
-    row: int = 0
+    position: str = ""  # state that is its position; empty where none is logged
+    row: int = 0  # row of the port, where that has several
     kind: str = "joint"
+    """`rail` (along a line), `joint` (an angle within limits) or `axis` (turns without end)."""
     unit: str = ""
-    words: str = ""
+    """Unit of the port's row; empty: that of `residual_ports`, or unit of the velocity per second."""
+    words: str = ""  # what reports call it: "the cart"; empty: its name
     load: str = ""
+    """One of the system's `quantities`, one column wide: the load [any unit] that friction of it grows with."""
 
 
 @dataclass(frozen=True)
 class Bound:
-    """A coordinate by columns of the state.
+    """A coordinate by columns of the state, otherwise as `Coordinate`."""
 
-    Args:
-        name: Of the coordinate; empty of a machine's only one, whose effects have plain names.
-        position: Column of the position, or None.
-        velocity: Column of the velocity.
-        port: Port that pushes it.
-        row: Row of the port.
-        width: Rows of the port.
-        kind: See `Coordinate`.
-        units: Units of `position`, `speed` and `force` (what the port adds).
-        words: What reports call it.
-        load: See `Coordinate`.
-        declared: Name that the system gives it, of an only one too.
-    """
-
-    name: str
-    position: int | None
-    velocity: int
+    name: str  # of the coordinate; empty of a machine's only one, whose effects have plain names
+    position: int | None  # column of the position, or None
+    velocity: int  # column of the velocity
     port: Port
     row: int
-    width: int
+    width: int  # rows of the port
     kind: str
-    units: tuple[tuple[str, str], ...]
+    units: tuple[tuple[str, str], ...]  # units of `position`, `speed` and `force` (what the port adds)
     words: str
     load: str = ""
-    declared: str = ""
+    declared: str = ""  # name that the system gives it, of an only one too
 
     @property
     def place(self) -> tuple[int | None, int, Port, int, int]:
@@ -106,10 +83,6 @@ def bound(
     """The coordinates of a system by columns.
 
     Args:
-        declared: As the system declares them.
-        system: Its name, for messages.
-        state_names, state_units: Columns of its state.
-        ports: Width of each port.
         port_units: Units of those ports of which it is known.
         quantities: What effects may read, name -> columns.
 

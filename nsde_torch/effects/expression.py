@@ -56,7 +56,6 @@ def coefficient_units(law: Written, variables: Mapping[str, str], port: str) -> 
     """Unit of each coefficient of a law.
 
     Args:
-        law: The law.
         variables: Unit of each variable; empty where it is unknown.
         port: Unit of the law's value.
 
@@ -159,30 +158,19 @@ FEATURES, UP, TIME = "system.features", "system.up", "time"
 
 @dataclass(frozen=True)
 class Source:
-    """Where a variable comes from.
+    """Where a variable comes from."""
 
-    Args:
-        kind: `state`, `input`, `mixed` (a sum of inputs), `time`, or a quantity.
-        column: Its column there.
-        weights: Of the inputs, of a mixed one.
-    """
-
-    kind: str
-    column: int = 0
-    weights: tuple[float, ...] = ()
+    kind: str  # `state`, `input`, `mixed` (a sum of inputs), `time`, or a quantity
+    column: int = 0  # its column there
+    weights: tuple[float, ...] = ()  # of the inputs, of a mixed one
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of a port.
+    """Rows of a port."""
 
-    Args:
-        names: By which a law names them; one empty name where there is but one.
-        units: Of what is added.
-    """
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
+    names: tuple[str, ...]  # by which a law names them; one empty name where there is but one
+    units: tuple[str, ...]  # of what is added
 
     def written(self, port: str) -> list[str]:
         """The rows as laws and reports write them: `body_force[z]`; the port alone where it has but one."""
@@ -191,19 +179,12 @@ class Rows:
 
 @dataclass(frozen=True)
 class Vocabulary:
-    """What a law of a machine may speak of.
+    """What a law of a machine may speak of."""
 
-    Args:
-        system: Name of the machine.
-        variables: Name, unit (empty: unknown) and source of each.
-        ports: Name and rows of each.
-        widths: Columns of the quantities that are read, by their names.
-    """
-
-    system: str
-    variables: tuple[tuple[str, str, Source], ...]
-    ports: tuple[tuple[str, Rows], ...]
-    widths: tuple[tuple[str, int], ...] = ()
+    system: str  # name of the machine
+    variables: tuple[tuple[str, str, Source], ...]  # name, unit (empty: unknown) and source of each
+    ports: tuple[tuple[str, Rows], ...]  # name and rows of each
+    widths: tuple[tuple[str, int], ...] = ()  # columns of the quantities that are read, by their names
 
 
 class Expression(Effect):
@@ -299,8 +280,7 @@ def unplaced_expression(name: str) -> type[Expression]:
     Raises:
         ConfigError: not of the grammar.
     """
-    law = parse(name)
-    return _unplaced(law.text)
+    return _unplaced(parse(name).text)
 
 
 @cache
@@ -311,10 +291,6 @@ def _unplaced(text: str) -> type[Expression]:
 
 def expression_at(name: str, words: Vocabulary) -> type[Expression]:
     """The effect that a law is on a machine.
-
-    Args:
-        name: The law as text.
-        words: What it may speak of.
 
     Raises:
         ConfigError: not of the grammar, or a port, row, variable or unit that does not fit the machine.
@@ -344,18 +320,15 @@ def _placed(text: str, words: Vocabulary) -> type[Expression]:
     sources = {node.name: known[node.name][1] for node in read if not node.logged}
     quantities = {k: width for k, width in words.widths if any(s.kind == k for s in sources.values())}
     own_units = coefficient_units(law, {name: unit for name, (unit, _) in known.items()}, rows.units[row])
-    return _made(
-        law,
-        own_units,
-        {
-            "row": row,
-            "unit": rows.units[row],
-            "width": len(rows.names),
-            "sources": sources,
-            "quantities": quantities,
-            "exogenous": tuple(dict.fromkeys(node.name for node in read if node.logged)),
-        },
-    )
+    own = {
+        "row": row,
+        "unit": rows.units[row],
+        "width": len(rows.names),
+        "sources": sources,
+        "quantities": quantities,
+        "exogenous": tuple(dict.fromkeys(node.name for node in read if node.logged)),
+    }
+    return _made(law, own_units, own)
 
 
 def _row(law: Written, words: Vocabulary) -> tuple[int, Rows]:
@@ -371,10 +344,6 @@ def _row(law: Written, words: Vocabulary) -> tuple[int, Rows]:
     return rows.names.index(law.row), rows
 
 
-def _with_values(law: Written) -> str:
-    return ", ".join(f"{name} = {{{name}}}" for name in (*law.sizes, *law.shapes))
-
-
 def _made(law: Written, own_units: Mapping[str, str], own: dict[str, Any]) -> type[Expression]:
     widths = {
         node.arguments[1].name
@@ -387,6 +356,7 @@ def _made(law: Written, own_units: Mapping[str, str], own: dict[str, Any]) -> ty
     for name in law.shapes:
         low = 0.0 if name in widths else None
         parameters[name] = Parameter(1.0, own_units[name], low=low, help="shape of a term")
+    with_values = ", ".join(f"{name} = {{{name}}}" for name in (*law.sizes, *law.shapes))
     made: dict[str, Any] = {
         "__module__": __name__,
         "__doc__": f"The law {law.text}.",
@@ -396,9 +366,8 @@ def _made(law: Written, own_units: Mapping[str, str], own: dict[str, Any]) -> ty
         "formula": in_text(law.right),
         "source": "a law that is written as text",
         "PARAMETERS": parameters,
-        "null": dict.fromkeys(law.sizes, 0.0),
         "amplitudes": law.sizes,
-        "sentence": f"A law of the machine's own variables adds {in_text(law.right)}, {_with_values(law)}.",
+        "sentence": f"A law of the machine's own variables adds {in_text(law.right)}, {with_values}.",
         **own,
     }
     return type("Expression", (Expression,), made)

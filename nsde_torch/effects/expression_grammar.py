@@ -37,15 +37,10 @@ class Whole:
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable of the machine, or a column of the log.
-
-    Args:
-        name: Its name.
-        logged: Whether it is a column of the log that is neither state nor input.
-    """
+    """A variable of the machine, or a column of the log."""
 
     name: str
-    logged: bool = False
+    logged: bool = False  # whether it is a column of the log that is neither state nor input
 
 
 @dataclass(frozen=True)
@@ -90,23 +85,21 @@ Node = Whole | Variable | Coefficient | Sum | Product | Power | Call
 
 @dataclass(frozen=True)
 class Written:
-    """A law as it is written.
-
-    Args:
-        port: Name of the port.
-        row: Name of its row; empty where it was left out.
-        right: What is added there.
-    """
+    """A law as it is written."""
 
     port: str
-    row: str
-    right: Sum
+    row: str  # name of its row; empty where it was left out
+    right: Sum  # what is added there
+
+    @property
+    def place(self) -> str:
+        """The port and its row."""
+        return f"{self.port}[{self.row}]" if self.row else self.port
 
     @property
     def text(self) -> str:
         """The law on one line, the same for any spelling of it: its name."""
-        row = f"[{self.row}]" if self.row else ""
-        return f"{self.port}{row} = {in_text(self.right)}"
+        return f"{self.place} = {in_text(self.right)}"
 
     @property
     def sizes(self) -> tuple[str, ...]:
@@ -144,12 +137,10 @@ def nodes(node: Node) -> Iterator[Node]:
 def in_text(node: Node) -> str:
     """A node as the grammar has it."""
     if isinstance(node, Sum):
-        first = True
         out = ""
         for sign, part in node.parts:
-            out += ("" if first else " ") + ("-" if sign < 0 else "" if first else "+")
-            out += ("" if first else " ") + (f"({in_text(part)})" if isinstance(part, Sum) else in_text(part))
-            first = False
+            text = f"({in_text(part)})" if isinstance(part, Sum) else in_text(part)
+            out += (" - " if sign < 0 else " + ") + text if out else ("-" if sign < 0 else "") + text
         return out
     if isinstance(node, Product):
         return " ".join(_bracketed(part) for part in node.parts)
@@ -174,9 +165,6 @@ def _factors(term: Node) -> list[str]:
 
 def parse(text: str) -> Written:
     """Parse a law.
-
-    Args:
-        text: Such as `force = c1 q q_dot`.
 
     Raises:
         ConfigError: what is not of the grammar; says where.
@@ -314,7 +302,14 @@ class _Parser:
             self._expect(")")
             return _unwrapped(inner)
         if token.kind == "number":
-            return self._whole(token)
+            if not token.text.isdigit() or int(token.text) > _LARGEST:
+                raise self._error(
+                    f"numbers in a law are whole and at most {_LARGEST}; got {token.text}. Write a coefficient, c1, "
+                    f"and give it the value: {{c1: {token.text}}}",
+                    token.start,
+                )
+            self.at += 1
+            return Whole(int(token.text))
         if token.kind != "name":
             got = repr(token.text) if token.text else "the end"
             raise self._error(f"expected a variable, a coefficient or a function, got {got}", token.start)
@@ -327,16 +322,6 @@ class _Parser:
                 f"{token.text!r} is no function; functions are {', '.join(FUNCTIONS)}", token.start
             )
         return Coefficient(token.text) if _COEFFICIENT.fullmatch(token.text) else Variable(token.text)
-
-    def _whole(self, token: _Token) -> Whole:
-        if not token.text.isdigit() or int(token.text) > _LARGEST:
-            raise self._error(
-                f"numbers in a law are whole and at most {_LARGEST}; got {token.text}. Write a coefficient, c1, and "
-                f"give it the value: {{c1: {token.text}}}",
-                token.start,
-            )
-        self.at += 1
-        return Whole(int(token.text))
 
     def _call(self, token: _Token) -> Call | Variable:
         self._expect("(")
@@ -367,7 +352,7 @@ _GREEK = ("alpha", "beta", "gamma", "delta", "theta", "phi", "psi", "omega", "ta
 
 def valued(law: Written, values: Mapping[str, float]) -> str:
     """A law with numbers in the place of its coefficients, such as `force = 0.298 q q_dot`."""
-    return f"{_port(law)} = {_sum(law.right, values, _Form)}"
+    return f"{law.place} = {_sum(law.right, values, _Form)}"
 
 
 def sympy_text(law: Written, values: Mapping[str, float]) -> str:
@@ -380,10 +365,6 @@ def latex(law: Written, values: Mapping[str, float]) -> str:
     port = rf"\mathrm{{{law.port.replace('_', ' ')}}}".replace(" ", r"\ ")
     row = f"_{{{_latex_name(law.row)}}}" if law.row else ""
     return f"{port}{row} = {_sum(law.right, values, _Latex)}"
-
-
-def _port(law: Written) -> str:
-    return f"{law.port}[{law.row}]" if law.row else law.port
 
 
 def _number(value: float) -> str:
@@ -410,11 +391,11 @@ class _Form:
         self.values = values
 
     def text(self, node: Node) -> str:
-        """A node."""
         if isinstance(node, Sum):
             return _sum(node, self.values, type(self))
         if isinstance(node, Product):
-            return self.times.join(self.factor(part) for part in self.size_first(node))
+            size_first = sorted(node.parts, key=lambda part: not isinstance(part, Coefficient))
+            return self.times.join(map(self.factor, size_first))
         if isinstance(node, Power):
             return self.power(node)
         if isinstance(node, Call):
@@ -423,29 +404,20 @@ class _Form:
             return self.number(self.values[node.name])
         return str(node.value) if isinstance(node, Whole) else self.variable(node)
 
-    def size_first(self, node: Product) -> list[Node]:
-        """Factors with the number ahead."""
-        return sorted(node.parts, key=lambda part: not isinstance(part, Coefficient))
-
     def factor(self, node: Node) -> str:
-        """A node as a factor."""
         return f"({self.text(node)})" if isinstance(node, Sum | Product) else self.text(node)
 
     def power(self, node: Power) -> str:
-        """A power."""
         return f"{self.factor(node.base)}^{node.power}"
 
     def call(self, node: Call) -> str:
-        """A function."""
         arguments = ", ".join(map(self.text, node.arguments))
         return f"(exp({arguments}) - 1)" if node.function == "expm1" else f"{node.function}({arguments})"
 
     def number(self, value: float) -> str:
-        """A value of a coefficient."""
         return _number(value)
 
     def variable(self, node: Variable) -> str:
-        """A variable."""
         return node.name
 
 
@@ -455,11 +427,9 @@ class _Sympy(_Form):
     times = "*"
 
     def power(self, node: Power) -> str:
-        """A power."""
         return f"{self.factor(node.base)}**{node.power}"
 
     def call(self, node: Call) -> str:
-        """A function; the smooth sign is tanh."""
         arguments = [self.text(a) for a in node.arguments]
         if node.function == "sign":
             return f"tanh(({arguments[0]})/({arguments[1]}))"
@@ -470,7 +440,6 @@ class _Sympy(_Form):
         return f"{_SYMPY.get(node.function, node.function)}({', '.join(arguments)})"
 
     def number(self, value: float) -> str:
-        """All digits."""
         return repr(value)
 
 
@@ -480,11 +449,9 @@ class _Latex(_Form):
     times = r"\,"
 
     def power(self, node: Power) -> str:
-        """A power."""
         return f"{self.factor(node.base)}^{{{node.power}}}"
 
     def call(self, node: Call) -> str:
-        """A function."""
         arguments = [self.text(a) for a in node.arguments]
         if node.function == "abs":
             return rf"\left|{arguments[0]}\right|"
@@ -497,12 +464,10 @@ class _Latex(_Form):
         return rf"{_LATEX[node.function]}\left({', '.join(arguments)}\right)"
 
     def number(self, value: float) -> str:
-        """A number with its power of ten."""
         found = re.fullmatch(r"(.+)e([-+]\d+)", _number(value))
         return rf"{found[1]} \cdot 10^{{{int(found[2])}}}" if found else _number(value)
 
     def variable(self, node: Variable) -> str:
-        """A variable; `_dot` is a dot over it."""
         return _latex_name(node.name)
 
 

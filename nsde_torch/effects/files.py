@@ -32,7 +32,6 @@ def read(path: str | Path, key: str = "system.effects") -> tuple[str, dict[str, 
     """System and effects of a file.
 
     Args:
-        path: The file.
         key: The key that names it, for messages.
 
     Raises:
@@ -63,7 +62,6 @@ def read_for(path: str | Path, system: str | None, key: str = "system.effects") 
     """Effects of a file for a system, by name.
 
     Args:
-        path: The file.
         system: Name of the system; None: any.
         key: The key that names it, for messages.
 

@@ -19,7 +19,6 @@ class ConstantForce(Law):
     PARAMETERS = {
         "acceleration": Parameter(0.0, "force", scale=0.1, help="force (over mass, where forces are)")
     }
-    null = {"acceleration": 0.0}
     amplitudes = ("acceleration",)
     sentence = "A force that never changes acts on {it}, with {acceleration}."
     separate = "leave it alone, at rest, in several places"
@@ -40,7 +39,6 @@ class PeriodicForce(Law):
         "cosine": Parameter(0.0, "force", scale=0.1, help="part a quarter ahead of it"),
         "frequency": Parameter(1.0, "Hz", low=0.0, scale=0.1, help="oscillations per second"),
     }
-    null = {"sine": 0.0, "cosine": 0.0}
     amplitudes = ("sine", "cosine")
     shapes = {"frequency": ()}
     relative = {"frequency": "spectrum"}
@@ -76,7 +74,6 @@ class Ripple(Law):
         "order": Parameter(6.0, "1", low=0.5, scale=1.0, help="repeats in a turn"),
     }
     along = "position"
-    null = {"sine": 0.0, "cosine": 0.0}
     amplitudes = ("sine", "cosine")
     # over many turns an order is not reached from the next one (tests/diagnosis/test_own_machines.py)
     shapes = {"order": tuple(map(float, range(1, 25)))}
@@ -105,7 +102,6 @@ class LinearSpring(Law):
     source = "supplement B: m q'' = -b q' - k q"
     PARAMETERS = {"stiffness": Parameter(1.0, "force/position", low=0.0, help="spring constant")}
     along = "position"
-    null = {"stiffness": 0.0}
     amplitudes = ("stiffness",)
     sentence = "A spring pulls {it} to the origin with {stiffness}."
     separate = "push at several amplitudes"
@@ -125,7 +121,6 @@ class CubicStiffness(Law):
     source = "Duffing (1918)"
     PARAMETERS = {"stiffness": Parameter(0.0, "force/position3", scale=1.0, help="cubic constant")}
     along = "position"
-    null = {"stiffness": 0.0}
     amplitudes = ("stiffness",)
     sentence = "A spring against {it} changes with extension: a force of {stiffness} times the cube of it."
     separate = "push at several amplitudes, far beyond the usual ones"

@@ -36,7 +36,6 @@ class ViscousFriction(Law):
     source = "supplement B: m q'' = -b q' - k q"
     PARAMETERS = {"damping": Parameter(0.3, "force/speed", low=0.0, help="damping")}
     along = "speed"
-    null = {"damping": 0.0}
     amplitudes = ("damping",)
     sentence = "Friction brakes {it} in proportion to its speed, with {damping}."
     separate = SLOW_AND_FAST
@@ -57,7 +56,6 @@ class CoulombFriction(Law):
         "width": width(),
     }
     along = "speed"
-    null = {"size": 0.0}
     amplitudes = ("size",)
     shapes = {"width": WIDTHS}
     relative = {"width": "speed"}
@@ -82,7 +80,6 @@ class AsymmetricFriction(Law):
         "width": width(),
     }
     along = "speed"
-    null = {"size_forward": 0.0, "size_backward": 0.0}
     amplitudes = ("size_forward", "size_backward")
     shapes = {"width": WIDTHS}
     relative = {"width": "speed"}
@@ -111,7 +108,6 @@ class StribeckFriction(Law):
         "width": width(),
     }
     along = "speed"
-    null = {"size": 0.0, "extra": 0.0}
     amplitudes = ("size", "extra")
     shapes = {"speed": (0.1, 0.3), "width": (0.02,)}
     relative = {"speed": "speed", "width": "speed"}
@@ -138,7 +134,6 @@ class QuadraticDamping(Law):
     source = "drag of a body in a fluid at high Reynolds number"
     PARAMETERS = {"damping": Parameter(0.1, "force/speed2", low=0.0, help="drag")}
     along = "speed"
-    null = {"damping": 0.0}
     amplitudes = ("damping",)
     sentence = "Friction brakes {it} in proportion to the square of its speed, with {damping}."
     separate = SLOW_AND_FAST
@@ -163,7 +158,6 @@ class PositionDependentFriction(Law):
         "width": width(),
     }
     along = "speed"
-    null = {"size": 0.0, "slope": 0.0}
     amplitudes = ("size", "slope")
     shapes = {"width": WIDTHS}
     relative = {"width": "speed"}
@@ -190,7 +184,6 @@ class LoadFriction(Law):
         "width": width(),
     }
     along = "speed"
-    null = {"coefficient": 0.0}
     amplitudes = ("coefficient",)
     shapes = {"width": WIDTHS}
     relative = {"width": "speed"}
@@ -229,7 +222,6 @@ class Hysteresis(Law):
         "size": Parameter(0.1, "force", low=0.0, help="force where it yields"),
         "reach": Parameter(0.05, "position", low=0.0, help="way in which it builds up"),
     }
-    null = {"size": 0.0}
     amplitudes = ("size",)
     shapes = {"reach": (0.05, 0.2, 0.6)}
     relative = {"reach": "position"}

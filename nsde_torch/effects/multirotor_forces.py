@@ -28,7 +28,6 @@ class LinearDrag(Effect):
     source = "Faessler, Franchi, Scaramuzza, IEEE RA-L 3 (2018)"
     PARAMETERS = {"drag": Parameter((0.1, 0.1, 0.1), "1/s", low=0.0, help="drag over mass, body x y z")}
     along = "speed"
-    null = {"drag": 0.0}
     amplitudes = ("drag",)
     sentence = "The air brakes in proportion to the speed: rotor drag of {drag} along forward, left and up."
     separate = TWO_SPEEDS
@@ -47,7 +46,6 @@ class QuadraticDrag(Effect):
     source = "aerodynamic drag of a bluff body"
     PARAMETERS = {"drag": Parameter((0.02, 0.02, 0.02), "1/m", low=0.0, help="drag over mass, body x y z")}
     along = "speed"
-    null = {"drag": 0.0}
     amplitudes = ("drag",)
     sentence = "The air brakes with the square of the speed: {drag} along forward, left and up."
     separate = TWO_SPEEDS
@@ -69,7 +67,6 @@ class ConstantWind(Effect):
         "drag": Parameter((0.1, 0.1, 0.1), "1/s", low=0.0, help="drag over mass, body x y z"),
         "wind": Parameter((0.0, 0.0), "m/s", scale=1.0, help="velocity of the air, east and north"),
     }
-    null = {"drag": 0.0}
     amplitudes = ("drag",)
     shapes = {"wind": ((2.0, 0.0), (-2.0, 0.0), (0.0, 2.0), (0.0, -2.0))}
     smooth = ("wind",)
@@ -94,7 +91,6 @@ class ConstantWorldForce(Effect):
     PARAMETERS = {
         "acceleration": Parameter((0.0, 0.0, 0.0), "m/s2", scale=0.1, help="force over mass, east north up")
     }
-    null = {"acceleration": 0.0}
     amplitudes = ("acceleration",)
     sentence = "A force that never changes pushes with {acceleration} to east, north and up."
     separate = (
@@ -120,7 +116,6 @@ class GroundEffect(Effect):
         "area": Parameter(0.01, "m2", low=0.0, help="a = (R / 4)^2 of a rotor of radius R"),
         "height": Parameter(0.2, "m", low=0.0, help="h, height below which it grows no more"),
     }
-    null = {"area": 0.0}
     amplitudes = ("area",)
     shapes = {"height": (0.1, 0.3)}
     sentence = (
@@ -146,7 +141,6 @@ class ThrustMisalignment(Effect):
     PARAMETERS = {
         "tilt": Parameter((0.0, 0.0), "rad", scale=0.01, help="tilt of the thrust towards body x and y")
     }
-    null = {"tilt": 0.0}
     amplitudes = ("tilt",)
     sentence = "The thrust does not point along the body's axis: it is tilted by {tilt} to forward and left."
     separate = "hover with the nose in several directions: a tilted thrust turns with the body, a wind stays"
@@ -215,7 +209,6 @@ class AngularDamping(Effect):
     formula = "-d * omega"
     source = "blade flapping and inflow, first order in the rates"
     PARAMETERS = {"damping": Parameter((0.1, 0.1, 0.1), "1/s", low=0.0, help="damping over inertia, x y z")}
-    null = {"damping": 0.0}
     amplitudes = ("damping",)
     sentence = "Turning is braked in proportion to its rate: {damping} in roll, pitch and yaw."
     separate = "turn at several rates about each axis"
@@ -238,7 +231,6 @@ class ComOffset(Effect):
             (0.0, 0.0), "1/m", scale=0.1, help="offset forward and left, times mass over inertia"
         )
     }
-    null = {"offset": 0.0}
     amplitudes = ("offset",)
     sentence = "The centre of mass is off the middle of the rotors: {offset} forward and left, times mass over inertia."
     separate = "climb and sink: the moment of an offset follows the thrust, that of a weak motor its command"
@@ -263,7 +255,6 @@ class GyroscopicMoment(Effect):
             1.0, "1/s", low=0.0, help="angular momentum of a rotor at full command over the machine's inertia"
         )
     }
-    null = {"momentum": 0.0}
     amplitudes = ("momentum",)
     sentence = "The spinning rotors act as a gyroscope of {momentum}."
     separate = "roll and pitch fast while turning in yaw both ways"
@@ -287,7 +278,6 @@ class FlappingMoment(Effect):
             (0.0, 0.0), "rad/(m s)", scale=0.1, help="moment over inertia per body velocity, roll and pitch"
         )
     }
-    null = {"gain": 0.0}
     amplitudes = ("gain",)
     sentence = "Flight through the air turns the machine against its motion: {gain} in roll and pitch."
     separate = "fly at two more speeds with the same attitude, forwards and sideways"
@@ -317,7 +307,6 @@ class InertiaCoupling(Effect):
             (0.0, 0.0, 0.0), "1", scale=0.05, help="J_xy, J_xz, J_yz over J_zz (elements of J)"
         )
     }
-    null = {"product": 0.0}
     amplitudes = ("product",)
     sentence = "The masses lie askew to the axes of the log: J_xy, J_xz, J_yz are {product} of J_zz."
     separate = "roll, pitch and yaw sharply, one axis at a time"
@@ -354,7 +343,6 @@ class ThrustSag(Effect):
     formula = "u_eff = u (1 - r t)"
     source = "falling battery voltage, first order in time"
     PARAMETERS = {"rate": Parameter(0.0005, "1/s", low=0.0, scale=0.001, help="share lost per second")}
-    null = {"rate": 0.0}
     amplitudes = ("rate",)
     sentence = "Thrust per command falls by {rate}, counted from the start of the clock."
     separate = "log the battery's voltage, and fly one battery longer"
@@ -382,7 +370,6 @@ class BatteryVoltage(Effect):
     PARAMETERS = {
         "sensitivity": Parameter(0.05, "1/V", low=0.0, scale=0.05, help="relative change of thrust per volt")
     }
-    null = {"sensitivity": 0.0}
     amplitudes = ("sensitivity",)
     sentence = "Thrust per command follows the battery's voltage, by {sensitivity}."
     separate = "fly the same path on a full and on an empty battery"
@@ -405,7 +392,6 @@ class ThrustCurve(Effect):
     formula = "u_eff = u + c u^2"
     source = "supplement eq. 4: thrust map as a polynomial of the command"
     PARAMETERS = {"curvature": Parameter(0.0, "1", scale=0.1, help="second coefficient over the first")}
-    null = {"curvature": 0.0}
     amplitudes = ("curvature",)
     sentence = "Thrust grows with {curvature} times the square of the command beside the command itself."
     separate = "climb and sink hard, for commands far from hover"

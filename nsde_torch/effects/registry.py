@@ -214,8 +214,6 @@ def canonical_name(name: str, coordinates: Sequence[Bound], aliases: Mapping[str
     """What an effect is called on a machine: older names replaced, and a coordinate that goes without saying left out.
 
     Args:
-        name: As a user writes it.
-        coordinates: Those of the machine.
         aliases: Older names of its effects.
     """
     if is_law(name):
@@ -239,11 +237,8 @@ def make_effect(
 
     Args:
         name: Key in `EFFECTS`, or `package.module:Class`; with its coordinate in `[]` where the system has several.
-        system: Name of the system that it will act on, for the message.
-        ports: Ports of that system.
-        n_inputs: Number of inputs of that system.
+        system, ports, n_inputs, coordinates: Those of the system that it will act on.
         values: Initial values of its parameters.
-        coordinates: Coordinates of that system.
 
     Raises:
         ConfigError: unknown name, or an effect that is not for that system; lists the choices.
@@ -282,8 +277,6 @@ def effects_of(
     """The effects of the catalogue, and those registered, that a system can have.
 
     Args:
-        system: Its name.
-        ports: Its ports.
         coordinates: Its coordinates: laws are listed for each of them.
     """
     out: dict[str, type[Effect]] = {}

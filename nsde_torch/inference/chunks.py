@@ -14,10 +14,8 @@ from torch import Tensor
 
 from nsde_torch.inference.steps import Steps
 
-_BURN_S, _LENGTH_S = (
-    0.5,
-    2.0,
-)  # what is not counted of a chunk, and what is, where that is as many rows as below
+# what is not counted of a chunk, and what is, where that is as many rows as below
+_BURN_S, _LENGTH_S = 0.5, 2.0
 _BURN, _LENGTH = (30, 300), (60, 600)  # fewest and most rows
 _BLOCK_S = 0.5  # of a cluster of the robust covariance, at least
 _FEWEST_BLOCKS = 20
@@ -28,7 +26,6 @@ class Chunks:
     """The rows of some steps, (rows of a chunk, chunks, columns).
 
     Args:
-        steps: Steps of the runs, in one or more stretches.
         late: Rows after the start of a stretch that are not counted either: there, a state that no sensor measures is
             known from what came later.
         every: Rows from one measurement of the slowest sensor to the next.

@@ -52,10 +52,8 @@ ARITHMETIC = 1e-5
 _TURNS = 12
 _AHEAD = 10.0  # times what a turn brought, what all that follow may bring
 _FIRST_ROWS = 5000  # enough for noise levels beside a first theta
-_SETTLED, _GAIN = (
-    0.05,
-    0.5,
-)  # standard errors that theta may still move by, nats that new noise levels may bring
+# standard errors that theta may still move by, nats that new noise levels may bring
+_SETTLED, _GAIN = 0.05, 0.5
 _NEAR, _NEAR_GAIN = 0.3, 1.0  # the same, where physics are compared
 # the outlier of a camera system (1 cm, 0.4 m/s, ten rows of 17,000: NanoBench, B2_circle_fast_rep2) cost a flight of
 # which all else is sound 4,700,000 nats
@@ -77,9 +75,8 @@ _LAGS = 10  # of the autocorrelation of innovations
 _WHITE = 0.02  # largest share of their variance that the past of whitened innovations may predict
 _LARGE = 0.25  # by how much their mean square may differ from 1
 _AT_BOUND = 1e-5  # of a parameter's scale
-_SINGULAR = (
-    1e-10  # of the largest eigenvalue of scaled information: not shown below it (`sysid.regression.shown`)
-)
+# of the largest eigenvalue of scaled information: not shown below it (`sysid.regression.shown`)
+_SINGULAR = 1e-10
 T = TypeVar("T")
 
 
@@ -93,9 +90,8 @@ class MaximumLikelihood:
     spread: Spread  # Jackknife of these over blocks of time
     levels: Levels  # noise levels
     likelihood: float  # log likelihood [nats]
-    settled: (
-        bool  # whether the last step was a twentieth of a standard error at most, by the scatter of scores
-    )
+    settled: bool
+    """Whether the last step was a twentieth of a standard error at most, by the scatter of scores."""
     square: Array
     """Mean square of the whitened innovations of each measured channel (m,): 1 where the model is right."""
     predictable: Array
@@ -115,10 +111,8 @@ class MaximumLikelihood:
     @property
     def objections(self) -> list[str]:
         """What speaks against the estimate, in words; empty where nothing does."""
-        return [
-            *([] if self.settled else ["the parameters of largest likelihood did not settle"]),
-            *self.misfit,
-        ]
+        unsettled = [] if self.settled else ["the parameters of largest likelihood did not settle"]
+        return [*unsettled, *self.misfit]
 
     @property
     def misfit(self) -> list[str]:
@@ -149,27 +143,15 @@ class MaximumLikelihood:
         system = self.vector.system
         units = dict(zip(system.state_names, system.state_units, strict=True))  # of an attitude's errors: rad
         columns = [f"{port.value}[{j}]" for port, j in self.disturbances]
-        sizes = [
-            torch.exp(part).tolist() for part in (self.levels.white, self.levels.gust, self.levels.lasts)
-        ]
+        sensor, *sizes = (torch.exp(part).tolist() for part in vars(self.levels).values())
+        rows = zip(self.channels, sensor, self.square.tolist(), self.predictable.tolist(), strict=True)
         return {
             "log_likelihood": self.likelihood,
             "used": not self.objections,
             "objections": self.objections,
             "sensors": {
-                name: {
-                    "std": std,
-                    "unit": units.get(name, "rad"),
-                    "mean_square": square,
-                    "predictable": share,
-                }
-                for name, std, square, share in zip(
-                    self.channels,
-                    torch.exp(self.levels.sensor).tolist(),
-                    self.square.tolist(),
-                    self.predictable.tolist(),
-                    strict=True,
-                )
+                name: {"std": s, "unit": units.get(name, "rad"), "mean_square": square, "predictable": share}
+                for name, s, square, share in rows
             },
             "disturbances": {
                 name: {"white_density": white, "gust_std": gust, "gust_s": lasts}
@@ -199,7 +181,6 @@ class LogLikelihood:
     """The likelihood of a log as a function of theta and the noise levels.
 
     Args:
-        system: The machine.
         runs: Recordings, all on one step; rates marked as inferred are taken for unmeasured.
         clock: Physical seconds per logged second.
         run_in: Whether the first rows of each stretch only bring up memory; None: where an effect has any. Physics that
@@ -263,11 +244,7 @@ class LogLikelihood:
         return out
 
     def part(self, rows: int) -> Tensor | None:
-        """Numbers of the chunks of a part of the log that is evenly from all of it; None where that is more than half.
-
-        Args:
-            rows: How many rows of it count.
-        """
+        """Numbers of chunks, evenly from the log, of which so many rows count; None where that is more than half."""
         chunks = self.space.chunks
         share = rows / max(int(chunks.counted.sum()), 1)
         return None if share > 0.5 else evenly(chunks.count, round(share * chunks.count))
@@ -315,21 +292,18 @@ class LogLikelihood:
         space.use(theta)
         y = space.chunks.y
         about = linearised_about(space, y, self.start)
-        fourth = torch.stack([self._fourth(j, rows) for j, rows in enumerate(space.every)], -1)
+        fourths = []  # mean squares of fourth differences, over rows from one measurement of a channel to the next
+        for channel, apart in zip(space.observed, space.every, strict=True):
+            rows = max(1, min(apart, (len(y) - 1) // _DIFFERENCES))
+            out = system.error(y[rows:], y[:-rows])[..., channel]
+            for _ in range(_DIFFERENCES - 1):
+                out = out[rows:] - out[:-rows]
+            fourths.append(out.square().mean())
         over = min(_OVER, len(y) - 2)
         expected = space.after(y)
         moved = system.error(y[over:], y[:-over]) - over * system.error(expected[:-over], y[:-over])
         pushed = about.slopes[..., space.ne :].reshape(-1, space.ne, space.nd)
-        return first_levels(fourth, moved.reshape(-1, space.ne), pushed, space.h), about
-
-    def _fourth(self, channel: int, rows: int) -> Tensor:
-        """Mean square of the fourth differences of a measured channel, over rows from one measurement to the next."""
-        y = self.space.chunks.y
-        rows = max(1, min(rows, (len(y) - 1) // _DIFFERENCES))
-        out = self.vector.system.error(y[rows:], y[:-rows])[..., self.space.observed[channel]]
-        for _ in range(_DIFFERENCES - 1):
-            out = out[rows:] - out[:-rows]
-        return out.square().mean()
+        return first_levels(torch.stack(fourths, -1), moved.reshape(-1, space.ne), pushed, space.h), about
 
     @property
     def outliers(self) -> Tensor:
@@ -343,10 +317,6 @@ class LogLikelihood:
 
         Noise levels are those of all rows, so that what is far beyond them is rare. Where it is not, it is noise of
         another kind, or physics, and stays.
-
-        Args:
-            levels: Noise levels.
-            about: What the filter is linearised about.
         """
         counted = self.space.chunks.counted
         measured = within_gate(self.space, levels, about, self.start, _GATE)
@@ -387,9 +357,7 @@ def log_likelihood(system: System, runs: Sequence[Run], *, levels: Levels, clock
     """Log likelihood of some runs under a machine with its present values and noise levels [nats].
 
     Args:
-        system: The machine.
         runs: Recordings, all on one step.
-        levels: Noise levels of its sensors and disturbances.
         clock: Physical seconds per logged second.
     """
     problem = LogLikelihood(system, runs, clock)
@@ -406,9 +374,7 @@ class Optimum:
 
     Args:
         of: The likelihood, with theta of the optimum in use.
-        levels: Noise levels.
         about: What the last pass is linearised about.
-        at: The last pass.
         free: Numbers of the parameters that the data show.
     """
 
@@ -487,10 +453,7 @@ def fit(system: System, runs: Sequence[Run], *, clock: float = 1.0) -> MaximumLi
 
 
 def nearly_maximised(
-    problem: LogLikelihood,
-    near: Optimum | None = None,
-    *,
-    wanted: float = -inf,
+    problem: LogLikelihood, near: Optimum | None = None, *, wanted: float = -inf
 ) -> tuple[MaximumLikelihood, Optimum]:
     """As `maximised`, as near to the optimum as comparing physics needs, and intervals at the noise levels found."""
     return maximised(problem, near, settled_at=_NEAR, gain=_NEAR_GAIN, nuisances=False, wanted=wanted)
@@ -511,7 +474,6 @@ def maximised(
     """Theta and noise levels of largest likelihood, from the first values of the physics.
 
     Args:
-        problem: The likelihood.
         near: The optimum of physics close to these on the same rows, whose states and noise levels are begun with.
         settled_at, gain: Where the iteration ends: standard errors of a step of theta, nats that new levels bring.
         nuisances: Whether intervals allow for noise levels that are not known.
@@ -580,10 +542,8 @@ def maximised(
     beside = None
     if nuisances:  # to compare physics, slopes less than a standard error away do
         about = linearised_about(space, about.x, start)
-        at, columns = (
-            problem.filtered(levels, about),
-            space.columns(about.x, about.slopes, everything, about.after),
-        )
+        at = problem.filtered(levels, about)
+        columns = space.columns(about.x, about.slopes, everything, about.after)
         beside = level_columns(space, levels, about, start)
     final = grams(space, levels, about, at, columns, beside)
     references, theta = _from_references(vector, theta, final)
@@ -660,9 +620,8 @@ def bounded_change(vector: ParameterVector, held: Grams, theta: Array, damping: 
 def _free(vector: ParameterVector, theta: Array, held: Grams) -> Labels:
     """Numbers of the parameters that the data show and that are not pressed against a bound."""
     gram, pull = np.diag(held.total)[1 : 1 + held.parameters], held.total[1 : 1 + held.parameters, 0]
-    shown = gram * np.square(vector.scale) > 1e-12 * max(
-        float((gram * np.square(vector.scale)).max()), 1e-300
-    )
+    size = gram * np.square(vector.scale)
+    shown = size > 1e-12 * max(float(size.max()), 1e-300)
     margin = _AT_BOUND * vector.scale
     pressed = ((theta <= vector.low + margin) & (pull < 0)) | ((theta >= vector.high - margin) & (pull > 0))
     return np.flatnonzero(shown & ~pressed)
@@ -703,9 +662,8 @@ def _whiteness(white: Tensor, space: StateSpace) -> tuple[Array, Array]:
     """
     squares, shares = [], []
     for j, every in enumerate(space.every):
-        live = (
-            space.chunks.counted if space.measured is None else space.chunks.counted & space.measured[..., j]
-        )
+        live = space.chunks.counted
+        live = live if space.measured is None else live & space.measured[..., j]
         own = torch.where(live, white[..., j], 0.0)
         square = own.square().sum() / live.sum().clamp_min(1)
         share = torch.zeros_like(square)

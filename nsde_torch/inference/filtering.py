@@ -8,18 +8,13 @@ the machine inside the loop over rows.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.inference import kernels
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.state_space import StateSpace
-
-Noise: TypeAlias = tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]
 
 
 @dataclass(frozen=True)
@@ -118,19 +113,12 @@ def forced(space: StateSpace, about: Linearisation, disturbance: int, force: Ten
     """What forces do to the steps (T, C, ne, ...).
 
     Args:
-        space: The machine.
-        about: Its linearisation.
         disturbance: Number of the disturbance that acts where the force does.
         force: The force in the middle of the step from each row (T, C, ...), given what is known at its start
             (`StateSpace.midway`): a force of the state or the input after it would explain what was just measured.
     """
     slopes = about.slopes[..., space.ne + disturbance]
     return space.passed(slopes.view(*slopes.shape, *(1,) * (force.dim() - 2)) * force[:, :, None])
-
-
-def array(values: Tensor) -> NDArray[Any]:
-    """The same numbers for a kernel."""
-    return np.asarray(values.contiguous().numpy())
 
 
 @torch.no_grad()
@@ -146,36 +134,22 @@ def filtered(
     """Filter chunks.
 
     Args:
-        space: The machine.
-        levels: Noise levels.
-        about: What the filter is linearised about.
-        start: Where each chunk starts.
         live: Whether a row counts (T, C).
         covariances: Whether to keep those of the states, for `nsde_torch.inference.level_slopes`.
     """
     rows, count, m = about.seen.shape
     n = space.n
     new = about.seen.new_empty
-    whitening, gain, left = new(rows, count, m, m), new(rows, count, n, m), new(0, 0, 0, 0)
-    if covariances:
-        left = new(rows, count, n, n)
+    whitening, gain = new(rows, count, m, m), new(rows, count, n, m)
+    left = new(rows, count, n, n) if covariances else new(0, 0, 0, 0)
     measured = torch.zeros(0, 0, 0, dtype=torch.bool) if about.measured is None else about.measured
-    kernels.in_parts(
-        kernels.covariances,
-        rows,
-        count,
-        array(about.slopes),
-        *_noise(space, levels, start),
-        array(measured),
-        array(whitening),
-        array(gain),
-        array(left),
-    )
+    noise, filled = _noise(space, levels, start), (whitening, gain, left)
+    kernels.in_parts(kernels.covariances, rows, count, about.slopes, *noise, measured, *filled)
     out = with_gains(space, levels, about, whitening, gain, live)
     return replace(out, covariance=left) if covariances else out
 
 
-def _noise(space: StateSpace, levels: Levels, start: Start) -> Noise:
+def _noise(space: StateSpace, levels: Levels, start: Start) -> list[Tensor | list[int]]:
     """Shares of disturbances that are left after a step, variances of all noise, and numbers of measured errors."""
     h, sensor, gust = space.h, torch.exp(2.0 * levels.sensor), torch.exp(2.0 * levels.gust)
     keep = levels.keep(h)
@@ -183,7 +157,7 @@ def _noise(space: StateSpace, levels: Levels, start: Start) -> Noise:
     begun[space.observed] = sensor
     white = torch.exp(2.0 * levels.white) / h
     added = gust * (1.0 - keep.square())
-    return array(keep), array(white), array(added), array(sensor), array(begun), np.array(space.observed)
+    return [keep, white, added, sensor, begun, space.observed]
 
 
 @torch.no_grad()
@@ -193,23 +167,12 @@ def within_gate(space: StateSpace, levels: Levels, about: Linearisation, start: 
     The filter goes on without what is beyond it, so that one outlier does not lead it astray.
 
     Args:
-        space, levels, about, start: See `filtered`.
         gate: Standard deviations of an innovation.
     """
-    measured = (
-        torch.ones_like(about.seen, dtype=torch.bool) if about.measured is None else about.measured.clone()
-    )
-    kernels.in_parts(
-        kernels.gated,
-        *about.seen.shape[:2],
-        array(about.slopes),
-        *_noise(space, levels, start),
-        array(about.first),
-        array(about.missed),
-        array(about.seen),
-        gate,
-        array(measured),
-    )
+    every = torch.ones_like(about.seen, dtype=torch.bool)
+    measured = every if about.measured is None else about.measured.clone()
+    noise, seen = _noise(space, levels, start), (about.first, about.missed, about.seen)
+    kernels.in_parts(kernels.gated, *seen[-1].shape[:2], about.slopes, *noise, *seen, gate, measured)
     return measured
 
 
@@ -222,26 +185,11 @@ def with_gains(
     These depend on the slopes and the noise alone, and not on what steps miss: not on a parameter that is tried.
 
     Args:
-        space, levels, about, live: See `filtered`.
         whitening, gain: Of the pass (T, C, m, m) and (T, C, n, m).
     """
     errors, white = torch.empty_like(about.seen), torch.empty_like(about.seen)
     delta, nats = gain.new_empty(gain.shape[:-1]), gain.new_empty(gain.shape[:2])
-    kernels.in_parts(
-        kernels.means,
-        *about.seen.shape[:2],
-        array(about.slopes),
-        array(levels.keep(space.h)),
-        array(about.first),
-        array(about.missed),
-        array(about.seen),
-        np.array(space.observed),
-        array(live),
-        array(whitening),
-        array(gain),
-        array(errors),
-        array(white),
-        array(delta),
-        array(nats),
-    )
+    read = (about.slopes, levels.keep(space.h), about.first, about.missed, about.seen, space.observed, live)
+    filled = (errors, white, delta, nats)
+    kernels.in_parts(kernels.means, *about.seen.shape[:2], *read, whitening, gain, *filled)
     return Pass(errors, white, whitening, gain, delta, nats)

@@ -15,7 +15,6 @@ whose shared information is the same adjoint of the rows that the parameters mov
 missing is that of the adjoints of white rows that are drawn, as many as `DRAWS`: of what is known of the noise alone.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -28,7 +27,6 @@ from torch import Tensor
 from nsde_torch.arrays import Array, Labels
 from nsde_torch.inference import kernels
 from nsde_torch.inference.estimate import Optimum
-from nsde_torch.inference.filtering import array
 from nsde_torch.inference.sensitivity import inverted
 from nsde_torch.time_limit import check_time
 
@@ -187,18 +185,8 @@ def _force_scores(at: Optimum) -> ForceScores:
         """Slopes in forces (d, C, T, q) and in parameters (C, k, q) of rows (T, C, m, q)."""
         check_time()
         steps = torch.empty(*chunks.row.shape, space.ne, white.shape[3], dtype=torch.float64)
-        kernels.in_parts(
-            kernels.step_adjoints,
-            *chunks.row.shape,
-            array(about.slopes),
-            array(at.levels.keep(space.h)),
-            np.array(space.observed),
-            array(here.whitening),
-            array(here.gain),
-            array(chunks.counted),
-            white,
-            steps.numpy(),
-        )
+        read = (about.slopes, at.levels.keep(space.h), space.observed, here.whitening, here.gain)
+        kernels.in_parts(kernels.step_adjoints, *chunks.row.shape, *read, chunks.counted, white, steps)
         parameters = torch.einsum("tcik,tciq->ckq", columns, steps)
         forces = acts.transpose(2, 3) @ space.low_passed_rows(steps)
         return forces.permute(2, 1, 0, 3), parameters
@@ -214,16 +202,18 @@ def _force_scores(at: Optimum) -> ForceScores:
     information = np.einsum("tcmk,tcml->kl", moved, moved)
     inverse = inverted(information) if len(free) else information
     # less what a step of the parameters takes out: blocks are those of a fit that has settled
-    left = array(here.white) - moved @ (inverse @ np.einsum("tcmk,tcm->k", moved, array(here.white)))
+    white = np.ascontiguousarray(here.white.numpy())
+    left = white - moved @ (inverse @ np.einsum("tcmk,tcm->k", moved, white))
     forces, own = back(parted(left[..., None]))
     shared, _ = back(moved)
     drawn = torch.empty(*forces.shape[:3], parts, DRAWS)
-    of_draws, done = [], 0
-    for white in _white(here.white.shape, max(1, _AT_ONCE // parts)):
-        scores, parameters = back(parted(white))
+    of_draws = []
+    rng, at_once = np.random.default_rng(0), max(1, _AT_ONCE // parts)
+    for begun in range(0, DRAWS, at_once):
+        drawn_rows = rng.standard_normal((*white.shape, min(at_once, DRAWS - begun)))
+        scores, parameters = back(parted(drawn_rows))
         of_draws.append(parameters.unflatten(2, (parts, -1)))
-        drawn[..., done : done + of_draws[-1].shape[3]] = scores.unflatten(3, (parts, -1))
-        done += of_draws[-1].shape[3]
+        drawn[..., begun : begun + at_once] = scores.unflatten(3, (parts, -1))
     return ForceScores(
         at,
         forces.contiguous().numpy(),
@@ -244,33 +234,13 @@ def _parts(at: Optimum) -> int:
     return max(1, min(-(-_BLOCKS // chunks.count), int(rows * at.of.space.h / _BLOCK_S)))
 
 
-def _white(shape: tuple[int, ...], at_once: int) -> Iterator[Array]:
-    """White rows (T, C, m, q), `DRAWS` in all."""
-    rng = np.random.default_rng(0)
-    for done in range(0, DRAWS, at_once):
-        yield rng.standard_normal((*shape, min(at_once, DRAWS - done)))
-
-
 def _moved(at: Optimum, columns: Tensor) -> Array:
     """What parameters do to the whitened rows (T, C, m, k)."""
     space, about, here = at.of.space, at.about, at.at
     rows, count, m = here.white.shape
     k = columns.shape[-1]
     table, none = np.zeros((count, rows - 1, m, k)), np.zeros((rows - 1, count, 0))
-    kernels.in_parts(
-        kernels.sensitivities,
-        rows - 1,
-        count,
-        array(about.slopes[:-1]),
-        array(at.levels.keep(space.h)),
-        np.array(space.observed),
-        array(here.gain[:-1]),
-        array(here.whitening[1:]),
-        array(space.chunks.counted[1:]),
-        array(columns[:-1]),
-        none,
-        np.zeros(0, dtype=np.int64),
-        np.zeros((count, space.n, k)),
-        table,
-    )
+    read = (about.slopes[:-1], at.levels.keep(space.h), space.observed, here.gain[:-1], here.whitening[1:])
+    does = (columns[:-1], none, np.zeros(0, dtype=np.int64), np.zeros((count, space.n, k)))
+    kernels.in_parts(kernels.sensitivities, rows - 1, count, *read, space.chunks.counted[1:], *does, table)
     return np.concatenate((np.zeros((1, count, m, k)), table.transpose(1, 0, 2, 3)))

@@ -171,7 +171,6 @@ def learned(
 
     Args:
         at: The optimum; theta of it is in use.
-        variables: What they may be of.
         ports: Numbers of the disturbances on which functions may act.
         most: Most groups of one row of a port.
         among: Groups to choose from; None takes all that there are.
@@ -182,22 +181,12 @@ def learned(
 
 @torch.no_grad()
 def held_out_density(at: Optimum) -> Array:
-    """Log density of each block of time (B,) under parameters that were fitted to others [nats].
-
-    Args:
-        at: The optimum; theta of it is in use.
-    """
+    """Log density of each block of time (B,) under parameters that were fitted to others [nats]; theta is in use."""
     return _Choice(at, Variables((), lambda x, u: x[:, :0]), (), 0, lambda text: None).density()
 
 
 class _View:
-    """Some chunks of the log, with the values of the variables there.
-
-    Args:
-        at: The optimum.
-        variables: What functions may be of.
-        most: How many rows are enough; None takes all.
-    """
+    """Some chunks of the log, with `most` rows if that is given, and the values of the variables there."""
 
     def __init__(self, at: Optimum, variables: Variables, most: int | None = None) -> None:
         chunks = at.of.space.chunks

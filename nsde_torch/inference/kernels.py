@@ -20,6 +20,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
 from nsde_torch.jit import compiled
 from nsde_torch.threads import allowed_threads
@@ -30,14 +31,19 @@ Labels: TypeAlias = NDArray[np.int64]
 _FEWEST = 2000  # rows a thread: of 400, a pass over a spring takes 0.17 ms in two threads and 0.11 in one
 
 
-def in_parts(kernel: Callable[..., None], rows: int, chunks: int, *arrays: NDArray[Any] | float) -> None:
+def in_parts(
+    kernel: Callable[..., None], rows: int, chunks: int, *values: Tensor | NDArray[Any] | list[int] | float
+) -> None:
     """Run a kernel on all chunks, in as many threads as the caller of the library allows; results are the same.
 
     Args:
-        kernel: One of this file.
         rows, chunks: How many rows a chunk has, and how many chunks there are.
-        arrays: What the kernel takes behind `first` and `end`.
+        values: What the kernel takes behind `first` and `end`.
     """
+    arrays = [
+        v.contiguous().numpy() if isinstance(v, Tensor) else np.array(v) if isinstance(v, list) else v
+        for v in values
+    ]
     threads = allowed_threads()
     count = min(threads, chunks, rows * chunks // _FEWEST)
     if count < 2:
@@ -137,15 +143,8 @@ def covariances(
         for c in range(first, end):  # chunks inside: memory is read in its order
             p = each[c - first]
             _predicted(slopes[k - 1, c], keep, white, gust, p, moved)
-            _updated(
-                p,
-                sensor,
-                observed,
-                measured[k, c] if len(measured) else known,
-                whitening[k, c],
-                gain[k, c],
-                seen,
-            )
+            shown = measured[k, c] if len(measured) else known
+            _updated(p, sensor, observed, shown, whitening[k, c], gain[k, c], seen)
             if len(left):
                 left[k, c] = p
 
@@ -536,13 +535,8 @@ def slopes_in_levels(
     spread, mean = np.empty((p, n, n)), np.empty((p, n))
     closed, back, carried = np.empty((n, n)), np.empty((n, m)), np.empty((n, d))
     flat, room, across = spread.reshape(p * n, n), np.empty((p * n, n)), np.empty((n, n))
-    answered, v, seen, half, after_t = (
-        np.empty(n),
-        np.empty(m),
-        np.empty((m, m)),
-        np.empty((m, m)),
-        np.empty((m, m)),
-    )
+    answered, v, seen = np.empty(n), np.empty(m), np.empty((m, m))
+    half, after_t = np.empty((m, m)), np.empty((m, m))
     for c in range(first, end):
         spread[:] = 0.0
         mean[:] = 0.0

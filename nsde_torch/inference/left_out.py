@@ -66,8 +66,6 @@ def left_out(optimum: Optimum, folds: Folds, still: NDArray[np.bool_] | None = N
     """What the filter predicts of each fold by the other ones.
 
     Args:
-        optimum: Of all rows.
-        folds: What is left out together.
         still: Parameters that all folds take from all rows (k,): shapes, in which steps are far from linear.
     """
     space, about, kept = optimum.of.space, optimum.about, optimum.at

@@ -16,15 +16,11 @@ a prime before a name for the slope in one level,
     'P -> B 'P B^T + F G 'R G^T F^T + 'F P F^T + F P 'F^T + 'Q,      'm -> B ('m + 'P H^T v) - F G 'R v + 'F m
 """
 
-from typing import Any
-
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.inference import kernels
-from nsde_torch.inference.filtering import Linearisation, Pass, array
+from nsde_torch.inference.filtering import Linearisation, Pass
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.state_space import StateSpace
 
@@ -34,32 +30,22 @@ def score(space: StateSpace, levels: Levels, about: Linearisation, at: Pass, liv
     """Gradient of the log likelihood of a pass by chunk (C, m + 3 d).
 
     Args:
-        space: The machine.
-        levels: Noise levels of the pass.
-        about: What the pass is linearised about.
         at: The pass, with its covariances.
         live: Whether a row counts (T, C).
     """
     h, keep = space.h, levels.keep(space.h)
     count, m, d = at.errors.shape[1], len(space.observed), space.nd
     sensors, struck, gusts, begun, kept = (at.errors.new_empty(count, k) for k in (m, d, d, d, d))
-    kernels.in_parts(
-        kernels.adjoints,
-        *at.errors.shape[:2],
-        *_of_pass(space, levels, about, at),
-        array(live),
-        *(array(part) for part in (sensors, struck, gusts, begun, kept)),
-    )
+    read, filled = _of_pass(space, levels, about, at), (sensors, struck, gusts, begun, kept)
+    kernels.in_parts(kernels.adjoints, *at.errors.shape[:2], *read, live, *filled)
     gust = torch.exp(2.0 * levels.gust)
-    return torch.cat(
-        (
-            2.0 * torch.exp(2.0 * levels.sensor) * sensors,
-            2.0 * torch.exp(2.0 * levels.white) / h * struck,
-            2.0 * gust * (gusts * (1.0 - keep.square()) + begun),
-            _in_time_constant(levels, h) * (kept - 2.0 * keep * gust * gusts),
-        ),
-        -1,
+    slopes = (
+        2.0 * torch.exp(2.0 * levels.sensor) * sensors,
+        2.0 * torch.exp(2.0 * levels.white) / h * struck,
+        2.0 * gust * (gusts * (1.0 - keep.square()) + begun),
+        _in_time_constant(levels, h) * (kept - 2.0 * keep * gust * gusts),
     )
+    return torch.cat(slopes, -1)
 
 
 @torch.no_grad()
@@ -69,56 +55,25 @@ def level_slopes(
     """Slopes of the whitened innovations (T, C, m, p) in each level, and of their whitened covariances (T, C, p, m, m).
 
     Args:
-        space: The machine.
-        levels: Noise levels of the pass.
-        about: What the pass is linearised about.
         at: The pass, with its covariances.
         spreads: Whether to return those of the covariances, too.
     """
     rows, count, m = at.errors.shape
     p = m + 3 * space.nd
-    z, turned = at.errors.new_empty(rows, count, m, p), at.errors.new_empty(0, 0, 0, 0, 0)
-    if spreads:
-        turned = at.errors.new_empty(rows, count, p, m, m)
-    kernels.in_parts(
-        kernels.slopes_in_levels,
-        rows,
-        count,
-        *_of_pass(space, levels, about, at),
-        array(_in_time_constant(levels, space.h)),
-        array(torch.exp(2.0 * levels.white) / space.h),
-        array(torch.exp(2.0 * levels.gust)),
-        array(torch.exp(2.0 * levels.sensor)),
-        array(z),
-        array(turned),
-    )
+    z = at.errors.new_empty(rows, count, m, p)
+    turned = at.errors.new_empty((rows, count, p, m, m) if spreads else (0,) * 5)
+    white, gust, sensor = (torch.exp(2.0 * size) for size in (levels.white, levels.gust, levels.sensor))
+    noise = (_in_time_constant(levels, space.h), white / space.h, gust, sensor)
+    read = _of_pass(space, levels, about, at)
+    kernels.in_parts(kernels.slopes_in_levels, rows, count, *read, *noise, z, turned)
     return z, turned if spreads else None
 
 
-def _of_pass(
-    space: StateSpace, levels: Levels, about: Linearisation, at: Pass
-) -> tuple[
-    NDArray[Any],
-    NDArray[Any],
-    NDArray[Any],
-    NDArray[Any],
-    NDArray[Any],
-    NDArray[Any],
-    NDArray[Any],
-    NDArray[Any],
-]:
+def _of_pass(space: StateSpace, levels: Levels, about: Linearisation, at: Pass) -> list[Tensor | list[int]]:
     """What both kernels take of a pass."""
     assert at.covariance is not None
-    return (
-        array(about.slopes),
-        array(levels.keep(space.h)),
-        np.array(space.observed),
-        array(at.whitening),
-        array(at.gain),
-        array(at.white),
-        array(at.delta),
-        array(at.covariance),
-    )
+    found = (at.whitening, at.gain, at.white, at.delta, at.covariance)
+    return [about.slopes, levels.keep(space.h), space.observed, *found]
 
 
 def _in_time_constant(levels: Levels, h: float) -> Tensor:

@@ -58,7 +58,6 @@ def low_passed(values: Tensor, hz: float, dt: float, *, level: bool = False) -> 
     """Values (n, ...) of one stretch below a frequency.
 
     Args:
-        values: The values.
         hz: The frequency [Hz].
         dt: Step [s].
         level: Whether they go on beyond the ends as a line through these, as states do; else as they come, mirrored.

@@ -46,9 +46,7 @@ _VANISHES = 0.1  # nats that a level has to bring by vanishing, to go down
 _CURVED = 0.01  # of the curvature expected, below which a step shows none
 _DAMPING, _MOST_DAMPING = 0.1, 1e4  # less than the first makes steps hardly longer
 _INFORMING = 500  # rows that the information is made from
-_ENTRIES = (
-    4_000_000  # numbers of a pass with its covariances that are kept at once; longer logs go part by part
-)
+_ENTRIES = 4_000_000  # numbers of a pass with its covariances that are kept at once; longer logs go in parts
 
 
 @torch.no_grad()
@@ -69,8 +67,6 @@ def likeliest(
         space: The machine at the values in use, and the log.
         levels: Where to begin.
         first: The first guess, which the prior holds to.
-        about: What the filter is linearised about.
-        start: Where each chunk starts.
         known: The information of levels close by, which decides whether to begin at all.
         least: Nats that a step has to promise.
         rows: How many rows are enough, evenly from all of the log; None takes all of them.
@@ -123,10 +119,8 @@ def likeliest(
         Scoring is of variances, v -> v (1 + 2 step), which for a single one ends at its optimum at once; of logarithms
         it takes half a nat off at most each time, and goes e^50 too far up.
         """
-        if not bool(
-            torch.isfinite(gradient).all() and torch.isfinite(known).all()
-        ):  # the filter has diverged
-            return torch.zeros_like(phi), 0.0
+        if not bool(torch.isfinite(gradient).all() and torch.isfinite(known).all()):
+            return torch.zeros_like(phi), 0.0  # the filter has diverged
         ends = [(low - phi).clamp_min(-_LONGEST_STEP), (high - phi).clamp_max(_LONGEST_STEP)]
         # what little a level would bring by vanishing keeps it: from nothing there is no way back, and of the published
         # flights levels that fell there beside a first theta stayed, 2,700 nats below
@@ -204,12 +198,7 @@ def _most(space: StateSpace) -> int:
 
 
 def evenly(count: int, most: int) -> Tensor:
-    """Numbers of at most so many chunks, evenly over the log.
-
-    Args:
-        count: Chunks in all.
-        most: Chunks at most.
-    """
+    """Numbers of at most so many chunks, evenly over the log."""
     return torch.linspace(0, count - 1, min(count, max(1, most))).round().long()
 
 

@@ -64,8 +64,6 @@ class Posteriors:
     """Posterior densities of one machine at given noise levels.
 
     Args:
-        system: The machine.
-        levels: Noise levels.
         clock: Physical seconds per logged second.
         disturbances: Ports that these are levels of, and their columns; None takes those that a log distinguishes.
 
@@ -85,12 +83,7 @@ class Posteriors:
         self.vector = ParameterVector(system)
 
     def likelihood(self, runs: Sequence[Run], run_in: bool) -> LogLikelihood:
-        """The likelihood of some runs.
-
-        Args:
-            runs: The runs.
-            run_in: See `modes`.
-        """
+        """The likelihood of some runs; `run_in` as for `modes`."""
         return LogLikelihood(
             *(self.system, runs, self.clock), run_in=run_in, states=True, disturbances=self.disturbances
         )
@@ -99,7 +92,6 @@ class Posteriors:
         """The densities about the centres of the priors.
 
         Args:
-            problems: The logs.
             passes: Of the filter, about the states that it found; 0 where these are known to be the measured ones.
         """
         out: list[Posterior] = []
@@ -114,7 +106,6 @@ class Posteriors:
 
         Args:
             log: The log; its centre is where the parameters here are.
-            other: The other machine, with its values.
             run_in: See `modes`.
         """
         of = self.likelihood(log.runs, run_in)
@@ -124,11 +115,9 @@ class Posteriors:
         about = linearised_about(of.space, of.space.chunks.y, of.start)
         about, at = of.settled(self.levels, about, of.filtered(self.levels, about), _PASSES)
         k, theirs = len(self.vector), len(beside.vector)
-        columns = (
-            of.space.columns(about.x, about.slopes, range(k), about.after),
-            beside.columns(about.x, about.slopes, range(theirs)),
-        )
-        gram = grams(of.space, self.levels, about, at, torch.cat(columns, -1)).total
+        own = of.space.columns(about.x, about.slopes, range(k), about.after)
+        columns = torch.cat((own, beside.columns(about.x, about.slopes, range(theirs))), -1)
+        gram = grams(of.space, self.levels, about, at, columns).total
         return np.asarray(gram[1 : 1 + k, 1 + k :])
 
     def modes(
@@ -142,7 +131,6 @@ class Posteriors:
         """Where the densities are largest, by damped steps of Gauss and Newton.
 
         Args:
-            problems: The logs.
             starts: Parameters of each to begin with (k,); None: the centres.
             rounds: Largest number of steps.
             run_in: Whether the first rows of each stretch only bring up memory (`LogLikelihood`).
@@ -229,9 +217,8 @@ class _Batch:
         at = self._of.filtered(self._levels, about)
         about, at = self._of.settled(self._levels, about, at, self.passes)
         self._x, self.passes = torch.where(torch.isfinite(about.x), about.x, self._x), _AGAIN
-        blocks = grams(
-            space, self._levels, about, at, space.columns(about.x, about.slopes, range(self._k), about.after)
-        ).blocks
+        columns = space.columns(about.x, about.slopes, range(self._k), about.after)
+        blocks = grams(space, self._levels, about, at, columns).blocks
         count = len(self._problems)
         whole = np.zeros((count, *blocks.shape[1:]))
         np.add.at(whole, self._block, blocks)

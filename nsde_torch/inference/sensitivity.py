@@ -19,7 +19,7 @@ from torch import Tensor
 
 from nsde_torch.arrays import Array
 from nsde_torch.inference import kernels
-from nsde_torch.inference.filtering import Linearisation, Pass, array
+from nsde_torch.inference.filtering import Linearisation, Pass
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.spread import Spread
 from nsde_torch.inference.state_space import StateSpace
@@ -96,10 +96,6 @@ def grams(
     """Gram matrices of a pass.
 
     Args:
-        space: The machine and the log.
-        levels: Noise levels.
-        about: What the pass is linearised about.
-        at: The pass.
         columns: What k parameters do to the steps (T, C, ne, k) from the states of `about`; single precision does.
         nuisances: Further columns of the whitened rows (T, C, m, p).
         forces: Number of a disturbance, and forces (T, C, q) that act where it does: further columns behind `columns`.
@@ -112,16 +108,15 @@ def grams(
     k = columns.shape[-1] + sum(force.shape[-1] for _, force in forces)
     size = 1 + k + (0 if nuisances is None else nuisances.shape[-1])
     sums = at.gain.new_zeros(len(chunks.parts), chunks.count, size, size)
-    most = max(1, _NUMBERS // (max(b - a for a, b in chunks.parts) * len(space.observed) * size))
     longest = max(b - a for a, b in chunks.parts)
+    most = max(1, _NUMBERS // (longest * len(space.observed) * size))
     buffer = at.gain.new_empty(min(most, chunks.count), longest, len(space.observed), size)
     for some in torch.arange(chunks.count).split(most):
         extra = None if nuisances is None else nuisances[:, some]
         pushed = [(j, force[:, some]) for j, force in forces]
         near, here = (about, at) if len(some) == chunks.count else (about.of(some), at.of(some))
-        for p, table in enumerate(
-            _tables(space, levels, near, here, columns[:, some], pushed, extra, some, buffer)
-        ):
+        tables = _tables(space, levels, near, here, columns[:, some], pushed, extra, some, buffer)
+        for p, table in enumerate(tables):
             flat = table.flatten(1, 2)
             own, head = flat.transpose(1, 2), apart[0].start if apart else size
             sums[p, some, :head] = own[:, :head] @ flat
@@ -146,7 +141,7 @@ def _tables(
     k = columns.shape[-1] + sum(force.shape[-1] for _, force in forces)
     acts = np.array([j for j, force in forces for _ in range(force.shape[-1])], dtype=np.int64)
     counted = space.chunks.counted[:, some]
-    keep, observed = array(levels.keep(space.h)), np.array(space.observed)
+    keep = levels.keep(space.h)
     moved = at.gain.new_zeros(len(some), space.n, k)
     for first, end in space.chunks.parts:
         begun = max(first, 1)
@@ -154,23 +149,17 @@ def _tables(
         table[:, : begun - first] = 0.0
         rows, before = slice(begun, end), slice(begun - 1, end - 1)
         pushed = [force[before] for _, force in forces] or [moved.new_zeros(end - begun, len(some), 0)]
-        filled = moved.new_empty(len(some), end - begun, len(observed), k)
-        kernels.in_parts(
-            kernels.sensitivities,
-            end - begun,
-            len(some),
-            array(about.slopes[before]),
+        filled = moved.new_empty(len(some), end - begun, len(space.observed), k)
+        read = (
+            about.slopes[before],
             keep,
-            observed,
-            array(at.gain[before]),
-            array(at.whitening[rows]),
-            array(counted[rows]),
-            array(columns[before].double()),
-            array(torch.cat(pushed, -1).double()),
-            acts,
-            array(moved),
-            array(filled),
+            space.observed,
+            at.gain[before],
+            at.whitening[rows],
+            counted[rows],
         )
+        does = (columns[before].double(), torch.cat(pushed, -1).double(), acts)
+        kernels.in_parts(kernels.sensitivities, end - begun, len(some), *read, *does, moved, filled)
         table[:, begun - first :, :, 1 : 1 + k] = filled
         shown = counted[first:end, :, None]
         table[..., 0] = (at.white[first:end] * shown).transpose(0, 1)
@@ -216,7 +205,6 @@ def solved(gram: Array, weights: Array | None = None) -> Array:
     """Least squares (..., k) from Gram matrices of [e, J] (..., 1 + k, 1 + k), in columns of equal length.
 
     Args:
-        gram: The matrices.
         weights: Of the squares of the unknowns (..., k); None for none.
     """
     inner = gram[..., 1:, 1:]

@@ -44,11 +44,9 @@ def functions(
     """Values (n, q) of the functions of a group.
 
     Args:
-        of: Its variables: one or two.
         kind: `polynomial`, `signed` (sign of one, size, and square with its sign; of two, each times the size of the
             other), `product` of both, `smooth`, `fine`, or `varying`: waves of the first one times the second.
         values: Values of the variables (n,).
-        scaled: Their scales.
     """
     if kind in EXTENDED:
         plain = [values[name] / scaled[name].size for name in of]

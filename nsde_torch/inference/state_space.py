@@ -34,7 +34,6 @@ def disturbances_of(system: System, t: Tensor, x: Tensor, u: Tensor) -> tuple[tu
     """Columns of the ports on which the machine is disturbed; of those that push alike, the first.
 
     Args:
-        system: The machine.
         t, x, u: Some of the log's rows (N,), (N, nz), (N, nu).
     """
     ports = system.disturbed_ports or tuple(p for p in system.ports if p not in (Port.INPUT, Port.RATE))
@@ -95,9 +94,6 @@ class StateSpace:
     """A machine over the chunks of a log.
 
     Args:
-        vector: Its parameters.
-        steps: The log.
-        chunks: The same in chunks.
         observed: Numbers of the measured error channels.
         every: Rows from one measurement of each of these to the next.
         band: Frequencies above which states were smoothed away [Hz], by error channel.
@@ -273,7 +269,6 @@ class StateSpace:
         which the likelihood is then climbed as it is.
 
         Args:
-            x: The states.
             slopes: Of the step from these (T, C, ne, n).
             which: Numbers of the parameters.
             after: States after the undisturbed step, where they are known.

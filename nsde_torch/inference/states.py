@@ -28,11 +28,7 @@ class Filtered:
     at: Pass  # the pass, with the covariances of the states
 
     def states(self, runs: Sequence[Run]) -> list[Array]:
-        """States of each run (n, nx); as they were read in rows that no stretch holds.
-
-        Args:
-            runs: The runs of the log.
-        """
+        """States of each run (n, nx); as they were read in rows that no stretch holds."""
         space, steps, chunks = self.of.space, self.of.space.steps, self.of.space.chunks
         x = space.shifted(self.about.x, self.at.delta[..., : space.ne]).numpy()
         out = [np.array(run.x) for run in runs]
@@ -59,11 +55,7 @@ class Filtered:
 
 @torch.no_grad()
 def filtered_at(of: LogLikelihood) -> Filtered:
-    """A log under the first values of its physics.
-
-    Args:
-        of: The likelihood; of positions alone best that of `states=True`.
-    """
+    """A log under the first values of its physics; of positions alone best that of `states=True`."""
     system = of.vector.at_first()
     wide = ParameterVector(system)  # a friction narrower than all speeds has slopes that no step follows
     wide.limit(data_sizes(wide.system, of.space.steps))

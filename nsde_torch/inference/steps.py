@@ -91,7 +91,6 @@ def steps_of(
     """Cut runs into steps.
 
     Args:
-        system: The machine.
         runs: Its runs, all on one step.
         clock: Physical seconds per logged second.
         smooth: Whether white sensor noise is taken out of the states and of their changes.

@@ -88,11 +88,7 @@ def identify_in_loop(
     """Identify declared parameters, test the loop, and use signals from outside it.
 
     Args:
-        system: The machine; its values are where the iteration starts. It is not changed.
-        runs: Recordings, all on one step.
-        clock: Physical seconds per logged second.
-        method: See `identify`.
-        iterations: Largest number of steps.
+        system, runs, clock, method, iterations: As for `identify`.
         instruments: Names of logged columns (`Run.extra`) that nothing inside the loop moves: sticks, setpoints.
         likelihood: Whether values are those of largest likelihood, where that can be relied on.
         begun: The regression of the same runs, where it has settled already.
@@ -147,9 +143,8 @@ def _over_boxes(
         by, apart = _by_instruments(regression, runs, instruments, bool(loop.hidden), clock, width)
         if adopted(by, loop):
             # instruments are solved for at once; the others need what had settled
-            found = replace(
-                found, values=by.values, covariance=by.covariance, degrees=by.degrees, converged=True
-            )
+            own = {key: getattr(by, key) for key in ("values", "covariance", "degrees")}
+            found = replace(found, **own, converged=True)
             bias = doubt + (0.0 if regression.converged else np.nan)
             leans, ordinary = np.abs(by.leans), np.where(by.moved, 0.0, bias)
             leaning = (leans * np.where(leans > 0, ordinary, 0.0)).sum(1)
@@ -228,10 +223,6 @@ def dependence_on_band(
     change. nan where nothing can be fitted in half of the band.
 
     Args:
-        system: Physics with the values.
-        theta: The values (k,).
-        runs: The log.
-        clock: Physical seconds per logged second.
         apart: Least time from one measurement to the next [s].
     """
     if not any(run.band for run in runs):
@@ -377,12 +368,8 @@ def by_likelihood(
     """
     objected = found.guard is not None and found.guard.objections
     # inputs that answer the states know of noise what a smoother took out of them (`diagnosis.feedback_bias`)
-    answered = (
-        near is None
-        and found.loop is not None
-        and bool(found.loop.closed_loop)
-        and any(run.band for run in runs)
-    )
+    closed = near is None and found.loop is not None and bool(found.loop.closed_loop)
+    answered = closed and any(run.band for run in runs)
     if objected or answered or entries(system, runs) > MOST:
         return found
     machine = copy.deepcopy(system)

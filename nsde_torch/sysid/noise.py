@@ -211,9 +211,8 @@ def forgetting(reflection: Array, memory: float) -> Array:
     a = _polynomial(reflection)
     a = a * np.exp(-np.arange(len(a)) / memory)
     out = np.zeros(len(reflection))
-    with np.errstate(
-        divide="ignore", invalid="ignore"
-    ):  # nothing new is left: nan, which a regression refuses
+    # nothing new is left: nan, which a regression refuses
+    with np.errstate(divide="ignore", invalid="ignore"):
         for m in range(len(reflection), 0, -1):
             out[m - 1] = a[m]
             a = (a[:m] - a[m] * a[:0:-1]) / (1.0 - a[m] ** 2)

@@ -66,8 +66,6 @@ class Physics:
     """Residuals of steps as a function of theta.
 
     Args:
-        vector: The parametrised physics.
-        steps: The data.
         curved: Whether sensor noise is white and f is to be corrected for its curvature.
         foresee: Whether slopes are those at a foreseen state; False takes the measured one.
 

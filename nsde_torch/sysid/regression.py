@@ -170,7 +170,6 @@ class Regression:
     """The regression of one set of runs, whose pieces others may use: what a candidate effect would explain.
 
     Args:
-        physics: Residuals and slopes.
         box: Steps per box.
         rows: Numbers of the channels to look at; None takes those that depend on a parameter.
         start: First theta; None takes the system's values.

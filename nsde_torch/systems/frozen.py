@@ -16,12 +16,7 @@ from nsde_torch.systems.base import System
 
 
 def frozen(system: System, *, dtype: torch.dtype = torch.float64) -> System:
-    """A copy with its parameters as they are now.
-
-    Args:
-        system: The machine.
-        dtype: Precision; parameters are worked out in double precision.
-    """
+    """A copy with its parameters as they are now, worked out in double precision and then of a `dtype`."""
     system = copy.deepcopy(system).double().requires_grad_(False)
     for module in system.modules():
         if isinstance(module, Parametrised):

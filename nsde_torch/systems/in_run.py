@@ -36,7 +36,6 @@ def in_its_run(system: System, effects: Sequence[int], u: Tensor) -> Iterator[Te
     """Give every row the parameters of its run, and yield what forces over the mass are multiplied by (N, 1).
 
     Args:
-        system: The machine.
         effects: Numbers of its effects on the port `parameter`.
         u: Inputs and logged channels (N, nu + n).
     """
@@ -103,7 +102,6 @@ def in_new_runs(system: System, spread: Mapping[str, Sequence[float]], draws: Te
     It reads the column `run`, whatever stands there.
 
     Args:
-        system: The machine.
         spread: By target, what differs between runs: an effect with a size for each run, or a parameter
             (`RunDifference.target`); its standard deviations.
         draws: Standard normal numbers of each row (N, n), n of all targets together.

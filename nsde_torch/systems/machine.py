@@ -11,64 +11,41 @@ from nsde_torch.effects.base import Port
 
 @dataclass(frozen=True)
 class Gust:
-    """What pushes one port; one number for every axis, or one for each.
+    """What pushes one port; one number for every axis, or one for each."""
 
-    Args:
-        std: Standard deviation of the coloured part [unit of the port].
-        time_constant: Its correlation time [s], > 0.
-        white: Intensity of the white part [unit of the port times root second].
-    """
-
-    std: tuple[float, ...] = (0.0,)
-    time_constant: float = 1.0
-    white: tuple[float, ...] = (0.0,)
+    std: tuple[float, ...] = (0.0,)  # standard deviation of the coloured part [unit of the port]
+    time_constant: float = 1.0  # its correlation time [s], > 0
+    white: tuple[float, ...] = (0.0,)  # intensity of the white part [unit of the port times root second]
 
 
 @dataclass(frozen=True)
 class Excitation:
     """Runs that show what a machine does: first states drawn at random, inputs that vary about a mean.
 
-        u_i(t) = mean_i + sum_k A_i sin(2 pi f_k t + phi_k),    f_k log-uniform between two frequencies
-
-    Args:
-        size: Standard deviation of each input about its mean [its unit].
-        mean: Mean of each input [its unit]; empty: 0.
-        hertz: Lowest and highest frequency [Hz].
-        start: Lowest and highest first value of each state [its unit]; empty: 0.
-        durations: Length of each run [s].
+    u_i(t) = mean_i + sum_k A_i sin(2 pi f_k t + phi_k),    f_k log-uniform between two frequencies
     """
 
-    size: tuple[float, ...]
-    mean: tuple[float, ...] = ()
-    hertz: tuple[float, float] = (0.05, 1.5)
+    size: tuple[float, ...]  # standard deviation of each input about its mean [its unit]
+    mean: tuple[float, ...] = ()  # mean of each input [its unit]; empty: 0
+    hertz: tuple[float, float] = (0.05, 1.5)  # lowest and highest frequency [Hz]
     start: tuple[tuple[float, float], ...] = ()
-    durations: tuple[float, ...] = (20.0,) * 6
+    """Lowest and highest first value of each state [its unit]; empty: 0."""
+    durations: tuple[float, ...] = (20.0,) * 6  # length of each run [s]
 
 
 @dataclass(frozen=True)
 class Machine:
-    """What a plant of one system is made of.
+    """What a plant of one system is made of."""
 
-    Args:
-        values: Parameters of the declared physics, `name` or `effect.name`.
-        dt: Sample [s].
-        step: Fine step of the integration [s].
-        sensor_std: Measurement noise, one number per error channel of the system [its unit].
-        effects: Effects that the machine has beyond the declared physics, with their parameters.
-        gusts: What pushes the ports; empty: no process noise.
-        limits: Lowest and highest command, or None.
-        latency: Time from a command to its effect [s].
-        excitation: How runs of it are made, where it has no recording of its own.
-        recording: Makes runs another way: a function as `nsde_torch.simulation.excited_runs` is.
-    """
-
-    values: Mapping[str, float | list[float]]
-    dt: float
-    step: float
-    sensor_std: tuple[float, ...]
+    values: Mapping[str, float | list[float]]  # parameters of the declared physics, `name` or `effect.name`
+    dt: float  # sample [s]
+    step: float  # fine step of the integration [s]
+    sensor_std: tuple[float, ...]  # measurement noise, one number per error channel of the system [its unit]
     effects: Mapping[str, Mapping[str, float | list[float]]] = field(default_factory=dict)
-    gusts: Mapping[Port, Gust] = field(default_factory=dict)
-    limits: tuple[float, float] | None = None
-    latency: float = 0.0
-    excitation: Excitation | None = None
+    """Effects that the machine has beyond the declared physics, with their parameters."""
+    gusts: Mapping[Port, Gust] = field(default_factory=dict)  # what pushes the ports; empty: no process noise
+    limits: tuple[float, float] | None = None  # lowest and highest command, or None
+    latency: float = 0.0  # time from a command to its effect [s]
+    excitation: Excitation | None = None  # how runs of it are made, where it has no recording of its own
     recording: Callable[..., Any] | None = None
+    """Makes runs another way: a function as `nsde_torch.simulation.excited_runs` is."""

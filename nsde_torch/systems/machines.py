@@ -43,7 +43,6 @@ Effects = Sequence[str | Mapping[str, Mapping[str, float | list[float]] | None]]
 """Effects as a user names them: `name`, `{name: {parameter: value}}` or a file `effects.yaml` of a diagnosis, in a list
 or as one of them."""
 
-
 _MULTIROTOR: dict[str, Any] = {
     "dt": 0.01,
     "step": 0.01,
@@ -158,9 +157,7 @@ def plant_effects(name: str, *, effects: Effects = (), declared_only: bool = Fal
     """Effects of a plant beside the declared physics, with the values that are not those of the effects themselves.
 
     Args:
-        name: Name of the system.
-        effects: See `make_plant_system`.
-        declared_only: See `make_plant_system`.
+        effects, declared_only: See `make_plant_system`.
 
     Raises:
         ConfigError: no plant of that name, or an unknown effect.
@@ -170,9 +167,7 @@ def plant_effects(name: str, *, effects: Effects = (), declared_only: bool = Fal
     for asked, given in named_effects(effects, name).items():
         key = own.effect_key(asked)
         cls = own.effect_class(key)
-        for (
-            part
-        ) in cls.includes:  # it stands in for a simpler effect of the machine, with the values of that one
+        for part in cls.includes:  # it stands in for a simpler effect, with the values of that one
             standing = present.pop(part, {})
             given = {**{k: v for k, v in standing.items() if k in cls.PARAMETERS}, **given}
         present.setdefault(key, {}).update(given)

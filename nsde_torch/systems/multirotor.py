@@ -50,9 +50,7 @@ class Multirotor(System):
         mixing: Signs and relative arms, rows thrust (all ones), roll, pitch, yaw; one column per motor.
 
     Args:
-        effects: Effects beyond the declared ones.
-        declared: Declared effects; None takes the system's own.
-        values: Initial values of parameters.
+        effects, declared, values: See `System`.
         thrust_degree: Degree of the thrust map in the command, 1 to 3.
         yaw_direction: 1: propellers turn as those of PX4's frame; -1: each the other way.
     """

@@ -28,17 +28,11 @@ _BEYOND = 4.0  # times the grid of a shape, at which it does not matter any more
 
 @dataclass(frozen=True)
 class Place:
-    """Where a declared parameter stands in theta.
+    """Where a declared parameter stands in theta."""
 
-    Args:
-        name: `name` of the system's own, `effect.name` of an effect's.
-        unit: Its unit.
-        columns: Its columns of theta, one per axis.
-    """
-
-    name: str
+    name: str  # `name` of the system's own, `effect.name` of an effect's
     unit: str
-    columns: slice
+    columns: slice  # its columns of theta, one per axis
 
 
 @final
@@ -116,7 +110,7 @@ class ParameterVector:
         )
         self.moves_memory = np.array([row[4] for row in rows])
         self.raised = np.zeros(len(rows), dtype=np.bool_)
-        self.use(torch.as_tensor(self.start, dtype=dtype, device=_device(self.system)))
+        self.use(torch.as_tensor(self.start, dtype=dtype, device=next(self.system.parameters()).device))
 
     def __len__(self) -> int:
         return len(self.start)
@@ -151,9 +145,8 @@ class ParameterVector:
 
     def inside(self, theta: Array) -> Array:
         """The nearest values (k,) strictly inside the bounds, as a system takes them."""
-        margin = np.minimum(
-            1e-6 * self.scale, 1e-3 * (self.high - self.low)
-        )  # bounds of tiny motions lie close
+        # bounds of tiny motions lie close
+        margin = np.minimum(1e-6 * self.scale, 1e-3 * (self.high - self.low))
         return np.clip(theta, self.low + margin, self.high - margin)
 
     def reach(self, theta: Array) -> tuple[Array, Array]:
@@ -220,10 +213,6 @@ class ParameterVector:
             effect, dot, own = place.name.partition(".")
             owner: Parametrised = effects[effect] if dot else system
             owner.set_value(own if dot else place.name, values[place.columns])
-
-
-def _device(system: System) -> torch.device:
-    return next(iter(system.parameters())).device
 
 
 def own_name(label: str) -> str:

@@ -37,52 +37,30 @@ def split_values(values: Mapping[str, Any]) -> tuple[Numbers, dict[str, Numbers]
 
 @dataclass(frozen=True)
 class Defaults:
-    """Constants of the supplement for one system.
+    """Constants of the supplement for one system."""
 
-    Args:
-        dt: Step of the model [s].
-        horizon: Steps of a training window.
-        sigma_max: Largest diffusion, one per state [unit of the state per root second].
-        ball_radius: Radius r of the ball of the convexity loss [standard deviations of the features].
-        lambda_mu: Weight of the reward on strong convexity.
-        step: Name of the integrator.
-    """
-
-    dt: float
-    horizon: int
-    sigma_max: tuple[float, ...]
-    ball_radius: float
-    lambda_mu: float
-    step: str
+    dt: float  # step of the model [s]
+    horizon: int  # steps of a training window
+    sigma_max: tuple[float, ...]  # largest diffusion, one per state [unit of the state per root second]
+    ball_radius: float  # radius r of the ball of the convexity loss [standard deviations of the features]
+    lambda_mu: float  # weight of the reward on strong convexity
+    step: str  # name of the integrator
 
 
 @dataclass(frozen=True)
 class ErrorGroup:
-    """Error channels that share a unit and are reported as one norm.
+    """Error channels that share a unit and are reported as one norm."""
 
-    Args:
-        name: For example "position".
-        channels: Indices into the error channels.
-        unit: Unit of the report.
-        factor: From the channel's unit to that of the report (180/pi for degrees).
-    """
-
-    name: str
-    channels: tuple[int, ...]
-    unit: str
-    factor: float = 1.0
+    name: str  # for example "position"
+    channels: tuple[int, ...]  # indices into the error channels
+    unit: str  # unit of the report
+    factor: float = 1.0  # from the channel's unit to that of the report (180/pi for degrees)
 
 
 @dataclass(frozen=True)
 class ResidualPort:
-    """A port that gets a learned residual network.
+    """A port that gets a learned residual network."""
 
-    Args:
-        width: Outputs.
-        scale: Size of a typical residual in the unit of the port.
-        unit: Unit of the port.
-    """
-
-    width: int
-    scale: float
-    unit: str
+    width: int  # outputs
+    scale: float  # size of a typical residual in the unit of the port
+    unit: str  # unit of the port

@@ -64,7 +64,6 @@ def seen_by(system: System, effect: Effect, t: float | Tensor, z: Tensor, u: Ten
     """What an effect on a force port would be given as its input (N, nu + what it reads).
 
     Args:
-        system: The machine.
         effect: The effect, which need not be one of the system's.
         t: Time [s].
         z: State and memory (N, nz).

@@ -8,7 +8,7 @@ from torch import Generator, Tensor
 from nsde_torch.data import Windows
 from nsde_torch.models.model import Model
 from nsde_torch.systems import System
-from nsde_torch.systems.memory import MEMORY_S
+from nsde_torch.systems.base import MEMORY_S
 
 
 def inputs_before(system: System, windows: Windows, indices: Tensor) -> Tensor | None:

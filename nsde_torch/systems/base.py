@@ -8,9 +8,12 @@ Kinematics are exact and belong to the system; everything that pushes is an effe
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from itertools import accumulate
+from math import ceil
 from typing import Any, ClassVar
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
@@ -20,11 +23,14 @@ from nsde_torch.effects.by_run import target_of
 from nsde_torch.effects.coordinates import Bound
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.systems import coordinates as coordinates_of
-from nsde_torch.systems import memory as memory_of
 from nsde_torch.systems.in_run import OVER_MASS, in_its_run
 from nsde_torch.systems.machine import Machine
 from nsde_torch.systems.values import Defaults, ErrorGroup, ResidualPort, split_values
 from nsde_torch.systems.vocabulary import given
+
+MEMORY_S = 0.5
+"""Time before a start that inputs are taken from [s]: ten time constants of motors; four fifths of one of 0.3 s."""
+_FINE_S = 0.005  # steps of memory that is not exact over whole ones
 
 
 class System(Parametrised, ABC):
@@ -168,7 +174,13 @@ class System(Parametrised, ABC):
     @property
     def held_columns(self) -> tuple[int, ...]:
         """Columns of (state, memory) whose rate is that of a whole step: memory of effects that know the step."""
-        return memory_of.held_columns(self._own, self._parts)
+        ends = list(accumulate(self._parts))
+        return tuple(
+            column
+            for effect, start, stop in zip(self._own, ends[:-1], ends[1:], strict=True)
+            if effect.step and effect.whole_steps
+            for column in range(start, stop)
+        )
 
     def inner(self, z: Tensor, y: Tensor) -> Tensor:
         """The state `y` (N, nz) at which a step from `z` (N, nz) evaluates the drift again.
@@ -176,7 +188,15 @@ class System(Parametrised, ABC):
         Memory whose rate is that of a whole step stays as it was at the start: every stage then has the mean input
         over the step, and the memory comes out exact, whatever the method.
         """
-        return memory_of.held_within(self, z, y)
+        columns = self.held_columns
+        if not columns:
+            return y
+        if len(columns) == self.nz - self.nx:
+            parts = (self.nx, len(columns))
+            return join_columns((split_columns(y, *parts)[0], split_columns(z, *parts)[1]))
+        keep = torch.zeros(self.nz, dtype=torch.bool, device=z.device)
+        keep[list(columns)] = True
+        return torch.where(keep, z, y)
 
     def with_effects(self, *effects: Effect) -> "System":
         """A copy of the machine, with its present values, that has further effects.
@@ -348,16 +368,23 @@ class System(Parametrised, ABC):
         """State with the memory of the effects (N, nz), stationary under the input `u` (N, nu + n_exogenous)."""
         if self.nz == self.nx:
             return x
-        order = (*self._on_input, *self._on_force)
-        starts = memory_of.stationary(
-            self._own, order, lambda k, command: self._seen(k, x, command, u), x, u[:, : self.nu]
-        )
-        return join_columns((x, *starts))
+        starts, command = dict[int, Tensor](), u[:, : self.nu]
+        for k in (*self._on_input, *self._on_force):
+            effect = self._own[k]
+            if effect.n_memory or effect.port is Port.INPUT:
+                own = self._seen(k, x, command, u)
+                starts[k] = effect.memory_start(x, own)
+                if effect.port is Port.INPUT:
+                    command = command + effect(0.0, x, own, starts[k])
+        return join_columns((x, *(starts[k] for k in sorted(starts))))
 
     def remembered(self, x: Tensor, u: Tensor, u_before: Tensor | None, *, dt: float) -> Tensor:
         """State with the memory that the inputs until now have left (N, nz); differentiable.
 
         Memory is stationary under the first of these inputs, and the state is held at `x` while it moves: assumed.
+        Memory of inputs (lags, delays) does not read it, and that of other effects is right only as far as the state
+        stays where it is. Effects of `whole_steps` are exact for inputs that are held over each step, however long it
+        is. Others are followed by Runge and Kutta's method in shorter steps.
 
         Args:
             x: States now (N, nx).
@@ -368,7 +395,39 @@ class System(Parametrised, ABC):
         Raises:
             ShapeError: `u_before` does not fit.
         """
-        return memory_of.remembered(self, x, u, u_before, dt)
+        if u_before is None or self.nz == self.nx:
+            return self.augment(x, u)
+        if u_before.ndim != 3 or u_before.shape[::2] != (len(x), u.shape[-1]) or not u_before.shape[1]:
+            raise ShapeError(
+                f"`u_before` must be (batch={len(x)}, steps, nu={u.shape[-1]}) with at least one step; got "
+                f"{tuple(u_before.shape)}."
+            )
+        memory = split_columns(self.augment(x, u_before[:, 0]), self.nx, self.nz - self.nx)[1]
+        parts = 1 if self.whole_steps else ceil(dt / _FINE_S)
+        h, before = dt / parts, self.step
+        self.set_step(h)
+        try:
+            for held in u_before.unbind(1):
+                for _ in range(parts):
+                    memory = self._advanced(x, memory, held, h)
+        finally:
+            self.set_step(before)
+        return join_columns((x, memory))
+
+    def _advanced(self, x: Tensor, memory: Tensor, u: Tensor, h: float) -> Tensor:
+        """Memory after a step (Euler's where that is exact, else Runge and Kutta's of fourth order)."""
+        start = join_columns((x, memory))
+
+        def rate(m: Tensor) -> Tensor:
+            return self.memory_rate(0.0, self.inner(start, join_columns((x, m))), u)
+
+        k1 = rate(memory)
+        if self.whole_steps:
+            return memory + h * k1
+        k2 = rate(memory + 0.5 * h * k1)
+        k3 = rate(memory + 0.5 * h * k2)
+        k4 = rate(memory + h * k3)
+        return memory + (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
 
     def held_memory(self, t: Tensor, x: Tensor, u: Tensor, dt: float) -> tuple[Tensor, Tensor]:
         """What effects know of their memory over steps (see `Effect.held`, `Effect.followed`).
@@ -383,15 +442,23 @@ class System(Parametrised, ABC):
             Memory that holds its mean over each step (n, nz - nx), and whether each column is known (nz - nx,).
             What comes after an effect that does not know is not known.
         """
-        return memory_of.held_memory(
-            self._own,
-            self._on_input,
-            lambda k, command: self._seen(k, x, command, u),
-            t=t,
-            x=x,
-            command=u[:, : self.nu],
-            dt=dt,
-        )
+        ends = list(accumulate((effect.n_memory for effect in self._own), initial=0))
+        memory, command = x.new_zeros(len(x), ends[-1]), u[:, : self.nu]
+        known = torch.zeros(ends[-1], dtype=torch.bool)
+        for k in self._on_input:
+            effect, own = self._own[k], self._seen(k, x, command, u)
+            columns = slice(ends[k], ends[k + 1])
+            if effect.n_memory:
+                held = effect.held(own, dt)
+                if held is None:
+                    break
+                memory[:, columns], known[columns] = held, True
+            command = command + effect(t, x, own, memory[:, columns])
+        for k, effect in enumerate(self._own):
+            followed = effect.followed(x, dt) if k not in self._on_input else None
+            if followed is not None:
+                memory[:, ends[k] : ends[k + 1]], known[ends[k] : ends[k + 1]] = followed, True
+        return memory, known
 
     def quantity(self, name: str, x: Tensor, u: Tensor) -> Tensor:
         """One of `quantities` (N, its columns), from state and applied input."""

@@ -30,8 +30,8 @@ from nsde_torch.errors import ConfigError, NsdeError
 from nsde_torch.inference import LogLikelihood, maximised
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.posterior import LogWithPrior, Posteriors
-from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.inference.state_space import StateSpace, forces_on, moved
+from nsde_torch.inference.steps import data_sizes
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector, own_name

@@ -51,10 +51,7 @@ class CoulombFriction(Law):
     name = "coulomb_friction"
     formula = "-c tanh(v / v0)"
     source = SURVEY
-    PARAMETERS = {
-        "size": Parameter(0.1, "force", low=0.0, help="friction force"),
-        "width": width(),
-    }
+    PARAMETERS = {"size": Parameter(0.1, "force", low=0.0, help="friction force"), "width": width()}
     along = "speed"
     amplitudes = ("size",)
     shapes = {"width": WIDTHS}

@@ -274,11 +274,7 @@ def _may(cls: type[Effect], system: str, ports: Collection[Port]) -> bool:
 def effects_of(
     system: str, ports: Collection[Port], coordinates: Sequence[Bound] = ()
 ) -> dict[str, type[Effect]]:
-    """The effects of the catalogue, and those registered, that a system can have.
-
-    Args:
-        coordinates: Its coordinates: laws are listed for each of them.
-    """
+    """The effects of the catalogue, and those registered, that a system can have: laws for each of its coordinates."""
     out: dict[str, type[Effect]] = {}
     for name, cls in _known().items():
         if issubclass(cls, Law):

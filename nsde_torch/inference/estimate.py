@@ -39,10 +39,9 @@ from nsde_torch.inference.levels import Levels, first_levels
 from nsde_torch.inference.low_pass import band_of, rows_apart
 from nsde_torch.inference.maximum import evenly, level_columns, likeliest
 from nsde_torch.inference.sensitivity import Grams, grams
-from nsde_torch.inference.sizes import data_sizes
 from nsde_torch.inference.spread import Spread
 from nsde_torch.inference.state_space import StateSpace
-from nsde_torch.inference.steps import Steps, inferred_columns, steps_of
+from nsde_torch.inference.steps import Steps, data_sizes, inferred_columns, steps_of
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 from nsde_torch.time_limit import check_time
@@ -257,11 +256,7 @@ class LogLikelihood:
         return out
 
     def _set(
-        self,
-        system: System,
-        steps: Steps,
-        chunks: Chunks,
-        disturbances: tuple[tuple[Port, int], ...] | None,
+        self, system: System, steps: Steps, chunks: Chunks, disturbances: tuple[tuple[Port, int], ...] | None
     ) -> None:
         unknown = self._unknown
         self.vector = vector = ParameterVector(system)

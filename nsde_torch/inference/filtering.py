@@ -131,12 +131,7 @@ def filtered(
     *,
     covariances: bool = False,
 ) -> Pass:
-    """Filter chunks.
-
-    Args:
-        live: Whether a row counts (T, C).
-        covariances: Whether to keep those of the states, for `nsde_torch.inference.level_slopes`.
-    """
+    """Filter chunks whose `live` rows (T, C) count; `covariances` keeps those of the states, for `level_slopes`."""
     rows, count, m = about.seen.shape
     n = space.n
     new = about.seen.new_empty
@@ -162,12 +157,9 @@ def _noise(space: StateSpace, levels: Levels, start: Start) -> list[Tensor | lis
 
 @torch.no_grad()
 def within_gate(space: StateSpace, levels: Levels, about: Linearisation, start: Start, gate: float) -> Tensor:
-    """Whether each row measures each channel (T, C, m), of those that it does within a gate.
+    """Whether each row measures each channel (T, C, m) within a gate [standard deviations of an innovation].
 
     The filter goes on without what is beyond it, so that one outlier does not lead it astray.
-
-    Args:
-        gate: Standard deviations of an innovation.
     """
     every = torch.ones_like(about.seen, dtype=torch.bool)
     measured = every if about.measured is None else about.measured.clone()
@@ -180,12 +172,9 @@ def within_gate(space: StateSpace, levels: Levels, about: Linearisation, start: 
 def with_gains(
     space: StateSpace, levels: Levels, about: Linearisation, whitening: Tensor, gain: Tensor, live: Tensor
 ) -> Pass:
-    """The means of a pass whose covariances are known.
+    """The means of a pass whose covariances, `whitening` (T, C, m, m) and `gain` (T, C, n, m), are known.
 
     These depend on the slopes and the noise alone, and not on what steps miss: not on a parameter that is tried.
-
-    Args:
-        whitening, gain: Of the pass (T, C, m, m) and (T, C, n, m).
     """
     errors, white = torch.empty_like(about.seen), torch.empty_like(about.seen)
     delta, nats = gain.new_empty(gain.shape[:-1]), gain.new_empty(gain.shape[:2])

@@ -165,7 +165,6 @@ def learned(
     *,
     most: int = MOST_GROUPS,
     among: Sequence[BasisGroup] | None = None,
-    say: Callable[[str], None] = lambda text: None,
 ) -> Functions:
     """Functions that explain what the physics of an optimum does not.
 
@@ -174,15 +173,14 @@ def learned(
         ports: Numbers of the disturbances on which functions may act.
         most: Most groups of one row of a port.
         among: Groups to choose from; None takes all that there are.
-        say: Takes what is chosen.
     """
-    return _Choice(at, variables, ports, most, say, among).made()
+    return _Choice(at, variables, ports, most, among).made()
 
 
 @torch.no_grad()
 def held_out_density(at: Optimum) -> Array:
     """Log density of each block of time (B,) under parameters that were fitted to others [nats]; theta is in use."""
-    return _Choice(at, Variables((), lambda x, u: x[:, :0]), (), 0, lambda text: None).density()
+    return _Choice(at, Variables((), lambda x, u: x[:, :0]), (), 0).density()
 
 
 class _View:
@@ -251,9 +249,9 @@ class _View:
             self._turns = levels, {}
         known_turns = self._turns[1]
         begun = [known_turns.get(g) for g in groups]
+        each = [self.force(g, scaled) for g in groups]
         each = [
-            self.force(g, scaled) if turn is None else self.force(g, scaled) @ torch.from_numpy(turn)
-            for g, turn in zip(groups, begun, strict=True)
+            f if turn is None else f @ torch.from_numpy(turn) for f, turn in zip(each, begun, strict=True)
         ]
         ends = np.cumsum([1, self.base.shape[-1], *(force.shape[-1] for force in each)])
         forces = []
@@ -277,10 +275,8 @@ class _View:
             """Rows of theta and of the groups (B, n, q) in the directions that these keep (B, n', q)."""
             if all(turn is None for turn in rest[:together]):
                 return values
-            kept = [
-                values[:, s] if turn is None else turn.T @ values[:, s]
-                for s, turn in zip(own[:together], rest, strict=False)
-            ]
+            pairs = zip(own[:together], rest, strict=False)
+            kept = [values[:, s] if turn is None else turn.T @ values[:, s] for s, turn in pairs]
             return np.concatenate([values[:, :theta], *kept], 1)
 
         before = slice(0, own[together - 1].stop if together else theta)
@@ -316,20 +312,17 @@ class _Choice:
         variables: Variables,
         ports: Sequence[int],
         most: int,
-        say: Callable[[str], None],
         among: Sequence[BasisGroup] | None = None,
     ) -> None:
-        self._optimum, self._ports, self._most, self._say = at, list(ports), most, say
-        self._variables = variables
+        self._optimum, self._ports, self._most = at, list(ports), most
+        self._variables, self._among = variables, among
         self._all = self._few = _View(at, variables)
         self._scored: _View | None = None  # of the rows that scores are of
-        self._among = among
         if among is None and self._all.about.x.shape[:2].numel() > _SCREENED:
             self._few = _View(at, variables, _SCREENED)
         counted = at.of.space.chunks.counted.flatten().numpy()
-        self._scaled = {
-            name: _scale(v[counted]) for name, v in self._all.values.items() if np.ptp(v[counted]) > 1e-9
-        }
+        live = {name: v[counted] for name, v in self._all.values.items()}
+        self._scaled = {name: _scale(v) for name, v in live.items() if np.ptp(v) > 1e-9}
         self._levels = at.levels
         self._chances: dict[BasisGroup, float] = {}
 
@@ -394,7 +387,6 @@ class _Choice:
             error = min(error, (2.0 * max(nats, 0.0) * self._inflation()) ** 0.5)
             if not (nats > _CHANCE + log(among) and nats > _SURE * error):
                 break
-            self._say(f"{best_of}: {nats:.1f} +- {error:.1f}")
             chosen = [*chosen, best_of]
         return chosen
 
@@ -502,9 +494,8 @@ class _Choice:
         further = self._ridges(total, groups, columns)
         shared = np.concatenate((np.arange(1, theta), _columns(groups)))
         sizes = [s.stop - s.start for s in groups]
-        held = np.concatenate(
-            (_KNOWN * np.diag(total)[1:theta], np.repeat(np.array(ridge, dtype=float), sizes))
-        )
+        each = np.repeat(np.array(ridge, dtype=float), sizes)
+        held = np.concatenate((_KNOWN * np.diag(total)[1:theta], each))
         weights = np.repeat(further[:, None], columns.shape[1], 1)
         first, rows, across = np.concatenate(([0], shared)), columns[:, :, None], columns[:, None, :]
         out = np.empty((len(columns), len(blocks)))

@@ -65,8 +65,7 @@ class LeftOut:
 def left_out(optimum: Optimum, folds: Folds, still: NDArray[np.bool_] | None = None) -> LeftOut:
     """What the filter predicts of each fold by the other ones.
 
-    Args:
-        still: Parameters that all folds take from all rows (k,): shapes, in which steps are far from linear.
+    All folds take the parameters `still` (k,) from all rows: shapes, in which steps are far from linear.
     """
     space, about, kept = optimum.of.space, optimum.about, optimum.at
     steps, chunks, vector = space.steps, space.chunks, space.vector
@@ -102,13 +101,11 @@ def left_out(optimum: Optimum, folds: Folds, still: NDArray[np.bool_] | None = N
 def _densities(space: StateSpace, about: Linearisation, at: Pass) -> tuple[tuple[str, ...], Tensor]:
     """States whose rates the physics gives, and log densities (T, C, names): of each with the states that it moves."""
     system = space.vector.system
-    whitening = at.whitening
+    whitening, errors = at.whitening, at.errors[..., None]
     if about.measured is not None:  # what a row does not measure has no density
         whitening = whitening + torch.diag_embed(1.0 - about.measured.to(whitening.dtype))
-    triangle = torch.linalg.inv(whitening)
-    errors = at.errors[..., None]
-    if about.measured is not None:
         errors = errors * about.measured[..., None]
+    triangle = torch.linalg.inv(whitening)
     for group in _in_the_world(system):
         if set(group) <= set(space.observed):
             rows = [space.observed.index(i) for i in group]
@@ -129,10 +126,8 @@ def _in_the_world(system: System) -> list[list[int]]:
     """Positions and velocities in the world, as error channels, of a system that knows its attitude."""
     if system.quaternion is None:
         return []
-    names = system.error_names
-    pairs = [
-        (names.index(p), names.index(v)) for p, v, frame in system.position_derivatives if frame == "world"
-    ]
+    at, tied = system.error_names.index, system.position_derivatives
+    pairs = [(at(position), at(velocity)) for position, velocity, frame in tied if frame == "world"]
     return [list(group) for group in zip(*pairs, strict=True)] if len(pairs) == 3 else []
 
 

@@ -27,12 +27,7 @@ from nsde_torch.inference.state_space import StateSpace
 
 @torch.no_grad()
 def score(space: StateSpace, levels: Levels, about: Linearisation, at: Pass, live: Tensor) -> Tensor:
-    """Gradient of the log likelihood of a pass by chunk (C, m + 3 d).
-
-    Args:
-        at: The pass, with its covariances.
-        live: Whether a row counts (T, C).
-    """
+    """Gradient of the log likelihood of a pass with covariances, by chunk (C, m + 3 d), of the `live` rows (T, C)."""
     h, keep = space.h, levels.keep(space.h)
     count, m, d = at.errors.shape[1], len(space.observed), space.nd
     sensors, struck, gusts, begun, kept = (at.errors.new_empty(count, k) for k in (m, d, d, d, d))
@@ -54,9 +49,7 @@ def level_slopes(
 ) -> tuple[Tensor, Tensor | None]:
     """Slopes of the whitened innovations (T, C, m, p) in each level, and of their whitened covariances (T, C, p, m, m).
 
-    Args:
-        at: The pass, with its covariances.
-        spreads: Whether to return those of the covariances, too.
+    The latter with `spreads` alone; the pass has its covariances.
     """
     rows, count, m = at.errors.shape
     p = m + 3 * space.nd

@@ -40,9 +40,7 @@ def memory_along(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
     x0, x1, u, t = (by_time(v) for v in (steps.x0, steps.x1, steps.u, steps.t))
     middle = by_time(system.project(0.5 * (steps.x0 + steps.x1)))
     live = inside.T[..., None].unbind(0)
-    h, logged = steps.dt, steps.logged_dt
-
-    given = by_time(exact)
+    h, logged, given = steps.dt, steps.logged_dt, by_time(exact)
 
     def rate(t: Tensor, x: Tensor, u: Tensor, m: Tensor) -> Tensor:
         moving = system.memory_rate(t, torch.cat((x, m), 1), u)
@@ -58,9 +56,8 @@ def memory_along(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
     start = system.augment(x0[0], u[0])[:, system.nx :]
     if steps.run_in is not None:
         ends = memory_along(system, steps.run_in)[1]
-        start = start.index_copy(
-            0, torch.nonzero(~follows[:, 0])[:, 0], ends[[b - 1 for _, b in steps.run_in.segments]]
-        )
+        last = ends[[b - 1 for _, b in steps.run_in.segments]]
+        start = start.index_copy(0, torch.nonzero(~follows[:, 0])[:, 0], last)
     for _ in range(len(edges)):
         m, before, after = start, [], []
         for k in range(len(count)):

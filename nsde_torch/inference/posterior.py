@@ -91,8 +91,7 @@ class Posteriors:
     def at_centres(self, problems: Sequence[LogWithPrior], *, passes: int = _PASSES) -> list[Posterior]:
         """The densities about the centres of the priors.
 
-        Args:
-            passes: Of the filter, about the states that it found; 0 where these are known to be the measured ones.
+        No `passes` of the filter about the states that it found where these are known to be the measured ones.
         """
         out: list[Posterior] = []
         for part in _batches(problems):

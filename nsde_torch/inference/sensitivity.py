@@ -204,8 +204,7 @@ def bounded_step(inner: Array, pull: Array, damping: float, low: Array, high: Ar
 def solved(gram: Array, weights: Array | None = None) -> Array:
     """Least squares (..., k) from Gram matrices of [e, J] (..., 1 + k, 1 + k), in columns of equal length.
 
-    Args:
-        weights: Of the squares of the unknowns (..., k); None for none.
+    With weights (..., k) of the squares of the unknowns, if any.
     """
     inner = gram[..., 1:, 1:]
     if weights is not None:

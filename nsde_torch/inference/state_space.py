@@ -113,7 +113,7 @@ class StateSpace:
         observed: Sequence[int],
         every: Sequence[int],
         band: Mapping[int, float],
-        disturbances: tuple[tuple[Port, int], ...] | None = None,
+        disturbances: tuple[tuple[Port, int], ...] | None,
     ) -> None:
         self.vector, self.steps, self.chunks, self.observed = vector, steps, chunks, list(observed)
         self.h, self.logged_h = steps.dt, steps.logged_dt

@@ -12,7 +12,7 @@ from nsde_torch.data import Run
 from nsde_torch.inference.estimate import LogLikelihood
 from nsde_torch.inference.filtering import Linearisation, Pass, filtered
 from nsde_torch.inference.levels import Levels
-from nsde_torch.inference.sizes import data_sizes
+from nsde_torch.inference.steps import data_sizes
 from nsde_torch.systems.parameters import ParameterVector
 
 _PASSES = 3  # until the states have settled

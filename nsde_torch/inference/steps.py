@@ -7,6 +7,7 @@ or those before it where rows were left out, then only bring it up: they are `ru
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,6 +17,7 @@ from nsde_torch.arrays import Array
 from nsde_torch.columns import by_column
 from nsde_torch.data import Run
 from nsde_torch.data.denoise import denoised
+from nsde_torch.effects.law import joined_name
 from nsde_torch.errors import DataError
 from nsde_torch.inference.low_pass import low_passed_states
 from nsde_torch.systems import System
@@ -131,19 +133,16 @@ def steps_of(
         return _joined(system, runs, states, stretches, clock, unknown, differences)
     most = max(1, round(RUN_IN_S / runs[0].dt))
     begun = [_run_in(runs[n], a, b, lead, most) for n, a, b in stretches]
-    pairs = [
-        (s, first, start)
-        for s, (first, start) in zip(stretches, begun, strict=True)
-        if s[2] - 1 - start >= shortest
-    ]
+    whole = zip(stretches, begun, strict=True)
+    pairs = [(s, first, start) for s, (first, start) in whole if s[2] - 1 - start >= shortest]
     if not pairs:
         raise DataError(f"no stretch of {shortest + 1} steps without a gap; identify from longer runs.")
     before = [(n, first, start + 1) for (n, _, _), first, start in pairs]
     counted = [(n, start, b) for (n, _, b), _, start in pairs]
-    return replace(
-        _joined(system, runs, states, counted, clock, unknown, differences),
-        run_in=_joined(system, runs, states, before, clock, unknown, differences),
+    own, run_in_steps = (
+        _joined(system, runs, states, some, clock, unknown, differences) for some in (counted, before)
     )
+    return replace(own, run_in=run_in_steps)
 
 
 def _run_in(run: Run, a: int, b: int, lead: int, most: int) -> tuple[int, int]:
@@ -207,17 +206,12 @@ def _joined(
         segments.append((at, at + b - 1 - a))
         owners.append(number)
         at += b - 1 - a
-    joined = {key: torch.from_numpy(np.concatenate(rows)) for key, rows in parts.items()}
+    joined: dict[str, Any] = {key: torch.from_numpy(np.concatenate(rows)) for key, rows in parts.items()}
     joined |= {key: by_column(joined[key]) for key in names if key != "t"}
     joined |= {key: system.project(joined[key]) for key in names if key not in ("t", "u")}
     dt = runs[0].dt
     return Steps(
-        t=joined["t"],
-        x0=joined["x0"],
-        x1=joined["x1"],
-        seen0=joined["seen0"],
-        seen1=joined["seen1"],
-        u=joined["u"],
+        **joined,
         logged_dt=dt,
         dt=dt * clock,
         segments=tuple(segments),
@@ -238,3 +232,27 @@ def _stretches(runs: Sequence[Run]) -> Iterator[_Stretch]:
     cut = [(n, a, b) for n, a, b in cut if b - a >= 2]
     for i in np.linspace(0, len(cut) - 1, max(1, MOST // _STRETCH)).round().astype(int):
         yield cut[i]
+
+
+# ---- sizes of data, which the shapes of effects are measured by (see `Effect.relative`) ----------------------
+
+_COLUMNS = {"position": 0, "speed": 1, "rate": 3}
+"""Of effects of the user's own that are no laws of a coordinate."""
+_LEAST = 1e-6
+SLOW = 0.02  # share of the rows that are slower than a slow speed
+
+
+def data_sizes(system: System, steps: Steps) -> dict[str, float]:
+    """95 % quantiles of absolute values of the inputs and of the states that effects see, and the step [s]."""
+
+    def size(values: Tensor, share: float = 0.95) -> float:
+        return max(float(np.quantile(values.abs().numpy(), share)), _LEAST) if values.numel() else 1.0
+
+    out = {"input": size(steps.u[:, : system.nu]), "step": steps.dt}
+    out |= {kind: size(steps.x0[:, k]) for kind, k in _COLUMNS.items() if k < system.nx}
+    for at in system.bound_coordinates():
+        out[joined_name("speed", at.name)] = size(steps.x0[:, at.velocity])
+        out[joined_name("slow speed", at.name)] = size(steps.x0[:, at.velocity], SLOW)
+        if at.position is not None:
+            out[joined_name("position", at.name)] = size(steps.x0[:, at.position])
+    return out

@@ -9,12 +9,7 @@ if TYPE_CHECKING:
     from nsde_torch.sysid.identify import identify_in_loop
     from nsde_torch.sysid.result import Identification
 
-__all__ = [
-    "FeedbackTest",
-    "Identification",
-    "feedback_summary",
-    "identify_in_loop",
-]
+__all__ = ["FeedbackTest", "Identification", "feedback_summary", "identify_in_loop"]
 
 __getattr__ = resolver(
     __name__,

@@ -141,11 +141,10 @@ class FeedbackTest:
         much better than those of the log show no answers: inputs that were made from states and predict innovations
         were made from such.
         """
-        surely = {
-            a.input for a in self.knowledge if a.chance < ALPHA and self.new.get(a.input, 0.0) < _PLAYED
-        }
+        sure = [a for a in self.knowledge if a.chance < ALPHA and self.new.get(a.input, 0.0) < _PLAYED]
+        surely = {a.input for a in sure}
         if self.closed:
-            own = [a.channel for a in self.knowledge if a.chance < ALPHA and a.input in surely]
+            own = [a.channel for a in sure]
             return tuple(dict.fromkeys((*self.other_sensors, *own)))
         ways = [way for way in self.driven if way in {*self.made, *surely}] if self.made and surely else []
         return tuple(dict.fromkeys(c for way in ways for c in self.driven[way]))
@@ -234,11 +233,8 @@ class FeedbackTest:
                 f"{a.input} predicts {a.share:.1%} of what is new in {a.channel}" for a in predictive[:_SHOWN]
             )
             lost = [c for c in self.smoothed if c in {a.channel for a in predictive}]
-            why = (
-                f"the states of {' and '.join(lost)} were smoothed before they were logged, and {_SAW}; or "
-                if lost
-                else ""
-            )
+            why = f"the states of {' and '.join(lost)} were smoothed before they were logged, and {_SAW}; or "
+            why = why if lost else ""
             out.append(f"inputs know what the log does not: {told}; {why}{_EITHER}")
         elif self.other_sensors:
             out.append(
@@ -480,9 +476,8 @@ def lengths(regression: Regression, ways: Sequence[Direction]) -> dict[str, floa
         v = u @ way.weights
         share = 0.5 * float((v[at + 1] - v[at]).std() / max(float(v.std()), 1e-300))
         for channel, slope in zip(way.channels, way.slopes, strict=True):
-            acts = (
-                slope * regression.single.summed((v - v.mean())[:, None], regression.box) * physics.steps.dt
-            )
+            summed = regression.single.summed((v - v.mean())[:, None], regression.box)
+            acts = slope * summed * physics.steps.dt
             white = regression.whitened(regression.noises[known.index(channel)], acts)
             name = physics.names[channel]
             out[name] = float(np.hypot(out.get(name, 0.0), share * np.linalg.norm(white)))

@@ -134,12 +134,8 @@ class Guarded:
         """Values, 90 % intervals and units of least squares by parameter, where these are to be used; else nothing."""
         rows = zip(self.labels, self.least_squares, self.half_90, self.units, strict=False)
         return {
-            name: {
-                "value": v,
-                "interval_90": [v - half, v + half] if np.isfinite(half) else None,
-                "unit": unit,
-            }
-            for name, v, half, unit in rows
+            name: {"value": v, "interval_90": [v - h, v + h] if np.isfinite(h) else None, "unit": unit}
+            for name, v, h, unit in rows
         }
 
     def as_dict(self) -> dict[str, Any]:
@@ -340,8 +336,7 @@ def _apart(c: Compared) -> bool:
 
 def _chance(rough: Regression, theta: Array, covariance: Array | None) -> float:
     """Chance of so large a difference between a fit and least squares, in the directions that the data show."""
-    basis = rough.shown.basis
-    sure = rough.spread()
+    basis, sure = rough.shown.basis, rough.spread()
     if not basis.shape[1]:
         return 1.0
     back = np.linalg.pinv(basis)

@@ -283,13 +283,7 @@ def identify(
 
 
 def settled(
-    system: System,
-    runs: Sequence[Run],
-    *,
-    clock: float,
-    method: str,
-    width: float | None,
-    iterations: int,
+    system: System, runs: Sequence[Run], *, clock: float, method: str, width: float | None, iterations: int
 ) -> Settled:
     """The regression of some runs after its last step.
 

@@ -103,12 +103,9 @@ class Instrumented:
             for i, label in enumerate(self.labels)
             if self.difference[i] < 0.05
         ]
-        if apart:
-            out.append(
-                f"by the instruments ({names}) estimates surely differ from ordinary ones: {', '.join(apart)}"
-            )
-        else:
-            out.append(f"by the instruments ({names}) no estimate surely differs from the ordinary one")
+        differ = f"estimates surely differ from ordinary ones: {', '.join(apart)}"
+        same = "no estimate surely differs from the ordinary one"
+        out.append(f"by the instruments ({names}) {differ if apart else same}")
         if adopted and self.unexplained >= MISSING and apart:
             out.append(
                 "the declared physics explains all that the instruments do: what bends ordinary estimates is a "
@@ -147,9 +144,7 @@ class Instrumented:
                 for i, label in enumerate(self.labels)
                 if self.moved[i]
             },
-            "not_shown_by_the_instruments": [
-                n for n, m in zip(self.labels, self.moved, strict=True) if not m
-            ],
+            "not_shown_by_the_instruments": [self.labels[i] for i in np.flatnonzero(~self.moved)],
         }
 
 
@@ -229,18 +224,13 @@ def between(runs: Sequence[Run], nu: int) -> list[Run]:
 def instrumental(
     regression: Regression, names: Sequence[str], *, ordinary: Regression | None = None
 ) -> Instrumented:
-    """Estimate by instruments.
-
-    Args:
-        ordinary: The regression whose estimates are the ordinary ones; None takes the same.
-    """
+    """Estimate by instruments; ordinary estimates are those of `ordinary`, or of the same regression."""
     usual = regression if ordinary is None else ordinary
     labels, start = tuple(usual.vector.labels), usual.theta
     refused = exogenous(regression, names)
     used = [n for n in names if n not in refused]
     known = np.flatnonzero(regression.shown.known & usual.shown.known)
-    sure = usual.spread()
-    basis = usual.shown.basis
+    sure, basis = usual.spread(), usual.shown.basis
     plain = Instrumented(
         tuple(used), refused, labels, start, basis @ sure.covariance @ basis.T, sure.degrees(basis),
         np.full(len(labels), np.nan), np.zeros(len(labels), dtype=bool), start, np.ones(len(labels)), 1.0,

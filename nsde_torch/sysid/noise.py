@@ -163,14 +163,7 @@ def first_guess(residual: Array, series: Series, limit: float, *, times: int = 1
 
 
 def estimate(
-    residual: Array,
-    series: Series,
-    *,
-    limit: float,
-    orders: int,
-    memory: float = inf,
-    among: Sequence[float] | None = None,
-    times: int = 1,
+    residual: Array, series: Series, *, limit: float, orders: int, memory: float = inf, times: int = 1
 ) -> Noise:
     """Law of the noise of residuals (N,).
 
@@ -178,15 +171,13 @@ def estimate(
         limit: Largest c.
         orders: Largest order of the autoregression.
         memory: Rows after which noise forgets (m).
-        among: Values of c to choose from; None tries all.
         times: How many times 1 - c B is there.
     """
-    grid = np.append(_GRID[limit > _GRID], limit) if among is None else np.array(among)
+    grid = np.append(_GRID[limit > _GRID], limit)
     scores = {c: _score(residual, series, c, orders, times) for c in grid.tolist()}
-    if among is None:
-        at = int(np.abs(grid - min(scores, key=lambda c: scores[c][0])).argmin())
-        for c in np.linspace(grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)], 7)[1:-1].tolist():
-            scores[c] = _score(residual, series, c, orders, times)
+    at = int(np.abs(grid - min(scores, key=lambda c: scores[c][0])).argmin())
+    for c in np.linspace(grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)], 7)[1:-1].tolist():
+        scores[c] = _score(residual, series, c, orders, times)
     carry = min(scores, key=lambda c: (scores[c][0], c))
     return _law(residual, series, carry, scores[carry][1], memory, times)
 

@@ -48,8 +48,7 @@ from nsde_torch.columns import join_columns, split_columns, take_rows
 from nsde_torch.data.system_info import rate_pairs
 from nsde_torch.effects import Port
 from nsde_torch.inference.memory import memory_along
-from nsde_torch.inference.sizes import data_sizes
-from nsde_torch.inference.steps import Steps
+from nsde_torch.inference.steps import Steps, data_sizes
 from nsde_torch.rotation import rotate_back, rotation_between
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.systems.parameters import ParameterVector
@@ -368,16 +367,15 @@ class Channel:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
-        out: dict[str, Any] = {
+        law = self.noise and {"carry": self.noise.carry, "order": len(self.noise.reflection)}
+        return {
             "unit": self.unit,
             "measured_std": self.measured,
             "residual_rms": self.residual,
             "sensor_rms": self.sensor,
             "r2": self.r2,
+            **({} if law is None else {"noise": law}),
         }
-        if self.noise is not None:
-            out["noise"] = {"carry": self.noise.carry, "order": len(self.noise.reflection)}
-        return out
 
 
 def bump(dt: float) -> Array:

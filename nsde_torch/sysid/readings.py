@@ -98,9 +98,8 @@ def _in_a_band(
             for yaw in (1, -1):
                 moment = u @ (moments[:, np.argsort(places)] * [[1], [1], [yaw]]).T
                 each, left = _explained(moment, turned)
-                here.append(
-                    MotorOrder(places, yaw, np.bincount(block, each, blocks).astype(np.float64), left)
-                )
+                by_block = np.bincount(block, each, blocks).astype(np.float64)
+                here.append(MotorOrder(places, yaw, by_block, left))
         found = max(found, here, key=lambda some: max((o.nats for o in some), default=-np.inf))
     return found
 
@@ -121,10 +120,7 @@ def _filtered(
     rates = range(system.nx)[rate_columns(system) or slice(0)]
     fast = max(1, round(band[0] / dt))
     slow, rows_of_block = max(3 * fast, round(band[1] / dt)), max(1, round(_BLOCK_S / dt))
-    pushed: list[Array] = []
-    turned: list[Array] = []
-    block: list[NDArray[np.int64]] = []
-    first = 0
+    pushed, turned, block, first = list[Array](), list[Array](), list[NDArray[np.int64]](), 0
     for run in runs:
         for a, b in run.segments:
             rows = b - a - fast - late
@@ -155,11 +151,7 @@ _ITERATIONS = 4
 _PART_S = 20.0  # of the runs, on which interpretations are compared before the best is tried on all
 _ROUNDS = 3  # exchanges of two inputs, one after another
 _BOTH_SIGNS = 0.05  # share of samples of either sign from which an input has a direction
-_METRES = {
-    "millimetres": 1e-3,
-    "centimetres": 1e-2,
-    "feet": 0.3048,
-}
+_METRES = {"millimetres": 1e-3, "centimetres": 1e-2, "feet": 0.3048}
 
 
 @dataclass(frozen=True)
@@ -302,9 +294,8 @@ def _frames(system: System, q: slice) -> Iterator[Reading]:
         words = f"the opposite sign of {pair}" + (" (counted downwards)" if name == "z" else "")
         yield Reading(words, f"change the signs of {pair}: axes are ENU", world(flip))
     for unit, size in _METRES.items():
-        yield Reading(
-            f"{names} in {unit}", f"multiply {names} by {size:g}: metres, SI", world(size * np.eye(3))
-        )
+        remedy = f"multiply {names} by {size:g}: metres, SI"
+        yield Reading(f"{names} in {unit}", remedy, world(size * np.eye(3)))
     remedy = "write ENU and FLU (`nsde_torch.data.quaternion`)"
     yield Reading("all states in NED and FRD", remedy, _states(whole))
     remedy = "write the attitude and the rates of FLU axes"

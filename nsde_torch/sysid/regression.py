@@ -215,12 +215,11 @@ class Regression:
         self.physics, self.box, self.origin, self._plain = physics, box, origin, plain
         self.held = np.array([label in held for label in physics.vector.labels])
         self.vector = physics.vector
-        single = Series(physics.steps.segments)
-        self.single, self.series = single, single.boxes(box)
+        self.single = Series(physics.steps.segments)
+        self.series = self.single.boxes(box)
         self.dt = physics.steps.dt * box
-        self.orders = int(
-            np.clip(round(_ORDERS_S / self.dt), 2, min(_ORDERS, max(len(self.series) // 50, 2)))
-        )
+        most = min(_ORDERS, max(len(self.series) // 50, 2))
+        self.orders = int(np.clip(round(_ORDERS_S / self.dt), 2, most))
         self.memory = memory_s / self.dt
         if levels:
             owner = self.whitened_rows(self.owners)
@@ -339,9 +338,8 @@ class Regression:
         v, k = self.vector, len(self.vector)
         low, high = v.inside(np.full(k, -np.inf)) - self.theta, v.inside(np.full(k, np.inf)) - self.theta
         flat = self.slopes.reshape(-1, k)
-        step = bounded_step(
-            flat, self.white.reshape(-1), self.shown, low.clip(max=0), high.clip(min=0), v.scale
-        )
+        ends = low.clip(max=0), high.clip(min=0)
+        step = bounded_step(flat, self.white.reshape(-1), self.shown, *ends, v.scale)
         before = float(np.square(self.white).sum())
         for _ in range(8):
             trial = v.inside(self.theta + step)
@@ -437,11 +435,10 @@ class Regression:
         parts = [self.slopes[row] @ self.shown.basis, self._purged(own)]
         return np.concatenate([*parts, self._past] if self._past.size else parts, 1)
 
-    def own_noises(self, orders: int | None = None) -> list[Noise]:
+    def own_noises(self, orders: int) -> list[Noise]:
         """Laws of the noise of the residuals at theta, of whatever kind suits them, up to some order."""
         limits = self.carry_limits()
-        most = self.orders if orders is None else orders
-        return [self.law(c, self.residual[:, c], float(limits[c]), most) for c in self.rows]
+        return [self.law(c, self.residual[:, c], float(limits[c]), orders) for c in self.rows]
 
     def law(self, channel: int, left: Array, limit: float, orders: int) -> Noise:
         """Noise law of the residual of a channel (M,), its c up to a limit and its order up to another."""
@@ -474,8 +471,7 @@ class Regression:
         for (a, b), (c, d) in zip(self.single.edges, self.series.edges, strict=True):
             of_step[a:b] = blocks[np.minimum(c + np.arange(b - a) // self.box, d - 1)]
         slopes = self.jacobian if self.box == 1 else self.physics.slopes(self.theta)
-        slopes = slopes[:, self.rows]
-        return np.asarray(np.einsum("nck,nk->nc", slopes, parts[of_step]))
+        return np.asarray(np.einsum("nck,nk->nc", slopes[:, self.rows], parts[of_step]))
 
 
 def regression_of(

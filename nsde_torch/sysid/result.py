@@ -150,11 +150,8 @@ class Identification:
         unknown = np.zeros(len(self.values), dtype=bool) if self.doubt is None else np.isnan(self.doubt)
         out: dict[str, dict[str, object]] = {}
         for p in self.vector.places:
-            out[p.name] = {
-                "value": self.values[p.columns].tolist(),
-                "half_width_90": half[p.columns],
-                "unit": p.unit,
-            }
+            value = self.values[p.columns].tolist()
+            out[p.name] = {"value": value, "half_width_90": half[p.columns], "unit": p.unit}
             if not self.believed:
                 out[p.name]["note"] = f"no interval: {why}"
             elif unknown[p.columns].any():
@@ -182,7 +179,7 @@ class Identification:
             "likelihood": self.likelihood and self.likelihood.as_dict(),
             "feedback": self.loop and self.loop.as_dict(),
             "instruments": self.instrumented and self.instrumented.as_dict(),
-            "feedback_may_bias_by": None
+            "feedback_may_bias_by": doubt
             if doubt is None
             else dict(zip(v.labels, _finite(doubt), strict=True)),
         }

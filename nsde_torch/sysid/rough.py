@@ -49,9 +49,8 @@ def rough_fit(
     vector = ParameterVector(copy.deepcopy(system))
     try:
         steps = steps_of(vector.system, runs, clock=clock, smooth=False, shortest=box, differences=0)
-        regression = Regression(
-            Physics(vector, steps, foresee=False), box=box, plain=True, levels=levels, start=start
-        )
+        physics = Physics(vector, steps, foresee=False)
+        regression = Regression(physics, box=box, plain=True, levels=levels, start=start)
         regression.run(iterations)
     except (ConfigError, DataError, NonFiniteError):
         return None
@@ -98,8 +97,7 @@ class Left:
 def left_at(rough: Regression, theta: Array, *, damped: bool = False) -> list[Left]:
     """What the physics leaves at some parameters, channel by channel.
 
-    Args:
-        damped: Whether what goes with a channel's own state is taken out, as a damping would that nobody declared.
+    With `damped`, without what goes with a channel's own state, as a damping would that nobody declared.
     """
     physics = rough.physics
     states = physics.turn(physics.steps.seen0, physics.attitude).numpy()
@@ -123,10 +121,7 @@ def left_at(rough: Regression, theta: Array, *, damped: bool = False) -> list[Le
 
 
 def share_left(rough: Regression) -> float:
-    """Sum over channels of log(left / measured) at the optimum, without unit.
-
-    How much the physics leaves of the log.
-    """
+    """Sum over channels of log(left / measured) at the optimum, without unit: how much the physics leaves."""
     return sum(c.share for c in left_at(rough, rough.theta))
 
 

@@ -57,12 +57,10 @@ def odd_run(regression: Regression, rough: Regression, runs: Sequence[Run]) -> O
     unit = "" if unit == "1" else f" {unit}"
     shapes = {k for name in vector.system.effect_names for k in {*vector.of(name)} - {*vector.sizes(name)}}
     times = _all_alike([one for (run, k), one in sure.items() if run == r and k not in shapes])
-    mass = (
-        f", and all its gains are {times:.3g} times those of the others, as with {1.0 / times:.3g} times the mass or "
-        "inertia"
-        if times
-        else ""
-    )
+    mass = ""
+    if times:
+        mass = f", and all its gains are {times:.3g} times those of the others, as with {1.0 / times:.3g} times the "
+        mass += "mass or inertia"
     return Objection(
         "odd_run",
         f"{runs[r].name!r} differs from the other runs: {label} is {own:.3g}{unit} in it and {others:.3g}{unit} in the "

@@ -54,9 +54,8 @@ def spread_out(regression: Regression, values: Array) -> Array:
 
 def binned(columns: Array, edges: Sequence[int]) -> Array:
     """Sums of columns of 1, 2, ... rows before (N, n) between rows `edges`, of bins that begin among them."""
-    return np.stack(
-        [columns[:, a - 1 : b - 1].sum(1) for a, b in pairwise(edges) if a <= columns.shape[1]], 1
-    )
+    bins = [(a, b) for a, b in pairwise(edges) if a <= columns.shape[1]]
+    return np.stack([columns[:, a - 1 : b - 1].sum(1) for a, b in bins], 1)
 
 
 def foreknown(new: Array, values: Array, share: float) -> bool:
@@ -98,8 +97,7 @@ def score_tests(innovations: Array, columns: Array, fitted: Array) -> list[tuple
     Of innovations (N, k), of columns (N, n) that may predict them, and orthonormal ones (N, p) that they were fitted
     with.
     """
-    left = without(innovations, fitted)
-    rest = without(columns, fitted)
+    left, rest = without(innovations, fitted), without(columns, fitted)
     kept = np.linalg.norm(rest, axis=0) > 1e-6 * np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     rest = basis_of(rest[:, kept])
     count = rest.shape[1]

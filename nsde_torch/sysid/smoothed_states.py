@@ -128,6 +128,17 @@ class SmoothedSensor:
     fit: SpectrumFit  # behind the smoother
     seen: Spectra
 
+    @property
+    def bin(self) -> int:
+        """Number of the frequency of the spectra that is nearest to `reach`."""
+        return int(np.argmin(np.abs(self.seen.f - self.reach)))
+
+    @property
+    def louder_above(self) -> bool:
+        """Whether the noise that stands above the band is surely louder than the sensor's own below."""
+        at = self.bin
+        return not self.restored or bool((ABOVE * self.fit.motion[:, at] > self.fit.noise[:, at]).any())
+
 
 @dataclass(frozen=True)
 class Smoothed:
@@ -212,10 +223,8 @@ def on_time(found: Sequence[Smoothed], runs: Sequence[Run], system: System, cloc
 def sensors_of(system: System) -> list[SensorGroup]:
     """The sensors of a system: positions, velocities, body rates, states of no pair one by one, and the attitude."""
 
-    def sensor(
-        columns: Sequence[int], group: str = "", *, rates: bool = False, turns: bool = False
-    ) -> SensorGroup:
-        return SensorGroup(tuple(columns), tuple(system.state_names[c] for c in columns), group, turns, rates)
+    def sensor(columns: Sequence[int], group: str = "", **which: bool) -> SensorGroup:
+        return SensorGroup(tuple(columns), tuple(system.state_names[c] for c in columns), group, **which)
 
     groups = derivative_columns(system)
     out = [sensor(part, name, rates=k == 1) for name, pair in groups.items() for k, part in enumerate(pair)]
@@ -368,9 +377,7 @@ def _nats(regression: Regression, sensors: Sequence[SensorGroup], smoother: Smoo
     def likelihood(behind: Smoother | None, lag: float, delay: float) -> float:
         total = 0.0
         for parts in channels:
-            rest = [
-                (measured - predicted.through(behind, lag, delay))[:, None] for measured, predicted in parts
-            ]
+            rest = [(own - predicted.through(behind, lag, delay))[:, None] for own, predicted in parts]
             seen = smoothers.spectra_of(rest, steps.dt)
             if seen is None:
                 continue
@@ -471,7 +478,7 @@ def restored(data: DataSet, found: Sequence[Smoothed]) -> DataSet:
     out_of_use = int(np.ceil(max(ends, default=0.0) / dt))
     held = [k for _, k in pairs if k.reach < 0.5 / dt]  # else these rows hold nothing of where it falls
     band = {name: k.reach for k in held for name in k.sensor.names}
-    low_pass = {name: k.reach for k in held if _louder_above(k) for name in k.sensor.names}
+    low_pass = {name: k.reach for k in held if k.louder_above for name in k.sensor.names}
     runs = []
     for run in data.runs:
         x = np.array(run.x)
@@ -481,23 +488,15 @@ def restored(data: DataSet, found: Sequence[Smoothed]) -> DataSet:
                     _restore_stretch(x[a:b], smoother, k, dt, rng)
         inner = [(a + out_of_use, b - out_of_use) for a, b in run.segments]
         kept = tuple((a, b) for a, b in inner if b - a >= _FEWEST)
-        whole = run.unbroken or run.segments
-        segments = kept or run.segments
-        runs.append(replace(run, x=x, segments=segments, band=band, low_pass=low_pass, unbroken=whole))
+        rows = {"segments": kept or run.segments, "unbroken": run.unbroken or run.segments}
+        runs.append(replace(run, x=x, **rows, band=band, low_pass=low_pass))
     return data.changed(runs, [*data.summary.findings, *(one.finding() for one in found)])
-
-
-def _louder_above(one: SmoothedSensor) -> bool:
-    """Whether the noise that stands above the band of a sensor is surely louder than its own below."""
-    at = int(np.argmin(np.abs(one.seen.f - one.reach)))
-    return not one.restored or bool((ABOVE * one.fit.motion[:, at] > one.fit.noise[:, at]).any())
 
 
 def _restore_stretch(
     x: Array, smoother: Smoother, one: SmoothedSensor, dt: float, rng: np.random.Generator
 ) -> None:
-    at = int(np.argmin(np.abs(one.seen.f - one.reach)))
-    values = one.sensor.values(x, dt)
+    at, values = one.bin, one.sensor.values(x, dt)
     level = ADDED * one.seen.power[:, at]
     if one.restored:  # what moves above is removed: it must not weigh beside the noise that stands in for it
         level = one.fit.noise[:, at] + ABOVE * one.fit.motion[:, at]
@@ -506,7 +505,7 @@ def _restore_stretch(
     one.sensor.with_values(x, new, dt)
 
 
-def _unsmoothed(values: Array, smoother: Smoother | None, reach: float, noise: Array, dt: float) -> Array:
+def _unsmoothed(values: Array, smoother: Smoother, reach: float, noise: Array, dt: float) -> Array:
     """Values (n, C) of one stretch before a smoother up to a frequency, and noise above it."""
     n = len(values)
     around = min(n - 1, int(3.0 / (_FADES * reach * dt)) + _FEWEST)
@@ -515,7 +514,7 @@ def _unsmoothed(values: Array, smoother: Smoother | None, reach: float, noise: A
     line = np.linspace(longer[0], longer[-1], len(longer))
     f = rfftfreq(len(longer), dt)
     keep = 0.5 * (1.0 + np.cos(np.pi * np.clip((f - reach) / (_FADES * reach) + 1.0, 0.0, 1.0)))
-    response = np.ones_like(f) if smoother is None else np.where(keep > 0, smoother.response(f), 1.0)
+    response = np.where(keep > 0, smoother.response(f), 1.0)
     gain = np.where(keep > 0, keep / response, 0.0)
     before = irfft(rfft(longer - line, axis=0) * gain[:, None], len(longer), axis=0) + line
     there = np.interp(np.linspace(0.0, 1.0, n // 2 + 1), np.linspace(0.0, 1.0, len(keep)), keep)

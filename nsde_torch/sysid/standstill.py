@@ -66,12 +66,8 @@ def moving(runs: Sequence[Run], slowest: Mapping[int, float]) -> tuple[tuple[Run
 
 def in_words(share: float) -> list[str]:
     """What was left out, as a sentence; none where nothing was."""
-    if not share:
-        return []
-    return [
-        f"{share:.0%} of the rows were left out: the machine stands or turns round in them, and dry friction is "
-        "whatever holds it there."
-    ]
+    told = f"{share:.0%} of the rows were left out: the machine stands or turns round in them, and dry friction is "
+    return [told + "whatever holds it there."] if share else []
 
 
 def _moves(x: NDArray[np.float64], slowest: Mapping[int, float]) -> NDArray[np.bool_]:

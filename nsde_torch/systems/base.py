@@ -470,12 +470,7 @@ class System(Parametrised, ABC):
         return self._applied(t, x, u, memories, {})
 
     def _applied(
-        self,
-        t: float | Tensor,
-        x: Tensor,
-        u: Tensor,
-        memories: Sequence[Tensor],
-        rates: dict[int, Tensor],
+        self, t: float | Tensor, x: Tensor, u: Tensor, memories: Sequence[Tensor], rates: dict[int, Tensor]
     ) -> Tensor:
         """Input after the effects on it (N, nu), one after another; writes the rates of their memory."""
         command = u[:, : self.nu]

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from nsde_torch.effects import units
 from nsde_torch.effects.base import Effect, Port
 from nsde_torch.effects.by_run import target_of
-from nsde_torch.effects.coordinates import Bound, Coordinate, bound
+from nsde_torch.effects.coordinates import KINDS, Bound, Coordinate
 from nsde_torch.effects.expression import expression_at
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import Law
@@ -30,15 +31,50 @@ _ANGLES = ("rad", "deg")
 @cache
 def bound_coordinates(cls: type[System]) -> tuple[Bound, ...]:
     """See `System.bound_coordinates`."""
-    return bound(
-        cls.coordinates or _only(cls),
-        system=cls.name,
-        state_names=cls.state_names,
-        state_units=cls.state_units,
-        ports=cls.ports,
-        port_units={port: residual.unit for port, residual in cls.residual_ports.items()},
-        quantities=cls.quantities,
-    )
+    declared, states = cls.coordinates or _only(cls), list(cls.state_names)
+    names = [c.name for c in declared]
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise ConfigError(f"system {cls.name!r} has two coordinates called {twice[0]!r}; names are unique.")
+    port_units = {port: residual.unit for port, residual in cls.residual_ports.items()}
+    out = []
+    for c in declared:
+        _check(c, cls)
+        velocity = states.index(c.velocity)
+        position = states.index(c.position) if c.position else None
+        speed = cls.state_units[velocity]
+        force = c.unit or port_units.get(c.port) or units.of("speed/s", {"speed": speed})
+        where = cls.state_units[position] if position is not None else units.of("speed s", {"speed": speed})
+        only = len(declared) == 1
+        name, words = "" if only else c.name, c.words or ("the motion" if only else c.name)
+        of = (("position", where), ("speed", speed), ("force", force))
+        place = (position, velocity, c.port, c.row, cls.ports[c.port])
+        out.append(Bound(name, *place, c.kind, of, words, c.load, c.name))
+    return tuple(out)
+
+
+def _check(c: Coordinate, cls: type[System]) -> None:
+    where = f"coordinate {c.name!r} of system {cls.name!r}"
+    if not c.name.isidentifier():
+        raise ConfigError(f"{where}: its name must be a word, as effects are called by it: friction[q2].")
+    for what, state in (("velocity", c.velocity), ("position", c.position)):
+        if state not in cls.state_names and not (what == "position" and not state):
+            states = ", ".join(cls.state_names)
+            raise ConfigError(f"{where}: its {what} is {state!r}, which is no state; states are {states}.")
+    if c.position == c.velocity:
+        raise ConfigError(f"{where}: position and velocity are the same state {c.velocity!r}.")
+    if c.port not in cls.ports:
+        ports = ", ".join(p.value for p in cls.ports)
+        raise ConfigError(f"{where}: port {c.port.value!r} is none of the system's: {ports}.")
+    if not 0 <= c.row < cls.ports[c.port]:
+        width = cls.ports[c.port]
+        raise ConfigError(
+            f"{where}: row {c.row} is not on the port {c.port.value!r}, which has {width} (from 0)."
+        )
+    if c.kind not in KINDS:
+        raise ConfigError(f"{where}: kind {c.kind!r} is none of {', '.join(KINDS)}.")
+    if c.load and cls.quantities.get(c.load) != 1:
+        raise ConfigError(f"{where}: load {c.load!r} must be one of `quantities`, one column wide.")
 
 
 def describe(cls: type[System]) -> None:

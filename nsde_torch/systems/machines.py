@@ -156,9 +156,6 @@ def named_effects(effects: Effects, system: str | None = None) -> dict[str, Valu
 def plant_effects(name: str, *, effects: Effects = (), declared_only: bool = False) -> dict[str, Values]:
     """Effects of a plant beside the declared physics, with the values that are not those of the effects themselves.
 
-    Args:
-        effects, declared_only: See `make_plant_system`.
-
     Raises:
         ConfigError: no plant of that name, or an unknown effect.
     """

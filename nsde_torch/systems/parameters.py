@@ -52,8 +52,7 @@ class ParameterVector:
     """Declared parameters of a system as one vector.
 
     Args:
-        system: The machine; it is copied, and its values are the first theta.
-        dtype: Precision of the copy.
+        system: The machine; it is copied in double precision, and its values are the first theta.
 
     Attributes:
         system: The copy, without gradients, whose parameters are those of the last `use`.
@@ -72,8 +71,8 @@ class ParameterVector:
         ConfigError: the system declares no parameter.
     """
 
-    def __init__(self, system: System, *, dtype: torch.dtype = torch.float64) -> None:
-        self.system = copy.deepcopy(system).to(dtype=dtype).requires_grad_(False)
+    def __init__(self, system: System) -> None:
+        self.system = copy.deepcopy(system).double().requires_grad_(False)
         self.system.set_step(0.0)  # whatever integrator the system came from
         self._theta: list[Tensor] = []
         self.places: list[Place] = []
@@ -110,7 +109,7 @@ class ParameterVector:
         )
         self.moves_memory = np.array([row[4] for row in rows])
         self.raised = np.zeros(len(rows), dtype=np.bool_)
-        self.use(torch.as_tensor(self.start, dtype=dtype, device=next(self.system.parameters()).device))
+        self.use(torch.as_tensor(self.start, device=next(self.system.parameters()).device))
 
     def __len__(self) -> int:
         return len(self.start)
@@ -157,7 +156,7 @@ class ParameterVector:
 
     def follow(self, dt: float) -> None:
         """Raise the lower bounds of times so that steps of `dt` [s] follow the memory of the effects."""
-        effects = {str(e.name): e for e in self.system.effects if isinstance(e, Effect)}
+        effects = _effects_of(self.system)
         for place in self.places:
             effect, _, own = place.name.partition(".")
             share = effects[effect].resolved.get(own) if effect in effects else None
@@ -170,7 +169,7 @@ class ParameterVector:
         A width far below every speed, or far above, changes nothing any more: a search would not find back. A fit that
         has come as far goes on (`nsde_torch.sysid.regression`).
         """
-        effects = {str(e.name): e for e in self.system.effects if isinstance(e, Effect)}
+        effects = _effects_of(self.system)
         for place in self.places:
             effect, _, own = place.name.partition(".")
             cls = effects.get(effect)
@@ -200,7 +199,7 @@ class ParameterVector:
     def at(self, theta: Array) -> System:
         """A system of its own with other values (k,), moved inside the bounds."""
         out = copy.deepcopy(self.system)
-        for module in (out, *(e for e in out.effects if isinstance(e, Effect))):
+        for module in (out, *_effects_of(out).values()):
             module.__dict__.pop("value", None)
         self.write(out, theta)
         return out
@@ -208,11 +207,15 @@ class ParameterVector:
     def write(self, system: System, theta: Array) -> None:
         """Set the values of a system of the same physics, moved inside the bounds."""
         values = torch.as_tensor(self.inside(theta))
-        effects = {str(e.name): e for e in system.effects if isinstance(e, Effect)}
+        effects = _effects_of(system)
         for place in self.places:
             effect, dot, own = place.name.partition(".")
             owner: Parametrised = effects[effect] if dot else system
             owner.set_value(own if dot else place.name, values[place.columns])
+
+
+def _effects_of(system: System) -> dict[str, Effect]:
+    return {str(e.name): e for e in system.effects if isinstance(e, Effect)}
 
 
 def own_name(label: str) -> str:

@@ -10,7 +10,7 @@ from nsde_torch.diagnosis.candidates import candidate_names, effect_of, starts, 
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.search import Base, Search, search_in
 from nsde_torch.effects import effect_class
-from nsde_torch.inference.sizes import data_sizes
+from nsde_torch.inference.steps import data_sizes
 from nsde_torch.systems import System, make_system
 from tests.helpers.diagnosed import recorded
 

@@ -5,62 +5,13 @@ A law of one coordinate is named with it, `coulomb_friction[q2]`, on a machine t
 
 from collections.abc import Collection, Mapping, Sequence
 
-from nsde_torch.effects.actuators import (
-    ActuatorDeadband,
-    ActuatorEfficiencyLoss,
-    ActuatorGainDrift,
-    ActuatorLag,
-    ActuatorSaturation,
-    AsymmetricDeadband,
-    AsymmetricGain,
-    AsymmetricSaturation,
-    InputDelay,
-    MotorEfficiencyLoss,
-    MotorLag,
-)
+from nsde_torch.effects import actuators, cartpole, forces, friction, multirotor_forces
 from nsde_torch.effects.base import Effect, Port
 from nsde_torch.effects.by_run import BY_RUN, difference_class, target_of
-from nsde_torch.effects.cartpole import PoleGravity, TrackTilt
 from nsde_torch.effects.coordinates import Bound
 from nsde_torch.effects.expression import Expression, unplaced_expression
 from nsde_torch.effects.expression_grammar import is_law
-from nsde_torch.effects.forces import (
-    ConstantForce,
-    CubicStiffness,
-    LinearSpring,
-    PeriodicForce,
-    PositionBias,
-    Ripple,
-)
-from nsde_torch.effects.friction import (
-    AsymmetricFriction,
-    CoulombFriction,
-    Hysteresis,
-    InputPlay,
-    LoadFriction,
-    PositionDependentFriction,
-    QuadraticDamping,
-    StribeckFriction,
-    ViscousFriction,
-)
 from nsde_torch.effects.law import Law, joined_name, law_at, split_name, unplaced
-from nsde_torch.effects.multirotor_forces import (
-    AngularDamping,
-    BatteryVoltage,
-    ComOffset,
-    ConstantWind,
-    ConstantWorldForce,
-    FlappingMoment,
-    FrameMisalignment,
-    GroundEffect,
-    GyroscopicMoment,
-    InertiaCoupling,
-    LinearDrag,
-    QuadraticDrag,
-    ThrustCurve,
-    ThrustMisalignment,
-    ThrustSag,
-)
 from nsde_torch.errors import ConfigError
 from nsde_torch.lookup import class_by_name, did_you_mean
 
@@ -68,52 +19,52 @@ EFFECTS: dict[str, type[Effect]] = {
     cls.name: cls
     for cls in (
         # laws of one coordinate, of any system that has coordinates
-        ConstantForce,
-        PeriodicForce,
-        CoulombFriction,
-        AsymmetricFriction,
-        StribeckFriction,
-        ViscousFriction,
-        QuadraticDamping,
-        PositionDependentFriction,
-        LoadFriction,
-        LinearSpring,
-        CubicStiffness,
-        Hysteresis,
-        Ripple,
-        PositionBias,
+        forces.ConstantForce,
+        forces.PeriodicForce,
+        friction.CoulombFriction,
+        friction.AsymmetricFriction,
+        friction.StribeckFriction,
+        friction.ViscousFriction,
+        friction.QuadraticDamping,
+        friction.PositionDependentFriction,
+        friction.LoadFriction,
+        forces.LinearSpring,
+        forces.CubicStiffness,
+        friction.Hysteresis,
+        forces.Ripple,
+        forces.PositionBias,
         # the input of any system
-        InputDelay,
-        ActuatorLag,
-        ActuatorDeadband,
-        AsymmetricDeadband,
-        AsymmetricGain,
-        ActuatorSaturation,
-        AsymmetricSaturation,
-        InputPlay,
-        ActuatorEfficiencyLoss,
-        ActuatorGainDrift,
+        actuators.InputDelay,
+        actuators.ActuatorLag,
+        actuators.ActuatorDeadband,
+        actuators.AsymmetricDeadband,
+        actuators.AsymmetricGain,
+        actuators.ActuatorSaturation,
+        actuators.AsymmetricSaturation,
+        friction.InputPlay,
+        actuators.ActuatorEfficiencyLoss,
+        actuators.ActuatorGainDrift,
         # cart and pole
-        TrackTilt,
-        PoleGravity,
+        cartpole.TrackTilt,
+        cartpole.PoleGravity,
         # multirotors
-        LinearDrag,
-        QuadraticDrag,
-        ConstantWind,
-        ConstantWorldForce,
-        GroundEffect,
-        ThrustMisalignment,
-        FrameMisalignment,
-        AngularDamping,
-        ComOffset,
-        GyroscopicMoment,
-        FlappingMoment,
-        InertiaCoupling,
-        MotorLag,
-        MotorEfficiencyLoss,
-        ThrustSag,
-        BatteryVoltage,
-        ThrustCurve,
+        multirotor_forces.LinearDrag,
+        multirotor_forces.QuadraticDrag,
+        multirotor_forces.ConstantWind,
+        multirotor_forces.ConstantWorldForce,
+        multirotor_forces.GroundEffect,
+        multirotor_forces.ThrustMisalignment,
+        multirotor_forces.FrameMisalignment,
+        multirotor_forces.AngularDamping,
+        multirotor_forces.ComOffset,
+        multirotor_forces.GyroscopicMoment,
+        multirotor_forces.FlappingMoment,
+        multirotor_forces.InertiaCoupling,
+        actuators.MotorLag,
+        actuators.MotorEfficiencyLoss,
+        multirotor_forces.ThrustSag,
+        multirotor_forces.BatteryVoltage,
+        multirotor_forces.ThrustCurve,
     )
 }
 

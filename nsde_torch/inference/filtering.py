@@ -41,10 +41,8 @@ class Linearisation:
 
     def of(self, some: Tensor) -> "Linearisation":
         """That of some chunks."""
-        parts = (self.x, self.slopes, self.after, self.missed, self.seen)
-        x, slopes, after, missed, seen = (part[:, some] for part in parts)
-        measured = None if self.measured is None else self.measured[:, some]
-        return Linearisation(x, slopes, after, missed, seen, self.first[some], measured)
+        rows = {k: part[:, some] for k, part in vars(self).items() if k != "first" and part is not None}
+        return replace(self, first=self.first[some], **rows)
 
 
 @dataclass(frozen=True)
@@ -61,10 +59,7 @@ class Pass:
 
     def of(self, some: Tensor) -> "Pass":
         """That of some chunks."""
-        parts = (self.errors, self.white, self.whitening, self.gain, self.delta, self.rows)
-        errors, white, whitening, gain, delta, rows = (part[:, some] for part in parts)
-        covariance = None if self.covariance is None else self.covariance[:, some]
-        return Pass(errors, white, whitening, gain, delta, rows, covariance)
+        return replace(self, **{name: part[:, some] for name, part in vars(self).items() if part is not None})
 
     @property
     def total(self) -> float:

@@ -16,17 +16,15 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array, Labels
 from nsde_torch.jit import compiled
 from nsde_torch.threads import allowed_threads
-
-Array: TypeAlias = NDArray[np.float64]
-Labels: TypeAlias = NDArray[np.int64]
 
 _FEWEST = 2000  # rows a thread: of 400, a pass over a spring takes 0.17 ms in two threads and 0.11 in one
 

@@ -11,12 +11,4 @@ if TYPE_CHECKING:
 
 __all__ = ["FeedbackTest", "Identification", "feedback_summary", "identify_in_loop"]
 
-__getattr__ = resolver(
-    __name__,
-    {
-        "Identification": "result",
-        "FeedbackTest": "feedback_test",
-        "feedback_summary": "feedback_test",
-        "identify_in_loop": "identify",
-    },
-)
+__getattr__ = resolver(__name__)

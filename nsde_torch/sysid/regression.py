@@ -185,8 +185,6 @@ class Regression:
 
     Attributes:
         theta: Where the iteration stands.
-        rows: Numbers of the channels that depend on a parameter.
-        noises: Their laws.
         white, slopes: Whitened residuals (channels, N) and slopes (channels, N, k) at theta.
         memory: Rows after which noise forgets.
         held: Whether each parameter stays where it started (k,).

@@ -34,10 +34,6 @@ class OneDegreeOfFreedom(System):
             acceleration = acceleration + forces[Port.FORCE]
         return torch.cat((x[:, 1:], acceleration), 1)
 
-    def features(self, x: Tensor) -> Tensor:
-        """Position and rate (N, 2)."""
-        return x
-
 
 @final
 class MassSpringDamper(OneDegreeOfFreedom):
@@ -51,10 +47,7 @@ class MassSpringDamper(OneDegreeOfFreedom):
     declared = ("linear_spring", "viscous_friction")
     residual_ports = {Port.FORCE: ResidualPort(1, 0.1, "m/s2")}
     defaults = Defaults(0.01, 50, (0.001, 0.02), 0.05, 1.0, "euler_maruyama")
-    error_names = ("q", "q_dot")
     error_groups = (ErrorGroup("position", (0,), "m"), ErrorGroup("velocity", (1,), "m/s"))
-    feature_names = state_names
-    feature_units = state_units
     optional_inputs = ("force",)
     over_mass = ("force_gain",)
     position_derivatives = (("q", "q_dot", "world"),)
@@ -105,7 +98,6 @@ class Cartpole(System):
     ports = {Port.FORCE: 1, Port.TORQUE: 1, Port.WORLD_FORCE: 1}
     residual_ports = {Port.FORCE: ResidualPort(1, 0.5, "m/s2"), Port.TORQUE: ResidualPort(1, 1.0, "rad/s2")}
     defaults = Defaults(0.02, 30, (0.001, 0.01, 0.005, 0.01), 0.05, 1.0, "euler_maruyama")
-    error_names = state_names
     error_groups = (
         ErrorGroup("position", (0,), "m"),
         ErrorGroup("velocity", (1,), "m/s"),

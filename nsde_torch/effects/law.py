@@ -121,10 +121,8 @@ def law_at(law: type[Law], at: Bound) -> type[Law]:
     """
     law = law.law
     if not law.suits(at):
-        what = (
-            f"of kind {' or '.join(law.kinds)}" if law.kinds and at.kind not in law.kinds else "that has a "
-        )
-        what += "" if not what.endswith("a ") else ("`load`" if law.reads_load else "`position`")
+        what = f"that has a {'`load`' if law.reads_load else '`position`'}"
+        what = f"of kind {' or '.join(law.kinds)}" if law.kinds and at.kind not in law.kinds else what
         raise ConfigError(
             f"effect {law.name!r} is for a coordinate {what}; {at.declared or at.name!r} is of kind {at.kind}."
         )

@@ -67,9 +67,8 @@ _JUDGED = 10  # of the best of these, how many are held against all rows
 _TRACE = 0.05  # chance of the scores of a group without any effect, above which it is not fitted
 _PAIRED = 3  # variables of groups chosen before, and those that explain most alone, whose pairs are tried
 # a wave in the plane shows in no coarse function: 0.06 of an oracle's nats without it (odd_spring, seed 8601, case 2)
-_FEW = (
-    4  # variables up to which fine functions of two are tried at once; of more where coarse ones were chosen
-)
+# up to this number of variables fine functions of two are tried at once; of more where coarse ones were chosen
+_FEW = 4
 _PAST = (1, 2, 4, 8, 16)  # rows before, of an input
 
 
@@ -249,9 +248,9 @@ class _View:
             self._turns = levels, {}
         known_turns = self._turns[1]
         begun = [known_turns.get(g) for g in groups]
-        each = [self.force(g, scaled) for g in groups]
         each = [
-            f if turn is None else f @ torch.from_numpy(turn) for f, turn in zip(each, begun, strict=True)
+            self.force(g, scaled) if turn is None else self.force(g, scaled) @ torch.from_numpy(turn)
+            for g, turn in zip(groups, begun, strict=True)
         ]
         ends = np.cumsum([1, self.base.shape[-1], *(force.shape[-1] for force in each)])
         forces = []

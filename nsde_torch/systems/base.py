@@ -18,15 +18,17 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from nsde_torch.columns import join_columns, split_columns
-from nsde_torch.effects import Coordinate, Effect, Parametrised, Port, canonical_name
+from nsde_torch.effects import Coordinate, Effect, Parametrised, Port, canonical_name, effect_class
 from nsde_torch.effects.by_run import target_of
 from nsde_torch.effects.coordinates import Bound
+from nsde_torch.effects.expression import expression_at
+from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.systems import coordinates as coordinates_of
 from nsde_torch.systems.in_run import OVER_MASS, in_its_run
 from nsde_torch.systems.machine import Machine
 from nsde_torch.systems.values import Defaults, ErrorGroup, ResidualPort, split_values
-from nsde_torch.systems.vocabulary import given
+from nsde_torch.systems.vocabulary import given, vocabulary
 
 MEMORY_S = 0.5
 """Time before a start that inputs are taken from [s]: ten time constants of motors; four fifths of one of 0.3 s."""
@@ -136,7 +138,9 @@ class System(Parametrised, ABC):
     @classmethod
     def effect_class(cls, name: str) -> type[Effect]:
         """Class of an effect as it is on this machine: with its columns, units and words."""
-        return coordinates_of.class_on(cls, name)
+        if is_law(name):
+            return expression_at(name, vocabulary(cls))
+        return effect_class(cls.effect_key(name), cls.bound_coordinates())
 
     def make_effect(self, name: str, values: Mapping[str, float | list[float]] | None = None) -> Effect:
         """An effect for this machine, by name, with first values of its parameters (see `effects.make_effect`)."""

@@ -13,14 +13,13 @@ from nsde_torch.effects import units
 from nsde_torch.effects.base import Effect, Port
 from nsde_torch.effects.by_run import target_of
 from nsde_torch.effects.coordinates import KINDS, Bound, Coordinate
-from nsde_torch.effects.expression import expression_at
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import Law
 from nsde_torch.effects.registry import effect_class, make_effect
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems.in_run import difference_on
 from nsde_torch.systems.values import ErrorGroup, Numbers
-from nsde_torch.systems.vocabulary import offered, vocabulary
+from nsde_torch.systems.vocabulary import offered
 
 if TYPE_CHECKING:
     from nsde_torch.systems.base import System
@@ -105,17 +104,10 @@ def _only(cls: type[System]) -> tuple[Coordinate, ...]:
     return (Coordinate(q, v, port, position=q, kind="joint" if unit in _ANGLES else "rail"),)
 
 
-def class_on(cls: type[System], name: str) -> type[Effect]:
-    """See `System.effect_class`."""
-    if is_law(name):
-        return expression_at(name, vocabulary(cls))
-    return effect_class(cls.effect_key(name), cls.bound_coordinates())
-
-
 def made(system: System, name: str, values: Mapping[str, float | list[float]] | None = None) -> Effect:
     """An effect for a system, by the name that it has on it."""
     if is_law(name):
-        return class_on(type(system), name)(values, n_inputs=system.nu)
+        return system.effect_class(name)(values, n_inputs=system.nu)
     if target_of(name):
         return difference_on(system, target_of(name))(values)
     return make_effect(

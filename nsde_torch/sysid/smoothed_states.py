@@ -488,8 +488,9 @@ def restored(data: DataSet, found: Sequence[Smoothed]) -> DataSet:
                     _restore_stretch(x[a:b], smoother, k, dt, rng)
         inner = [(a + out_of_use, b - out_of_use) for a, b in run.segments]
         kept = tuple((a, b) for a, b in inner if b - a >= _FEWEST)
-        rows = {"segments": kept or run.segments, "unbroken": run.unbroken or run.segments}
-        runs.append(replace(run, x=x, **rows, band=band, low_pass=low_pass))
+        whole = run.unbroken or run.segments
+        segments = kept or run.segments
+        runs.append(replace(run, x=x, segments=segments, band=band, low_pass=low_pass, unbroken=whole))
     return data.changed(runs, [*data.summary.findings, *(one.finding() for one in found)])
 
 

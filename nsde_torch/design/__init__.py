@@ -2,9 +2,9 @@
 
 question    what a diagnosis leaves open, or what the user asks                    questions
 members     what may be true, fitted to the runs there are                         members
-search      inputs within limits, by their evidence whichever member is true       signals, paths, proposals
+search      inputs within limits, by their evidence whichever member is true       limits, paths, proposals
 rehearse    with noise, fitted as the measured run will be                         rehearsal
-report      `Experiment`: what to do, its expected evidence, what to see          experiment, files
+report      `Experiment`: what to do, its expected evidence, what to see           experiment
 obtain      the evidence of a flown experiment, beside the expected one             flown
 """
 

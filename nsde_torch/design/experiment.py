@@ -24,24 +24,10 @@ from nsde_torch.systems import System
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
 RESULT, PLAN, PICTURE = "design.json", "plan.csv", "design.png"
 _OFTEN = 0.8  # share of the rehearsals that break a tie from which a plan is called reliable
 _STATES = 4  # that are drawn
 _POINTS = 600  # of each
-
-
-def save(experiment: Experiment, folder: str | Path) -> Path:
-    """Write all files of a plan (`Experiment.save`)."""
-    from nsde_torch.plots.style import save as save_figure
-
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(experiment.content(), indent=1, allow_nan=False)
-    (folder / RESULT).write_text(text + "\n", encoding="utf-8")
-    write_plan(folder / PLAN, tuple(experiment.given), experiment.rows())
-    save_figure(picture(experiment), folder / PICTURE)
-    return folder
 
 
 def write_plan(file: Path, names: tuple[str, ...], rows: Array) -> None:
@@ -68,18 +54,14 @@ def lines(content: Mapping[str, Any]) -> list[str]:
     """What `nsde design` prints, from the content of `design.json`."""
     q, plan = content["question"], content["plan"]
     tie = q["kind"] == "tie"
-    out = [
-        f"question: {'which is true' if tie else 'how large'}: "
-        + (" or ".join(q["names"]) if tie else ", ".join(q["parameters"]))
-    ]
+    asked = f"which is true: {' or '.join(q['names'])}" if tie else f"how large: {', '.join(q['parameters'])}"
+    out = [f"question: {asked}"]
     out += [f"note: {note}" for note in q["notes"]]
     start = ", ".join(f"{n} = {v:.3g}" for n, v in plan["start"].items())
     out += ["", f"the plan: {plan['duration_s']:.4g} s from {start}"]
     out += [f"  {words}" for words in plan["words"]]
-    bounds = (
-        f"{n} {v['low']:.4g} to {v['high']:.4g} {v['unit']} ({v['from']})"
-        for n, v in content["limits"].items()
-    )
+    limits = content["limits"].items()
+    bounds = (f"{n} {v['low']:.4g} to {v['high']:.4g} {v['unit']} ({v['from']})" for n, v in limits)
     out += ["limits: " + "; ".join(bounds)]
     most = plan["largest_share_of_limits"]
     out += ["largest use of them in rehearsal: " + ", ".join(f"{n} {v:.0%}" for n, v in most.items())]
@@ -93,9 +75,8 @@ def _of_tie(content: Mapping[str, Any]) -> list[str]:
     width = max(len(name) for name, _ in rows)
     heads = [f"if {name} is true" for name in names]
     columns = [max(len(h), 24) for h in heads]
-    usual = (
-        f" of the plan, {content['baselines'][0]['rehearsals']} of the others" if content["baselines"] else ""
-    )
+    others = content["baselines"]
+    usual = f" of the plan, {others[0]['rehearsals']} of the others" if others else ""
     out = [
         f"expected evidence [nats], mean (90 %), of {content['rehearsals']} rehearsals{usual}; "
         f"{content['sure_nats']:g} break the tie (20 to 1)",
@@ -131,11 +112,9 @@ def _of_parameters(content: Mapping[str, Any]) -> list[str]:
     out = ["expected standard errors: now, after the plan, and after usual inputs of that length"]
     for label in labels:
         p = expected["parameters"][label]
-        usual = ", ".join(f"{name} {_error(q[label])}" for name, q in others)
-        out.append(
-            f"  {label} [{p['unit']}]: {p['standard_error']:.3g} -> {_error(p)}"
-            + (f"; {usual}" if usual else "")
-        )
+        after = [_error(p), ", ".join(f"{name} {_error(q[label])}" for name, q in others)]
+        said = "; ".join(filter(None, after))
+        out.append(f"  {label} [{p['unit']}]: {p['standard_error']:.3g} -> {said}")
     return out
 
 
@@ -162,15 +141,11 @@ def picture(experiment: Experiment) -> Figure:
             low, middle, high = np.quantile(r.states[:, some, i], [0.05, 0.5, 0.95], axis=0)
             bands.append((low, middle, high))
         seen.append(Seen(f"{name} [{units[name]}]", t[some], tuple(bands)))
-    plans = [e.plan, *e.baselines]
-    nats, q = None, e.question
+    q = e.question
+    nats, title = None, f"An experiment to show {', '.join(q.parameters)}"
     if not q.parameters:
-        nats = {p.name: [p.nats(i) for i in range(len(q.names))] for p in plans}
-    title = (
-        f"An experiment to show {', '.join(q.parameters)}"
-        if q.parameters
-        else f"Which is true: {' or '.join(q.names)}?"
-    )
+        nats = {p.name: [p.nats(i) for i in range(len(q.names))] for p in (e.plan, *e.baselines)}
+        title = f"Which is true: {' or '.join(q.names)}?"
     return experiment_figure(given, seen, q.names, nats, title=title)
 
 
@@ -264,13 +239,19 @@ class Experiment:
     @property
     def report(self) -> str:
         """The plan in words, as `nsde design` prints it."""
-
         return "\n".join(lines(self.content()))
 
     def save(self, folder: str | Path) -> Path:
         """Write `design.json`, `plan.csv` and `design.png`; returns the folder."""
+        from nsde_torch.plots.style import save as save_figure
 
-        return save(self, folder)
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        text = json.dumps(self.content(), indent=1, allow_nan=False)
+        (folder / RESULT).write_text(text + "\n", encoding="utf-8")
+        write_plan(folder / PLAN, tuple(self.given), self.rows())
+        save_figure(picture(self), folder / PICTURE)
+        return folder
 
     def content(self) -> dict[str, Any]:
         """What `design.json` holds."""

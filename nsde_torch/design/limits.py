@@ -11,8 +11,7 @@ from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import System
 
-MARGIN = 0.05
-"""Part of a range that states keep from its ends: noise, and what the members do not know."""
+MARGIN = 0.05  # part of a range that states keep from its ends: noise, and what the members do not know
 
 
 @dataclass(frozen=True)

@@ -25,16 +25,11 @@ from nsde_torch.design.limits import ExperimentLimits
 from nsde_torch.design.members import Drive, Member, Rollouts
 from nsde_torch.systems import Multirotor
 
-GAP = 1.0
-"""Time between points [s]."""
-SPEEDS = (0.5, 1.0, 1.5, 2.0, 3.0)
-"""Of the lemniscates that are flown beside a plan [m/s]."""
-SIDE, UP = 6.0, 4.0
-"""Largest acceleration of a path sideways (a tilt of about 31 deg) and up or down [m/s2]."""
-_ROOM = 0.8
-"""Share of the room that points may lie in: paths and flights overshoot them."""
-_ACCELERATION = 4.5
-"""Largest horizontal acceleration of a first proposal [m/s2]."""
+GAP = 1.0  # time between points [s]
+SPEEDS = (0.5, 1.0, 1.5, 2.0, 3.0)  # of the lemniscates that are flown beside a plan [m/s]
+SIDE, UP = 6.0, 4.0  # largest acceleration of a path sideways (a tilt of about 31 deg) and up or down [m/s2]
+_ROOM = 0.8  # share of the room that points may lie in: paths and flights overshoot them
+_ACCELERATION = 4.5  # largest horizontal acceleration of a first proposal [m/s2]
 _TURN = np.pi / 2
 
 
@@ -75,9 +70,8 @@ class Paths:
                     f = np.exp(rng.uniform(np.log(1.0 / t[-1]), np.log(0.4)))
                     most = half[axis] if axis < 3 else 1.0
                     size = min(1.0, _ACCELERATION / (2 * np.pi * f) ** 2 / max(most, 1e-9))
-                    g[:, axis] += (
-                        0.5 * size * rng.uniform(0.2, 1.0) * np.sin(2 * np.pi * (f * t + rng.uniform()))
-                    )
+                    size = 0.5 * size * rng.uniform(0.2, 1.0)
+                    g[:, axis] += size * np.sin(2 * np.pi * (f * t + rng.uniform()))
             if rng.uniform() < 0.3:  # hold a place for a while
                 a, b = sorted(rng.integers(len(t), size=2))
                 g[a:b] = g[a]
@@ -157,10 +151,7 @@ class Paths:
     def baselines(
         self, rng: np.random.Generator, before: Array | None = None
     ) -> dict[str, tuple[Array, tuple[str, ...]]]:
-        """Usual flights (sizes, steps, 11), with words.
-
-        `before` are positions (n, 3) of a run there is, flown again.
-        """
+        """Usual flights (sizes, steps, 11), with words; `before` are positions (n, 3) of a run, flown again."""
         t, (middle, half) = self.times, self._box
         eight = []
         for speed in SPEEDS:
@@ -221,8 +212,7 @@ class FlownPaths:
 Draw = Callable[[Member, int, np.random.Generator], Array]
 """Draws parameters of a member (count, k), the fitted ones first."""
 
-STEP = np.array([0.3, 0.3, 0.2])
-"""Step of the wanted place [m]."""
+STEP = np.array([0.3, 0.3, 0.2])  # step of the wanted place [m]
 _TIME = 3.0
 _NEAR, _MORE = 0.15, 1.5
 """Distance that must be left after that time [m], or times as much as with the fitted parameters."""

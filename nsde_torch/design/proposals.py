@@ -45,8 +45,7 @@ from nsde_torch.inference.posterior import LogWithPrior
 KINDS = ("hold", "ramp", "sine", "chirp", "square", "two sines")
 PIECES = 4
 GENES = 6
-SCALES = (1.0, 0.5, 0.25, 0.1)
-"""Shares of the range of the inputs that a baseline is tried at."""
+SCALES = (1.0, 0.5, 0.25, 0.1)  # shares of the range of the inputs that a baseline is tried at
 _FINE = 5.0
 _SMALLEST = 0.1
 
@@ -221,8 +220,7 @@ def _gene(value: Array) -> Array:
     return np.asarray(np.arcsinh(value * np.sinh(_FINE)) / _FINE)
 
 
-CAUTIOUS = 0.2
-"""Quantile over draws of the parameters that an experiment is judged by."""
+CAUTIOUS = 0.2  # quantile over draws of the parameters that an experiment is judged by
 _MEAN = 0.1
 _PARENTS = 8
 _SMALLER = 4  # of so many proposals, one is what left the limits, made smaller
@@ -336,8 +334,7 @@ def worth_of(told: Array, axis: int) -> Array:
     return np.asarray(np.quantile(told, CAUTIOUS, axis=axis) + _MEAN * told.mean(axis))
 
 
-Family = Signals | Paths
-"""What makes experiments of genes in [0, 1], one array each."""
+Family = Signals | Paths  # what makes experiments of genes in [0, 1], one array each
 
 
 @dataclass(frozen=True)

@@ -23,12 +23,9 @@ from nsde_torch.effects.law import AND, split_name
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import System
 
-SURE = 3.0
-"""Evidence from which a tie counts as broken: odds of 20 to 1 [nats]."""
-MOST = 3
-"""Effects that are not shown of which an experiment is to show the sizes."""
-_WIDE = 0.5
-"""Half-width of an interval over its value above which a parameter is to be shown."""
+SURE = 3.0  # evidence from which a tie counts as broken: odds of 20 to 1 [nats]
+MOST = 3  # effects that are not shown of which an experiment is to show the sizes
+_WIDE = 0.5  # half-width of an interval over its value above which a parameter is to be shown
 
 
 @dataclass(frozen=True)
@@ -108,14 +105,11 @@ def of_ties(content: Mapping[str, Any]) -> list[Question]:
 def able_ties(content: Mapping[str, Any]) -> tuple[tuple[tuple[str, ...], ...], tuple[tuple[str, ...], ...]]:
     """Ties of a diagnosis, each with what was found first: those that inputs may break, and the others."""
     found = _found(content)
-    able, beyond = [], []
+    able, beyond = list[tuple[str, ...]](), list[tuple[str, ...]]()
     for tie in content.get("ties", ()):
         first, *others = tie["effects"]
         rivals = [o for o in others if is_effect(o)] if first in found else []
-        if rivals:
-            able.append((first, *rivals))
-        else:
-            beyond.append((first, *others))
+        (able if rivals else beyond).append((first, *(rivals or others)))
     return tuple(able), tuple(beyond)
 
 
@@ -195,8 +189,7 @@ def _known(system: System, name: str) -> str:
     return key
 
 
-LATE = ("input_delay", "motor_lag", "actuator_lag")
-"""Effects that make inputs act late."""
+LATE = ("input_delay", "motor_lag", "actuator_lag")  # effects that make inputs act late
 
 
 @dataclass(frozen=True)
@@ -207,9 +200,8 @@ class Standing:
     tied: tuple[tuple[str, ...], ...]  # names that cannot be distinguished, the one that was found first
     beyond: tuple[tuple[str, ...], ...]  # the same, where no input distinguishes them
     leads: tuple[str, ...]  # effects that are found provisionally
-    wide: tuple[
-        str, ...
-    ]  # labels of parameters that are not well known, and that more data would show better
+    # labels of parameters that are not well known, and that more data would show better
+    wide: tuple[str, ...]
     confounded: tuple[str, ...]  # labels of those that feedback or smoothing may have biased
     suspected: tuple[str, ...]  # effects that were not found, and that the runs favour
 

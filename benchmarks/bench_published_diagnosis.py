@@ -27,7 +27,7 @@ from nsde_torch.diagnosis.cross_validation import as_model
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.result import Diagnosis
-from nsde_torch.diagnosis.search import fitted_system, search_in
+from nsde_torch.diagnosis.search import Search, fitted_system
 from nsde_torch.evaluation.metrics import start_grid, thinned
 from nsde_torch.evaluation.scores import rollout_squares
 from nsde_torch.models.identified import SysidSpec
@@ -59,7 +59,7 @@ def fold(data: Any, system: System, out: int) -> dict[str, Any]:
 
 def rates(found: Diagnosis, test: Run) -> dict[str, list[float]]:
     """Residual of each dynamic channel on a run left out: rms [unit/s] without and with effects."""
-    steps = search_in(found.system, [test], found.recorded.clock, found.options).steps
+    steps = Search(found.system, [test], found.recorded.clock, found.options).steps
     out: dict[str, list[float]] = {}
     for base in (found.outcome.declared, found.outcome.final):
         fitted = base.regression

@@ -33,9 +33,9 @@ from study import appended
 import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.design import DesignOptions, Question, design
-from nsde_torch.design.designing import members_of
 from nsde_torch.design.experiment import write_plan
 from nsde_torch.design.flown import evidence
+from nsde_torch.design.members import members_of
 from nsde_torch.design.paths import FlownPaths, Paths, point_times
 from nsde_torch.design.questions import SURE
 from nsde_torch.design.rehearsal import against, fit_all

@@ -34,10 +34,9 @@ from study import appended
 import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.design import DesignOptions, Experiment, Question, design
-from nsde_torch.design.designing import members_of
 from nsde_torch.design.experiment import write_plan
 from nsde_torch.design.limits import limits_of
-from nsde_torch.design.members import open_loop
+from nsde_torch.design.members import members_of, open_loop
 from nsde_torch.design.proposals import Signals
 from nsde_torch.design.questions import SURE
 from nsde_torch.design.rehearsal import against, fit_all

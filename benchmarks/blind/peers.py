@@ -35,7 +35,7 @@ from nsde_torch.data import DataSet, Run, Windows
 from nsde_torch.diagnosis.cross_validation import as_model
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.pipeline import diagnose
-from nsde_torch.diagnosis.search import fitted_system, search_in
+from nsde_torch.diagnosis.search import Search, fitted_system
 from nsde_torch.evaluation.metrics import horizons_of, start_grid, thinned
 from nsde_torch.evaluation.scores import group_squares, rollout_squares
 from nsde_torch.models.identified import SysidSpec
@@ -127,7 +127,7 @@ def judged(folder: Path, name: str, out: Path) -> dict[str, Any]:
     def rms(squares: Tensor) -> Tensor:
         return squares.nan_to_num(posinf=1e6).clamp(max=1e6).mean(0).sqrt()
 
-    declared = fitted_system(search_in(system, training, 1.0, Options()).quick(system))
+    declared = fitted_system(Search(system, training, 1.0, Options()).quick(system))
     found = diagnose(system, spec, data, training, Options())
     errors = {
         "declared": rms(rollout_squares(as_model(spec, declared, 1.0), windows, starts, [steps])[:, 0]),

@@ -19,7 +19,7 @@ from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.design.experiment import Experiment, PlannedRun
 from nsde_torch.design.limits import limits_of
-from nsde_torch.design.members import Drive, Member, ModelNoise, fitted_members, open_loop, physics_with
+from nsde_torch.design.members import Drive, Member, members_of, open_loop
 from nsde_torch.design.options import DesignOptions
 from nsde_torch.design.paths import Draw, FlownPaths, Flyable, Paths
 from nsde_torch.design.proposals import Family, Judge, Precision, Signals, best_of_each, search, worth_of
@@ -30,8 +30,7 @@ from nsde_torch.systems import Multirotor, System
 from nsde_torch.threads import one_thread
 
 FINALISTS = 3
-CONFIRMED = 2
-"""Rehearsals of the plan that was chosen, over those that it was chosen by."""
+CONFIRMED = 2  # rehearsals of the plan that was chosen, over those that it was chosen by
 APART = 0.05
 """Evidence below which members are not distinguished [nats]: rounding errors of one equation are smaller."""
 _SEARCH = {False: (120, 12), True: (48, 6)}  # proposals and generations; flights take longer
@@ -69,8 +68,7 @@ def design(
     say("fitting what may be true", 0, 1)
     members = members_of(system, runs, question, values or {}, clock=clock)
     rng = np.random.default_rng([options.seed, 11])
-    dt = members[0].log.dt
-    pilot = members[0].system
+    dt, pilot = members[0].log.dt, members[0].system
     flies = isinstance(pilot, Multirotor)
     duration = max(run.duration for run in runs) * clock if options.duration is None else options.duration
     steps = max(round(duration / dt), 10)
@@ -80,8 +78,7 @@ def design(
     if isinstance(pilot, Multirotor):
         family, drive = Paths(limits, dt, steps, start), FlownPaths(pilot, dt=dt)
     else:
-        family = Signals(limits, dt, steps, (low, high))
-        drive = open_loop
+        family, drive = Signals(limits, dt, steps, (low, high)), open_loop
     draw: Draw = Flyable(start, drive, dt) if flies else Member.draws
     draws = [draw(m, options.samples, rng) for m in members]
     precision = Precision.of(members[0], question.parameters) if question.parameters else None
@@ -138,20 +135,6 @@ def design(
     )
 
 
-def members_of(
-    system: System,
-    runs: Sequence[Run],
-    question: Question,
-    values: Mapping[str, Any],
-    *,
-    clock: float,
-    noise: ModelNoise | None = None,
-) -> list[Member]:
-    """The members of a question, fitted to the runs there are."""
-    named = [physics_with(system, effects, dict(values)) for effects in question.members]
-    return fitted_members(system, runs, named, question.names, clock=clock, noise=noise)
-
-
 def check_runs(system: System, runs: Sequence[Run]) -> None:
     """Refuse runs that an experiment cannot be planned from.
 
@@ -201,9 +184,8 @@ def first_state(system: System, runs: Sequence[Run], given: Mapping[str, float])
 def _check_apart(question: Question, judge: Judge, family: Family, rng: np.random.Generator) -> None:
     """Refuse members that say the same of everything that was tried: one equation, or limits in the way."""
     wide = judge.limits.widened(_WIDER)
-    judged = replace(judge, limits=wide).judge(
-        replace(family, limits=wide).inputs(family.random(_WIDE_ONES, rng))
-    )
+    tables = replace(family, limits=wide).inputs(family.random(_WIDE_ONES, rng))
+    judged = replace(judge, limits=wide).judge(tables)
     at = int(judged.told.argmax())
     most = max(float(judged.told[at]), 0.0)
     apart = " from ".join(question.names)

@@ -13,9 +13,9 @@ import numpy as np
 
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run
-from nsde_torch.design.designing import check_runs, members_of
+from nsde_torch.design.designing import check_runs
 from nsde_torch.design.experiment import LEVELS
-from nsde_torch.design.members import Member
+from nsde_torch.design.members import Member, members_of
 from nsde_torch.design.questions import SURE, Question
 from nsde_torch.design.rehearsal import Fits, against, density, fit_all
 from nsde_torch.errors import DataError
@@ -24,8 +24,7 @@ from nsde_torch.systems import System
 STRANGE = 2.0
 """Mean square of the best member's residual of an experiment, in units of the noise, from which it is another
 machine's."""
-FAR = 8.0
-"""Standard errors that the best member's parameters may be from what the runs before say."""
+FAR = 8.0  # standard errors that the best member's parameters may be from what the runs before say
 
 
 @dataclass(frozen=True)
@@ -119,11 +118,7 @@ class Obtained:
         expected = self.expected_nats
         return {
             "schema": "nsde_torch.obtained/1",
-            "question": {
-                "kind": "tie",
-                "members": [list(m) for m in self.question.members],
-                "names": list(names),
-            },
+            "question": {"kind": "tie", "members": [*map(list, self.question.members)], "names": list(names)},
             "nats": dict(zip(names, self.nats, strict=True)),
             "speaks_for": names[self.best],
             "broken": self.broken,
@@ -189,13 +184,11 @@ def obtained(
             "payload are those of the diagnosis), or something else is true: `nsde diagnose` with it among the runs "
             "names a run of another machine, and else finds what explains them all."
         )
-    excess = max(f.excess for f in each)
+    excess, doubt = max(f.excess for f in each), next(iter(doubts), None)
     brought = evidence(system, members, each, runs, flown, question, values or {}, clock=clock)
-    nats = [against(brought, i) for i in range(len(members))]
+    nats = tuple(against(brought, i) for i in range(len(members)))
     asked = _parameters(members[0], question, each, expected) if question.parameters else {}
-    return Obtained(
-        question, tuple(members), tuple(nats), excess, tuple(expected), asked, doubts[0] if doubts else None
-    )
+    return Obtained(question, tuple(members), nats, excess, tuple(expected), asked, doubt)
 
 
 def evidence(

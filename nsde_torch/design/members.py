@@ -9,11 +9,11 @@ what is drawn comes from all of them, and an experiment is fitted from each. The
 (`ParameterVector.limit`), which is one of the speeds of the runs, is moved down for the slower experiment.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, product
 from math import ceil
-from typing import final
+from typing import Any, final
 
 import numpy as np
 import torch
@@ -21,9 +21,10 @@ from torch import Tensor
 
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run
+from nsde_torch.design.questions import Question
 from nsde_torch.diagnosis.candidates import alone, starts
 from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.diagnosis.search import Search, fitted_system, search_in
+from nsde_torch.diagnosis.search import Search, fitted_system
 from nsde_torch.effects import Effect, Port
 from nsde_torch.effects.law import Law
 from nsde_torch.errors import ConfigError, NsdeError
@@ -180,12 +181,10 @@ def as_run(states: Array, inputs: Array, dt: float) -> Run:
 
 
 _ROUNDS = 12
-_STARTS = 8
-"""First values that the fit of a member is tried from."""
+_STARTS = 8  # first values that the fit of a member is tried from
 _BETTER = 0.02  # nats by which another optimum is one
 _SURE_OF_HELD = 1e-3  # of its typical size
-DEEPER = 16.0
-"""Times that widths may be narrower than the least that a search looks for in the runs."""
+DEEPER = 16.0  # times that widths may be narrower than the least that a search looks for in the runs
 _RATIO = 3.0  # from one width to the next
 _WORST = 4.0  # nats: widths that explain the runs worse by more are left out
 _KNOWN = 0.25  # standard error over width below which it is known
@@ -285,27 +284,28 @@ class Member:
         return np.where(positive, np.clip(out, theta / 3.0, 3.0 * theta), out)
 
 
-def fitted_members(
+def members_of(
     declared: System,
     runs: Sequence[Run],
-    named: Sequence[System],
-    names: Sequence[str],
+    question: Question,
+    values: Mapping[str, Any],
     *,
     clock: float,
     noise: ModelNoise | None = None,
 ) -> list[Member]:
-    """Fit what may be true to the runs there are.
+    """The members of a question, fitted to the runs there are.
 
     Args:
-        named: Physics of each member with first values.
+        values: First values of effects, `{effect: {parameter: value}}`.
         noise: Noise of them all; None: that of the likeliest.
 
     Raises:
-        ConfigError: a member cannot be fitted to the runs.
+        ConfigError: the system cannot have an effect, or a member cannot be fitted to the runs.
     """
-    search = search_in(declared, runs, clock, Options(), channels=True)
+    named = [_physics_with(declared, effects, values) for effects in question.members]
+    search = Search(declared, runs, clock, Options(), channels=True)
     fits: list[Regression] = []
-    for system, name in zip(named, names, strict=True):
+    for system, name in zip(named, question.names, strict=True):
         first = fits[0] if fits else None
         known = declared if first is None else first.vector.system
         own = [n for n in system.effect_names if n not in known.effect_names]
@@ -313,17 +313,11 @@ def fitted_members(
     systems = [fitted_system(fit) for fit in fits]
     log = LogOfRuns(tuple(runs), clock, any(s.nz > s.nx for s in systems))
     noise = noise or _noise(systems, log)
-    return [_member(declared, *each, log, noise) for each in zip(names, fits, strict=True)]
+    return [_member(declared, *each, log, noise) for each in zip(question.names, fits, strict=True)]
 
 
-def physics_with(
-    declared: System, effects: Sequence[str], values: dict[str, dict[str, float | list[float]]]
-) -> System:
-    """Declared physics with effects, at values where there are any.
-
-    Raises:
-        ConfigError: the system cannot have one of them.
-    """
+def _physics_with(declared: System, effects: Sequence[str], values: Mapping[str, Any]) -> System:
+    """Declared physics with effects, at values where there are any."""
     out = declared
     for name in effects:
         key = declared.effect_key(name)
@@ -464,8 +458,7 @@ def _branches(own: Posteriors, log: LogOfRuns, best: Branch, prior: Array) -> tu
     rows = np.tile(theta, (len(factors), 1))
     rows[:, columns] *= np.array(factors)[:, None]
     rows = np.unique(np.stack([v.inside(row) for row in rows]), axis=0)
-    moved = np.abs(np.log(rows[:, columns] / theta[columns])).max(1) > 0.5 * np.log(_RATIO)
-    rows = rows[moved]
+    rows = rows[np.abs(np.log(rows[:, columns] / theta[columns])).max(1) > 0.5 * np.log(_RATIO)]
 
     def about(row: Array, share: float) -> Array:
         """Information (k, k) that holds widths to a share of their values in a row (k,)."""

@@ -10,25 +10,6 @@ if TYPE_CHECKING:
     from nsde_torch.diagnosis.report import write_report
     from nsde_torch.diagnosis.result import Diagnosis
 
-__all__ = [
-    "Budgets",
-    "Decisions",
-    "Diagnosis",
-    "Options",
-    "Wording",
-    "diagnose",
-    "write_report",
-]
+__all__ = ["Budgets", "Decisions", "Diagnosis", "Options", "Wording", "diagnose", "write_report"]
 
-__getattr__ = resolver(
-    __name__,
-    {
-        "Budgets": "decisions",
-        "Decisions": "decisions",
-        "Diagnosis": "result",
-        "Options": "decisions",
-        "Wording": "decisions",
-        "diagnose": "pipeline",
-        "write_report": "report",
-    },
-)
+__getattr__ = resolver(__name__)

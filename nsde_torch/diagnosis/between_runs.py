@@ -28,13 +28,7 @@ from nsde_torch.data import Run
 from nsde_torch.diagnosis.candidates import candidate_names, effect_of, joined, starts
 from nsde_torch.diagnosis.ceiling import silent
 from nsde_torch.diagnosis.evidence import bonferroni
-from nsde_torch.diagnosis.joint_selection import (
-    FittedPhysics,
-    JointSearch,
-    JointSelection,
-    fitted,
-    sure_nats,
-)
+from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSearch, JointSelection, fitted, sure_nats
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.regressors import MOST_RUNS
@@ -66,9 +60,8 @@ class PossibleDifference:
     """Something that may differ between runs."""
 
     system: System  # the physics; with what is no part of it yet
-    target: (
-        str  # parameter that differs (`RunDifference.target`), or name of an effect with a size for each run
-    )
+    # parameter that differs (`RunDifference.target`), or name of an effect with a size for each run
+    target: str
     turn: Array  # columns of the table that change together (K, k)
     new: bool  # whether the first run has numbers too: of what is no part of the physics yet
 
@@ -99,11 +92,10 @@ class ExplainedDifference:
             if self.of.new:  # what the reference has is that of all runs
                 system = system.with_effects()
                 effect, own = target.rsplit("/", 1)
-                spec = effect_of(system, effect).parameter(own)
-                low = (
-                    -np.inf if spec.low is None else spec.low + 1e-6 * effect_of(system, effect).scale_of(own)
-                )
-                effect_of(system, effect).set_value(own, np.maximum(each[0], low).tolist())
+                shared_by_all = effect_of(system, effect)
+                low = shared_by_all.parameter(own).low
+                low = -np.inf if low is None else low + 1e-6 * shared_by_all.scale_of(own)
+                shared_by_all.set_value(own, np.maximum(each[0], low).tolist())
             made = difference_on(system, target)({"change": (each[1:] - each[0]).T.ravel().tolist()})
             out = system.with_effects(made)
         for one in out.effects:
@@ -225,15 +217,11 @@ def _with_one(
     if not needed:
         return None, ()
     value, best = max(needed, key=lambda one: one[0])
-    alike = [
-        there for other, there in needed if there is not best and _alike(made, value - other, best, there)
+    others = [(value - other, there) for other, there in needed if there is not best]
+    alike = [  # which cannot be told from the best
+        there for worse, there in others if worse < sure_nats(made.search, best.at.blocks - there.at.blocks)
     ]
     return best, tuple(sorted(set().union(*(_of_runs(t.system) - _of_runs(place.system) for t in alike))))
-
-
-def _alike(made: JointSearch, better: float, best: FittedPhysics, other: FittedPhysics) -> bool:
-    """Whether physics cannot be told from other physics that is better by so many nats."""
-    return better < sure_nats(made.search, best.at.blocks - other.at.blocks)
 
 
 # ---- what each would explain ---------------------------------------------------------------------------
@@ -250,17 +238,15 @@ def _best(search: Search, place: FittedPhysics) -> list[ExplainedDifference]:
     for target, system, label in _not_there(place):
         own = place.at.of.of(system)
         own.space.use(own.vector.inside(own.vector.first_values(known)))
-        columns = [
-            j for j, name in enumerate(own.vector.labels) if name.partition("[")[0] == label or name == label
-        ]
+        labels = [(name, name.partition("[")[0]) for name in own.vector.labels]
+        columns = [j for j, names in enumerate(labels) if label in names]
         tables.append(own.space.columns(about.x, about.slopes, columns, about.after).float())
         new.append((target, system, at, len(columns)))
         at += len(columns)
     space.use(place.best.theta)
     apart = [slice(1 + a, 1 + a + k) for _, _, a, k in new]
-    held = grams(
-        space, place.at.levels, about, place.at.at, torch.cat([t.float() for t in tables], -1), apart=apart
-    )
+    table = torch.cat([t.float() for t in tables], -1)
+    held = grams(space, place.at.levels, about, place.at.at, table, apart=apart)
     owner, _ = space.chunks.places()
     of_runs = np.stack([held.blocks[owner == run].sum(0) for run in np.unique(owner)])
     candidates = [PossibleDifference(s, target, np.eye(at)[:, a : a + k], True) for target, s, a, k in new]
@@ -324,9 +310,8 @@ def _of_the_physics(place: FittedPhysics, whole: int) -> Iterator[PossibleDiffer
         target = f"{name}/{own}" if dot else own
         law, coordinate = split_name(name)
         if law in _OF_EACH_RUN:
-            yield PossibleDifference(
-                system, joined_name(_OF_EACH_RUN[law], coordinate), every[:, at.columns], False
-            )
+            each = joined_name(_OF_EACH_RUN[law], coordinate)
+            yield PossibleDifference(system, each, every[:, at.columns], False)
         elif target not in differing and _may_differ(place, system, target):
             yield PossibleDifference(system, target, every[:, at.columns], False)
     if system.over_mass and MASS not in differing and int((mass != 0).sum()) > 1:
@@ -342,14 +327,9 @@ def _may_differ_in(effect: Effect, own: str) -> bool:
 def _explained(
     search: Search, place: FittedPhysics, of_runs: Array, one: PossibleDifference, among: int
 ) -> ExplainedDifference | None:
-    """What a candidate explains with numbers for each run; None where that is not beyond chance.
+    """What one of so many candidates explains with numbers for each run; None where that is not beyond chance.
 
-    Args:
-        search: What is decided by.
-        place: The physics.
-        of_runs: Gram matrix of each run (R, 1 + K, 1 + K).
-        one: The candidate.
-        among: Number of candidates.
+    `of_runs` are the Gram matrices of the runs (R, 1 + K, 1 + K).
     """
     kept, k, first = np.concatenate(([0], 1 + place.best.free)), one.turn.shape[1], int(not one.new)
     count = len(kept)
@@ -364,10 +344,8 @@ def _explained(
         total[at, :count] = total[:count, at].T
         total[at, at] = turn.T @ own[np.ix_(1 + moved, 1 + moved)] @ turn
     step, without = solved(total), solved(total[:count, :count])
-    gained = (
-        float(half_squares(total[:count, :count], without) - half_squares(total, step)) / place.best.inflation
-    )
-    parameters = size - count
+    gained = float(half_squares(total[:count, :count], without) - half_squares(total, step))
+    gained, parameters = gained / place.best.inflation, size - count
     nats = gained - 0.5 * parameters * log(len(place.at.blocks))
     p = bonferroni(float(chdtrc(parameters, max(2.0 * gained, 0.0))), among)
     if not (np.isfinite(nats) and nats > search.decisions.alike_nats and p < search.level("effects")):

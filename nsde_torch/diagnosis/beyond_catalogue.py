@@ -31,13 +31,7 @@ from math import log
 import numpy as np
 import torch
 
-from nsde_torch.diagnosis.candidates import (
-    Start,
-    candidate_names,
-    effect_of,
-    joined,
-    values_of,
-)
+from nsde_torch.diagnosis.candidates import Start, candidate_names, effect_of, joined, values_of
 from nsde_torch.diagnosis.ceiling import functions_beside
 from nsde_torch.diagnosis.evidence import folds_of
 from nsde_torch.diagnosis.gram_table import GramTable
@@ -73,8 +67,7 @@ def with_laws(
 
     Args:
         search: What effects were selected by.
-        joint: The selection.
-        outcome: What was concluded from it.
+        joint: The selection, of which `outcome` is what was concluded.
         conclude: Concludes from another one.
         predicted: How much of what some physics leaves inputs surely predict.
         of_functions: Whether functions of what was measured say anything of such a log.
@@ -91,10 +84,7 @@ def with_laws(
     near = [(name,) for name in names if joint.selected[name].law]
     alike = [pair for pair in combinations(names, 2) if of_one_variable(*pair)]
     likelier, as_good = settings.decisions.alike_nats, -settings.decisions.wider_nats
-    for replaced, least in (
-        *((one, likelier) for one in near),
-        *((pair, as_good) for pair in alike),
-    ):
+    for replaced, least in (*((one, likelier) for one in near), *((pair, as_good) for pair in alike)):
         settings.say(f"trying laws in the place of {AND.join(replaced)}", 0, 1)
         other = laws.selected(joint, replaced)
         if other is None or len(other.selected) > len(joint.selected) - len(replaced) + 1:
@@ -118,13 +108,7 @@ _LESS = 0.9  # of what inputs predict, that is left by a law which is the reason
 
 
 class _LawSearch:
-    """Adds laws to physics; remembers functions beside physics.
-
-    Args:
-        search: What effects were selected by.
-        predicted: How much of what some physics leaves inputs surely predict.
-        of_functions: Whether laws are made of what functions are of.
-    """
+    """Adds laws to physics; remembers functions beside physics."""
 
     def __init__(
         self, search: JointSearch, predicted: Callable[[FittedPhysics], float], of_functions: bool
@@ -234,9 +218,8 @@ class _LawSearch:
             at = effect.at.port, effect.at.row
             if at in place.at.of.space.disturbances:
                 port = place.at.of.space.disturbances.index(at)
-                wanted[port] = list(
-                    dict.fromkeys((*wanted.get(port, ()), *coordinate_of(place.system, effect)))
-                )
+                own = (*wanted.get(port, ()), *coordinate_of(place.system, effect))
+                wanted[port] = list(dict.fromkeys(own))
         levels = None if functions is None else functions.levels
         library = tuple(
             t for port, names in wanted.items() for t in terms_on(place.system, place.at, port, names)
@@ -268,7 +251,7 @@ class _LawSearch:
         found: list[tuple[float, Term, dict[str, float]]] = []
         for some, held in tables(place.system, place.at, library, levels):
             table = GramTable(held, 1 + place.best.free, folds)
-            for term, own in ((one.term, one.numbers) for one in some):
+            for term, own in some:
                 if all(map(table.is_new, own)):
                     blocks, _, step = table.gain((0, *own))
                     nats = float(blocks.sum()) - table.price(len(own) + len(term.start))

@@ -20,11 +20,10 @@ def candidate_names(system: System, among: Collection[str] | None = None) -> lis
     What an effect of the system contains is none of them: beside it, it would be one law in two names.
     They are chosen from `among`; None for all.
     """
+    effects = effects_of(system.name, {*system.ports, Port.INPUT}, system.bound_coordinates())
     return sorted(
         name
-        for name, cls in effects_of(
-            system.name, {*system.ports, Port.INPUT}, system.bound_coordinates()
-        ).items()
+        for name, cls in effects.items()
         if (among is None or name in among)
         and not why_not(system, name)
         and set(cls.exogenous) <= set(system.exogenous)
@@ -72,15 +71,11 @@ def check_candidates(system: System, names: Sequence[str], also: Sequence[str] =
             raise ConfigError(
                 f"`candidates` names {name!r}, which `nsde effects` does not list; one of your own goes into `also`."
             )
-    read = {
-        c
-        for cls in effects_of(system.name, system.ports, system.bound_coordinates()).values()
-        for c in cls.exogenous
-    }
+    effects = effects_of(system.name, system.ports, system.bound_coordinates())
+    read = {c for cls in effects.values() for c in cls.exogenous}
     able = candidate_names(system.reading(*sorted(read - set(system.exogenous))))
     for name in on_coordinates(system, names):
-        reason = why_not(system, name)
-        if reason:
+        if reason := why_not(system, name):
             raise ConfigError(f"`candidates` names {name!r}, which is none: {reason}; leave it out.")
         if name not in able:
             raise ConfigError(
@@ -126,8 +121,7 @@ def starts(
 
 def joined(system: System, name: str, start: Start) -> System:
     """The system with a candidate, without what the candidate contains."""
-    contained = set(effect_class(name).includes) & set(system.effect_names)
-    if contained:
+    if contained := set(effect_class(name).includes) & set(system.effect_names):
         system = system.without_effects(*contained)
     return system.with_effects(system.make_effect(name, start))
 

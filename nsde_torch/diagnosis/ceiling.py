@@ -46,21 +46,6 @@ class RowGain:
     channels: frozenset[str]  # those that the row moves
 
 
-@dataclass(frozen=True)
-class FunctionGain:
-    """Functions beside physics."""
-
-    at: Optimum  # the optimum of the physics
-    functions: Functions
-    rows: tuple[RowGain, ...]
-    """What they explain beyond what feedback may hide, by row of a port, the most first."""
-
-    @property
-    def nats(self) -> float:
-        """What the rows explain [nats]."""
-        return sum(row.nats for row in self.rows)
-
-
 @torch.no_grad()
 def functions_beside(at: Optimum, most: int) -> Functions | None:
     """Functions beside the physics of an optimum; None where they would say nothing.
@@ -75,8 +60,8 @@ def functions_beside(at: Optimum, most: int) -> Functions | None:
 
 
 @torch.no_grad()
-def function_gain(at: Optimum, found: Functions, outcome: Outcome) -> FunctionGain:
-    """What functions explain beyond what feedback may hide, row by row."""
+def row_gains(at: Optimum, found: Functions, outcome: Outcome) -> tuple[RowGain, ...]:
+    """What functions explain beyond what feedback may hide, by row of a port, the most first."""
     space, system, variables = at.of.space, at.of.vector.system, _variables(at)
     counted = space.chunks.counted
     table = variables.values(at.x[counted], space.chunks.u[counted]).numpy()
@@ -93,19 +78,9 @@ def function_gain(at: Optimum, found: Functions, outcome: Outcome) -> FunctionGa
         if sure and nats > 0.5 * max((allowed.get(name, 0.0) for name in moved[port]), default=0.0):
             name, unit = _row(system, *space.disturbances[port])
             size = float(np.sqrt(np.square(found.force(values, port)[0]).mean()))
-            rows.append(
-                RowGain(
-                    name,
-                    unit,
-                    port,
-                    size,
-                    nats,
-                    found.error[port],
-                    found.importance(port),
-                    frozenset(moved[port]),
-                )
-            )
-    return FunctionGain(at, found, tuple(sorted(rows, key=lambda r: -r.nats)))
+            error, importance = found.error[port], found.importance(port)
+            rows.append(RowGain(name, unit, port, size, nats, error, importance, frozenset(moved[port])))
+    return tuple(sorted(rows, key=lambda r: -r.nats))
 
 
 def optimum_of(system: System, near: Optimum) -> Optimum:
@@ -153,7 +128,7 @@ class Ceiling:
     """Its 90 % interval; None where there are too few blocks."""
     rows: tuple[RowGain, ...] = ()
     """What is left, by row of a port, the most first; empty where it is no more than chance."""
-    gain: FunctionGain | None = None  # the functions; None where nothing was measured
+    functions: Functions | None = None  # None where nothing was measured
 
 
 def ceiling(log: Log, outcome: Outcome) -> Ceiling:
@@ -169,15 +144,16 @@ def ceiling(log: Log, outcome: Outcome) -> Ceiling:
         found = functions_beside(at, log.budgets.function_groups)
     if found is None:
         return Ceiling("the log is too short")
-    gain = function_gain(at, found, outcome)
-    before, after = gain.functions.blocks
-    left = (after - before) * (gain.nats / max(float((after - before).sum()), 1e-300) if gain.rows else 0.0)
-    out = Ceiling(left=float(left.sum()), rows=gain.rows, gain=gain)
-    if gain.rows:
+    rows = row_gains(at, found, outcome)
+    before, after = found.blocks
+    nats = sum(row.nats for row in rows)
+    left = (after - before) * (nats / max(float((after - before).sum()), 1e-300) if rows else 0.0)
+    out = Ceiling(left=float(left.sum()), rows=rows, functions=found)
+    if rows:
         out = replace(out, interval=_ends(out.left, sum_error(left)))
     if not outcome.found:
         return out
-    won = before - _declared(outcome, gain.at)
+    won = before - _declared(outcome, at)
     effects = float(won.sum())
     share = float(np.clip(effects / max(effects + out.left, 1e-300), 0.0, 1.0)) if effects > 0 else 0.0
     ends = None

@@ -94,9 +94,8 @@ def one_step(
 ) -> dict[str, Any]:
     """Gain in held-out log-likelihood, as `diagnosis.json` has it.
 
-    Returns:
-        `unit`, `steps`, `blocks`, and `nats`, `low_90`, `high_90`: of all channels, by channel (`channels`), and by
-        quantity (`quantities`).
+    `unit`, `steps`, `blocks`, and `nats`, `low_90`, `high_90`: of all channels, by channel (`channels`), and by
+    quantity (`quantities`).
     """
     gain, names = after.density - before.density, before.names
     plain = [name.removesuffix(" (body)") for name in names]
@@ -116,11 +115,7 @@ def one_step(
 
 
 def band(before: Scored, after: Scored, *, seed: int, decisions: Decisions = DECISIONS) -> dict[str, Any]:
-    """Residual rates of runs left out by channel, as `diagnosis.json` has them; nothing where none is long enough.
-
-    Returns:
-        By channel: `unit`, `before`, `after`, `ratio`, and `difference` with `low_90` and `high_90`.
-    """
+    """Residual rates of runs left out by channel, as `diagnosis.json` has them; nothing where none is long enough."""
     if not len(before.squares):
         return {}
     found = _difference(before, before.squares, after.squares, seed, decisions)
@@ -189,14 +184,9 @@ class Own:
 def own(
     without: Scored, full: Scored, moved: Sequence[str], *, seed: int, decisions: Decisions = DECISIONS
 ) -> Own | None:
-    """What an effect brings; None where it moves no channel.
+    """What an effect brings to all others, fitted again `without` it, on the channels that it moves; None without any.
 
-    Args:
-        without: Everything that was found but the effect, fitted again.
-        full: Everything that was found.
-        moved: Names of the channels that the effect's parameters move.
-        seed: Seed of the resamples.
-        decisions: Blocks of time.
+    `seed` is that of the resamples.
     """
     at = [i for i, name in enumerate(full.names) if name in moved]
     if not at:
@@ -256,11 +246,9 @@ def _difference(of: Scored, first: Array, other: Array, seed: int, decisions: De
 
 # ---- folds ---------------------------------------------------------------------------------------------
 
-REPLAYED = "replayed"
-"""Where the inputs of open-loop predictions come from (`errors.inputs` of `diagnosis.json`)."""
 _NOTHING: dict[str, Any] = {
     **{"horizons_s": [], "before": {}, "after": {}, "ratio": {}},
-    **{"inputs": REPLAYED, "closed_loop": None, "one_step": None, "residual": {}},
+    **{"inputs": "replayed", "closed_loop": None, "one_step": None, "residual": {}},
 }
 Fitted = Callable[[System, Folds], LeftOut]
 """Physics, its values near the optimum, fitted without each fold and scored on it."""
@@ -307,7 +295,7 @@ def by_likelihood(places: Sequence[FittedPhysics]) -> Fitted:
 
     def left(system: System, folds: Folds) -> LeftOut:
         at = known.get(frozenset(system.effect_names)) or optimum_of(system, places[-1].at)
-        return left_out(at, folds, still=nonlinear(at.of.vector, smooth=False))
+        return left_out(at, folds, still=nonlinear(at.of.vector))
 
     return left
 
@@ -330,14 +318,12 @@ def held_out(
     Args:
         systems: Without and with the effects, their values near the optimum.
         spec: What models of the system are made of.
-        runs: All runs.
+        runs: All runs, of which `steps` are.
         fitted: How physics is fitted to the others.
-        steps: Their steps.
         clock: Physical seconds per logged second.
-        seed: Seed of the resamples.
+        seed: Of the resamples.
         without: By effect: the physics with all others.
         moved: By effect: names of the channels that it moves.
-        decisions: Folds, and blocks of time.
     """
     before, after = systems
     folds, tests = split(runs, decisions)
@@ -411,19 +397,12 @@ def _replayed(
         return {}
     row, lengths = windows.rows(starts), [len(run) for run in runs]
     owner, t = np.repeat(np.arange(len(runs)), lengths)[row], np.concatenate([run.t for run in runs])[row]
-    squares = torch.stack(
-        [
-            squares_by_fold(
-                as_model(spec, left.vector.at_first(), clock),
-                windows,
-                starts,
-                counts,
-                values=left.theta,
-                fold=folds.number[owner],
-            )
-            for left in ([full] if rest is full else [rest, full])
-        ]
-    )
+
+    def squared(left: LeftOut) -> Tensor:
+        model, fold = as_model(spec, left.vector.at_first(), clock), folds.number[owner]
+        return squares_by_fold(model, windows, starts, counts, values=left.theta, fold=fold)
+
+    squares = torch.stack([squared(left) for left in ([full] if rest is full else [rest, full])])
     squares = squares.expand(2, *squares.shape[1:])
     finished = squares.isfinite().all(3)
     # horizons at which nearly all predictions are still numbers
@@ -454,11 +433,7 @@ def _replayed(
         "before": table(before),
         "after": table(after),
         "ratio": table(after / before.clamp_min(1e-12)),
-        "difference": {
-            "value": table(found.value),
-            "low_90": table(found.low),
-            "high_90": table(found.high),
-        },
+        "difference": {"value": table(found.value), "low_90": table(found.low), "high_90": table(found.high)},
     }
 
 
@@ -466,9 +441,8 @@ def as_model(spec: SysidSpec, system: System, clock: float) -> IdentifiedModel:
     """The physics as a model that predicts."""
     have = spec.make_system().effect_names
     new = (e for e in system.effects if isinstance(e, Effect) and e.name not in have)
-    added = [
-        key_of(type(e)) for e in new if not isinstance(e, ByRun)
-    ]  # what those change may not be there yet
+    # what differences between runs change may not be there yet
+    added = [key_of(type(e)) for e in new if not isinstance(e, ByRun)]
     model = IdentifiedModel(replace(spec, effects=(*spec.effects, *added)), generator=torch.Generator())
     model.system = system.with_effects()
     model.system.set_step(spec.dt)

@@ -126,26 +126,26 @@ def decide(
 
     `alone` is the declared physics where nothing could be selected; None: nothing is tested.
     """
-    declared, base, found, tested, joint = (
-        chosen.declared,
-        chosen.final,
-        chosen.found,
-        chosen.feedback,
-        chosen.joint,
-    )
+    declared, base, joint = chosen.declared, chosen.final, chosen.joint
+    tested, found = chosen.feedback, chosen.found
     place = alone if joint is None else joint.final
     before = None
     if found and joint is not None:  # first: scores of the final physics are asked for again by what follows
         before = overview(PhysicsResiduals(search, joint.declared, declared.regression))
     after = [] if place is None else dependences(PhysicsResiduals(search, place, base.regression))
     levels = search.levels(*(["effects"] if found else []))
-    left = _left(base, after, tested, levels["structure"])
+    allowed = allowances_of_tests(tested)
+    # what arithmetic leaves has structure, and means nothing
+    left = [] if base.regression.arithmetic else beyond_chance(after, allowed, alpha=levels["structure"])
     explained = 0.0 if joint is None else joint.final.best.likelihood - joint.declared.best.likelihood
     rest = max((d.excess for d in left), default=0.0)
     brought = nats_by_channel(declared.regression, base.regression)
     found = [replace(f, moves=moved_channels(base.regression, f.name)) for f in found]
+    verdict: Verdict = "effect_found" if found else "no_effect"
+    if rest > explained if found else left:
+        verdict = "unexplained"
     return Outcome(
-        verdict="undecided" if place is None else _verdict(found, explained=explained, rest=rest, left=left),
+        verdict="undecided" if place is None else verdict,
         declared=declared,
         final=base,
         found=[
@@ -171,30 +171,12 @@ def decide(
     )
 
 
-def _left(base: Base, tests: Sequence[Dependence], tested: FeedbackTest, alpha: float) -> list[Dependence]:
-    """Structure in what the physics leaves; what arithmetic leaves has some, and means nothing."""
-    return (
-        [] if base.regression.arithmetic else beyond_chance(tests, allowances_of_tests(tested), alpha=alpha)
-    )
-
-
-def _verdict(found: Sequence[Found], *, explained: float, rest: float, left: Sequence[Dependence]) -> Verdict:
-    """The verdict, from what the effects explain and the largest evidence that remains [nats]."""
-    if not found:
-        return "unexplained" if left else "no_effect"
-    return "unexplained" if rest > explained else "effect_found"
-
-
 def provisional_reason(
     f: Found, left: Sequence[Dependence], brought: Mapping[str, float], decisions: Decisions = DECISIONS
 ) -> str:
     """Why an effect is provisional: structure is left where it acts; empty where it is the last word.
 
-    Args:
-        f: The effect.
-        left: What the residual still depends on.
-        brought: Log-likelihood that the effects brought, by channel [nats].
-        decisions: How much structure there is too much.
+    `brought` is the log-likelihood that the effects brought, by channel [nats].
     """
     rest = max((d.excess for d in left if d.channel in f.moves), default=0.0)
     return "something else is there too" if _too_much(rest, f, brought, decisions) else ""

@@ -13,8 +13,7 @@ from dataclasses import dataclass, field
 from nsde_torch.errors import ConfigError
 from nsde_torch.options import check, documented, key
 
-INTERVAL_LEVEL = 0.9
-"""Level of all intervals; no field, as the keys of `diagnosis.json` are named after it."""
+INTERVAL_LEVEL = 0.9  # level of all intervals; no field, as the keys of `diagnosis.json` are named after it
 
 
 @documented
@@ -187,8 +186,7 @@ class Budgets:
         check(type(self), vars(self))
 
 
-DECISIONS, BUDGETS = Decisions(), Budgets()
-"""What is used where nothing else is said."""
+DECISIONS, BUDGETS = Decisions(), Budgets()  # what is used where nothing else is said
 
 
 @documented

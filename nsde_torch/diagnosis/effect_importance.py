@@ -20,8 +20,7 @@ from typing import Any
 from nsde_torch.diagnosis.cross_validation import Own
 from nsde_torch.diagnosis.decisions import Wording
 
-BY_STEPS, BY_RESIDUAL = "log-likelihood", "residual"
-"""What effects are ordered by."""
+BY_STEPS, BY_RESIDUAL = "log-likelihood", "residual"  # what effects are ordered by
 
 
 @dataclass(frozen=True)
@@ -54,9 +53,7 @@ class Importance:
 def effect_importance(own: Mapping[str, Own], *, inputs: bool) -> dict[str, Importance]:
     """How much effects matter, the most important first.
 
-    Args:
-        own: By effect: what it brings on runs left out.
-        inputs: Whether the inputs are what acted, and not restored from an average.
+    `inputs` says whether the inputs are what acted, and not restored from an average.
     """
     gains = {name: _gain(one, inputs=inputs) for name, one in own.items()}
     whole = sum(gains.values())

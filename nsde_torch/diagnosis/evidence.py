@@ -143,13 +143,9 @@ def jackknife(pulls: Array, grams: Array, decisions: Decisions = DECISIONS) -> f
 
 
 def dispersion(pulls: Array, grams: Array) -> float:
-    """How many times what scores leave of blocks is what their information says, at least 1.
+    """How many times what scores (B, q) leave of blocks is what their information (B, q, q) says, at least 1.
 
     Of few blocks, of which some decide alone, the scatter of each direction (`jackknife`) is not known.
-
-    Args:
-        pulls: Scores by block of time (B, q).
-        grams: Their information (B, q, q).
     """
     whole = np.linalg.pinv(grams.sum(0), hermitian=True)
     left = pulls - grams @ (whole @ pulls.sum(0))
@@ -185,8 +181,7 @@ class NotShown:
     usual: float  # size that it usually has
     unit: str  # unit of both
     experiment: str  # the experiment that would show it
-    declared: bool = False
-    """Whether it is not seen because declared parameters do the same in these data."""
+    declared: bool = False  # whether it is not seen because declared parameters do the same in these data
 
 
 def not_shown(
@@ -203,7 +198,6 @@ def not_shown(
         joint: What was selected.
         found: Names of the effects that were added.
         alpha: Chance below which a candidate is significant.
-        decisions: What size is noticed, and what is a good part of the usual one.
         system: Declared system, which knows units; None: those of the simplest machine.
     """
     significant = {p.name for r in joint.rounds for p in r.look.proposals if p.p < alpha} | set(found)

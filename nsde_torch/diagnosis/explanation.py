@@ -66,43 +66,32 @@ def warnings(outcome: Outcome, system: System) -> list[Warned]:
     flat = r.slopes.reshape(-1, len(v))
     pull = basis @ np.linalg.lstsq(flat @ basis, r.white.reshape(-1), rcond=None)[0]
     error = np.sqrt(np.clip(np.diag(basis @ outcome.spread.covariance @ basis.T), 0.0, None))
-    firsts = _firsts(system)
+    firsts: dict[str, float] = {}
+    for name, (first_value, _) in system.all_declared().items():
+        values = first_value.reshape(-1).tolist()
+        firsts |= {name: values[0]} if len(values) == 1 else {f"{name}[{i}]": x for i, x in enumerate(values)}
+    remedy = _remedy(system)
     out = []
     for name in declared(outcome):
         j = v.labels.index(name)
         value, unit = float(r.theta[j]), with_space(v.units[j])
         beyond = abs(pull[j]) > max(decisions.bound_errors * error[j], decisions.bound_sizes * v.scale[j])
         for bound, word, outward in ((v.low[j], "lower", pull[j] < 0), (v.high[j], "upper", pull[j] > 0)):
-            if (
-                abs(value - bound) <= _AT_BOUND * v.scale[j]
-                and outward
-                and beyond
-                and not _nothing(name, bound)
-            ):
-                out.append(
-                    Warned(
-                        name,
-                        "at_bound",
-                        f"{name} stands at its {word} bound, {number(bound)}{unit}: freely, the data would make it "
-                        f"about {number(value + pull[j])}{unit}",
-                        _remedy(system),
-                    )
+            there = abs(value - bound) <= _AT_BOUND * v.scale[j]
+            if there and outward and beyond and not _nothing(name, bound):
+                said = (
+                    f"{name} stands at its {word} bound, {number(bound)}{unit}: freely, the data would make it about "
+                    f"{number(value + pull[j])}{unit}"
                 )
+                out.append(Warned(name, "at_bound", said, remedy))
                 break
         else:
             held = min(abs(value - v.low[j]), abs(value - v.high[j])) <= _AT_BOUND * v.scale[j]
             known = bool(r.shown.known[j])
             # physics that explains all may be of any size
             if not held and (not known or outcome.verdict == "unexplained"):
-                out += _apart(
-                    name,
-                    value,
-                    firsts.get(name, 0.0),
-                    unit,
-                    _remedy(system),
-                    known=known,
-                    decisions=decisions,
-                )
+                first = firsts.get(name, 0.0)
+                out += _apart(name, value, first, unit, remedy, known=known, decisions=decisions)
     return out
 
 
@@ -118,14 +107,6 @@ def _apart(
     sentence = f"{name} is {number(value)}{unit}, {times} its first value {number(first)}{unit}{ran}"
     kind = "far_off" if known else "not_shown"
     return [Warned(name, kind, sentence, f"right if the machine is like that; otherwise {remedy}")]
-
-
-def _firsts(system: System) -> dict[str, float]:
-    out: dict[str, float] = {}
-    for name, (value, _) in system.all_declared().items():
-        values = value.reshape(-1).tolist()
-        out |= {name: values[0]} if len(values) == 1 else {f"{name}[{i}]": x for i, x in enumerate(values)}
-    return out
 
 
 def _nothing(label: str, bound: float) -> bool:
@@ -154,19 +135,13 @@ class Explanation:
     warned: tuple[Warned, ...] = ()  # declared parameters that indicate a fault of the columns
     guard: Guarded = field(default_factory=Guarded)
     """How the final physics stands beside simple fits, and what speaks against it."""
-    standstill: float = (
-        0.0  # share of the rows that were left out because what has dry friction stands in them
-    )
+    # share of the rows that were left out because what has dry friction stands in them
+    standstill: float = 0.0
     ceiling: Ceiling = field(default_factory=Ceiling)  # what functions could still explain
 
 
 def explained(
-    log: Log,
-    search: Search,
-    outcome: Outcome,
-    guard: Guarded,
-    runs: tuple[str, ...],
-    most: Ceiling,
+    log: Log, search: Search, outcome: Outcome, guard: Guarded, runs: tuple[str, ...], most: Ceiling
 ) -> Explanation:
     """Describe what is left."""
     regression, left = outcome.final.regression, outcome.structured

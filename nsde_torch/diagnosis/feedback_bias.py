@@ -83,8 +83,7 @@ def lengths_of_parameters(test: FeedbackTest, regression: Regression) -> dict[st
         return {}
     lean = leaning(regression)
     rows = {regression.physics.names[c]: i for i, c in enumerate(regression.rows)}
-    most = test.hidden
-    return {c: lean[rows[c]] * most.get(c, 0.0) for c in test.not_from_the_log}
+    return {c: lean[rows[c]] * test.hidden.get(c, 0.0) for c in test.not_from_the_log}
 
 
 def allowances(lengths: Mapping[str, Array], own: Sequence[int]) -> dict[str, float]:
@@ -108,25 +107,18 @@ def allowances_of_tests(test: FeedbackTest) -> dict[str, float]:
 def chance_beyond(
     gained: Mapping[str, float], moved: Sequence[str], allowed: Mapping[str, float], count: int
 ) -> float:
-    """p value of the evidence for an effect beyond what feedback may hide, by a chi-squared distribution.
+    """p value of the evidence for an effect of `count` parameters beyond what feedback may hide (chi-squared).
 
-    Args:
-        gained: Likelihood ratio (2 log L) that it brings, by channel.
-        moved: Names of the channels that it moves.
-        allowed: What feedback may hide, by channel.
-        count: Number of its parameters.
+    The likelihood ratios (2 log L) that it brings and that feedback may hide are by channel, of which it moves some.
     """
     beyond = sum(max(gained[c] - allowed.get(c, 0.0), 0.0) for c in moved)
     return float(chi2.sf(beyond, max(count, 1)))
 
 
 def shown_by_instruments(found: Identification, effect: str, alpha: float) -> bool:
-    """Whether estimates by instruments show an effect: some parameter of it is surely not nothing.
+    """Whether estimates by instruments (`identify_in_loop`) show an effect: some parameter is surely not nothing.
 
-    Args:
-        found: Of physics with the effect, by `identify_in_loop`.
-        effect: Its name.
-        alpha: Chance of showing one that is not there.
+    `alpha` is the chance of showing one that is not there.
     """
     i = found.instrumented
     if i is None:

@@ -74,11 +74,3 @@ class DiagnosisFiles:
         write_content(content, self._folder)
         write_effects(found, self._folder, system=self._system, note=self._note)
         return content
-
-
-def save(found: Diagnosis, folder: str | Path) -> Path:
-    """Write all files of a diagnosis (`Diagnosis.save`)."""
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    DiagnosisFiles(folder, system=found.system_name, note="found by nsde_torch.diagnose").write(found)
-    return folder / REPORT

@@ -64,8 +64,7 @@ class Explained:
     blocks: Array  # `nats` by block of time (B,)
     errors: dict[str, float]
     """Standard errors of parameters that need it, by label; infinite where no row shows it."""
-    alone: dict[str, float]
-    """The same if all other parameters were known."""
+    alone: dict[str, float]  # the same if all other parameters were known
 
     @cached_property
     def system(self) -> System:
@@ -199,6 +198,7 @@ class JointSearch:
 
     Attributes:
         search: Candidates and settings.
+        declared: The declared physics, with what is shorter than a step.
         libraries: By law: all terms that it was chosen from.
     """
 
@@ -220,13 +220,9 @@ class JointSearch:
         self.libraries: dict[str, tuple[Term, ...]] = {}
         self._instead: dict[str, tuple[Term, ...]] = {}
         self._some: torch.Tensor | None = None  # chunks of the log that it is in; None: all
-        self._first = self.fitted(system, None)
-        self._problem = self._first.at.of  # without the outliers that were found beside the declared physics
-
-    @property
-    def declared(self) -> FittedPhysics:
-        """The declared physics, with what is shorter than a step."""
-        return self._first
+        self.declared = self.fitted(system, None)
+        # without the outliers that were found beside the declared physics
+        self._problem = self.declared.at.of
 
     @property
     def tries_laws(self) -> bool:
@@ -248,13 +244,13 @@ class JointSearch:
                 brought [nats].
         """
         brought = dict(brought or {})
-        place = self._first if begun is None else self._declared_if_short(self.fitted(begun, self._first))
-        so_far(self._first, place, brought)
+        place = self.declared if begun is None else self._declared_if_short(self.fitted(begun, self.declared))
+        so_far(self.declared, place, brought)
 
         def known(before: FittedPhysics, after: FittedPhysics) -> None:
             new = self.added(after.system) - self.added(before.system)
             brought.update(dict.fromkeys(new, after.best.likelihood - before.best.likelihood))
-            so_far(self._first, after, brought)
+            so_far(self.declared, after, brought)
 
         return self.concluded(place, known)
 
@@ -268,9 +264,7 @@ class JointSearch:
         Where that changed the effects, what they lack is looked for again: a law that takes the place of a steady force
         leaves that to be found beside it (the public drive EMPS).
 
-        Args:
-            place: Physics that is begun with.
-            known: Takes the physics before and after an effect is added.
+        It begins with `place`; `known` takes the physics before and after an effect is added.
         """
         been: set[frozenset[str]] = set()
         looked: dict[str, Instead] = {}
@@ -288,7 +282,7 @@ class JointSearch:
             )
             for name, one in looked.items()
         }
-        rounds = tuple(self._rounds) or (Round(self.look(self._first), ""),)
+        rounds = tuple(self._rounds) or (Round(self.look(self.declared), ""),)
         # what is missing passes for noise in the first look
         errors: dict[str, dict[str, float]] = {}
         alone: dict[str, dict[str, float]] = {}
@@ -296,7 +290,7 @@ class JointSearch:
             for table, found in ((errors, p.errors), (alone, p.alone)):
                 own = table.setdefault(p.name, {})
                 own |= {label: min(error, own.get(label, error)) for label, error in found.items()}
-        return JointSelection(self._first, place, selected, rounds, errors, tuple(self._aside), alone=alone)
+        return JointSelection(self.declared, place, selected, rounds, errors, tuple(self._aside), alone=alone)
 
     def _extended(
         self, place: FittedPhysics, known: Callable[[FittedPhysics, FittedPhysics], None]
@@ -305,8 +299,8 @@ class JointSearch:
         most = self.search.decisions.most_effects
         for count in range(len(self.added(place.system)), most):
             names = candidate_names(place.system, self.search.candidates)
-            count_of = f"{len(names)} effect{'s' if len(names) > 1 else ''}"
-            self.search.say(f"round {count + 1}: trying {count_of}", count, most)
+            tried = f"{len(names)} effect{'s' if len(names) > 1 else ''}"
+            self.search.say(f"round {count + 1}: trying {tried}", count, most)
             better = self._next(place)
             name = "" if better is None else next(iter(self.added(better.system) - self.added(place.system)))
             self._rounds.append(Round(self.look(place), name))
@@ -323,7 +317,7 @@ class JointSearch:
 
     def without(self, place: FittedPhysics, name: str) -> FittedPhysics:
         """The physics without an effect, fitted; a declared one that it stood in for is back."""
-        rest = without_effect(place.system, self._first.system, name)
+        rest = without_effect(place.system, self.declared.system, name)
         return self._places.get(frozenset(rest.effect_names)) or self.fitted(rest, place)
 
     def added(self, system: System) -> frozenset[str]:
@@ -370,10 +364,10 @@ class JointSearch:
             if not self.needed(name, place, without):
                 place = without
                 continue
-            with_it = self._first.system.with_effects(effect_of(place.system, name))
+            with_it = self.declared.system.with_effects(effect_of(place.system, name))
             self._declared.add(name)
             self._aside.append(name)
-            self._first = place if not self.added(place.system) else self.fitted(with_it, self._first)
+            self.declared = place if not self.added(place.system) else self.fitted(with_it, self.declared)
         return place
 
     def _next(self, place: FittedPhysics) -> FittedPhysics | None:
@@ -500,17 +494,12 @@ class JointSearch:
             return None
         out = copy.copy(self)
         out._some, out._problem = which, self._problem.some(which)
-        out._places, out._looks = {}, {frozenset(self._first.system.effect_names): self.look(self._first)}
+        out._places, out._looks = {}, {frozenset(self.declared.system.effect_names): self.look(self.declared)}
         out._instead, out.libraries = dict(self._instead), dict(self.libraries)
         return out
 
     def needed_here(self, name: str, whole: FittedPhysics) -> bool:
-        """Whether an effect is needed in these few rows.
-
-        Args:
-            name: The effect.
-            whole: Physics with it, fitted to all rows.
-        """
+        """Whether an effect is needed in these few rows; `whole` is the physics with it, fitted to all rows."""
         place = self._here(whole)
         return self.needed(name, place, self.without(place, name))
 
@@ -536,10 +525,8 @@ class JointSearch:
     def _here(self, whole: FittedPhysics) -> FittedPhysics:
         """Physics that were fitted to all rows, fitted to these."""
         assert self._some is not None
-        names = frozenset(whole.system.effect_names)
-        return self._places.get(names) or self.fitted(
-            whole.system, replace(whole, at=whole.at.some(self._some))
-        )
+        known = self._places.get(frozenset(whole.system.effect_names))
+        return known or self.fitted(whole.system, replace(whole, at=whole.at.some(self._some)))
 
     def _instead_of(
         self,
@@ -567,8 +554,7 @@ class JointSearch:
     def needed(self, name: str, place: FittedPhysics, without: FittedPhysics) -> bool:
         """Whether an effect brings more likelihood than chance, of all candidates of the look that found it."""
         labels = [label for label in place.best.vector.labels if label.startswith(f"{name}.")]
-        proposals = self.look(self._first).proposals
-        among = max(len(proposals), 1) * starts_of(name, labels, self.search.longest)
+        among = max(len(self.look(self.declared).proposals), 1) * starts_of(name, labels, self.search.longest)
         among += len(self.libraries.get(name, ()))
         risen = max(place.best.likelihood - without.best.likelihood, 0.0)
         p = bonferroni(float(chdtrc(len(labels), 2.0 * risen)), among)
@@ -648,20 +634,18 @@ class JointSearch:
         # without it the filter may diverge, and nothing can be begun there (blind joints of seed 202, case 1)
         if not isfinite(without.best.likelihood):
             return "", None
-        at = effect.at
-        names = coordinate_of(place.system, effect)
-        port = space.disturbances.index((at.port, at.row))
-        terms = terms_on(without.system, without.at, port, names)
+        port = space.disturbances.index((effect.at.port, effect.at.row))
+        terms = terms_on(without.system, without.at, port, coordinate_of(place.system, effect))
         folds = folds_of(self.search.decisions, *space.chunks.places())
         # linearised steps with linearised steps: noise without either has learned some of both
         own = next((p.nats for p in self.look(without).proposals if p.name == name), 0.0)
         rivals: list[tuple[float, Term]] = []
         for some, held in tables(without.system, without.at, terms):
             table = GramTable(held, 1 + without.best.free, folds)
-            for one in some:
-                if all(map(table.is_new, one.numbers)):
-                    nats = float(table.gain((0, *one.numbers))[0].sum())
-                    rivals += [(nats, one.term)] if nats > own else []
+            for term, numbers in some:
+                if all(map(table.is_new, numbers)):
+                    nats = float(table.gain((0, *numbers))[0].sum())
+                    rivals += [(nats, term)] if nats > own else []
         least = self._as_likely(place, without)
         for _, term in sorted(rivals, key=lambda r: -r[0])[:_LAWS]:
             system = joined(without.system, term.law, term.start)
@@ -680,8 +664,8 @@ class JointSearch:
 
 def looked(search: Search, place: FittedPhysics, frequencies: Sequence[float] = ()) -> Look:
     """What the candidates of a search would explain beside some physics."""
-    proposals = _catalogue(search, place, frequencies)
-    return Look(tuple(proposals), tuple(p for p in proposals if _accepted(search, p)))
+    proposals = tuple(_catalogue(search, place, frequencies))
+    return Look(proposals, tuple(p for p in proposals if p.p < search.level("effects") and p.nats > 0))
 
 
 def fitted_at(
@@ -702,10 +686,6 @@ def fitted(system: System, like: FittedPhysics) -> FittedPhysics:
 def coordinate_of(system: System, effect: Law) -> list[str]:
     """Names of the position and the speed that a law of one coordinate is of."""
     return [system.state_names[k] for k in (effect.at.position, effect.at.velocity) if k is not None]
-
-
-def _accepted(search: Search, proposal: Explained) -> bool:
-    return proposal.p < search.level("effects") and proposal.nats > 0
 
 
 def _in_order(search: Search, look: Look, added: Collection[str], place: FittedPhysics) -> list[Explained]:
@@ -766,8 +746,10 @@ def _catalogue(search: Search, place: FittedPhysics, frequencies: Sequence[float
     table = GramTable(held, 1 + place.best.free, folds_of(search.decisions, *space.chunks.places()))
     best: dict[str, _Step] = {}
     for entry in entries:
-        for choice in _choices(entry):
-            step = _stepped(table, entry, choice)
+        of_label = dict(zip(entry.labels, entry.columns[1:], strict=True))
+        for held_at_nothing in alone(entry.name, entry.labels):
+            free = (c for label, c in of_label.items() if label not in held_at_nothing)
+            step = _stepped(table, entry, (entry.columns[0], *free))
             if step is not None and (entry.name not in best or step.rank > best[entry.name].rank):
                 best[entry.name] = step
     longest = max(b - a for a, b in space.steps.segments)
@@ -789,16 +771,14 @@ def _columns(
     place: FittedPhysics, name: str, system: System, rates: torch.Tensor, at: int
 ) -> tuple[_Entry, torch.Tensor]:
     """What a candidate does to the steps: by its start, beside the physics with these rates, and by each parameter."""
-    own = place.at.of.of(system)
+    own, labels = place.at.of.of(system), place.best.vector.labels
     space, vector, about = own.space, own.vector, place.at.about
-    known = dict(zip(place.best.vector.labels, place.best.theta.tolist(), strict=True))
-    first = vector.first_values(known)
+    first = vector.first_values(dict(zip(labels, place.best.theta.tolist(), strict=True)))
     vector.limit(own.sizes)
-    theta = vector.inside(first)
+    theta, mine = vector.inside(first), vector.of(name)
     space.use(theta)
-    mine = vector.of(name)
     moved = space.columns(about.x, about.slopes, mine, about.after, rates)
-    missing = [j for j, label in enumerate(place.best.vector.labels) if label not in vector.labels]
+    missing = [j for j, label in enumerate(labels) if label not in vector.labels]
     entry = _Entry(
         name,
         system,
@@ -810,15 +790,6 @@ def _columns(
         1 + np.array(missing, dtype=np.int64),
     )
     return entry, moved
-
-
-def _choices(entry: _Entry) -> list[tuple[int, ...]]:
-    """Columns of a candidate, of one whose parameters are one per input those of one at a time."""
-    out = []
-    for held in alone(entry.name, entry.labels):
-        free = [c for c, label in zip(entry.columns[1:], entry.labels, strict=True) if label not in held]
-        out.append((entry.columns[0], *free))
-    return out
 
 
 @dataclass(frozen=True)
@@ -862,9 +833,8 @@ def _proposed(table: GramTable, step: _Step, among: int, longest: int) -> Explai
     p = float(chdtrc(max(len(step.columns) - 1, 1), max(2.0 * step.fitted, 0.0)))
     labels = [label for label in entry.labels if own_name(label) in sizes]
     own = np.array([entry.columns[1 + entry.labels.index(label)] for label in labels], dtype=np.int64)
-    errors, alone = (
-        dict(zip(labels, each.tolist(), strict=True)) for each in (table.errors(own), table.errors_alone(own))
-    )
+    both = table.errors(own), table.errors_alone(own)
+    errors, errors_alone = (dict(zip(labels, each.tolist(), strict=True)) for each in both)
     return Explained(
         entry.name,
         entry.system,
@@ -876,7 +846,7 @@ def _proposed(table: GramTable, step: _Step, among: int, longest: int) -> Explai
         step.columns,
         step.blocks,
         errors,
-        alone,
+        errors_alone,
     )
 
 

@@ -145,11 +145,7 @@ def with_places(system: System, names: Sequence[str]) -> list[str]:
 def terms_on(system: System, at: Optimum, port: int, names: Sequence[str]) -> list[Term]:
     """The library of terms of some variables on one row of a port, without those that the machine has.
 
-    Args:
-        system: The machine.
-        at: Its optimum.
-        port: Number of the row among the disturbances of the likelihood.
-        names: The variables; what a law cannot speak of is left out.
+    Variables that a law cannot speak of are left out; `port` is the number of a disturbance of the likelihood.
     """
     space, words = at.of.space, vocabulary(type(system))
     counted = space.chunks.counted
@@ -174,40 +170,20 @@ def terms_on(system: System, at: Optimum, port: int, names: Sequence[str]) -> li
 
 
 def law_on(system: System, at: Optimum, port: int, parts: tuple[str, ...], start: Start) -> Term:
-    """A law on one row of a port.
-
-    Args:
-        system: The machine.
-        at: Its optimum.
-        port: Number of the row among the disturbances of the likelihood.
-        parts: What each of its sizes multiplies, as the grammar has it; empty for a constant.
-        start: First values of its shapes.
-    """
+    """A law on one row of a port, of parts as the grammar has them, one a size; an empty one is a constant."""
     where, column = at.of.space.disturbances[port]
     on = dict(vocabulary(type(system)).ports)[where.value].written(where.value)[column]
     summed = " + ".join(f"{c} {part}".strip() for c, part in zip(_sizes(parts), parts, strict=True))
     return Term(system.effect_key(f"{on} = {summed}"), parts, start, port)
 
 
-@dataclass(frozen=True)
-class LawColumns:
-    """A law of the library and its columns of a table of Gram matrices, one for each of its sizes."""
-
-    term: Term
-    numbers: tuple[int, ...]
-
-
 @torch.no_grad()
 def tables(
     system: System, at: Optimum, terms: Sequence[Term], levels: Levels | None = None
-) -> Iterator[tuple[Sequence[LawColumns], Grams]]:
-    """Gram matrices of physics at its optimum and some laws, its parameters first; some laws at a time.
+) -> Iterator[tuple[Sequence[tuple[Term, tuple[int, ...]]], Grams]]:
+    """Some laws at a time, each with its columns (one for each size), and Gram matrices of physics first and these.
 
-    Args:
-        system: The machine.
-        at: Its optimum.
-        terms: The laws.
-        levels: Noise levels; None takes those of the optimum.
+    Noise levels are those of the optimum where none are given.
     """
     space, about = at.of.space, at.about
     base = space.columns(about.x, about.slopes, range(len(space.vector)), about.after)
@@ -217,9 +193,9 @@ def tables(
     else:
         here = filtered(space, levels, about, at.of.start, space.chunks.counted)
     for first in range(0, len(terms), _AT_ONCE):
-        some, columns, moved = list[LawColumns](), 1 + base.shape[-1], [base]
+        some, columns, moved = list[tuple[Term, tuple[int, ...]]](), 1 + base.shape[-1], [base]
         for term in terms[first : first + _AT_ONCE]:
-            some.append(LawColumns(term, tuple(range(columns, columns + len(term.sizes)))))
+            some.append((term, tuple(range(columns, columns + len(term.sizes)))))
             columns += len(term.sizes)
             moved += [_column(system, at, middle, term, size)[..., None] for size in term.sizes]
         yield some, grams(space, levels, about, here, torch.cat(moved, -1))

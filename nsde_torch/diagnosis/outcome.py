@@ -25,10 +25,8 @@ from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
-_BOUNDS: dict[tuple[bool, bool], Literal["below", "above"]] = {
-    (True, False): "below",
-    (False, True): "above",
-}  # by whether the ends are those of the search
+# by whether the ends are those of the search
+_BOUNDS: dict[tuple[bool, bool], Literal["below", "above"]] = {(True, False): "below", (False, True): "above"}
 
 
 @dataclass(frozen=True)
@@ -52,33 +50,25 @@ class Estimate:
 def estimated(
     regression: Regression, sure: Spread, columns: Sequence[int], doubt: Array | None = None
 ) -> list[Estimate]:
-    """Parameters with 90 % intervals from blocks of time.
+    """Parameters of a regression at its optimum, by number, with 90 % intervals from blocks of time.
 
-    Args:
-        regression: At its optimum.
-        sure: Its covariance.
-        columns: Numbers of the parameters.
-        doubt: What half-widths are widened by (k,), nan for anything; None for nothing.
+    `doubt` is what half-widths are widened by (k,), nan for anything; None for nothing.
     """
     v, basis = regression.vector, regression.shown.basis
     error = np.sqrt(np.clip(np.diag(basis @ sure.covariance @ basis.T), 0.0, None))
     half = stdtrit(sure.degrees(basis).clip(1.0), 0.5 * (1 + INTERVAL_LEVEL)) * error
     half = np.where(regression.shown.known, half if doubt is None else half + doubt, np.nan)
-    return [_inside(v, j, float(regression.theta[j]), half, _widened(doubt, j)) for j in columns]
+    return [_inside(v, j, float(regression.theta[j]), half, doubt) for j in columns]
 
 
 def of_identification(found: Identification, labels: Sequence[str]) -> list[Estimate]:
     """Estimates with 90 % intervals of an identification."""
     v, half = found.vector, found.half_widths(INTERVAL_LEVEL)
     columns = [v.labels.index(label) for label in labels]
-    return [_inside(v, j, float(found.values[j]), half, _widened(found.doubt, j)) for j in columns]
+    return [_inside(v, j, float(found.values[j]), half, found.doubt) for j in columns]
 
 
-def _widened(doubt: Array | None, j: int) -> float:
-    return 0.0 if doubt is None else float(doubt[j])
-
-
-def _inside(v: ParameterVector, j: int, value: float, halves: Array, widened: float) -> Estimate:
+def _inside(v: ParameterVector, j: int, value: float, halves: Array, doubt: Array | None) -> Estimate:
     """A parameter with the interval of its half-width (k,) inside its bounds; without one where that is not finite."""
     half = float(halves[j])
     if not np.isfinite(half):
@@ -86,6 +76,7 @@ def _inside(v: ParameterVector, j: int, value: float, halves: Array, widened: fl
         return Estimate(v.labels[j], value, None, None, v.units[j], "reference" if relative else None)
     low, high = float(max(value - half, v.low[j])), float(min(value + half, v.high[j]))
     bound = _BOUNDS.get((low <= v.low[j], high >= v.high[j]))
+    widened = 0.0 if doubt is None else float(doubt[j])
     return Estimate(v.labels[j], value, low, high, v.units[j], bound, widened)
 
 

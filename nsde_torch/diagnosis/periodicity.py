@@ -24,14 +24,12 @@ from nsde_torch.inference.force_scores import ForceScores, FunctionScores
 from nsde_torch.sysid.noise import extended
 from nsde_torch.sysid.regression import Regression
 
-HIGHEST = 0.4
-"""Frequency over the rate of the rows above which a sinusoid is mostly sampling."""
+HIGHEST = 0.4  # frequency over the rate of the rows above which a sinusoid is mostly sampling
 _SHORTEST_S = 1.0  # stretches that are transformed
 _FINER = 8  # points of the grid of frequencies per independent one
 _BAND = 40  # independent ordinates that the level is the median of
 _MEDIANS = 16  # per window
-WHOLE = 0.5 * _BAND
-"""Periods in the longest stretch from which on the band lies to both sides."""
+WHOLE = 0.5 * _BAND  # periods in the longest stretch from which on the band lies to both sides
 
 
 @dataclass(frozen=True)
@@ -127,10 +125,8 @@ def waves_of(regression: Regression, frequency: float) -> Array:
 
 # ---- along a variable ----------------------------------------------------------------------------------
 
-COUNTS: Array = np.arange(1.5, 40.5, 0.5)
-"""Periods over the range that are tried."""
-PARTS: Array = 2.0 * np.pi / np.arange(1, 129)
-"""Parts of a turn that are tried of what turns many times."""
+COUNTS: Array = np.arange(1.5, 40.5, 0.5)  # periods over the range that are tried
+PARTS: Array = 2.0 * np.pi / np.arange(1, 129)  # parts of a turn that are tried of what turns many times
 _NEAR: Array = np.linspace(-0.45, 0.45, 10)
 
 

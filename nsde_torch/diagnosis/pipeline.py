@@ -48,11 +48,7 @@ from nsde_torch.diagnosis.decision import (
 )
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions, Options
 from nsde_torch.diagnosis.explanation import Explanation, explained
-from nsde_torch.diagnosis.feedback_bias import (
-    behind_smoothers,
-    not_sure_behind_smoothers,
-    with_suspects,
-)
+from nsde_torch.diagnosis.feedback_bias import behind_smoothers, not_sure_behind_smoothers, with_suspects
 from nsde_torch.diagnosis.joint_selection import (
     Evidence,
     FittedPhysics,
@@ -203,11 +199,7 @@ class DiagnosisCourse:
                 log.recorded,
                 outcome.provisional(lambda _: _UNFINISHED),
                 errors or none_held_out(log, None),
-                Explanation(
-                    channels,
-                    guard=guard or Guarded(),
-                    ceiling=most or Ceiling(NOT_YET),
-                ),
+                Explanation(channels, guard=guard or Guarded(), ceiling=most or Ceiling(NOT_YET)),
                 self.options,
                 self.spec,
                 dict(self.seconds),
@@ -223,19 +215,13 @@ class DiagnosisCourse:
             self.limit.holds = True
             self._so_far(found)
 
-    def stopped(self) -> Diagnosis | None:
-        """What is known where Ctrl-C stops it; None while that is nothing."""
-        return None if self._found is None else self._ended(self._found, STOPPED, None)
-
-    def timed_out(self) -> Diagnosis:
-        """What is known when the time is up."""
-        assert self._found is not None  # the limit does not hold before
-        return self._ended(self._found, NO_TIME, self.options.max_minutes)
-
-    def _ended(self, found: Diagnosis, why: str, after_min: float | None) -> Diagnosis:
-        other = [one for one in found.not_done if one.why != NOT_YET]
+    def ended(self, why: str, after_min: float | None = None) -> Diagnosis | None:
+        """What is known where Ctrl-C or the limit of time ends it; None while that is nothing."""
+        if self._found is None:
+            return None
+        other = [one for one in self._found.not_done if one.why != NOT_YET]
         so_far = SoFar(stopped_during=self._during, after_min=after_min)
-        return replace(found, not_done=(*other, *self._left(why)), so_far=so_far)
+        return replace(self._found, not_done=(*other, *self._left(why)), so_far=so_far)
 
     def too_long(self, stage: str) -> bool:
         """Whether a stage would not end in the time that is left, as far as the rounds so far show."""
@@ -301,9 +287,11 @@ def diagnose(
         with course.limit:
             return _diagnosed(course, system, runs, closed_loop, decisions, budgets, begun)
     except TimeUpError:
-        return course.timed_out()
+        found = course.ended(NO_TIME, options.max_minutes)
+        assert found is not None  # the limit does not hold before
+        return found
     except KeyboardInterrupt as stop:
-        found = course.stopped()
+        found = course.ended(STOPPED)
         if found is None:
             raise
         raise StoppedError(found) from stop
@@ -380,14 +368,12 @@ def _diagnosed(
     course.lap("errors")
     outcome = not_sure(log, judged_on_runs_left_out(outcome, errors))
     course.known(ERRORS, log, outcome, guard=guard, errors=errors, instrumented=instrumented)
-    most = stages.attempt(
-        CEILING,
-        partial(ceiling, log, outcome),
-        Ceiling("it could not be computed"),
-    )
+    most = stages.attempt(CEILING, partial(ceiling, log, outcome), Ceiling("it could not be computed"))
     outcome = judged_by_the_ceiling(outcome, most)
     course.lap("ceiling")
     course.known(CEILING, log, outcome, guard=guard, errors=errors, most=most, instrumented=instrumented)
+    explanation = explained(log, search, outcome, guard, names, most)
+    no_time = any(s.why == NO_TIME for s in stages.not_done)
     return Diagnosis(
         log.system,
         data,
@@ -395,16 +381,14 @@ def _diagnosed(
         log.recorded,
         outcome,
         errors,
-        explained(log, search, outcome, guard, names, most),
+        explanation,
         options,
         spec,
         course.seconds,
         feedback=feedback,
         instrumented=instrumented,
         not_done=tuple(stages.not_done),
-        so_far=SoFar(after_min=options.max_minutes)
-        if any(s.why == NO_TIME for s in stages.not_done)
-        else None,
+        so_far=SoFar(after_min=options.max_minutes) if no_time else None,
     )
 
 
@@ -521,16 +505,11 @@ def _concluded(log: Log, search: Search, joint: JointSelection | None) -> Outcom
     search.say("testing what is left", 0, 1)
     alone = None
     if joint is None:
-        alone = log.stages.attempt(TESTS, partial(_alone, log), None)
+        likelihood = partial(LogLikelihood, log.system, log.runs, log.recorded.clock, run_in=True)
+        alone = log.stages.attempt(TESTS, lambda: fitted_at(likelihood(), log.system, None), None)
     outcome = decide(search, chosen, log.feedback, alone)
     log.so_far(TESTS, log, outcome)
     return outcome
-
-
-def _alone(log: Log) -> FittedPhysics:
-    """The declared physics, fitted."""
-    problem = LogLikelihood(log.system, log.runs, log.recorded.clock, run_in=True)
-    return fitted_at(problem, log.system, None)
 
 
 def _read_again(log: Log, search: Search, outcome: Outcome) -> tuple[Log, Search, Outcome]:

@@ -26,7 +26,7 @@ from nsde_torch.diagnosis.decisions import Budgets, Decisions, Options
 from nsde_torch.diagnosis.feedback_bias import Feedback, shown_by_instruments
 from nsde_torch.diagnosis.joint_selection import JointSelection
 from nsde_torch.diagnosis.outcome import Outcome
-from nsde_torch.diagnosis.search import Search, at_bounds, fitted_system, search_in
+from nsde_torch.diagnosis.search import Search, at_bounds, fitted_system
 from nsde_torch.diagnosis.stages import Begun, OptionalStages
 from nsde_torch.effects import effect_class, effects_of
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
@@ -67,7 +67,7 @@ class Log:
     def search(self, runs: Sequence[Run]) -> Search:
         """A search in runs of the log."""
         r = self.recorded
-        return search_in(
+        return Search(
             self.system,
             moving(runs, self.slowest)[0] if self.slowest else runs,
             r.clock,
@@ -108,19 +108,14 @@ class Log:
         )
 
 
-def read_effects(system: System, runs: Sequence[Run], options: Options) -> dict[str, str]:
+def read_effects(system: System, runs: Sequence[Run], options: Options) -> None:
     """Register effects of one's own, first of all: they may read channels that no other does.
-
-    Returns:
-        Names of the effects by their keys `module:Class`.
 
     Raises:
         DataError: an instrument is no column of the log.
         ConfigError: a candidate that the system cannot have.
     """
-    own = dict(
-        zip(options.also, check_candidates(system, options.candidates or (), options.also), strict=True)
-    )
+    own = check_candidates(system, options.candidates or (), options.also)
     if options.instruments:  # reported before any work
         with_columns(system, runs, options.instruments)
     reading = system.reading(*logged_channels(system, runs))
@@ -131,14 +126,13 @@ def read_effects(system: System, runs: Sequence[Run], options: Options) -> dict[
                 f"`candidates` names {name!r}, which {system.name!r} cannot have beyond its declared physics and the "
                 f"logged channels; it could have: {', '.join(able)}."
             )
-    for key, name in own.items():
+    for key, name in zip(options.also, own, strict=True):
         if not set(on_coordinates(reading, [name])) & set(able):
+            cls = effect_class(name)
             raise ConfigError(
-                f"`also` names {key!r}, which {system.name!r} cannot have: it acts on the port "
-                f"{effect_class(name).port.value!r} and reads "
-                f"{', '.join(effect_class(name).exogenous) or 'no channel'}."
+                f"`also` names {key!r}, which {system.name!r} cannot have: it acts on the port {cls.port.value!r} and "
+                f"reads {', '.join(cls.exogenous) or 'no channel'}."
             )
-    return own
 
 
 def read_log(
@@ -201,7 +195,7 @@ def undone(
     """The recording chain undone as far as kinematics and spectra show it."""
 
     def misfit(some: Sequence[Run], clock: float) -> float:
-        search = search_in(system, some, clock, options, decisions=decisions, budgets=budgets)
+        search = Search(system, some, clock, options, decisions=decisions, budgets=budgets)
         return sum(log(noise.std) for noise in search.quick(system).noises)
 
     seen = measured_part(system, {name for run in runs for name in run.inferred})
@@ -227,12 +221,8 @@ def explains_more(moved: Outcome, outcome: Outcome) -> bool:
     Else something else looks like it: an input of the other sign, say.
     """
     at_a_bound = bool(at_bounds(moved.declared.regression).any())
-    return _structure(moved) < outcome.decisions.late_sensor_share * _structure(outcome) and not at_a_bound
-
-
-def _structure(outcome: Outcome) -> float:
-    """Log-likelihood that explaining the residual would bring [nats]."""
-    return sum(max(d.excess, 0.0) for d in outcome.structured)
+    here, there = (sum(max(d.excess, 0.0) for d in o.structured) for o in (outcome, moved))
+    return there < outcome.decisions.late_sensor_share * here and not at_a_bound
 
 
 # ---- inferred rates ------------------------------------------------------------------------------------

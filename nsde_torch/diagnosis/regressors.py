@@ -27,28 +27,15 @@ Functions: TypeAlias = Callable[[], tuple[Array, NDArray[np.bool_]]]
 """Makes the functions of a group (M, q), and which of them are odd (q,): all of them at once take 100 MB."""
 
 _HATS = 7  # bumps over the range of a variable
-
-
 _WAVES = 6  # cosines over the length of a run
-
-
-MOST_RUNS = 12
-"""Up to which each run has functions of its own, the constant one under the name `RUN`."""
-
-
+MOST_RUNS = 12  # up to which each run has functions of its own, the constant one under the name `RUN`
 _FAR, _FAR_BOTH = 4.0, 6.0  # standard deviations, of one variable and of a product
-
-
 _BEFORE_S = (0.01, 0.02, 0.04, 0.08)  # how long before
-
-
 # a drag |w| v of a robot that turns both ways shows in no product a b: 260 nats passed for noise (test_own_machines)
 PRODUCTS = ("{} * {}", "abs({}) * {}", "{} * abs({})")
 """How two variables are multiplied in a group of `OTHERS`, for each of the others."""
 OTHERS, OVER_TIME, BY_RUN, BEFORE = " times others", " over time", " by run", " before"
 """Ends of the names of groups: a variable times other ones, time or run, and an input as it was before."""
-
-
 SMOOTH = 5
 """How many of `functions_of`, ahead of the others, one run alone is asked for: blocks of time distinguish no more."""
 
@@ -82,11 +69,7 @@ def measured(regression: Regression, *, inputs: bool) -> Measured:
 def machine_variables(system: System, x: Tensor, u: Tensor, *, inputs: bool) -> dict[str, Tensor]:
     """All that a machine measures (N,), by name: features of an attitude in its place, and places.
 
-    Args:
-        system: The machine.
-        x: States (N, nx).
-        u: Inputs and logged channels (N, nu + n).
-        inputs: Whether inputs are among them.
+    Of states (N, nx), and of inputs and logged channels (N, nu + n); the `inputs` too, if asked for.
     """
     q, features = system.quaternion, system.residual_features(x)
     names = [*system.feature_names]
@@ -108,8 +91,7 @@ def functions_of(v: Array) -> tuple[Array, NDArray[np.bool_]]:
     centre, spread = np.median(v), max(float(np.quantile(v, 0.95) - np.quantile(v, 0.05)) / 2, 1e-12)
     about_zero = v / spread if abs(centre) < spread else (v - centre) / spread
     s = np.clip(about_zero, -3, 3)
-    edges = np.quantile(v, np.linspace(0.02, 0.98, _HATS))
-    edges = np.unique(edges)
+    edges = np.unique(np.quantile(v, np.linspace(0.02, 0.98, _HATS)))
     columns = [s, s**3, np.tanh(5 * s), s**2, np.abs(s), s**4, s**5]
     odd = [True, True, True, False, False, False, True]
     if len(edges) > 3:
@@ -132,13 +114,8 @@ def functions_of_groups(
 ) -> Iterator[tuple[str, Functions]]:
     """Names of groups, and what makes their functions (M, q).
 
-    Args:
-        system: The machine.
-        columns: Variables by name (M,).
-        t: Time in the run (M,) [s].
-        owners: Number of the run (M,).
-        edges: Ranges of each stretch.
-        before: How many rows before inputs are looked at.
+    Of variables by name, time in the run [s] and number of the run (M,); inputs are looked at so many rows `before`, in
+    the same stretch.
     """
     for name, v in columns.items():
         yield name, partial(functions_of, v)
@@ -146,10 +123,8 @@ def functions_of_groups(
     scaled = {k: (v - v.mean()) / max(float(v.std()), 1e-12) for k, v in columns.items()}
     for i, first in enumerate(names[:-1]):
         others = [scaled[second] for second in names[i + 1 :]]
-        yield (
-            first + OTHERS,
-            _even(lambda v, w: [p for one in w for p in _products(v, one)], scaled[first], others),
-        )
+        made = _even(lambda v, w: [p for one in w for p in _products(v, one)], scaled[first], others)
+        yield first + OTHERS, made
     runs, phase = np.unique(owners), np.empty(len(t))
     for run in runs:
         own = owners == run
@@ -183,12 +158,9 @@ def _even(made: Callable[..., Sequence[Array]], *given: Any) -> Functions:
 
 
 def rows_before(dt: float, *, moved: bool) -> list[int]:
-    """How many rows before inputs are looked at.
+    """How many rows of `dt` [s] before inputs are looked at.
 
-    Args:
-        dt: Time of a row [s].
-        moved: Whether channels were moved to where they belong. Between rows, they curve where inputs change, and what
-            moves them does not know.
+    Between rows, channels curve where inputs change; what `moved` channels to where they belong does not know.
     """
     return sorted({max(1, round(seconds / dt)) for seconds in (_BEFORE_S[1:] if moved else _BEFORE_S)})
 

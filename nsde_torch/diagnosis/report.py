@@ -73,8 +73,7 @@ if TYPE_CHECKING:
 
     from nsde_torch.diagnosis.result import Content, Diagnosis
 
-EFFECT = "effect_"
-"""What the name of a picture of one effect begins with."""
+EFFECT = "effect_"  # what the name of a picture of one effect begins with
 WITHOUT, WITH = "without it", "with it"
 _CHANNELS, _UNEXPLAINED = 2, 4  # panels
 _COURSE = 120  # points of a course in time
@@ -145,13 +144,6 @@ def _spectra(found: Diagnosis) -> dict[str, Figure]:
     return {"spectrum": residual_spectra([_spectrum(found.outcome, c.name) for c in shown], title=title)}
 
 
-def save_pictures(figures: Mapping[str, Figure], folder: Path) -> list[Path]:
-    """Write the figures as PNG files of their names into a folder."""
-    from nsde_torch.plots import save
-
-    return [save(figure, folder / picture_file(name)) for name, figure in figures.items()]
-
-
 def effect_views(outcome: Outcome, channels: Sequence[ChannelResidual]) -> list[Panel]:
     """The channels that the effects reduced, each against the variable that its residual depended on most surely."""
     before = rates(outcome.declared.regression, outcome.declared_variables)
@@ -183,13 +175,9 @@ def unexplained_views(
     notes: Sequence[str] = (),
     runs: Sequence[str] = (),
 ) -> list[Panel]:
-    """What the residual still depends on, one panel each.
+    """What the residual still depends on by some tests, one panel each; None takes those that found something.
 
-    Args:
-        outcome: What was concluded.
-        left: Tests; None takes those that found something.
-        notes: Words for the first of them.
-        runs: Names of the runs, by number.
+    `notes` are words for the first of them, `runs` the names of the runs, by number.
     """
     regression = outcome.final.regression
     seen = rates(regression, outcome.variables)
@@ -303,7 +291,7 @@ def _largest(seen: Rates, term: Array) -> tuple[int, NDArray[np.int64]]:
 
 def ceiling_picture(outcome: Outcome, found: Ceiling) -> Figure | None:
     """What functions add to the row that they explain most of; None where nothing is left."""
-    if found.gain is None or not found.rows:
+    if found.functions is None or not found.rows:
         return None
     row, at = found.rows[0], outcome.variables.columns
     names = tuple(name for name in row.variables if name in at)[:2]
@@ -313,7 +301,7 @@ def ceiling_picture(outcome: Outcome, found: Ceiling) -> Figure | None:
     axes = [np.linspace(float(v.min()), float(v.max()), _GRID[len(names)]) for v in columns.values()]
     mesh = np.meshgrid(*axes)
     places = {name: m.reshape(-1) for name, m in zip(names, mesh, strict=True)}
-    mean, spread = found.gain.functions.force(places, row.port)
+    mean, spread = found.functions.force(places, row.port)
     data = np.stack(list(columns.values()), 1)
     eta = distance_from_data(data, np.stack(list(places.values()), 1))
     of, shape = variable_units(outcome.final.regression.vector.system), mesh[0].shape
@@ -332,15 +320,7 @@ def ceiling_picture(outcome: Outcome, found: Ceiling) -> Figure | None:
 
 
 def distance_from_data(data: Array, places: Array) -> Array:
-    """eta of places.
-
-    Args:
-        data: Data (n, d).
-        places: Places (m, d).
-
-    Returns:
-        eta (m,), between 0 and 1.
-    """
+    """eta (m,) of places (m, d) beside data (n, d), between 0 and 1."""
     low, high = data.min(0), data.max(0)
     half = np.maximum(0.5 * (high - low), 1e-300)
     some = data[np.linspace(0, len(data) - 1, min(len(data), _POINTS)).round().astype(int)]
@@ -400,11 +380,9 @@ def _spectrum(outcome: Outcome, channel: str) -> ResidualSpectrum:
     regression = outcome.final.regression
     number = regression.physics.names.index(channel)
     dt = regression.physics.steps.dt
-    curves = (
-        {"before": outcome.declared.regression, "after": regression}
-        if outcome.found
-        else {"residual": regression}
-    )
+    curves = {"residual": regression}
+    if outcome.found:
+        curves = {"before": outcome.declared.regression, "after": regression}
     amplitudes = {}
     for name, r in curves.items():
         frequency, power = spectrum(r, number)
@@ -452,24 +430,20 @@ _DPI = 100  # of the pictures
 
 def write_report(path: Path, found: Diagnosis, content: Content) -> None:
     """Write the page, and its pictures into `plots` beside it."""
+    from nsde_torch.plots import save
+
     figures = pictures(found, content)
-    save_pictures(figures, path.parent / "plots")
+    for name, figure in figures.items():
+        save(figure, path.parent / "plots" / picture_file(name))
     write_whole(path, page(content, figures, width=found.width))
 
 
 def page(content: Content, figures: Mapping[str, Figure], *, width: float) -> str:
-    """The page as HTML.
-
-    Args:
-        content: As `diagnosis.json` has it.
-        figures: By name, as `pictures` makes them.
-        width: Length of the means in the pictures [s].
-    """
-    shown = {name: {"alt": f.get_suptitle(), "png": _png(f)} for name, f in figures.items()}
+    """The page as HTML, with the figures that `pictures` makes of means over `width` [s]."""
+    shown = {}
+    for name, figure in figures.items():
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="png", dpi=_DPI)
+        png = base64.b64encode(buffer.getvalue()).decode("ascii")
+        shown[name] = {"alt": figure.get_suptitle(), "png": png}
     return rendered("report.html", content, content=content, figures=shown, width=width)
-
-
-def _png(figure: Figure) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DPI)
-    return base64.b64encode(buffer.getvalue()).decode("ascii")

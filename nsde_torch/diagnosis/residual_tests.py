@@ -97,10 +97,7 @@ class Dependence:
 class PhysicsResiduals:
     """What fitted physics leaves, and everything that it may depend on.
 
-    Args:
-        search: What the inputs are, and what is decided by.
-        place: The physics.
-        regression: Of the same physics, which names channels and has the lines of the spectrum.
+    Its regression names channels and has the lines of the spectrum.
 
     Attributes:
         at: The optimum, in an even part of a long log.
@@ -130,16 +127,9 @@ class PhysicsResiduals:
         self.t = np.asarray(steps.t.numpy())
         self.edges, self.dt = steps.segments, steps.dt
         self.runs = np.repeat(np.array(steps.runs), [b - a for a, b in steps.segments])
-        self.functions: Mapping[str, Functions] = dict(
-            functions_of_groups(
-                self.system,
-                self.columns,
-                self.t,
-                self.runs,
-                self.edges,
-                before=rows_before(self.dt, moved=search.moved),
-            )
-        )
+        before = rows_before(self.dt, moved=search.moved)
+        groups = functions_of_groups(self.system, self.columns, self.t, self.runs, self.edges, before=before)
+        self.functions: Mapping[str, Functions] = dict(groups)
 
     def values(self, variable: str) -> Array:
         """A plain variable, or time (N,)."""
@@ -177,10 +167,7 @@ def beyond_chance(
 ) -> list[Dependence]:
     """Tests that find something after correction for their number, what explains most first.
 
-    Args:
-        tests: All tests.
-        allowed: Likelihood ratio that feedback may hide, by channel (`feedback_bias`).
-        alpha: Significance level of the stage.
+    `allowed` is the likelihood ratio that feedback may hide, by channel (`feedback_bias`).
     """
     found = (
         d
@@ -267,17 +254,9 @@ def _dependence(
 ) -> Dependence:
     """A test of functions on a port, with the share of the whitened variance that they explain."""
     share = max(2.0 * gain - functions, 0.0) / left.rows
+    of = left.channels[port]
     return Dependence(
-        left.channels[port],
-        variable,
-        min(1.0, p),
-        share,
-        odd,
-        gain,
-        functions,
-        run=run,
-        moment=moment,
-        port=port,
+        of, variable, min(1.0, p), share, odd, gain, functions, run=run, moment=moment, port=port
     )
 
 
@@ -324,16 +303,9 @@ def _sinusoid(left: PhysicsResiduals, line: Line) -> Dependence:
         of_stretch = np.zeros((len(angle), 2))
         of_stretch[a:b] = np.stack((np.sin(angle[a:b]), np.cos(angle[a:b])), 1)
         gain += left.forces.of(of_stretch, port).nats
+    share, functions = float(explained) / max(float(residual @ residual), 1e-300), 2 * len(left.edges)
     return Dependence(
-        channel=channel,
-        variable="time",
-        p=line.p,
-        share=float(explained) / max(float(residual @ residual), 1e-300),
-        odd=0.0,
-        gain=gain,
-        functions=2 * len(left.edges),
-        sinusoid=line.frequency,
-        port=port,
+        channel, "time", line.p, share, 0.0, gain, functions, sinusoid=line.frequency, port=port
     )
 
 
@@ -383,8 +355,7 @@ def in_one_run(
     rest = (max(in_all - ratio, 0.0) + decisions.odd_run_prior) / freedom
     like_others = float(fdtrc(q, freedom, ratio / left.noise[run] / q / rest))
     p = len(runs) * max(of_draws(ratio / left.noise[run], q, DRAWS), like_others)
-    gain = 0.5 * ratio
-    of_odd = 0.5
+    gain, of_odd = 0.5 * ratio, 0.5
     if p < left.budgets.closer_chance:
         pulls, known, kept, inside = _of_run(left, port, functions, run)
         squares = np.square(pulls.sum(0))
@@ -400,9 +371,8 @@ def _of_run(
 ) -> tuple[Array, Array, NDArray[np.int64], NDArray[np.bool_]]:
     """The first functions in one run, orthogonal to all in all runs and to constants in a run.
 
-    Returns:
-        Their scores by block of time in directions of unit information (B, q), the information of these (B, q, q),
-        the functions that these begin with (q,), and whether a block is of the run (B,).
+    Their scores by block of time in directions of unit information (B, q), the information of these (B, q, q), the
+    functions that these begin with (q,), and whether a block is of the run (B,).
     """
     count = min(SMOOTH, functions.shape[1])
     of_runs = left.runs[:, None] == np.unique(left.owners)

@@ -134,8 +134,21 @@ class Diagnosis:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Parameters of everything that was found (see `parameters` of this module)."""
-        return parameters(self)
+        """Parameters of everything that was found.
+
+        `effect.name` -> `value`, `interval_90`, `bound`, `widened_by` (where it is not nothing), `unit`.
+        """
+        out: dict[str, Any] = {}
+        for fault in self.faults:
+            for name, (value, low, high, unit) in fault.values.items():
+                ends = None if low is None else [low, high]
+                sensed = {"value": value, "interval_90": ends, "bound": None, "unit": unit}
+                out[f"{fault.name}.{name}"] = sensed
+        for f in self.outcome.found:
+            for e in self.outcome.estimates(f.name):
+                of_run = {"run": e.run, "against": e.against} if e.run else {}
+                out[e.name] = {"value": e.value, **_interval(self, e), "unit": e.unit, **of_run}
+        return out
 
     @property
     def declared_values(self) -> dict[str, float | list[float]]:
@@ -207,9 +220,12 @@ class Diagnosis:
         Returns:
             The page `report.html`.
         """
-        from nsde_torch.diagnosis.files import save
+        from nsde_torch.diagnosis.files import REPORT, DiagnosisFiles
 
-        return save(self, folder)
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        DiagnosisFiles(folder, system=self.system_name, note="found by nsde_torch.diagnose").write(self)
+        return folder / REPORT
 
 
 _DEPENDENCES = 12  # tests of structure that are listed
@@ -283,7 +299,7 @@ def content(found: Diagnosis) -> Content:
         "ranking": ranking(o),
         "ties": _ties(found),
         "not_shown": [asdict(n) for n in _not_shown(o)],
-        "parameters": parameters(found),
+        "parameters": found.parameters,
         "declared_parameters": {
             name: {"value": e.value, **_interval(found, e), "unit": e.unit, "shown": e.low is not None}
             for name, e in declared(o).items()
@@ -331,13 +347,8 @@ def summary(
 ) -> str:
     """The verdict in one or two sentences.
 
-    Args:
-        verdict: `no_effect`, `effect_found`, `unexplained` or `undecided`.
-        faults: Names of the faults of the recording chain that were found.
-        shown: The effects that matter, and the others.
-        outcome: What was concluded.
-        shapes: What the residual still depends on, in words.
-        functions: What functions that explain more are of, where no test of structure says what is missing.
+    `faults` are names of those of the recording chain, `shapes` what the residual still depends on; `functions` says
+    what functions that explain more are of, where no test of structure says what is missing.
     """
     added, provisional = [*faults, *shown.few, *shown.rest], {f.name for f in outcome.found if f.provisional}
     moved, left = {name for f in outcome.found for name in f.moves}, outcome.structured
@@ -370,10 +381,8 @@ def named(first: Sequence[str], shown: ShownEffects) -> str:
 
 
 def _warnings(found: Diagnosis) -> list[dict[str, Any]]:
-    guards = [
-        {"kind": one.kind, "sentence": one.sentence, "remedy": one.remedy}
-        for one in found.explanation.guard.objections
-    ]
+    objections = found.explanation.guard.objections
+    guards = [{"kind": o.kind, "sentence": o.sentence, "remedy": o.remedy} for o in objections]
     general = [{"parameter": None, **one} for one in (*guards, *outlier_warnings(found))]
     return [*general, *map(asdict, found.explanation.warned)]
 
@@ -479,23 +488,6 @@ def _not_shown(o: Outcome) -> list[NotShown]:
     return not_shown(o.joint, found=names, alpha=alpha, decisions=o.decisions, system=o.declared_system)
 
 
-def parameters(found: Diagnosis) -> dict[str, Any]:
-    """Parameters of everything that was found.
-
-    `effect.name` -> `value`, `interval_90`, `bound`, `widened_by` (where it is not nothing), `unit`.
-    """
-    out: dict[str, Any] = {}
-    for fault in found.faults:
-        for name, (value, low, high, unit) in fault.values.items():
-            ends = None if low is None else [low, high]
-            out[f"{fault.name}.{name}"] = {"value": value, "interval_90": ends, "bound": None, "unit": unit}
-    for f in found.outcome.found:
-        for e in found.outcome.estimates(f.name):
-            of_run = {"run": e.run, "against": e.against} if e.run else {}
-            out[e.name] = {"value": e.value, **_interval(found, e), "unit": e.unit, **of_run}
-    return out
-
-
 def _interval(found: Diagnosis, e: Estimate) -> dict[str, Any]:
     regression = found.outcome.final.regression
     if found.explanation.guard.doubts(channels_of(regression, [regression.vector.labels.index(e.name)])):
@@ -510,19 +502,14 @@ def _interval(found: Diagnosis, e: Estimate) -> dict[str, Any]:
 
 def sentence(outcome: Outcome, effect: str) -> str:
     """What an effect means, with its values."""
-    return meaning(outcome.declared_system, effect, outcome.estimates(effect))
-
-
-def meaning(system: System, effect: str, parameters: Sequence[Estimate]) -> str:
-    """The sentence of an effect with these values."""
     values: dict[str, list[str]] = {}
     units: dict[str, str] = {}
-    for e in parameters:
+    for e in outcome.estimates(effect):
         name = own_name(e.name)
         values.setdefault(name, []).append(f"{e.value:.3g}" + (f" in {e.run}" if e.run else ""))
         units[name] = with_space(e.unit) + (f" (against {e.against})" if e.against else "")
     words = {name: ", ".join(values[name]) + units[name] for name in values}
-    cls = system.effect_class(effect)
+    cls = outcome.declared_system.effect_class(effect)
     text = cls.sentence or f"What is added is {cls.formula}, {', '.join(f'{k} = {{{k}}}' for k in words)}."
     try:
         return text.format(**words)

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.diagnosis.candidates import on_coordinates
-from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions, Options
+from nsde_torch.diagnosis.decisions import BUDGETS, Budgets, Decisions, Options
 from nsde_torch.effects import Effect, Law, effect_class, register
 from nsde_torch.inference import MaximumLikelihood
-from nsde_torch.inference.steps import Steps, steps_of
+from nsde_torch.inference.steps import steps_of
 from nsde_torch.recording.fault import STAGES, level
 from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.physics import Physics
@@ -63,15 +63,14 @@ def fitted_system(regression: Regression) -> System:
     return out
 
 
-def nonlinear(vector: ParameterVector, *, smooth: bool = True) -> NDArray[np.bool_]:
-    """Parameters that say where or how fast an effect sets in, not how strong it is (k,); or not the smooth of them."""
+def nonlinear(vector: ParameterVector) -> NDArray[np.bool_]:
+    """Parameters that say where or how fast an effect sets in, not how strong it is, nor smooth ones (k,)."""
     out = np.zeros(len(vector), dtype=bool)
     effects = {e.name: type(e) for e in vector.system.effects if isinstance(e, Effect)}
     for j, label in enumerate(vector.labels):
         effect, dot, _ = label.partition(".")
         if dot and effects[effect].amplitudes:
-            others = effects[effect].amplitudes + (() if smooth else effects[effect].smooth)
-            out[j] = own_name(label) not in others
+            out[j] = own_name(label) not in effects[effect].amplitudes + effects[effect].smooth
     return out
 
 
@@ -90,10 +89,8 @@ def bent_shape(regression: Regression, name: str) -> str:
     """
     v = regression.vector
     (effect,) = (e for e in v.system.effects if isinstance(e, Effect) and e.name == name)
-    low, high = (
-        regression.theta <= v.low + _AT_BOUND * v.scale,
-        regression.theta >= v.high - _AT_BOUND * v.scale,
-    )
+    low = regression.theta <= v.low + _AT_BOUND * v.scale
+    high = regression.theta >= v.high - _AT_BOUND * v.scale
 
     def bent(j: int) -> bool:
         own = own_name(v.labels[j])
@@ -133,50 +130,68 @@ class Base:
 
 @final
 class Search:
-    """Looks for effects that explain what a system leaves of the data.
+    """Looks for effects that explain what a system leaves of the data, in runs whose recording chain was undone.
 
     Args:
-        steps: The data.
-        box: Steps per box.
-        alpha: Chance of adding an effect where none is missing.
-        candidates: Names to choose from; None takes all that the system may have.
-        feedback: Take out what kinematic residuals predict, where inputs react to sensors (`sysid.noise`).
-        channels: With `feedback`: what the residuals of all channels predict.
+        system: Declared system.
+        runs: The runs; columns behind the inputs are logged channels (`with_channels`), which the system reads.
+        clock: Physical seconds per logged second.
+        options: Settings.
         inputs: Whether the inputs are what acted, and not restored from an average.
+        channels: With feedback: what the residuals of all channels predict.
         stages: Stages of the recording chain that found something (`recording.fault`).
         moved: Whether channels that were late have been moved.
-        decisions: What it decides by, but for alpha.
+        decisions: What it decides by, but for alpha; None takes the options'.
         budgets: How much it tries.
         say: Told what is going on: stage, number done, number in all.
         so_far: Takes what is known after each round.
+
+    Attributes:
+        steps: The data.
+        box: Steps per box.
+        candidates: Names to choose from; None takes all that the system may have.
+        feedback: Take out what kinematic residuals predict, where inputs react to sensors (`sysid.noise`).
     """
 
     def __init__(
         self,
-        steps: Steps,
+        system: System,
+        runs: Sequence[Run],
+        clock: float,
+        options: Options,
         *,
-        box: int,
-        alpha: float,
-        candidates: Sequence[str] | None = None,
-        feedback: bool = False,
-        channels: bool = False,
         inputs: bool = True,
+        channels: bool = False,
         stages: Collection[str] = (),
         moved: bool = False,
-        decisions: Decisions = DECISIONS,
+        decisions: Decisions | None = None,
         budgets: Budgets = BUDGETS,
         say: Callable[[str, int, int], None] = lambda stage, done, total: None,
         so_far: "Callable[[Outcome], None]" = lambda outcome: None,
     ) -> None:
-        self.steps, self.box, self.alpha = steps, box, alpha
-        self.decisions, self.budgets = replace(decisions, alpha=alpha), budgets
-        self.candidates, self.say, self.so_far = candidates, say, so_far
-        self.feedback, self.channels, self.inputs, self.moved = feedback, channels, inputs, moved
-        self._stages = frozenset(stages)
+        self.box = max(1, int(_BOX_S / (runs[0].dt * clock) + 1e-6))
+        self.steps = steps_of(
+            system,
+            runs,
+            clock=clock,
+            smooth=False,
+            denoise=system.sensor_noise,
+            shortest=max(self.box, _SHORTEST),
+            run_in=True,
+            differences=self.box,
+        )
+        self.candidates: Sequence[str] | None = None
+        if options.candidates is not None:
+            self.candidates = on_coordinates(system, (*options.candidates, *map(register, options.also)))
+        decisions = options.decisions if decisions is None else decisions
+        self.decisions, self.budgets = replace(decisions, alpha=options.alpha), budgets
+        self.feedback, self.channels = not system.sensor_noise, channels
+        self.inputs, self.moved, self._stages = inputs, moved, frozenset(stages)
+        self.say, self.so_far = say, so_far
 
     def level(self, stage: str, *found: str) -> float:
         """Significance level of a stage, after the recording chain and the stages named (`recording.fault.level`)."""
-        return level(stage, self.alpha, self._stages | set(found))
+        return level(stage, self.decisions.alpha, self._stages | set(found))
 
     def levels(self, *found: str) -> dict[str, float]:
         """Significance levels of all stages, after the recording chain and the stages named."""
@@ -202,8 +217,9 @@ class Search:
         vector.low, vector.high = best.vector.low, best.vector.high  # those of the rows of the likelihood
         out = self._of(system, physics, start=best.theta, warm=True)
         out.converged = True
-        white = out.own_noises(0)
-        if self._likelier(white, out):
+        white, rows = out.own_noises(0), len(out.series)
+        gained = sum(n.likelihood(rows) for n in white) - sum(n.likelihood(rows) for n in out.noises)
+        if gained >= self.budgets.noise_nats:  # a nat for each parameter
             for row, law in enumerate(white):
                 out = out.under(row, law)
         return Base(system, out)
@@ -220,17 +236,8 @@ class Search:
         regression.run(self.budgets.iterations)
         return regression
 
-    def _likelier(self, models: Sequence[Noise], regression: Regression) -> bool:
-        """Whether noise models make the residuals of a regression likelier than its own, a nat for each parameter."""
-        rows = len(regression.series)
-        gained = sum(n.likelihood(rows) for n in models) - sum(n.likelihood(rows) for n in regression.noises)
-        return gained >= self.budgets.noise_nats
-
     def regression(
-        self,
-        system: System,
-        before: Regression | None = None,
-        held: Collection[str] = (),
+        self, system: System, before: Regression | None = None, held: Collection[str] = ()
     ) -> Regression:
         """A regression that has not run yet.
 
@@ -269,60 +276,3 @@ class Search:
             warm=warm,
             memory_s=self.decisions.noise_memory,
         )
-
-
-def search_in(
-    system: System,
-    runs: Sequence[Run],
-    clock: float,
-    options: Options,
-    *,
-    inputs: bool = True,
-    channels: bool = False,
-    stages: Collection[str] = (),
-    moved: bool = False,
-    decisions: Decisions | None = None,
-    budgets: Budgets = BUDGETS,
-    say: Callable[[str, int, int], None] = lambda stage, done, total: None,
-    so_far: "Callable[[Outcome], None]" = lambda outcome: None,
-) -> Search:
-    """A search in runs whose recording chain was undone.
-
-    Args:
-        system: Declared system.
-        runs: The runs; columns behind the inputs are logged channels (`with_channels`), which the system reads.
-        clock: Physical seconds per logged second.
-        options: Settings.
-        decisions: What it decides by; None takes the options'.
-
-    All others are those of `Search`.
-    """
-    box = max(1, int(_BOX_S / (runs[0].dt * clock) + 1e-6))
-
-    steps = steps_of(
-        system,
-        runs,
-        clock=clock,
-        smooth=False,
-        denoise=system.sensor_noise,
-        shortest=max(box, _SHORTEST),
-        run_in=True,
-        differences=box,
-    )
-    return Search(
-        steps,
-        box=box,
-        alpha=options.alpha,
-        candidates=None
-        if options.candidates is None
-        else on_coordinates(system, (*options.candidates, *map(register, options.also))),
-        feedback=not system.sensor_noise,
-        channels=channels,
-        inputs=inputs,
-        stages=stages,
-        moved=moved,
-        decisions=options.decisions if decisions is None else decisions,
-        budgets=budgets,
-        say=say,
-        so_far=so_far,
-    )

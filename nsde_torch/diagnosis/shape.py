@@ -91,10 +91,9 @@ def rates(regression: Regression, variables: Measured) -> Rates:
     _, block = np.unique(
         np.stack((stretch, (place * regression.dt / _BLOCK_S).astype(np.int64))), axis=1, return_inverse=True
     )
-    units = regression.physics.units
     return Rates(
         names=tuple(regression.physics.names[c] for c in regression.rows),
-        units=tuple(per_second(units[c]) for c in regression.rows),
+        units=tuple(per_second(regression.physics.units[c]) for c in regression.rows),
         residual=smooth[:, len(names) :],
         values=dict(zip(names, smooth[:, : len(names)].T, strict=True)),
         value_units=variable_units(regression.vector.system),
@@ -124,14 +123,7 @@ def is_plain(variable: str) -> bool:
 
 
 def bins(value: Array, residual: Array, block: Labels, *, count: int = _BINS) -> Bins:
-    """Means in bins of equal numbers, from 1 to 99 % of the values; those of few blocks are left out.
-
-    Args:
-        value: The variable (M,).
-        residual: The residual (M,).
-        block: Block of time (M,).
-        count: Number of bins.
-    """
+    """Means in `count` bins of a variable, from 1 to 99 % of its values (M,); those of few blocks are left out."""
     if not len(value):
         return Bins(np.zeros(0), np.zeros(0), np.zeros(0))
     # half of the edges at equal numbers, half at equal distances, so that rare extremes are seen too
@@ -189,8 +181,9 @@ class ChannelResidual:
 
 def channel_residuals(before: Regression, after: Regression) -> list[ChannelResidual]:
     """Residuals of every dynamic channel without and with effects."""
-    window = bump(before.physics.steps.dt)
     steps = before.physics.steps
+    window = bump(steps.dt)
+    bend = np.square(np.diff(window, prepend=0.0, append=0.0)).sum()
     out = []
     for channel in before.rows:
         measured, first, second = (
@@ -201,15 +194,16 @@ def channel_residuals(before: Regression, after: Regression) -> list[ChannelResi
                 after.physics.residual(after.theta),
             )
         )
-        unit = before.physics.units[channel]
+        push, sensor = white_parts(after, int(channel))
+        floor = float(np.sqrt(push * np.square(window).sum() + sensor * bend) / after.physics.steps.dt)
         out.append(
             ChannelResidual(
                 name=before.physics.names[channel],
-                unit=per_second(unit),
+                unit=per_second(before.physics.units[channel]),
                 measured=float(measured.std()) if len(measured) else 0.0,
                 before=_rms(first),
                 after=_rms(second),
-                floor=min(_floor(after, int(channel), window), _rms(second)),
+                floor=min(floor, _rms(second)),
             )
         )
     return out
@@ -244,20 +238,13 @@ def white_parts(regression: Regression, channel: int) -> tuple[float, float]:
     return float(found[0] / size[0]), float(found[1] / size[1])
 
 
-def _floor(regression: Regression, channel: int, window: Array) -> float:
-    push, sensor = white_parts(regression, channel)
-    dt = regression.physics.steps.dt
-    bend = np.square(np.diff(window, prepend=0.0, append=0.0)).sum()
-    return float(np.sqrt(push * np.square(window).sum() + sensor * bend) / dt)
-
-
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.square(values).mean())) if values.size else 0.0
 
 
-_EXTENT_BINS, _FEWEST_BINS = 24, 6  # means that the extent of a dependence is seen in
 # ---- in words ------------------------------------------------------------------------------------------
 
+_EXTENT_BINS, _FEWEST_BINS = 24, 6  # means that the extent of a dependence is seen in
 _SWING = re.compile(r"periodic_force(\[\w+\])?\.frequency")
 _ENDS = {
     OVER_TIME: "otherwise early in a run than late: something drifts",
@@ -296,22 +283,16 @@ def called(run: str) -> str:
 
 
 def shape(left: PhysicsResiduals, dependence: Dependence, seen: Rates, runs: Sequence[str]) -> Shape:
-    """Describe a dependence that is there beyond chance.
-
-    Args:
-        left: What the physics leaves.
-        dependence: The test that says so.
-        seen: What the regression leaves, as rates.
-        runs: Names of the runs, by number.
-    """
+    """Describe a dependence that is there beyond chance; `runs` are the names of the runs, by number."""
     channel, wording = seen.names.index(dependence.channel), left.decisions.wording
     fewest, regression = left.decisions.fewest_runs, left.regression
     run, at, frequency = dependence.run, dependence.moment, dependence.sinusoid
+    variable, rate = dependence.variable, f"The rate of {dependence.channel}"
     if run is not None and at is not None:
         # other runs may have the same: not tested
         note = f"most of all at one moment, {called(runs[run])} at {at:.1f} s"
-        said = f"The rate of {dependence.channel} departs {note}."
-        return Shape(dependence.channel, dependence.variable, "", "local", (at, at), None, None, said, note)
+        said = f"{rate} departs {note}."
+        return Shape(dependence.channel, variable, "", "local", (at, at), None, None, said, note)
     if frequency is not None:
         of_runs = _sinusoid_by_run(regression, channel, frequency)
         most = max(of_runs, key=lambda run: of_runs[run])
@@ -319,21 +300,15 @@ def shape(left: PhysicsResiduals, dependence: Dependence, seen: Rates, runs: Seq
         note = f"in a swing of {frequency:.4g} Hz" + (
             f", in {called(runs[most])} only" if alone else _of_phase(regression, channel, frequency, wording)
         )
-        said = f"The rate of {dependence.channel} departs {note}."
-        only_run = most if alone else None
-        return Shape(
-            dependence.channel, dependence.variable, "", "", None, 1.0 / frequency, only_run, said, note
-        )
-    name, unit = dependence.variable, seen.value_units.get(dependence.variable, "")
+        said, only = f"{rate} departs {note}.", most if alone else None
+        return Shape(dependence.channel, variable, "", "", None, 1.0 / frequency, only, said, note)
+    name, unit, side = variable, seen.value_units.get(variable, ""), symmetry(dependence, wording)
     extent, where, period = "", None, None
     if is_plain(name):
         there = np.full(len(seen.run), True) if run is None else seen.run == run
-        extent, where = _extent(
-            seen.values[name][there], seen.residual[there, channel], seen.block[there], wording
-        )
-        if (
-            symmetry(dependence, wording) == "odd"
-        ):  # what grows to both sides may have been seen far out on one of them only
+        value, residual = seen.values[name][there], seen.residual[there, channel]
+        extent, where = _extent(value, residual, seen.block[there], wording)
+        if side == "odd":  # what grows to both sides may have been seen far out on one of them only
             extent, where = "global" if extent else "", None
         period = period_of(left, dependence.port, name) if run is None else None
     else:
@@ -343,16 +318,15 @@ def shape(left: PhysicsResiduals, dependence: Dependence, seen: Rates, runs: Seq
             other = _other_run(left, dependence) if end == BY_RUN else None
             note = said if other is None else f"otherwise in {called(runs[other])} than in the others"
             name = name.removesuffix(end)
-            said = f"The rate of {dependence.channel} depends on {name} {note}."
-            return Shape(dependence.channel, dependence.variable, "", "", None, None, None, said, note)
+            said = f"{rate} depends on {name} {note}."
+            return Shape(dependence.channel, variable, "", "", None, None, None, said, note)
     only = run
-    if dependence.variable not in left.columns or period is not None:  # no test of one run alone was made
-        only = _only_run(left, dependence.port, dependence.variable)
-    side = symmetry(dependence, wording)
-    words = [f"The rate of {dependence.channel} depends on {name}"]
+    if variable not in left.columns or period is not None:  # no test of one run alone was made
+        only = _only_run(left, dependence.port, variable)
+    words = [f"{rate} depends on {name}"]
     if name == "run":
         what = "constants that differ from run to run" if only is None else "a constant"
-        words = [f"The rate of {dependence.channel} is off by {what}"]
+        words = [f"{rate} is off by {what}"]
     if only is not None:
         words.append(f"in {called(runs[only])} only")
     if period is not None:
@@ -365,17 +339,8 @@ def shape(left: PhysicsResiduals, dependence: Dependence, seen: Rates, runs: Seq
         words.append(
             {"odd": "as an odd function", "even": "as an even function"}.get(side, "neither odd nor even")
         )
-    return Shape(
-        dependence.channel,
-        name,
-        side,
-        extent,
-        where,
-        period,
-        only,
-        ", ".join(words) + ".",
-        ", ".join(words[1:]),
-    )
+    said, note = ", ".join(words) + ".", ", ".join(words[1:])
+    return Shape(dependence.channel, name, side, extent, where, period, only, said, note)
 
 
 def _sinusoid_by_run(regression: Regression, channel: int, frequency: float) -> dict[int, float]:
@@ -453,9 +418,8 @@ def period_of(left: PhysicsResiduals, port: int, variable: str) -> float | None:
     factor = wording.sine_angle_factor if whole else wording.sine_factor
     if not best.scores.nats > max(factor * cubic, wording.sine_nats):
         return None
-    place = np.clip(
-        ((v - low) / (high - low) * wording.sine_parts).astype(np.int64), 0, wording.sine_parts - 1
-    )
+    place = ((v - low) / (high - low) * wording.sine_parts).astype(np.int64)
+    place = np.clip(place, 0, wording.sine_parts - 1)
     wave = 2.0 * np.pi * (v - low) / best.period
     waves = np.stack((np.sin(wave), np.cos(wave)), 1)
     parts = [left.forces.of(waves * (place == k)[:, None], port) for k in range(wording.sine_parts)]

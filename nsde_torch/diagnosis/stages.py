@@ -28,7 +28,6 @@ from nsde_torch.systems import System
 if TYPE_CHECKING:
     from nsde_torch.diagnosis.result import Diagnosis
 
-
 SELECTION, SECOND_LOOK = "the selection of effects", "a second look at each effect beside the others"
 TESTS, LAWS = "tests of feedback and of what is left", "laws beyond the catalogue"
 OTHER_ROWS = "the search in other rows and over longer boxes"

@@ -29,12 +29,7 @@ _CELLS = "│"  # between the cells of a table in a template
 
 
 def lines(content: Content, go_on: str = "resume=DIR") -> list[str]:
-    """Lines of text from the content of `diagnosis.json`.
-
-    Args:
-        content: The content.
-        go_on: The key that goes on from a diagnosis that is not finished.
-    """
+    """Lines of text; `go_on` is the key that goes on from a diagnosis that is not finished."""
     return rendered("long.txt", content, content=content, go_on=go_on).splitlines()
 
 
@@ -83,23 +78,19 @@ def sizes(finding: Mapping[str, Any], content: Content) -> str:
     own: dict[str, list[Mapping[str, Any]]] = {}
     for name, p in own_parameters(finding, content).items():
         own.setdefault(name.removeprefix(f"{finding['name']}.").partition("[")[0], []).append(p)
-    each = {name: ", ".join(_by_run(axes)) for name, axes in own.items()}
-    against = {
-        name: f" against {axes[0]['against']}:" for name, axes in own.items() if axes[0].get("against")
-    }
-    return "; ".join(
-        f"{name}{against.get(name, '')} {values}{with_space(own[name][0]['unit'])}"
-        for name, values in each.items()
-    )
+    out = []
+    for name, axes in own.items():
+        against = f" against {axes[0]['against']}:" if axes[0].get("against") else ""
+        out.append(f"{name}{against} {', '.join(_by_run(axes))}{with_space(axes[0]['unit'])}")
+    return "; ".join(out)
 
 
 def _by_run(axes: Sequence[Mapping[str, Any]]) -> list[str]:
     """Values with intervals; of what differs between runs those of each run behind its name."""
     found: dict[str, list[str]] = {}
     for p in axes:
-        found.setdefault(p.get("run", ""), []).append(
-            f"{valued(p)} ({interval(p['interval_90'], p['bound'])})"
-        )
+        said = f"{valued(p)} ({interval(p['interval_90'], p['bound'])})"
+        found.setdefault(p.get("run", ""), []).append(said)
     return [f"{run} {' and '.join(values)}" if run else ", ".join(values) for run, values in found.items()]
 
 

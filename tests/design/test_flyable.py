@@ -9,8 +9,8 @@ import pytest
 
 import nsde_torch
 from nsde_torch.design import DesignOptions, question_of
-from nsde_torch.design.designing import first_state, members_of
-from nsde_torch.design.members import Rollouts
+from nsde_torch.design.designing import first_state
+from nsde_torch.design.members import Rollouts, members_of
 from nsde_torch.design.paths import STEP, FlownPaths, Flyable
 from nsde_torch.systems import Multirotor
 from nsde_torch.systems.options import system_options

@@ -10,13 +10,12 @@ import pytest
 import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.design import Question
-from nsde_torch.design.designing import members_of
 from nsde_torch.design.experiment import write_plan
 from nsde_torch.design.flown import evidence
-from nsde_torch.design.members import Member
+from nsde_torch.design.members import Member, members_of
 from nsde_torch.design.rehearsal import against, fit_all
 from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.diagnosis.search import search_in
+from nsde_torch.diagnosis.search import Search
 from nsde_torch.inference.posterior import LogWithPrior
 from nsde_torch.systems import System
 from nsde_torch.systems.options import system_options
@@ -66,7 +65,7 @@ def test_gains_of_a_gentle_flight_are_near_the_truth_for_what_is_said_of_them(
     for member in members:
         assert away(member.vector.labels, member.theta, np.sqrt(np.diag(member.covariance))) < 3.0
     # with a law for each channel alone, which is what is left of a diagnosis' means for runs as short, one is wrong
-    base = search_in(system, runs, 1.0, Options()).base(members[0].system).regression
+    base = Search(system, runs, 1.0, Options()).base(members[0].system).regression
     flat = base.slopes.reshape(-1, len(base.vector))
     errors = np.sqrt(np.diag(np.linalg.pinv(flat.T @ flat)))
     assert away(base.vector.labels, base.theta, errors) > 4.0

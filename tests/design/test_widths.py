@@ -7,8 +7,7 @@ import pytest
 
 import nsde_torch
 from nsde_torch.design import Question
-from nsde_torch.design.designing import members_of
-from nsde_torch.design.members import Member, width_columns
+from nsde_torch.design.members import Member, members_of, width_columns
 from nsde_torch.design.proposals import nearest
 from nsde_torch.systems.options import system_options
 from tests.helpers.ties import BIASED, DT, SIDED

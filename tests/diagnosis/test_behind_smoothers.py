@@ -9,7 +9,7 @@ from typing import Any, cast
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.feedback_bias import behind_smoothers, not_sure_behind_smoothers, with_suspects
 from nsde_torch.diagnosis.joint_selection import JointSearch
-from nsde_torch.diagnosis.search import search_in
+from nsde_torch.diagnosis.search import Search
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.systems import make_system
 from tests.inference.springs import linear_runs
@@ -17,7 +17,7 @@ from tests.inference.springs import linear_runs
 
 def test_effects_with_memory_on_inputs_are_no_candidates() -> None:
     system = make_system("mass_spring_damper")
-    search = search_in(system, linear_runs(1, 4.0), 1.0, Options())
+    search = Search(system, linear_runs(1, 4.0), 1.0, Options())
     names = behind_smoothers(search, system).candidates
     assert names is not None
     assert not {"input_delay", "actuator_lag"} & set(names)
@@ -36,7 +36,7 @@ def test_what_was_found_is_a_lead_where_what_was_no_candidate_would_explain_more
 def test_a_lag_is_suspected_beside_what_was_found_without_it() -> None:
     system = make_system("mass_spring_damper")
     runs = linear_runs(3, 8.0, seed=1, lag=0.08)
-    search = search_in(system, runs, 1.0, Options())
+    search = Search(system, runs, 1.0, Options())
     some = behind_smoothers(search, system)
     found = JointSearch(some, LogLikelihood(system, runs, run_in=True), system).selected()
     assert not {"input_delay", "actuator_lag"} & set(found.selected)

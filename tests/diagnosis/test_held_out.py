@@ -25,7 +25,7 @@ from nsde_torch.diagnosis.joint_selection import Evidence, fitted_at
 from nsde_torch.diagnosis.outcome import Found
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.residual_tests import Dependence
-from nsde_torch.diagnosis.search import moved_channels, search_in
+from nsde_torch.diagnosis.search import Search, moved_channels
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.models.identified import SysidSpec
@@ -49,7 +49,7 @@ def effect_on_runs_left_out(name: str, *, seed: int, values: Mapping[str, float]
         spec,
         made.runs,
         fitted=by_likelihood([fitted_at(LogLikelihood(system, made.runs, run_in=True), system, None)]),
-        steps=search_in(system, made.runs, 1.0, Options()).steps,
+        steps=Search(system, made.runs, 1.0, Options()).steps,
         clock=1.0,
         seed=0,
         without={name: system},
@@ -197,7 +197,7 @@ def flown() -> tuple[dict[str, Any], dict[str, tuple[str, ...]]]:
     candidates = ("linear_drag",)
     found = diagnose(declared, spec, made, made.runs, Options(candidates=candidates))
     moves = {}
-    runs = search_in(declared, found.recorded.runs, 1.0, Options())
+    runs = Search(declared, found.recorded.runs, 1.0, Options())
     for name in ("angular_damping", "thrust_curve"):
         effect = declared.make_effect(name)
         moves[name] = moved_channels(runs.quick(declared.with_effects(effect)), name)

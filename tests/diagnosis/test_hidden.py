@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from nsde_torch.diagnosis import decision
+from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.feedback_bias import (
     FeedbackBiased,
     allowances,
@@ -15,7 +16,6 @@ from nsde_torch.diagnosis.feedback_bias import (
     lengths_of_parameters,
 )
 from nsde_torch.diagnosis.search import Search
-from nsde_torch.inference.steps import steps_of
 from nsde_torch.sysid.feedback_test import FACTOR, Answer, FeedbackTest, leaning
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
@@ -92,10 +92,8 @@ def test_an_effect_is_bent_by_inputs_between_rows_as_far_as_it_leans_along_them(
     product = "force = c1 q q_dot"
     system = make_system("mass_spring_damper")
     runs = recorded("mass_spring_damper", durations=(8.0,) * 3).runs
-    steps = steps_of(system, runs, clock=1.0, smooth=False, denoise=True, run_in=True)
-    fitted = Search(steps, box=1, alpha=0.01).quick(
-        system.with_effects(system.make_effect(product, {"c1": 0.1}))
-    )
+    with_product = system.with_effects(system.make_effect(product, {"c1": 0.1}))
+    fitted = Search(system, runs, 1.0, Options()).quick(with_product)
     lean = dict(zip(fitted.vector.labels, leaning(fitted)[0], strict=True))
     assert lean["force_gain"] > 0.5
     assert lean[f"{product}.c1"] < 0.6 * lean["force_gain"]

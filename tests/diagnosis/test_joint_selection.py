@@ -16,7 +16,7 @@ from nsde_torch.diagnosis import joint_selection, pipeline
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import FittedPhysics, Instead, JointSearch, JointSelection
 from nsde_torch.diagnosis.laws import terms_on
-from nsde_torch.diagnosis.search import search_in
+from nsde_torch.diagnosis.search import Search
 from nsde_torch.inference import LogLikelihood, nearly_maximised
 from nsde_torch.systems import make_system
 from tests.inference.springs import linear_runs, rubbing, small_runs, spring
@@ -28,7 +28,7 @@ STRIBECK = {"k": 5.06, "b": 0.5, "g": 1.0}
 def selected(runs: list[Run]) -> JointSelection:
     """What is selected on a spring."""
     system = make_system("mass_spring_damper")
-    search = search_in(system, runs, 1.0, Options())
+    search = Search(system, runs, 1.0, Options())
     return JointSearch(search, LogLikelihood(system, runs, run_in=True), system).selected()
 
 
@@ -150,7 +150,7 @@ def test_behind_a_smoother_the_declared_physics_decides_which_rows_are_looked_at
             noise = lfilter(np.ones(4) / 2.0, 1.0, noise, axis=0)
         runs.append(replace(one, x=one.x + noise, band={"q_dot": 0.5 / one.dt}))
     system, said = make_system("mass_spring_damper"), list[str]()
-    search = search_in(system, runs, 1.0, Options(), say=lambda stage, done, total: said.append(stage))
+    search = Search(system, runs, 1.0, Options(), say=lambda stage, done, total: said.append(stage))
     feedback = SimpleNamespace(test=lambda regression: SimpleNamespace(closed_loop=False))
     log: Any = SimpleNamespace(
         runs=runs,
@@ -200,7 +200,7 @@ def test_a_flight_with_drag_is_selected_by_the_likelihood() -> None:
     system = make_system("hexacopter")
     runs = nsde_torch.read(made, system=system).runs
     options = Options(candidates=("linear_drag", "quadratic_drag", "constant_wind", "thrust_misalignment"))
-    search = search_in(system, runs, 1.0, options)
+    search = Search(system, runs, 1.0, options)
     found = JointSearch(search, LogLikelihood(system, runs, run_in=True), system).selected()
     assert set(found.selected) == {"linear_drag"}
     values = dict(zip(found.final.best.vector.labels, found.final.best.theta, strict=True))

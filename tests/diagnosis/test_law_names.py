@@ -11,7 +11,7 @@ import nsde_torch
 from nsde_torch.diagnosis.beyond_catalogue import same_effect
 from nsde_torch.diagnosis.candidates import joined
 from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.diagnosis.search import search_in
+from nsde_torch.diagnosis.search import Search
 from nsde_torch.simulation import simulate
 from nsde_torch.systems import make_system
 from nsde_torch.systems.vocabulary import vocabulary
@@ -30,7 +30,7 @@ def test_a_law_that_is_a_multiple_of_an_effect_takes_its_name(
     law: str, values: dict[str, float], name: str | None
 ) -> None:
     data, system = recorded("mass_spring_damper", {law: values}), make_system("mass_spring_damper")
-    steps = search_in(system, data.runs, 1.0, Options()).steps
+    steps = Search(system, data.runs, 1.0, Options()).steps
     found = same_effect(steps, joined(system, law, {**values}), law)
     assert (found and found[0]) == name
 
@@ -49,7 +49,7 @@ def test_behind_a_smoother_no_law_is_tried() -> None:
 @pytest.mark.parametrize("machine", ["mass_spring_damper", "cartpole", "hexacopter", "quadrotor"])
 def test_a_law_is_compared_with_every_candidate_of_a_machine_within_its_bounds(machine: str) -> None:
     data, system = recorded(machine, durations=(2.0, 2.0)), make_system(machine)
-    steps = search_in(system, data.runs, 1.0, Options()).steps
+    steps = Search(system, data.runs, 1.0, Options()).steps
     for port in system.residual_ports:
         row = dict(vocabulary(type(system)).ports)[port.value].names[0]
         place = f"[{row}]" if row else ""

@@ -10,7 +10,7 @@ import pytest
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import fitted_at
 from nsde_torch.diagnosis.residual_tests import PhysicsResiduals, beyond_chance, dependences
-from nsde_torch.diagnosis.search import search_in
+from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.shape import shape
 from nsde_torch.inference import LogLikelihood
 from tests.diagnosis.test_shape import RUNS, described, pushed
@@ -21,7 +21,7 @@ from tests.inference.springs import rubbing, small_runs, spring
 def test_a_law_that_noise_levels_have_learned_is_seen_beside_them(effect: str, variable: str) -> None:
     runs = small_runs(replace(rubbing(0.0), effects={effect: {"size": 0.5}}), 4, 10.0, seed=5)
     place = fitted_at(LogLikelihood(spring(), runs, run_in=True), spring(), None)
-    search = search_in(spring(), runs, 1.0, Options())
+    search = Search(spring(), runs, 1.0, Options())
     left = PhysicsResiduals(search, place, search.at(place.system, place.best).regression)
     first = beyond_chance(dependences(left), {}, alpha=0.01)[0]
     assert (first.channel, first.variable, first.run) == ("q_dot", variable, None)

@@ -8,7 +8,7 @@ import pytest
 
 from nsde_torch.diagnosis.candidates import candidate_names, effect_of, starts, values_of
 from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.diagnosis.search import Base, Search, search_in
+from nsde_torch.diagnosis.search import Base, Search
 from nsde_torch.effects import effect_class
 from nsde_torch.inference.steps import data_sizes
 from nsde_torch.systems import System, make_system
@@ -32,7 +32,7 @@ def rubbing() -> Search:
     made = recorded(
         SPRING, {"coulomb_friction": {"size": 0.3, "width": 0.002}}, seed=3, dt=0.02, durations=(6.0,) * 4
     )
-    return search_in(make_system(SPRING), made.runs, 1.0, Options(candidates=_FRICTIONS))
+    return Search(make_system(SPRING), made.runs, 1.0, Options(candidates=_FRICTIONS))
 
 
 @pytest.fixture(scope="module")

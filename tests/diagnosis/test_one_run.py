@@ -18,7 +18,7 @@ from nsde_torch.diagnosis.residual_tests import (
     in_one_run,
     own_of_runs,
 )
-from nsde_torch.diagnosis.search import search_in
+from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.text import short_lines
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.models.identified import SysidSpec
@@ -95,7 +95,7 @@ def test_runs_of_a_sound_plant_are_alike(system: str) -> None:
     for seed in (11, 12):
         data, declared = recorded(system, seed=seed, durations=(6.0,) * 4), make_system(system)
         place = fitted_at(LogLikelihood(declared, data.runs, run_in=True), declared, None)
-        search = search_in(declared, data.runs, 1.0, Options())
+        search = Search(declared, data.runs, 1.0, Options())
         tests = dependences(PhysicsResiduals(search, place, search.at(place.system, place.best).regression))
         of_runs = [d for d in tests if d.run is not None and d.moment is None]
         assert of_runs

@@ -14,7 +14,7 @@ from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import FittedPhysics
 from nsde_torch.diagnosis.regressors import Measured, measured
 from nsde_torch.diagnosis.residual_tests import PhysicsResiduals
-from nsde_torch.diagnosis.search import Search, search_in
+from nsde_torch.diagnosis.search import Search
 from nsde_torch.inference import LogLikelihood, Optimum, nearly_maximised
 from nsde_torch.inference.estimate import Latest
 from nsde_torch.inference.filtering import Pass, forced, with_gains
@@ -49,7 +49,7 @@ class MadeResiduals:
     def __init__(self, durations: Sequence[float] = (8.0,) * 4, dt: float = 0.02) -> None:
         system = make_system(SPRING)
         self.data = recorded(SPRING, durations=durations, dt=dt)
-        self.search: Search = search_in(system, self.data.runs, 1.0, Options())
+        self.search: Search = Search(system, self.data.runs, 1.0, Options())
         best, at = nearly_maximised(LogLikelihood(system, self.data.runs, 1.0, run_in=True))
         self.place = FittedPhysics(system, best, at)
         self.regression: Regression = self.search.at(system, best).regression

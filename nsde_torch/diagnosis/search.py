@@ -244,13 +244,14 @@ class Search:
         Args:
             system: Physics.
             before: A regression that lends it its values and noise models; None for neither.
-            held: Labels of parameters that stay at their first values.
+            held: Labels of parameters that stay at the values that they have in the physics.
         """
         physics = Physics(ParameterVector(system), self.steps)
         if before is None:
             return self._of(system, physics, held=held)
         physics.sensor_std = before.physics.sensor_std
-        first = carried(physics.vector, before)
+        vector = physics.vector
+        first = np.where(np.isin(vector.labels, list(held)), vector.start, carried(vector, before))
         return self._of(system, physics, start=first, noises=before.noises, held=held)
 
     def _of(

@@ -504,7 +504,7 @@ def _from_checkpoint(model: NeuralSDE, task: Task) -> dict[str, Any] | None:
         return None
     tensors, about = found
     model.load_state_dict({k[6:]: v for k, v in tensors.items() if k.startswith("model.")})
-    model.spec = replace(model.spec, between_runs=about["between_runs"])
+    model.spec = replace(model.spec, between_runs=about.get("between_runs", {}))
     return about
 
 

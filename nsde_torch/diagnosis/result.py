@@ -502,14 +502,19 @@ def _interval(found: Diagnosis, e: Estimate) -> dict[str, Any]:
 
 def sentence(outcome: Outcome, effect: str) -> str:
     """What an effect means, with its values."""
+    return meaning(outcome.declared_system, effect, outcome.estimates(effect))
+
+
+def meaning(system: System, effect: str, parameters: Sequence[Estimate]) -> str:
+    """The sentence of an effect of a machine with these values."""
     values: dict[str, list[str]] = {}
     units: dict[str, str] = {}
-    for e in outcome.estimates(effect):
+    for e in parameters:
         name = own_name(e.name)
         values.setdefault(name, []).append(f"{e.value:.3g}" + (f" in {e.run}" if e.run else ""))
         units[name] = with_space(e.unit) + (f" (against {e.against})" if e.against else "")
     words = {name: ", ".join(values[name]) + units[name] for name in values}
-    cls = outcome.declared_system.effect_class(effect)
+    cls = system.effect_class(effect)
     text = cls.sentence or f"What is added is {cls.formula}, {', '.join(f'{k} = {{{k}}}' for k in words)}."
     try:
         return text.format(**words)

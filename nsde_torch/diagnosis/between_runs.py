@@ -34,7 +34,7 @@ from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.regressors import MOST_RUNS
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.effects import Effect, Port
-from nsde_torch.effects.by_run import BY_RUN, MASS, RUN, ByRun
+from nsde_torch.effects.by_run import BY_RUN, MASS, OF_EACH_RUN, RUN, ByRun
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import joined_name, split_name
 from nsde_torch.errors import NsdeError
@@ -48,11 +48,6 @@ from nsde_torch.systems.in_run import OVER_MASS, difference_on, may_differ
 _TRIED = 3  # candidates that are fitted to the end
 _MOST = 3  # differences that are looked for
 _ROWS = 5  # of the data, at which formulas are asked whether a parameter may differ between rows
-_OF_EACH_RUN = {
-    "constant_force": "run_force",
-    "position_bias": "run_zero",
-    "constant_world_force": "run_world_force",
-}
 
 
 @dataclass(frozen=True)
@@ -274,7 +269,7 @@ def _not_there(place: FittedPhysics) -> Iterator[tuple[str, System, str]]:
             found = [{**start, **dict.fromkeys(sizes, 0.0)} for start in found[-1:]]
         if len(sizes) != 1 or cls.exogenous or cls.port is Port.INPUT:
             continue
-        each = _OF_EACH_RUN.get(law)
+        each = OF_EACH_RUN.get(law)
         target = f"{name}/{sizes[0]}" if each is None else joined_name(each, coordinate)
         for start in found:
             try:
@@ -309,8 +304,8 @@ def _of_the_physics(place: FittedPhysics, whole: int) -> Iterator[PossibleDiffer
             mass[at.columns, 0] = -theta[at.columns]
         target = f"{name}/{own}" if dot else own
         law, coordinate = split_name(name)
-        if law in _OF_EACH_RUN:
-            each = joined_name(_OF_EACH_RUN[law], coordinate)
+        if law in OF_EACH_RUN:
+            each = joined_name(OF_EACH_RUN[law], coordinate)
             yield PossibleDifference(system, each, every[:, at.columns], False)
         elif target not in differing and _may_differ(place, system, target):
             yield PossibleDifference(system, target, every[:, at.columns], False)

@@ -148,6 +148,8 @@ class RunDifference(ByRun):
 
 BY_RUN: dict[str, type[Effect]] = {cls.name: cls for cls in (RunForce, RunZero, RunWorldForce)}
 """Effects with a size for each run: no candidates of a search, which leaves whole runs out."""
+OF_EACH_RUN = {cls.includes[0]: name for name, cls in BY_RUN.items()}
+"""The effect with a size for each run, by that with one for all."""
 
 
 def difference_name(target: str) -> str:

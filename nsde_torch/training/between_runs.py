@@ -27,7 +27,7 @@ from scipy.stats import chi2, norm, t
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.effects import Effect, Port, effects_of
-from nsde_torch.effects.by_run import BY_RUN, MASS, RUN, ByRun, target_of
+from nsde_torch.effects.by_run import BY_RUN, MASS, OF_EACH_RUN, RUN, ByRun, target_of
 from nsde_torch.effects.law import joined_name, split_name
 from nsde_torch.inference import MaximumLikelihood, Optimum
 from nsde_torch.inference.functions import Functions, seen_by_networks
@@ -42,7 +42,6 @@ _CHANCE = 0.01  # of a spread where there is none, among all candidates
 _SPREADS = np.geomspace(0.5, 500.0, 25)  # tau, in standard errors of a number of one run
 _ROWS = 5  # of the data, at which formulas are asked whether a parameter may differ between rows
 _LEVEL = 0.9
-_OF_EACH_RUN = {cls.includes[0]: name for name, cls in BY_RUN.items()}
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ def differing(at: Optimum, beside: Functions | None) -> list[str]:
             own, first = wider.vector.of(name), sum(table.shape[-1] for table in tables)
             tables.append(wider.space.columns(about.x, about.slopes, own, about.after).float())
             law, coordinate = split_name(name)
-            each = joined_name(_OF_EACH_RUN[law], coordinate)
+            each = joined_name(OF_EACH_RUN[law], coordinate)
             candidates.append(DifferenceCandidate(each, first + np.arange(len(own))))
         space.use(at.theta)
     forces = _forces(at, system, beside)
@@ -136,7 +135,7 @@ def _of_the_physics(at: Optimum, system: System) -> list[DifferenceCandidate]:
 def _steady(system: System) -> list[str]:
     """Effects of the catalogue of which there may be another in each run."""
     able = effects_of(system.name, {*system.ports, Port.INPUT}, system.bound_coordinates())
-    return [name for name in able if split_name(name)[0] in _OF_EACH_RUN]
+    return [name for name in able if split_name(name)[0] in OF_EACH_RUN]
 
 
 def _forces(at: Optimum, system: System, beside: Functions | None) -> list[tuple[int, torch.Tensor]]:

@@ -17,7 +17,8 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.models import make_model
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.models.run_directory import load, save
-from nsde_torch.training.between_runs import _log_likelihood
+from nsde_torch.systems import make_system
+from nsde_torch.training.between_runs import _log_likelihood, spreads, with_numbers
 from nsde_torch.training.task import Fitted
 from tests.training.test_fit_innovations import fitted as fitted_to
 
@@ -221,3 +222,21 @@ def test_the_likelihood_of_spreads_is_that_of_the_covariance_written_out() -> No
     some = [np.array(v) for v in ([0.0, 0.0, 0.0], [0.5, 0.0, 2.0], [0.1, 3.0, 0.7])]
     differences = [found(v) - found(some[0]) for v in some]
     assert differences == pytest.approx([written_out(v) - written_out(some[0]) for v in some], rel=1e-6)
+
+
+@pytest.mark.parametrize("target", ["run_force", "linear_spring/stiffness"])
+def test_ninety_per_cent_of_unseen_runs_lie_within_the_spread_of_five(target: str) -> None:
+    rng, inside, mean = np.random.default_rng(3), [], 0.0
+    system = with_numbers(make_system("mass_spring_damper"), [target], 5)
+    effect = next(e for e in system.effects if str(e.name).startswith("run_"))
+    ((key, _),) = effect.PARAMETERS.items()
+    for _ in range(400):
+        each = rng.normal(0.0, 0.3, 6)
+        if target == "run_force":
+            effect.set_value(key, each[:5].tolist())
+        else:  # against the first run; what is drawn is about the mean of the five
+            effect.set_value(key, (each[1:5] - each[0]).tolist())
+            mean = each[:5].mean()
+        (found,) = spreads(system)
+        inside.append(abs(each[5] - mean) < 1.645 * found.std[0])
+    assert np.mean(inside) == pytest.approx(0.9, abs=0.045)  # three standard errors

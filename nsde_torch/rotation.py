@@ -68,6 +68,11 @@ def quaternion_rate(q: Tensor, omega: Tensor) -> Tensor:
     )
 
 
+def body_rates(q: Tensor, rate: Tensor) -> Tensor:
+    """Body rates (..., 3) [rad/s] of an attitude (..., 4) that changes at a rate (..., 4); of `quaternion_rate`."""
+    return 2.0 * _turn(q, rate)
+
+
 def euler_coupling(jx: Scalar, jy: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     """Factors of `rate_products` in -J^-1 (omega x J omega), for a diagonal J whose elements are jx, jy and 1."""
     return (jy - 1.0) / jx, (1.0 - jx) / jy, jx - jy
@@ -86,15 +91,22 @@ def rotation_between(q_from: Tensor, q_to: Tensor) -> Tensor:
     w, x, y, z = columns(q_from)
     a, b, c, d = columns(q_to)
     s = w * a + x * b + y * c + z * d
-    r = stack_columns(
-        (w * b - x * a - y * d + z * c, w * c + x * d - y * a - z * b, w * d - x * c + y * b - z * a)
-    )
+    r = _turn(q_from, q_to)
     sign = torch.where(s < 0, -1.0, 1.0).to(r)
     r, s = r * sign[..., None], s.abs()
     n2 = (r * r).sum(-1)
     n = torch.sqrt(n2.clamp_min(1e-16))
     angle = 2.0 * torch.atan2(n, s)
     return r * torch.where(n2 > 1e-12, angle / n, 2.0 / s.clamp_min(0.5))[..., None]
+
+
+def _turn(q: Tensor, p: Tensor) -> Tensor:
+    """Vector part (..., 3) of conj(q) p."""
+    w, x, y, z = columns(q)
+    a, b, c, d = columns(p)
+    return stack_columns(
+        (w * b - x * a - y * d + z * c, w * c + x * d - y * a - z * b, w * d - x * c + y * b - z * a)
+    )
 
 
 def turned(q: Tensor, r: Tensor) -> Tensor:

@@ -12,6 +12,7 @@ from torch import Tensor
 from nsde_torch.columns import few_operations
 from nsde_torch.control.problem import attitude_error
 from nsde_torch.rotation import (
+    body_rates,
     cross,
     gravity_direction,
     quaternion_rate,
@@ -80,6 +81,7 @@ def test_quaternion_rate_is_the_derivative_of_a_turning_body() -> None:
     rate = quaternion_rate(torch.from_numpy(q), torch.from_numpy(omega))
     np.testing.assert_allclose(rate, (a - b) / (2 * h), atol=1e-9)
     np.testing.assert_allclose((rate.numpy() * q).sum(1), 0, atol=1e-14)
+    np.testing.assert_allclose(body_rates(torch.from_numpy(q), rate), omega, atol=1e-14)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-7, 1e-6, 1e-5, 1e-3, 0.5, 3.0, np.pi - 1e-6, np.pi])

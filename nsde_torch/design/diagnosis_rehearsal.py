@@ -235,7 +235,7 @@ def _simulated(
     start = np.repeat(np.stack([x[0] for x in states]), logs, 0)
     of = LogLikelihood(found.outcome.system, found.recorded.runs, found.recorded.clock, states=True)
     at, space = filtered_at(of), of.space
-    levels, _ = likeliest(space, at.levels, at.levels, at.about, of.start)
+    levels, _, _ = likeliest(space, at.levels, at.levels, at.about, of.start)
     noise = ModelNoise(space, levels).drawn(count, most - 1, rng)
     for way in (found.feedback.closed, True):
         drive = following(system, states, inputs, dt=steps.dt, copies=logs) if way else replayed(inputs, logs)

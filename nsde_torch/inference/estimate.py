@@ -496,7 +496,7 @@ def maximised(
     if near is None:
         about, at = problem.settled(levels, about, at, 1)
         if held is None:  # of the right size first: theta weighs channels by them
-            levels, known = likeliest(space, first, first, about, start, rows=_FIRST_ROWS)
+            levels, known, _ = likeliest(space, first, first, about, start, rows=_FIRST_ROWS)
             at = problem.filtered(levels, about)
     settled, away, columns = False, inf, torch.zeros(0)
     # where each measurement costs a nat there is no way back, and fits take a minute (a wind on NeuroBEM)
@@ -523,10 +523,10 @@ def maximised(
                 begun = at.total
         # whichever brings more goes on: levels beside a wrong theta take its errors for noise
         before = at.total
-        levels, known = likeliest(
+        levels, known, there = likeliest(
             space, levels, first, about, start, known, least=max(before - begun, gain * worth)
         )
-        at = problem.filtered(levels, about)
+        at = there or problem.filtered(levels, about)
         # to compare physics, steps that promise much and bring nothing do too: friction has a sign. Final fits go
         # on: unsettled, they have no intervals (two_frictions.py, seed 1: 17 of 18 held, and 18 so). So do those that
         # all others begin from: half a nat short of it a wind promised 35 nats for 42 (test_in_part.py)

@@ -55,7 +55,7 @@ class Pass:
     gain: Tensor  # Kalman gain (n, m)
     delta: Tensor  # errors of the states of the linearisation, estimated from the rows until then (n)
     rows: Tensor  # log likelihood of each row, 0 of those that do not count
-    covariance: Tensor | None = None  # of delta (n, n), where it was asked for
+    covariance: Tensor | None = None  # of delta with its last channels (n, q), where they were asked for
 
     def of(self, some: Tensor) -> "Pass":
         """That of some chunks."""
@@ -124,14 +124,18 @@ def filtered(
     start: Start,
     live: Tensor,
     *,
-    covariances: bool = False,
+    covariances: int = 0,
 ) -> Pass:
-    """Filter chunks whose `live` rows (T, C) count; `covariances` keeps those of the states, for `level_slopes`."""
+    """Filter chunks whose `live` rows (T, C) count.
+
+    Args:
+        covariances: With how many of the last channels those of all are kept; `level_slopes` takes the disturbances'.
+    """
     rows, count, m = about.seen.shape
     n = space.n
     new = about.seen.new_empty
     whitening, gain = new(rows, count, m, m), new(rows, count, n, m)
-    left = new(rows, count, n, n) if covariances else new(0, 0, 0, 0)
+    left = new(rows, count, n, covariances) if covariances else new(0, 0, 0, 0)
     measured = torch.zeros(0, 0, 0, dtype=torch.bool) if about.measured is None else about.measured
     noise, filled = _noise(space, levels, start), (whitening, gain, left)
     kernels.in_parts(kernels.covariances, rows, count, about.slopes, *noise, measured, *filled)

@@ -612,7 +612,7 @@ class _Choice:
         push[-1] = 0.0
         about = replace(about, missed=about.missed + push)
         start = self._optimum.of.start
-        levels, _ = likeliest(space, self._levels, self._levels, about, start, rows=_SCREENED)
+        levels, _, _ = likeliest(space, self._levels, self._levels, about, start, rows=_SCREENED)
         space.use(at)
         return levels
 

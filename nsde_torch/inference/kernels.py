@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nsde_torch.arrays import Array, Labels
+from nsde_torch.inference.lanes import WIDTH, lanes, load, root, store
 from nsde_torch.jit import compiled
 from nsde_torch.threads import allowed_threads
 
@@ -64,6 +65,14 @@ def _dot(a: Array, b: Array) -> float:
     for o in range(len(a)):
         total += a[o] * b[o]
     return total
+
+
+@compiled
+def _copy(of: Array, out: Array) -> None:
+    """A matrix to another place; as an assignment it takes seconds to compile, which can fail in many words."""
+    for i in range(of.shape[0]):
+        for j in range(of.shape[1]):
+            out[i, j] = of[i, j]
 
 
 @compiled
@@ -122,69 +131,144 @@ def covariances(
         observed: Numbers of the measured errors (m,).
         measured: Whether a row measures each of these (T, C, m); (0, 0, 0) where all do.
         whitening, gain: Are filled (T, C, m, m) and (T, C, n, m).
-        left: Is filled with the covariance after each row (T, C, n, n); not if empty.
+        left: Is filled with covariances of all errors with the last ones after each row (T, C, n, q); not if empty.
     """
     rows, _, ne, n = slopes.shape
     m = len(observed)
-    each = np.zeros((end - first, n, n))
-    moved, seen, known = np.empty((ne, n)), np.empty((m, m)), np.ones(m, dtype=np.bool_)
-    for c in range(first, end):
-        for i in range(n):
-            each[c - first, i, i] = start[i]
-        whitening[0, c] = 0.0
+    a, moved, p = np.empty((ne, n, WIDTH)), np.empty((ne, n, WIDTH)), np.empty((n, n, WIDTH))
+    w, g, half, room = _room_to_update(n, m)
+    shown = np.empty((m if len(measured) else 0, WIDTH))
+    for c in range(first, end, WIDTH):
+        _begun(start, p)
+        w[:], g[:] = 0.0, 0.0
         for i in range(m):
-            whitening[0, c, i, i] = 1.0
-        gain[0, c] = 0.0
-        if len(left):
-            left[0, c] = each[c - first]
-    for k in range(1, rows):
-        for c in range(first, end):  # chunks inside: memory is read in its order
-            p = each[c - first]
-            _predicted(slopes[k - 1, c], keep, white, gust, p, moved)
-            shown = measured[k, c] if len(measured) else known
-            _updated(p, sensor, observed, shown, whitening[k, c], gain[k, c], seen)
+            store(w[i, i], 1.0)
+        for k in range(rows):
+            if k:
+                _gather(slopes[k - 1], c, end, a)
+                _predicted(a, keep, white, gust, p, moved)
+                if len(measured):
+                    _gather_rows(measured[k], c, end, shown)
+                _updated(p, sensor, observed, shown, w, g, half, room)
+            _scatter(w, c, end, whitening[k])
+            _scatter(g, c, end, gain[k])
             if len(left):
-                left[k, c] = p
+                _scatter(p[:, n - left.shape[3] :], c, end, left[k])
+
+
+@compiled
+def _room_to_update(n: int, m: int) -> tuple[Array, Array, Array, Array]:
+    """Room for what `_updated` fills, and to work in."""
+    return np.empty((m, m, WIDTH)), np.empty((n, m, WIDTH)), np.empty((n, m, WIDTH)), np.empty((m, m, WIDTH))
+
+
+@compiled
+def _begun(start: Array, p: Array) -> None:
+    """The covariance p (n, n, WIDTH) is filled with that of independent errors."""
+    p[:] = 0.0
+    for i in range(len(p)):
+        store(p[i, i], start[i])
+
+
+@compiled
+def _gather(of: Array, first: int, end: int, out: Array) -> None:
+    """Matrices (C, a, b) of the chunks from `first` on, side by side (a, b, WIDTH); behind the end, the last one."""
+    for lane in range(WIDTH):
+        own = of[min(first + lane, end - 1)]
+        for i in range(own.shape[0]):
+            for j in range(own.shape[1]):
+                out[i, j, lane] = own[i, j]
+
+
+@compiled
+def _gather_rows(of: NDArray[Any], first: int, end: int, out: Array) -> None:
+    """The same of rows (C, a), side by side (a, WIDTH)."""
+    for lane in range(WIDTH):
+        for i in range(of.shape[1]):
+            out[i, lane] = of[min(first + lane, end - 1), i]
+
+
+@compiled
+def _scatter(of: Array, first: int, end: int, out: Array) -> None:
+    """Matrices side by side (a, b, WIDTH) go back to those of the chunks (C, a, b) before the end."""
+    for lane in range(min(WIDTH, end - first)):
+        own = out[first + lane]
+        for i in range(own.shape[0]):
+            for j in range(own.shape[1]):
+                own[i, j] = of[i, j, lane]
+
+
+@compiled
+def _add_product(a: Array, b: Array, scale: float, out: Array, symmetric: bool) -> None:
+    """out += scale a b, matrices (.., .., WIDTH) side by side; where that is symmetric, half of it is worked out.
+
+    Four elements at once: what is loaded serves two of them.
+    """
+    inner, rows, columns = b.shape[0], out.shape[0], out.shape[1]
+    for i in range(0, rows, 2):
+        k = min(i + 1, rows - 1)
+        for j in range(0, min(i + 2, columns) if symmetric else columns, 2):
+            q = min(j + 1, columns - 1)
+            ij, iq, kj, kq = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
+            for o in range(inner):
+                ao, co, bo, do = load(a[i, o]), load(a[k, o]), load(b[o, j]), load(b[o, q])
+                ij += ao * bo
+                iq += ao * do
+                kj += co * bo
+                kq += co * do
+            ij, iq = load(out[i, j]) + scale * ij, load(out[i, q]) + scale * iq
+            kj, kq = load(out[k, j]) + scale * kj, load(out[k, q]) + scale * kq
+            store(out[i, j], ij)
+            store(out[i, q], iq)
+            store(out[k, j], kj)
+            store(out[k, q], kq)
+            if symmetric and j < i:
+                store(out[j, i], ij)
+                store(out[q, i], iq)
+                store(out[j, k], kj)
+                store(out[q, k], kq)
 
 
 @compiled
 def _updated(
-    p: Array,
-    sensor: Array,
-    observed: Labels,
-    measured: NDArray[np.bool_],
-    whitening: Array,
-    gain: Array,
-    seen: Array,
+    p: Array, sensor: Array, observed: Labels, shown: Array, w: Array, g: Array, half: Array, room: Array
 ) -> None:
-    """The covariance p after a row, in place; `whitening` and `gain` are filled, `seen` (m, m) is room to work in."""
-    n, m = gain.shape
+    """The covariance p (n, n, WIDTH) after a row, in place.
+
+    Args:
+        shown: 1 where the row measures a channel, 0 where not (m, WIDTH); empty where it measures all.
+        w, g: Are filled with what whitens the innovation (m, m, WIDTH) and with the gain (n, m, WIDTH).
+        half, room: To work in, as large as the gain and as what whitens.
+    """
+    n, m = len(p), len(w)
     for i in range(m):
         for j in range(i + 1):
-            seen[i, j] = p[observed[i], observed[j]]
-        seen[i, i] += sensor[i]
-    for i in range(m):  # a channel that the row does not measure is white noise of its own
-        for j in range(i + 1):
-            if not (measured[i] and measured[j]):
-                seen[i, j] = 1.0 if i == j else 0.0
-    _inverse_triangle(seen, whitening)
-    for i in range(m):  # and neither moves the state nor counts
-        if not measured[i]:
-            whitening[i] = 0.0
-    half = gain  # P H' L^-T until it is the gain
+            seen = load(p[observed[i], observed[j]])
+            if i == j:
+                seen += sensor[i]
+            if len(shown):  # a channel that the row does not measure is white noise of its own
+                seen = seen * load(shown[i]) * load(shown[j])
+                if i == j:
+                    seen += 1.0 - load(shown[i])
+            store(room[i, j], seen)
+    _inverse_triangle(room, w)
+    if len(shown):  # and neither moves the state nor counts
+        for i in range(m):
+            for j in range(i + 1):
+                store(w[i, j], load(w[i, j]) * load(shown[i]))
+    for i in range(n):  # P H' L^-T
+        for j in range(m):
+            total = lanes(0.0)
+            for o in range(j + 1):
+                total += load(p[i, observed[o]]) * load(w[j, o])
+            store(half[i, j], total)
+    _add_product(half, half.transpose(1, 0, 2), -1.0, p, True)
     for i in range(n):
         for j in range(m):
-            seen[0, j] = p[i, observed[j]]
-        for j in range(m):
-            half[i, j] = _dot(seen[0], whitening[j])
-    for i in range(n):
-        for j in range(i + 1):
-            p[i, j] -= _dot(half[i], half[j])
-            p[j, i] = p[i, j]
-    seen[:] = whitening.T
-    for i in range(n):
-        for j in range(m):  # L^-1 is triangular: what is read is not yet written
-            gain[i, j] = _dot(half[i, j:], seen[j, j:])
+            total = lanes(0.0)
+            for o in range(j, m):
+                total += load(half[i, o]) * load(w[o, j])
+            store(g[i, j], total)
 
 
 @compiled
@@ -214,24 +298,34 @@ def gated(
     """
     rows, _, ne, n = slopes.shape
     m = len(observed)
-    moved, room = np.empty((ne, n)), np.empty((m, m))
-    whitening, gain, mean, error = np.empty((m, m)), np.empty((n, m)), np.empty(n), np.empty(m)
-    for c in range(first, end):
-        p, left = np.zeros((n, n)), np.zeros(n)
-        for i in range(n):
-            p[i, i] = start[i]
-        left[:ne] = begun[c]
+    a, moved, p = np.empty((ne, n, WIDTH)), np.empty((ne, n, WIDTH)), np.empty((n, n, WIDTH))
+    w, g, half, room = _room_to_update(n, m)
+    shown, mean, error = np.empty((m, WIDTH)), np.empty(n), np.empty(m)
+    for c in range(first, end, WIDTH):
+        _begun(start, p)
+        left = np.zeros((WIDTH, n))
+        for lane in range(min(WIDTH, end - c)):
+            for i in range(ne):
+                left[lane, i] = begun[c + lane, i]
         for k in range(1, rows):
-            _ahead(slopes[k - 1, c], keep, missed[k - 1, c], left, mean)
-            _predicted(slopes[k - 1, c], keep, white, gust, p, moved)
-            for j in range(m):
-                o = observed[j]
-                error[j] = seen[k, c, j] - mean[o]
-                if error[j] * error[j] > gate * gate * (p[o, o] + sensor[j]):
-                    measured[k, c, j] = False
-            _updated(p, sensor, observed, measured[k, c], whitening, gain, room)
-            for i in range(n):
-                left[i] = mean[i] + _dot(gain[i], error)
+            _gather(slopes[k - 1], c, end, a)
+            _predicted(a, keep, white, gust, p, moved)
+            for lane in range(min(WIDTH, end - c)):
+                _ahead(slopes[k - 1, c + lane], keep, missed[k - 1, c + lane], left[lane], mean)
+                for i in range(n):
+                    left[lane, i] = mean[i]
+                for j in range(m):
+                    o = observed[j]
+                    off = seen[k, c + lane, j] - mean[o]
+                    if off * off > gate * gate * (p[o, o, lane] + sensor[j]):
+                        measured[k, c + lane, j] = False
+            _gather_rows(measured[k], c, end, shown)
+            _updated(p, sensor, observed, shown, w, g, half, room)
+            for lane in range(min(WIDTH, end - c)):
+                for j in range(m):
+                    error[j] = seen[k, c + lane, j] - left[lane, observed[j]]
+                for i in range(n):
+                    left[lane, i] += _dot(g[i, :, lane], error)
 
 
 @compiled
@@ -246,49 +340,45 @@ def _ahead(a: Array, keep: Array, missed: Array, left: Array, mean: Array) -> No
 
 @compiled
 def _predicted(a: Array, keep: Array, white: Array, gust: Array, p: Array, moved: Array) -> None:
-    """F P F' and what a step adds, in place; `moved` (ne, n) is room to work in."""
-    ne, n = a.shape
+    """F P F' and what a step adds (n, n, WIDTH), in place; `moved` (ne, n, WIDTH) is room to work in."""
+    ne, n = a.shape[0], a.shape[1]
     d = n - ne
-    for i in range(ne):
-        for j in range(n):
-            moved[i, j] = _dot(a[i], p[j])
+    moved[:] = 0.0
+    _add_product(a, p, 1.0, moved, False)
     for e in range(d):
         for i in range(ne):
-            crossed = moved[i, ne + e] * keep[e]
-            p[i, ne + e] = crossed
-            p[ne + e, i] = crossed
-            moved[i, ne + e] += a[i, ne + e] * white[e]
+            crossed = load(moved[i, ne + e])
+            store(p[i, ne + e], crossed * keep[e])
+            store(p[ne + e, i], crossed * keep[e])
+            store(moved[i, ne + e], crossed + load(a[i, ne + e]) * white[e])
         for f in range(d):
-            p[ne + e, ne + f] *= keep[e] * keep[f]
-        p[ne + e, ne + e] += gust[e]
-    for i in range(ne):
-        for j in range(i + 1):
-            p[i, j] = _dot(moved[i], a[j])
-            p[j, i] = p[i, j]
+            store(p[ne + e, ne + f], load(p[ne + e, ne + f]) * (keep[e] * keep[f]))
+        store(p[ne + e, ne + e], load(p[ne + e, ne + e]) + gust[e])
+    p[:ne, :ne] = 0.0
+    _add_product(moved, a.transpose(1, 0, 2), 1.0, p[:ne, :ne], True)
 
 
 @compiled
 def _inverse_triangle(s: Array, inverse: Array) -> None:
-    """L^-1 of s = L L', of which the lower triangle is read and lost."""
+    """L^-1 of s = L L' (m, m, WIDTH), of which the lower triangle is read and lost."""
     m = len(s)
     for i in range(m):
         for j in range(i):
-            total = s[i, j]
+            total = load(s[i, j])
             for o in range(j):
-                total -= s[i, o] * s[j, o]
-            s[i, j] = total / s[j, j]
-        total = s[i, i]
+                total -= load(s[i, o]) * load(s[j, o])
+            store(s[i, j], total * load(inverse[j, j]))
+        total = load(s[i, i])
         for o in range(i):
-            total -= s[i, o] * s[i, o]
-        s[i, i] = np.sqrt(total)
-    inverse[:] = 0.0
+            total -= load(s[i, o]) * load(s[i, o])
+        store(inverse[i, i], 1.0 / root(total))
     for i in range(m):
-        inverse[i, i] = 1.0 / s[i, i]
         for j in range(i):
-            total = 0.0
+            total = lanes(0.0)
             for o in range(j, i):
-                total -= s[i, o] * inverse[o, j]
-            inverse[i, j] = total * inverse[i, i]
+                total -= load(s[i, o]) * load(inverse[o, j])
+            store(inverse[i, j], total * load(inverse[i, i]))
+            store(inverse[j, i], 0.0)
 
 
 @compiled
@@ -330,7 +420,8 @@ def means(
                 _ahead(slopes[k - 1, c], keep, missed[k - 1, c], left[k - 1, c], p)
             else:
                 p[:] = 0.0
-                p[:ne] = begun[c]
+                for i in range(ne):
+                    p[i] = begun[c, i]
             for j in range(m):
                 errors[k, c, j] = seen[k, c, j] - p[observed[j]]
             for i in range(n):
@@ -368,7 +459,7 @@ def adjoints(
     Args:
         slopes, keep, observed, whitening, gain: Of the pass.
         whitened: Its innovations in standard deviations (T, C, m).
-        left_mean, left: Mean (T, C, n) and covariance (T, C, n, n) after each row.
+        left_mean, left: Mean (T, C, n) and covariance with the disturbances (T, C, n, d) after each row.
         live: Whether a row counts (T, C).
         sensors: Is filled with the slope in the variance of each sensor (C, m).
         struck, gusts, begun: Those in the variance that a step adds to each port and to each disturbance, and that a
@@ -377,125 +468,150 @@ def adjoints(
     """
     rows, _, ne, n = slopes.shape
     m, d = len(observed), n - ne
-    each_mean, each_spread = np.zeros((end - first, n)), np.zeros((end - first, n, n))
-    moved, turned = np.empty(n), np.empty((n, n))
-    v, pulled = np.empty(m), np.empty(m)
-    own, twice, of_gain = np.empty((m, m)), np.empty((m, m)), np.empty((n, m))
-    passed = np.empty((n, m))
-    for part in (sensors, struck, gusts, kept):
-        part[first:end] = 0.0
-    for k in range(rows - 1, 0, -1):
-        for c in range(first, end):
-            mean, spread = each_mean[c - first], each_spread[c - first]
-            w, g, a = whitening[k, c], gain[k, c], slopes[k - 1, c]
-            weight = 0.5 if live[k, c] else 0.0
-            _scores(w, whitened[k, c], v)
-            for i in range(m):
-                for j in range(i + 1):
-                    total = v[i] * v[j]
-                    for o in range(i, m):
-                        total -= w[o, i] * w[o, j]
-                    own[i, j] = weight * total
-                    own[j, i] = own[i, j]
-            pulled[:] = 0.0
-            for i in range(n):
-                of_gain[i] = 0.0
-                for o in range(n):
-                    share = spread[i, o]
-                    for j in range(m):
-                        of_gain[i, j] += share * g[o, j]
-                for j in range(m):
-                    pulled[j] += g[i, j] * mean[i]
-            for j in range(m):
-                total = own[j, j] - pulled[j] * v[j]
-                for i in range(n):
-                    total += g[i, j] * of_gain[i, j]
-                sensors[c, j] += total
-            # before the update: (I - G H)' a and (I - G H)' A (I - G H). I - G H is made first: A - A G H would be
-            # the difference of two large numbers where a sensor is much better than what is predicted
-            for i in range(n):
-                for j in range(m):
-                    passed[i, j] = -g[i, j]
-            for j in range(m):
-                passed[observed[j], j] += 1.0
-            for i in range(n):
-                of_gain[i] = 0.0
-                for o in range(n):
-                    share = spread[i, o]
-                    for j in range(m):
-                        of_gain[i, j] += share * passed[o, j]
-            twice[:] = 0.0
-            pulled[:] = 0.0
-            for o in range(n):
-                for i in range(m):
-                    share = passed[o, i]
-                    pulled[i] += share * mean[o]
-                    for j in range(m):
-                        twice[i, j] += share * of_gain[o, j]
-            for j in range(m):
-                for i in range(n):
-                    spread[i, observed[j]] = of_gain[i, j]
-                    spread[observed[j], i] = of_gain[i, j]
-            for i in range(m):
-                mean[observed[i]] = pulled[i]
-                for j in range(m):
-                    spread[observed[i], observed[j]] = twice[i, j] + own[i, j]
-            for i in range(n):
-                for j in range(m):
-                    crossed = 0.5 * mean[i] * v[j]
-                    spread[i, observed[j]] += crossed
-                    spread[observed[j], i] += crossed
-            for i in range(m):
-                mean[observed[i]] += 2.0 * weight * v[i]
+    mean, spread = np.empty((n, WIDTH)), np.empty((n, n, WIDTH))
+    a, w, g = np.empty((ne, n, WIDTH)), np.empty((m, m, WIDTH)), np.empty((n, m, WIDTH))
+    moved, turned, passed = np.empty((n, WIDTH)), np.empty((n, n, WIDTH)), np.empty((n, m, WIDTH))
+    v, white, pulled, weight = (
+        np.empty((m, WIDTH)),
+        np.empty((m, WIDTH)),
+        np.empty((m, WIDTH)),
+        np.empty(WIDTH),
+    )
+    own, of_passed = np.empty((m, m, WIDTH)), np.empty((n, m, WIDTH))
+    before, mean_before = np.empty((n, d, WIDTH)), np.empty((n, WIDTH))
+    of_sensors, of_ports = np.empty((m, WIDTH)), np.empty((d, WIDTH))
+    of_gusts, of_kept = np.empty((d, WIDTH)), np.empty((d, WIDTH))
+    for c in range(first, end, WIDTH):
+        mean[:], spread[:] = 0.0, 0.0
+        of_sensors[:], of_ports[:], of_gusts[:], of_kept[:] = 0.0, 0.0, 0.0, 0.0
+        for k in range(rows - 1, 0, -1):
+            _gather(whitening[k], c, end, w)
+            _gather(gain[k], c, end, g)
+            _gather(slopes[k - 1], c, end, a)
+            _gather(left[k - 1], c, end, before)
+            _gather_rows(left_mean[k - 1], c, end, mean_before)
+            _gather_rows(whitened[k], c, end, white)
+            for lane in range(WIDTH):
+                weight[lane] = 0.5 if live[k, min(c + lane, end - 1)] else 0.0
+            _row_adjoints(
+                w, g, observed, white, weight, mean, spread, v, own, pulled, passed, of_passed, of_sensors
+            )
             # of the row before: F' a and F' A F
-            for i in range(n):
-                turned[i] = 0.0
-                for o in range(ne):
-                    share = spread[i, o]
-                    for j in range(n):
-                        turned[i, j] += share * a[o, j]
+            turned[:] = 0.0
+            _add_product(spread, a, 1.0, turned, False)
             for e in range(d):
-                total = 0.0
+                port = ne + e
+                total = load(of_ports[e])
                 for i in range(ne):
-                    total += a[i, ne + e] * turned[i, ne + e]
-                struck[c, e] += total
-                gusts[c, e] += spread[ne + e, ne + e]
-            for i in range(n):
-                for e in range(d):
-                    turned[i, ne + e] += spread[i, ne + e] * keep[e]
+                    total += load(a[i, port]) * load(turned[i, port])
+                store(of_ports[e], total)
+                store(of_gusts[e], load(of_gusts[e]) + load(spread[port, port]))
+                for i in range(n):
+                    store(turned[i, port], load(turned[i, port]) + load(spread[i, port]) * keep[e])
             for e in range(d):
-                total = 0.0
+                port = ne + e
+                total = lanes(0.0)
                 for o in range(n):
-                    total += turned[ne + e, o] * left[k - 1, c, o, ne + e]
-                kept[c, e] += 2.0 * total + mean[ne + e] * left_mean[k - 1, c, ne + e]
-            moved[:] = 0.0
-            for o in range(ne):
-                for i in range(n):
-                    moved[i] += a[o, i] * mean[o]
-            for e in range(d):
-                moved[ne + e] += keep[e] * mean[ne + e]
-            mean[:] = moved
+                    total += load(turned[port, o]) * load(before[o, e])
+                lasts = 2.0 * total + load(mean[port]) * load(mean_before[port])
+                store(of_kept[e], load(of_kept[e]) + lasts)
+            for i in range(n):
+                total = load(mean[i]) * keep[i - ne] if i >= ne else lanes(0.0)
+                for o in range(ne):
+                    total += load(a[o, i]) * load(mean[o])
+                store(moved[i], total)
             spread[:] = 0.0
-            for o in range(ne):
-                for i in range(n):
-                    share = a[o, i]
-                    for j in range(n):
-                        spread[i, j] += share * turned[o, j]
             for e in range(d):
                 for j in range(n):
-                    spread[ne + e, j] += keep[e] * turned[ne + e, j]
-            # only one side of it is read above: the asymmetry that rounding makes grows from row to row where sensors
-            # are very precise (a gradient of 1e65 after 500 rows of NeuroBEM)
+                    store(spread[ne + e, j], load(turned[ne + e, j]) * keep[e])
+            # one side alone: the asymmetry that rounding makes of two grows from row to row where sensors are very
+            # precise (a gradient of 1e65 after 500 rows of NeuroBEM)
+            _add_product(a.transpose(1, 0, 2), turned[:ne], 1.0, spread, True)
             for i in range(n):
-                for j in range(i):
-                    both = 0.5 * (spread[i, j] + spread[j, i])
-                    spread[i, j], spread[j, i] = both, both
-    for c in range(first, end):
-        spread = each_spread[c - first]
+                store(mean[i], load(moved[i]))
         for j in range(m):  # a chunk starts as uncertain as its sensors and disturbances
-            sensors[c, j] += spread[observed[j], observed[j]]
-        for e in range(d):
-            begun[c, e] = spread[ne + e, ne + e]
+            store(of_sensors[j], load(of_sensors[j]) + load(spread[observed[j], observed[j]]))
+        for lane in range(min(WIDTH, end - c)):
+            for j in range(m):
+                sensors[c + lane, j] = of_sensors[j, lane]
+            for e in range(d):
+                struck[c + lane, e], gusts[c + lane, e] = of_ports[e, lane], of_gusts[e, lane]
+                kept[c + lane, e], begun[c + lane, e] = of_kept[e, lane], spread[ne + e, ne + e, lane]
+
+
+@compiled
+def _row_adjoints(
+    w: Array,
+    g: Array,
+    observed: Labels,
+    white: Array,
+    weight: Array,
+    mean: Array,
+    spread: Array,
+    v: Array,
+    own: Array,
+    pulled: Array,
+    passed: Array,
+    of_passed: Array,
+    of_sensors: Array,
+) -> None:
+    """The adjoints of the mean (n, WIDTH) and covariance (n, n, WIDTH) before a row's update, from those after it.
+
+    In place: (I - G H)' a and (I - G H)' A (I - G H), and what the row itself says of both.
+
+    Args:
+        w, g, white: Of the row: what whitens (m, m, WIDTH), gain (n, m, WIDTH) and whitened innovation (m, WIDTH).
+        weight: 1/2 where the row counts, else 0 (WIDTH,).
+        v, own, pulled, passed, of_passed: To work in.
+        of_sensors: Slopes in the variance of each sensor (m, WIDTH), which are added to.
+    """
+    n, m = len(mean), len(v)
+    for j in range(m):  # S^-1 e
+        total = lanes(0.0)
+        for o in range(j, m):
+            total += load(w[o, j]) * load(white[o])
+        store(v[j], total)
+    for i in range(m):
+        for j in range(i + 1):
+            total = load(v[i]) * load(v[j])
+            for o in range(i, m):
+                total -= load(w[o, i]) * load(w[o, j])
+            store(own[i, j], total * load(weight))
+            store(own[j, i], total * load(weight))
+    for i in range(n):
+        for j in range(m):
+            store(passed[i, j], (1.0 if i == observed[j] else 0.0) - load(g[i, j]))
+    # I - G H is made first: A - A G H would be the difference of two large numbers where a sensor is much better than
+    # what is predicted
+    of_passed[:] = 0.0
+    _add_product(spread, passed, 1.0, of_passed, False)
+    for j in range(m):
+        at, for_sensor = lanes(0.0), load(own[j, j])
+        total = lanes(0.0)
+        for o in range(n):
+            total += load(g[o, j]) * load(mean[o])
+            # A G H = A - A (I - G H)
+            for_sensor += load(g[o, j]) * (load(spread[o, observed[j]]) - load(of_passed[o, j]))
+            at += load(passed[o, j]) * load(mean[o])
+        store(of_sensors[j], load(of_sensors[j]) + for_sensor - total * load(v[j]))
+        store(pulled[j], at)
+    _add_product(passed.transpose(1, 0, 2), of_passed, 1.0, own, True)
+    for j in range(m):
+        for i in range(n):
+            store(spread[i, observed[j]], load(of_passed[i, j]))
+            store(spread[observed[j], i], load(of_passed[i, j]))
+    for i in range(m):
+        store(mean[observed[i]], load(pulled[i]))
+        for j in range(i + 1):
+            store(spread[observed[i], observed[j]], load(own[i, j]))
+            store(spread[observed[j], observed[i]], load(own[i, j]))
+    for i in range(n):
+        for j in range(m):
+            crossed = 0.5 * load(mean[i]) * load(v[j])
+            store(spread[i, observed[j]], load(spread[i, observed[j]]) + crossed)
+            store(spread[observed[j], i], load(spread[observed[j], i]) + crossed)
+    for i in range(m):
+        store(mean[observed[i]], load(mean[observed[i]]) + 2.0 * load(weight) * load(v[i]))
 
 
 @compiled
@@ -550,8 +666,10 @@ def slopes_in_levels(
             _closed_loop(a, keep, g, observed, back, closed)
             for i in range(n):
                 for e in range(d):
-                    port = ne + e
-                    last = _dot(a[i], left[k, c, port]) if i < ne else keep[i - ne] * left[k, c, i, port]
+                    last = 0.0 if i < ne else keep[i - ne] * left[k, c, i, e]
+                    if i < ne:
+                        for o in range(n):
+                            last += a[i, o] * left[k, c, o, e]
                     carried[i, e] = kept[e] * last
             v[:] = 0.0
             if k:  # no innovation where a chunk starts
@@ -565,7 +683,7 @@ def slopes_in_levels(
                     answered[i] = total
                 for i in range(n):
                     mean[q, i] = _dot(closed[i], answered)
-            across[:] = closed.T
+            _copy(closed.T, across)
             for _ in range(2):  # B 'P B^T, as symmetric 'P: 'P B^T turned is B 'P
                 np.dot(flat, across, room)
                 for q in range(p):
@@ -590,7 +708,7 @@ def slopes_in_levels(
                 lasts[port, port] -= 2.0 * keep[e] * kept[e] * gust[e]
                 mean[m + 2 * d + e, port] += kept[e] * left_mean[k, c, port]
             after = whitening[k + 1, c]
-            after_t[:] = after.T
+            _copy(after.T, after_t)
             for q in range(p):
                 for i in range(m):
                     total = 0.0
@@ -650,12 +768,13 @@ def sensitivities(
                     after[i, q] += columns[r, c, i, q]
                 for q in range(more):
                     after[i, k + q] += a[i, ne + acts[q]] * forces[r, c, q]
-            now[:] = after
+            _copy(after, now)
             if counted[r, c]:
                 for j in range(m):
-                    seen[j] = after[observed[j]]
+                    for q in range(k + more):
+                        seen[j, q] = after[observed[j], q]
                 np.dot(whitening[r, c], seen, white)
-                table[c, r] = white
+                _copy(white, table[c, r])
             else:
                 table[c, r] = 0.0
 
@@ -688,7 +807,7 @@ def step_adjoints(
     for r in range(rows - 1, 0, -1):
         for c in range(first, end):
             after, g, w, a = each[c - first], gain[r, c], whitening[r, c], slopes[r - 1, c]
-            ahead[:] = after
+            _copy(after, ahead)
             for j in range(m):
                 pulled[j] = 0.0
                 for i in range(n):
@@ -703,7 +822,7 @@ def step_adjoints(
             for j in range(m):
                 for b in range(q):
                     ahead[observed[j], b] += pulled[j, b]
-            steps[r - 1, c] = ahead[:ne]
+            _copy(ahead[:ne], steps[r - 1, c])
             for j in range(n):
                 if j < ne:
                     after[j] = 0.0

@@ -65,7 +65,7 @@ def level_slopes(
 def _of_pass(space: StateSpace, levels: Levels, about: Linearisation, at: Pass) -> list[Tensor | list[int]]:
     """What both kernels take of a pass."""
     assert at.covariance is not None
-    found = (at.whitening, at.gain, at.white, at.delta, at.covariance)
+    found = (at.whitening, at.gain, at.white, at.delta, at.covariance[..., -space.nd :])
     return [about.slopes, levels.keep(space.h), space.observed, *found]
 
 

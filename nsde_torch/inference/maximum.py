@@ -7,6 +7,7 @@ and takes on what slopes change by along each step (Broyden, Fletcher, Goldfarb 
 expects it to be. A weak prior holds levels that the data do not show where they started.
 """
 
+from dataclasses import replace
 from math import log
 
 import torch
@@ -46,7 +47,7 @@ _VANISHES = 0.1  # nats that a level has to bring by vanishing, to go down
 _CURVED = 0.01  # of the curvature expected, below which a step shows none
 _DAMPING, _MOST_DAMPING = 0.1, 1e4  # less than the first makes steps hardly longer
 _INFORMING = 500  # rows that the information is made from
-_ENTRIES = 4_000_000  # numbers of a pass with its covariances that are kept at once; longer logs go in parts
+_ENTRIES = 16_000_000  # numbers of a pass with its covariances that are kept at once; longer logs go in parts
 
 
 @torch.no_grad()
@@ -60,8 +61,8 @@ def likeliest(
     *,
     least: float = 0.0,
     rows: int | None = None,
-) -> tuple[Levels, Tensor]:
-    """Levels of larger likelihood than the given ones, or these; and their information.
+) -> tuple[Levels, Tensor, Pass | None]:
+    """Levels of larger likelihood than the given ones, or these; their information, and the pass there if at hand.
 
     Args:
         space: The machine at the values in use, and the log.
@@ -88,13 +89,13 @@ def likeliest(
     split = torch.arange(len(some)).split(at_once)
     parts = [(near.of(part), live[:, part]) for part in split] if len(split) > 1 else [(near, live)]
 
-    def passed(values: Tensor, part: tuple[Linearisation, Tensor], covariances: bool = True) -> Pass:
+    def passed(values: Tensor, part: tuple[Linearisation, Tensor], covariances: int = space.nd) -> Pass:
         return filtered(space, levels.like(values), part[0], start, part[1], covariances=covariances)
 
     def tried(values: Tensor) -> tuple[Pass | None, float]:
         """What is to be large, and the pass where it is a single one."""
         here = passed(values, parts[0]) if len(parts) == 1 else None
-        each = [here] if here else (passed(values, part, covariances=False) for part in parts)
+        each = [here] if here else (passed(values, part, covariances=0) for part in parts)
         total = share * sum(one.total for one in each)
         return here, total - 0.5 * _PRIOR * float((values - prior).square().sum())
 
@@ -168,7 +169,8 @@ def likeliest(
         fresh = False
     if known is None:
         known = information(phi, here)
-    return levels.like(phi), known
+    whole = None if rows is not None or here is None else replace(here, covariance=None)
+    return levels.like(phi), known, whole
 
 
 @torch.no_grad()
@@ -178,7 +180,7 @@ def level_columns(space: StateSpace, levels: Levels, about: Linearisation, start
     for some in torch.arange(space.chunks.count).split(_most(space)):
         check_time()
         near = about.of(some)
-        here = filtered(space, levels, near, start, space.chunks.counted[:, some], covariances=True)
+        here = filtered(space, levels, near, start, space.chunks.counted[:, some], covariances=space.nd)
         out[:, some] = -level_slopes(space, levels, near, here)[0]
     return out
 
@@ -194,7 +196,7 @@ def _curved(known: Tensor, moved: Tensor, bent: Tensor) -> Tensor:
 
 def _most(space: StateSpace) -> int:
     """How many chunks are worked on at once."""
-    return max(1, _ENTRIES // (space.chunks.size * space.n * (len(space.observed) + space.n)))
+    return max(1, _ENTRIES // (space.chunks.size * space.n * (len(space.observed) + space.nd)))
 
 
 def evenly(count: int, most: int) -> Tensor:

@@ -6,24 +6,26 @@ states (`memory_along`), and no state of the filter.
 """
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import final
 
 import torch
 from torch import Tensor
 
 from nsde_torch.arrays import Array
+from nsde_torch.columns import by_column, join_columns, split_columns
 from nsde_torch.effects import Port
 from nsde_torch.inference.chunks import Chunks
 from nsde_torch.inference.low_pass import low_passed
 from nsde_torch.inference.memory import memory_along
 from nsde_torch.inference.steps import Steps
-from nsde_torch.rotation import turned
+from nsde_torch.rotation import body_rates, turned
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
 _SMALL = 1e-6  # differences of states and disturbances
-_SHORT_S = 1e-5  # over which errors of an attitude turn by no more than their rate
+_AT_ONCE = 8000  # rows that are linearised at once
 _ALIKE, _SOME = 0.999, 500  # cosine of pushes from which one of two is enough, and rows that say so
 # of a parameter's scale: differences. With 1e-7 rounding passed for knowledge of how much all motors have lost, and a
 # weak motor of six that four commands drive had a loss of 0 to 1 (tests/inference/test_slopes.py)
@@ -73,15 +75,25 @@ def moved(system: System, x: Tensor, error: Tensor) -> Tensor:
     return torch.cat((x[:, :a] + error[:, :a], attitude, x[:, b:] + error[:, a + 3 :]), 1)
 
 
-def _parted(system: System, x: Tensor, rate: Tensor, y: Tensor, other: Tensor, error: Tensor) -> Tensor:
-    """Rate of the errors (N, ne) of states x from y, from the rates of both (N, nx)."""
-    difference, q = rate - other, system.quaternion
+def _off_in(system: System, x: Tensor, channel: int, by: float) -> Tensor:
+    """States (N, nx) that are off in one error channel."""
+    q = system.quaternion
+    if q is None or not q.start <= channel < q.start + 3:
+        out = by_column(x)
+        out[:, channel if q is None or channel < q.start else channel + 1] += by
+        return out
+    turn = by * torch.eye(3, dtype=x.dtype)[channel - q.start]
+    before, attitude, after = split_columns(x, q.start, q.stop - q.start, x.shape[1] - q.stop)
+    return join_columns((before, turned(attitude, turn[None]), after))
+
+
+def _error_rate(system: System, x: Tensor, rate: Tensor) -> Tensor:
+    """Rates of states (N, nx) in error channels (N, ne): of an attitude, its body rates [rad/s]."""
+    q = system.quaternion
     if q is None:
-        return difference
-    moved_on = system.error(system.project(x + _SHORT_S * rate), system.project(y + _SHORT_S * other))
-    attitude = slice(q.start, q.start + 3)
-    turns = (moved_on[:, attitude] - error[:, attitude]) / _SHORT_S
-    return torch.cat((difference[:, : q.start], turns, difference[:, q.stop :]), 1)
+        return rate
+    before, turns, after = split_columns(rate, q.start, q.stop - q.start, rate.shape[1] - q.stop)
+    return join_columns((before, body_rates(x[:, q], turns), after))
 
 
 def _rows(values: Tensor) -> Tensor:
@@ -175,13 +187,15 @@ class StateSpace:
             out[rows] = 0.5 * (before + after)
         return self.chunks.cut(out)
 
-    def rate(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor, d: Tensor) -> Tensor:
-        """Rates of states (N, nx), pushed by d (N or 1, nd)."""
-        return self._of_rows(self._rate, t, x, memory, u, d)
+    def rate(
+        self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor, push: Mapping[Port, Tensor] | None = None
+    ) -> Tensor:
+        """Rates of states (N, nx), all under the same forces (1, width of the port), if any."""
+        return self._of_rows(partial(self._rate, push or {}), t, x, memory, u)
 
     def step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor) -> Tensor:
         """States (N, nx) an undisturbed step later; Runge and Kutta's fourth order."""
-        return self._of_rows(self._step, t, x, memory, u, x.new_zeros(1, self.nd))
+        return self._of_rows(self._step, t, x, memory, u)
 
     def _of_rows(self, function: Callable[..., Tensor], t: Tensor, x: Tensor, *rows: Tensor) -> Tensor:
         """A function of rows at the values in use, which may differ from stretch to stretch."""
@@ -197,17 +211,17 @@ class StateSpace:
         after: Tensor = torch.func.vmap(one)(theta, t, x, *whole)
         return after
 
-    def _rate(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor, d: Tensor) -> Tensor:
-        system = self.vector.system
-        forces = forces_on(system, self.disturbances, d.expand(len(x), -1))
-        return system.drift(t, torch.cat((x, memory), 1), u, forces)[:, : self.nx]
+    def _rate(self, push: Mapping[Port, Tensor], t: Tensor, x: Tensor, memory: Tensor, u: Tensor) -> Tensor:
+        forces = {port: force.expand(len(x), -1) for port, force in push.items()}
+        z = join_columns((x, memory)) if memory.shape[1] else x
+        return self.vector.system.drift(t, z, u, forces)[:, : self.nx]
 
-    def _step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor, d: Tensor) -> Tensor:
-        system, h, late = self.vector.system, self.h, self.logged_h
-        k1 = self._rate(t, x, memory, u, d)
-        k2 = self._rate(t + 0.5 * late, system.project(x + 0.5 * h * k1), memory, u, d)
-        k3 = self._rate(t + 0.5 * late, system.project(x + 0.5 * h * k2), memory, u, d)
-        k4 = self._rate(t + late, system.project(x + h * k3), memory, u, d)
+    def _step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor) -> Tensor:
+        system, h, late, rate = self.vector.system, self.h, self.logged_h, partial(self._rate, {})
+        k1 = rate(t, x, memory, u)
+        k2 = rate(t + 0.5 * late, system.project(x + 0.5 * h * k1), memory, u)
+        k3 = rate(t + 0.5 * late, system.project(x + 0.5 * h * k2), memory, u)
+        k4 = rate(t + late, system.project(x + h * k3), memory, u)
         return system.project(x + (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4))
 
     def shifted(self, x: Tensor, error: Tensor) -> Tensor:
@@ -230,30 +244,58 @@ class StateSpace:
 
         With A and B those of the rate in the middle of the step, exp(h A) and h (1 + h A / 2 + ...) B to fourth order.
         """
-        system, after = self.vector.system, self.after(x)
+        after = self.after(x)
         middle = _rows(self.midway(x, after))
         t, memory, u = self._in_the_middle()
-        offset = torch.zeros(1, self.n, dtype=x.dtype)
-        base = self.rate(t, middle, memory, u, offset[:, self.ne :])
-        pushed = middle.new_empty(len(middle), self.ne, self.n)  # h A, h B
-        for j in range(self.n):
-            offset.zero_()[0, j] = _SMALL
-            error = offset[:, : self.ne].expand(len(middle), -1)
-            there = moved(system, middle, error) if j < self.ne else middle
-            rate = self.rate(t, there, memory, u, offset[:, self.ne :])
-            pushed[..., j] = self.h / _SMALL * _parted(system, there, rate, middle, base, error)
-        a = pushed[..., : self.ne]
+        slopes = x.new_empty(len(middle), self.ne, self.n)
         eye = torch.eye(self.ne, dtype=x.dtype)
-        mean = torch.baddbmm(eye, a, eye + 0.25 * a, alpha=1.0 / 3.0)
-        mean = torch.baddbmm(eye, a, mean, alpha=0.5)
-        slopes = mean @ pushed
+        for rows in self._blocks():
+            here = t[rows], memory[rows], u[rows]
+            pushed = self._pushed_by(middle[rows], *here, range(self.n))  # h A, h B
+            a = pushed[..., : self.ne]
+            mean = torch.baddbmm(eye, a, eye + 0.25 * a, alpha=1.0 / 3.0)
+            mean = torch.baddbmm(eye, a, mean, alpha=0.5)
+            slopes[rows] = mean @ pushed
         slopes[..., : self.ne] += eye
         return slopes.view(*x.shape[:2], self.ne, self.n), after
+
+    def _pushed_by(self, x: Tensor, t: Tensor, memory: Tensor, u: Tensor, which: Sequence[int]) -> Tensor:
+        """What a step does (N, ne, k) per error of the state, or per force of a disturbance, at the rates of rows.
+
+        Args:
+            which: Numbers of the errors, and behind them of the disturbances.
+        """
+        system, q = self.vector.system, self.vector.system.quaternion
+        base = _error_rate(system, x, self.rate(t, x, memory, u))
+        out = x.new_empty(len(which), self.ne, len(x))
+        for i, j in enumerate(which):
+            push = self._push(j - self.ne, _SMALL) if j >= self.ne else {}
+            there = x if push else _off_in(system, x, j, _SMALL)
+            rate = _error_rate(system, there, self.rate(t, there, memory, u, push))
+            torch.sub(rate.T, base.T, out=out[i])
+            if q is not None and q.start <= j < q.start + 3:  # e' = w_x - w_y + e x w_y, to first order
+                turns = slice(q.start, q.start + 3)
+                turn = _SMALL * torch.eye(3, dtype=x.dtype)[j - q.start].expand(len(x), 3)
+                out[i, turns] += torch.linalg.cross(turn, base[:, turns]).T
+        return out.mul_(self.h / _SMALL).permute(2, 1, 0).contiguous()
+
+    def _push(self, disturbance: int, by: float) -> dict[Port, Tensor]:
+        """The force (1, width of the port) of a disturbance."""
+        port, column = self.disturbances[disturbance]
+        force = torch.zeros(1, self.vector.system.ports[port], dtype=torch.float64)
+        force[0, column] = by
+        return {port: force}
+
+    def _blocks(self) -> Iterator[slice]:
+        """Rows (T C,) of which tables stay in the cache, in order; each has all chunks."""
+        count, size = self.chunks.count, self.chunks.size
+        step = max(1, _AT_ONCE // count)
+        return (slice(a * count, min(a + step, size) * count) for a in range(0, size, step))
 
     def rates(self, middle: Tensor) -> Tensor:
         """Undisturbed rates (T C, nx) at states in the middle of the steps (T, C, nx)."""
         t, memory, u = self._in_the_middle()
-        return self.rate(t, _rows(middle), memory, u, middle.new_zeros(1, self.nd))
+        return self.rate(t, _rows(middle), memory, u)
 
     def columns(
         self,
@@ -277,13 +319,12 @@ class StateSpace:
         """
         system, v = self.vector.system, self.vector
         there = self.midway(x, after)
-        base, middle = self.rates(there), _rows(there)
+        middle, base = _rows(there), _error_rate(system, _rows(there), self.rates(there))
         t, memory, u = self._in_the_middle()
-        still, none = middle.new_zeros(1, self.nd), middle.new_zeros(1, self.ne)
         first = 0 if beside is None else 1
-        out = base.new_empty(len(middle), self.ne, first + len(which))
+        out = base.new_empty(first + len(which), self.ne, len(middle))
         if beside is not None:
-            out[..., 0] = self.h * _parted(system, middle, base, middle, beside, none)
+            torch.sub(base.T, _error_rate(system, middle, beside).T, out=out[0]).mul_(self.h)
         for i, j in enumerate(which, first):
             remembers = v.moves_memory[j] and system.nz > system.nx
             by = _SHARE * float(v.scale[j])
@@ -291,23 +332,16 @@ class StateSpace:
             theta[..., j] += by
             self._take(theta)
             held = _rows(self._memory()) if remembers else memory
-            rate = self.rate(t, middle, held, u, still)
-            out[..., i] = self.h / by * _parted(system, middle, rate, middle, base, none)
+            rate = _error_rate(system, middle, self.rate(t, middle, held, u))
+            torch.sub(rate.T, base.T, out=out[i]).mul_(self.h / by)
         self._take(self.theta)
-        return self.passed(self._to_the_end(out, slopes))
+        return self.passed(self._to_the_end(out.permute(2, 1, 0).contiguous(), slopes))
 
     def pushed(self, x: Tensor, slopes: Tensor, after: Tensor | None = None) -> Tensor:
         """What unit forces on the disturbed ports do to a step (T, C, ne, nd), not yet `passed`; see `columns`."""
-        there = self.midway(x, after)
-        base, middle = self.rates(there), _rows(there)
         t, memory, u = self._in_the_middle()
-        none, out = middle.new_zeros(1, self.ne), middle.new_empty(len(middle), self.ne, self.nd)
-        for j in range(self.nd):
-            force = middle.new_zeros(1, self.nd)
-            force[0, j] = _SMALL
-            rate = self.rate(t, middle, memory, u, force)
-            out[..., j] = self.h / _SMALL * _parted(self.vector.system, middle, rate, middle, base, none)
-        return self._to_the_end(out, slopes)
+        middle = _rows(self.midway(x, after))
+        return self._to_the_end(self._pushed_by(middle, t, memory, u, range(self.ne, self.n)), slopes)
 
     def _to_the_end(self, moved: Tensor, slopes: Tensor) -> Tensor:
         """What a step does (T C, ne, k), of the rate in its middle, carried to its end (T, C, ne, k)."""

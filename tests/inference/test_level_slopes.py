@@ -26,7 +26,7 @@ def flight() -> LogLikelihood:
 
 def passed(problem: LogLikelihood, levels: Levels, about: Linearisation) -> Pass:
     live = problem.space.chunks.counted
-    return filtered(problem.space, levels, about, problem.start, live, covariances=True)
+    return filtered(problem.space, levels, about, problem.start, live, covariances=problem.space.nd)
 
 
 @pytest.mark.parametrize("of", ["spring", "flight"])
@@ -97,7 +97,7 @@ def test_the_score_holds_over_long_chunks_of_precise_sensors(precise: float) -> 
         whitening, gain, spread = (
             np.zeros((rows, 1, 3, 3)),
             np.zeros((rows, 1, 6, 3)),
-            np.zeros((rows, 1, 6, 6)),
+            np.zeros((rows, 1, 6, 2)),
         )
         none = np.zeros((0, 0, 0), bool)
         kernels.covariances(

@@ -23,6 +23,7 @@ nobody declared would else be learned as a function of the state.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations, groupby, pairwise
 from math import log
 
@@ -34,7 +35,7 @@ from scipy.stats import chi2
 from nsde_torch.arrays import Array, Labels
 from nsde_torch.inference.estimate import Optimum
 from nsde_torch.inference.filtering import Pass, filtered, forced, with_parameters
-from nsde_torch.inference.force_scores import FunctionScores, force_scores
+from nsde_torch.inference.force_scores import ForceScores, FunctionScores, force_scores, made_force_scores
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.maximum import likeliest
 from nsde_torch.inference.sensitivity import Grams, grams, inverted, solved
@@ -316,6 +317,7 @@ class _Choice:
         self._optimum, self._ports, self._most = at, list(ports), most
         self._variables, self._among = variables, among
         self._all = self._few = _View(at, variables)
+        self._scores: ForceScores | None = None  # beside what was chosen under noise levels before
         self._scored: _View | None = None  # of the rows that scores are of
         if among is None and self._all.about.x.shape[:2].numel() > _SCREENED:
             self._few = _View(at, variables, _SCREENED)
@@ -324,6 +326,7 @@ class _Choice:
         self._scaled = {name: _scale(v) for name, v in live.items() if np.ptp(v) > 1e-9}
         self._levels = at.levels
         self._chances: dict[BasisGroup, float] = {}
+        self._inflated: tuple[Levels, float] | None = None
 
     def made(self) -> Functions:
         """See `learned`."""
@@ -391,17 +394,19 @@ class _Choice:
 
     def _inflation(self) -> float:
         """How far scores of the declared parameters scatter over blocks beyond what they should (`Grams.inflation`)."""
-        blocks, _, _ = self._all.blocks([], self._levels, self._scaled)
-        count = blocks.shape[1] - 1
-        return Grams(blocks, 0, count).inflation(np.arange(count))
+        if self._inflated is None or self._inflated[0] is not self._levels:
+            blocks, _, _ = self._all.blocks([], self._levels, self._scaled)
+            count = blocks.shape[1] - 1
+            self._inflated = self._levels, Grams(blocks, 0, count).inflation(np.arange(count))
+        return self._inflated[1]
 
     def _shows(self, group: BasisGroup) -> bool:
-        """Whether scores show any trace of a group; it is not asked where groups are given, or noise levels changed."""
-        if self._among is not None or self._levels is not self._optimum.levels:
+        """Whether scores show any trace of a group; it is not asked where groups are given."""
+        if self._among is not None:
             return True
         if group not in self._chances:
             check_time()
-            forces = force_scores(self._optimum)
+            forces = self._scores or force_scores(self._optimum)
             if self._scored is None:
                 whole = forces.at is self._optimum
                 self._scored = self._all if whole else _View(forces.at, self._variables)
@@ -434,14 +439,17 @@ class _Choice:
 
         So those that brought less before than the best bring now are left as they were.
         """
+        width = partial(_width, view=self._few, scaled=self._scaled)
         out = self._gains(self._few, [g for g in groups if g not in before], chosen)
         rest = sorted((g for g in groups if g in before), key=lambda g: -before[g][0])
         while rest:
             best = sorted((nats for nats, _ in out.values()), reverse=True)[:_JUDGED]
             if len(best) == _JUDGED and before[rest[0]][0] < best[-1]:
                 break
-            out |= self._gains(self._few, rest[:_JUDGED], chosen)
-            rest = rest[_JUDGED:]
+            # as many as one recursion takes: what was chosen is a part of each, and soon the larger one
+            count = max(1, int(np.searchsorted(np.cumsum([width(g) for g in rest]), _AT_ONCE, "right")))
+            out |= self._gains(self._few, rest[:count], chosen)
+            rest = rest[count:]
         return out | {g: before[g] for g in rest}
 
     def _gains(
@@ -600,7 +608,7 @@ class _Choice:
         return space.chunks.blocks(torch.stack([rows[a:b].sum(0) for a, b in space.chunks.parts]))
 
     def _relevelled(self, found: Functions) -> Levels:
-        """Noise levels beside the functions."""
+        """Noise levels beside the functions, and what scores say beside these."""
         space, about = self._optimum.of.space, self._optimum.about
         at = space.theta.numpy().copy()
         space.use(found.theta)
@@ -613,6 +621,12 @@ class _Choice:
         about = replace(about, missed=about.missed + push)
         start = self._optimum.of.start
         levels, _, _ = likeliest(space, self._levels, self._levels, about, start, rows=_SCREENED)
+        of = self._optimum.of.some(
+            torch.arange(space.chunks.count)
+        )  # which keeps the pass beside the functions
+        passed = filtered(space, levels, about, start, space.chunks.counted)
+        self._scores = made_force_scores(Optimum(of, levels, about, passed, self._optimum.free))
+        self._chances = {}
         space.use(at)
         return levels
 

@@ -209,6 +209,7 @@ class LogLikelihood:
         disturbances: tuple[tuple[Port, int], ...] | None = None,
     ) -> None:
         self._unknown = inferred_columns(system, runs)
+        self._floor: Tensor | None = None  # `StateSpace.least_sensor`
         self.passes, self.scores = Latest[tuple[Linearisation, Pass]](), Latest[Any]()
         shortest, fewest = (_SHORTEST_OF_STATES, 1) if states else (_SHORTEST, _FEWEST)
         steps = steps_of(
@@ -274,8 +275,10 @@ class LogLikelihood:
         every = [max(self._least, self._apart.get(names[i], 1)) for i in observed]
         band = {i: self._band[name] for i, name in enumerate(names) if name in self._band}
         self.space = StateSpace(self.vector, steps, chunks, observed, every, band, disturbances)
-        change = inner.error(chunks.y[1:], chunks.y[:-1]).square().flatten(0, -2).mean(0).sqrt()[observed]
-        self.space.least_sensor = torch.log((ARITHMETIC * change).clamp_min(1e-300))
+        if self._floor is None:  # of the same rows it is the same, whatever the physics is
+            change = inner.error(chunks.y[1:], chunks.y[:-1]).square().flatten(0, -2).mean(0).sqrt()[observed]
+            self._floor = torch.log((ARITHMETIC * change).clamp_min(1e-300))
+        self.space.least_sensor = self._floor
         std = torch.ones(self.space.ne, dtype=torch.float64)
         for j, value in unknown.items():
             std[inner.error_names.index(inner.state_names[j])] = _UNKNOWN * value

@@ -82,7 +82,8 @@ def likeliest(
     phi = torch.minimum(torch.maximum(phi, low), high)
     at_once = _most(space)
     some = evenly(space.chunks.count, space.chunks.count if rows is None else _chunks_of(space, rows))
-    near, live = about.of(some), space.chunks.counted[:, some]
+    near = about if len(some) == space.chunks.count else about.of(some)
+    live = space.chunks.counted[:, some]
     share = float(space.chunks.counted.sum() / live.sum().clamp_min(1))
     few = evenly(len(some), _chunks_of(space, _INFORMING))
     inflated = float(live.sum() / live[:, few].sum().clamp_min(1)) * share

@@ -226,7 +226,7 @@ def test_a_line_is_no_wider_than_the_terminal(monkeypatch: pytest.MonkeyPatch) -
         def isatty(self) -> bool:
             return True
 
-    monkeypatch.setattr("shutil.get_terminal_size", lambda: os.terminal_size((60, 24)))
+    monkeypatch.setattr("shutil.get_terminal_size", lambda fallback=(80, 24): os.terminal_size((60, 24)))
     stream = Terminal()
     stages = Stages(stream)
     stages.known("motor_lag (+812 nats), linear_drag (+230 nats), wind (+40 nats)", None)

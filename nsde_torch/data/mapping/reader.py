@@ -43,7 +43,7 @@ class LogFile:
     index: int = 1  # which log of the file, from 1
 
     def open(self, clock: ClockOf | None = None) -> StreamLog:
-        """The streams; tables are told how they give the time, other formats say so themselves."""
+        """The streams; a table needs `clock` for its time, other formats have it themselves."""
         given: dict[str, Any] = {"clock": clock} if self.kind == "table" else {}
         if self.kind == "betaflight":
             given["index"] = self.index

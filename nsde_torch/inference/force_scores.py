@@ -160,13 +160,10 @@ class ForceScores:
 def force_scores(at: Optimum) -> ForceScores:
     """Scores of all forces at an optimum; those of the last one are kept."""
     known: ForceScores | None = at.of.scores.of(at)
-    return at.of.scores.keep(at, made_force_scores(at)) if known is None else known
-
-
-def made_force_scores(at: Optimum) -> ForceScores:
-    """The same; they are made anew and not kept."""
-    part = at.of.part(_ROWS)
-    return _force_scores(at if part is None else at.some(part))
+    if known is None:
+        part = at.of.part(_ROWS)
+        known = at.of.scores.keep(at, _force_scores(at if part is None else at.some(part)))
+    return known
 
 
 @torch.no_grad()

@@ -23,7 +23,6 @@ nobody declared would else be learned as a function of the state.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import combinations, groupby, pairwise
 from math import log
 
@@ -35,7 +34,7 @@ from scipy.stats import chi2
 from nsde_torch.arrays import Array, Labels
 from nsde_torch.inference.estimate import Optimum
 from nsde_torch.inference.filtering import Pass, filtered, forced, with_parameters
-from nsde_torch.inference.force_scores import ForceScores, FunctionScores, force_scores, made_force_scores
+from nsde_torch.inference.force_scores import FunctionScores, force_scores
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.maximum import likeliest
 from nsde_torch.inference.sensitivity import Grams, grams, inverted, solved
@@ -317,7 +316,7 @@ class _Choice:
         self._optimum, self._ports, self._most = at, list(ports), most
         self._variables, self._among = variables, among
         self._all = self._few = _View(at, variables)
-        self._scores: ForceScores | None = None  # beside what was chosen under noise levels before
+        self._beside_chosen = at  # what scores are of: with what was chosen under noise levels before
         self._scored: _View | None = None  # of the rows that scores are of
         if among is None and self._all.about.x.shape[:2].numel() > _SCREENED:
             self._few = _View(at, variables, _SCREENED)
@@ -339,6 +338,8 @@ class _Choice:
             if not chosen or len(chosen) == before:
                 break
             self._levels = self._relevelled(self._solved(self._fitted(chosen)))
+        space = self._optimum.of.space
+        space.use(space.theta.numpy())  # scores beside what was chosen are at another theta
         return self._judged(self._fitted(chosen))
 
     def density(self) -> Array:
@@ -406,9 +407,9 @@ class _Choice:
             return True
         if group not in self._chances:
             check_time()
-            forces = self._scores or force_scores(self._optimum)
+            forces = force_scores(self._beside_chosen)
             if self._scored is None:
-                whole = forces.at is self._optimum
+                whole = forces.at is self._beside_chosen
                 self._scored = self._all if whole else _View(forces.at, self._variables)
             values = self._scored.force(group, self._scaled).transpose(0, 1).numpy()
             self._chances[group] = log_chance(forces.of_rows(values, group.port))
@@ -439,17 +440,16 @@ class _Choice:
 
         So those that brought less before than the best bring now are left as they were.
         """
-        width = partial(_width, view=self._few, scaled=self._scaled)
         out = self._gains(self._few, [g for g in groups if g not in before], chosen)
         rest = sorted((g for g in groups if g in before), key=lambda g: -before[g][0])
         while rest:
             best = sorted((nats for nats, _ in out.values()), reverse=True)[:_JUDGED]
             if len(best) == _JUDGED and before[rest[0]][0] < best[-1]:
                 break
-            # as many as one recursion takes: what was chosen is a part of each, and soon the larger one
-            count = max(1, int(np.searchsorted(np.cumsum([width(g) for g in rest]), _AT_ONCE, "right")))
-            out |= self._gains(self._few, rest[:count], chosen)
-            rest = rest[count:]
+            # what was chosen is a part of each recursion, and soon the larger one
+            some = self._at_once(self._few, rest)
+            out |= self._gains(self._few, some, chosen)
+            rest = rest[len(some) :]
         return out | {g: before[g] for g in rest}
 
     def _gains(
@@ -457,14 +457,11 @@ class _Choice:
     ) -> dict[BasisGroup, tuple[float, float]]:
         """Held-out nats of each group beside those chosen, and their standard errors."""
         out: dict[BasisGroup, tuple[float, float]] = {}
-        widths = [_width(g, view, self._scaled) for g in groups]
-        first, before, ridge = 0, np.zeros(0), list[float]()
-        while first < len(groups):
+        rest, before, ridge = groups, np.zeros(0), list[float]()
+        while rest:
             check_time()
-            last, total = first, 0
-            while last < len(groups) and (total == 0 or total + widths[last] <= _AT_ONCE):
-                total, last = total + widths[last], last + 1
-            some = groups[first:last]
+            some = self._at_once(view, rest)
+            rest = rest[len(some) :]
             blocks, slices, _ = view.blocks(chosen, self._levels, self._scaled, some)
             kept, own = slices[: len(chosen)], slices[len(chosen) :]
             if not len(before):  # without any of them
@@ -475,8 +472,16 @@ class _Choice:
                 after = self._beside(view, blocks, kept, ridge, columns)[0]
                 for k, won in zip(alike, before - after, strict=True):
                     out[some[k]] = float(won.sum()), float(won.std() * len(won) ** 0.5)
-            first = last
         return out
+
+    def _at_once(self, view: _View, groups: Sequence[BasisGroup]) -> Sequence[BasisGroup]:
+        """As many of the first groups as one recursion takes, one at least."""
+        total = 0
+        for count, group in enumerate(groups):
+            total += _width(group, view, self._scaled)
+            if count and total > _AT_ONCE:
+                return groups[:count]
+        return groups
 
     # ---- linear algebra ---------------------------------------------------------------------------------
 
@@ -608,7 +613,7 @@ class _Choice:
         return space.chunks.blocks(torch.stack([rows[a:b].sum(0) for a, b in space.chunks.parts]))
 
     def _relevelled(self, found: Functions) -> Levels:
-        """Noise levels beside the functions, and what scores say beside these."""
+        """Noise levels beside the functions; scores are of what is left by these from then on."""
         space, about = self._optimum.of.space, self._optimum.about
         at = space.theta.numpy().copy()
         space.use(found.theta)
@@ -621,11 +626,10 @@ class _Choice:
         about = replace(about, missed=about.missed + push)
         start = self._optimum.of.start
         levels, _, _ = likeliest(space, self._levels, self._levels, about, start, rows=_SCREENED)
-        of = self._optimum.of.some(
-            torch.arange(space.chunks.count)
-        )  # which keeps the pass beside the functions
+        # all chunks of the likelihood again, which keep the pass beside the functions for themselves
+        of = self._optimum.of.some(torch.arange(space.chunks.count))
         passed = filtered(space, levels, about, start, space.chunks.counted)
-        self._scores = made_force_scores(Optimum(of, levels, about, passed, self._optimum.free))
+        self._beside_chosen = Optimum(of, levels, about, passed, self._optimum.free)
         self._chances = {}
         space.use(at)
         return levels

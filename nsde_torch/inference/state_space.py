@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.arrays import Array
-from nsde_torch.columns import by_column, join_columns, split_columns
+from nsde_torch.columns import join_columns, split_columns
 from nsde_torch.effects import Port
 from nsde_torch.inference.chunks import Chunks
 from nsde_torch.inference.low_pass import low_passed
@@ -66,25 +66,13 @@ def forces_on(system: System, disturbances: Sequence[tuple[Port, int]], values: 
 
 
 def moved(system: System, x: Tensor, error: Tensor) -> Tensor:
-    """States (N, nx) moved by errors (N, ne)."""
+    """States (N, nx) moved by errors (N or 1, ne)."""
     q = system.quaternion
     if q is None:
         return x + error
     a, b = q.start, q.stop
     attitude = turned(x[:, a:b], error[:, a : a + 3])
-    return torch.cat((x[:, :a] + error[:, :a], attitude, x[:, b:] + error[:, a + 3 :]), 1)
-
-
-def _off_in(system: System, x: Tensor, channel: int, by: float) -> Tensor:
-    """States (N, nx) that are off in one error channel."""
-    q = system.quaternion
-    if q is None or not q.start <= channel < q.start + 3:
-        out = by_column(x)
-        out[:, channel if q is None or channel < q.start else channel + 1] += by
-        return out
-    turn = by * torch.eye(3, dtype=x.dtype)[channel - q.start]
-    before, attitude, after = split_columns(x, q.start, q.stop - q.start, x.shape[1] - q.stop)
-    return join_columns((before, turned(attitude, turn[None]), after))
+    return join_columns((x[:, :a] + error[:, :a], attitude, x[:, b:] + error[:, a + 3 :]))
 
 
 def _error_rate(system: System, x: Tensor, rate: Tensor) -> Tensor:
@@ -269,22 +257,20 @@ class StateSpace:
         base = _error_rate(system, x, self.rate(t, x, memory, u))
         out = x.new_empty(len(which), self.ne, len(x))
         for i, j in enumerate(which):
-            push = self._push(j - self.ne, _SMALL) if j >= self.ne else {}
-            there = x if push else _off_in(system, x, j, _SMALL)
+            error, there = x.new_zeros(1, self.ne), x
+            push: Mapping[Port, Tensor] = {}
+            if j < self.ne:
+                error[0, j] = _SMALL
+                there = moved(system, x, error)
+            else:
+                acts = self.disturbances[j - self.ne : j - self.ne + 1]
+                push = forces_on(system, acts, x.new_full((1, 1), _SMALL))
             rate = _error_rate(system, there, self.rate(t, there, memory, u, push))
             torch.sub(rate.T, base.T, out=out[i])
-            if q is not None and q.start <= j < q.start + 3:  # e' = w_x - w_y + e x w_y, to first order
+            if q is not None:  # e' = w_x - w_y + e x w_y, to first order
                 turns = slice(q.start, q.start + 3)
-                turn = _SMALL * torch.eye(3, dtype=x.dtype)[j - q.start].expand(len(x), 3)
-                out[i, turns] += torch.linalg.cross(turn, base[:, turns]).T
+                out[i, turns] += torch.linalg.cross(error[:, turns].expand(len(x), 3), base[:, turns]).T
         return out.mul_(self.h / _SMALL).permute(2, 1, 0).contiguous()
-
-    def _push(self, disturbance: int, by: float) -> dict[Port, Tensor]:
-        """The force (1, width of the port) of a disturbance."""
-        port, column = self.disturbances[disturbance]
-        force = torch.zeros(1, self.vector.system.ports[port], dtype=torch.float64)
-        force[0, column] = by
-        return {port: force}
 
     def _blocks(self) -> Iterator[slice]:
         """Rows (T C,) of which tables stay in the cache, in order; each has all chunks."""

@@ -239,8 +239,9 @@ def _moved(at: Optimum, columns: Tensor) -> Array:
     space, about, here = at.of.space, at.about, at.at
     rows, count, m = here.white.shape
     k = columns.shape[-1]
-    table, none = np.zeros((count, rows - 1, m, k)), np.zeros((rows - 1, count, 0))
-    read = (about.slopes[:-1], at.levels.keep(space.h), space.observed, here.gain[:-1], here.whitening[1:])
+    table, none = np.zeros((count, rows, m, k)), np.zeros((rows - 1, count, 0))
+    place = np.where(space.chunks.counted[1:].numpy(), np.arange(1, rows)[:, None], -1)
+    read = (about.slopes[:-1], at.levels.keep(space.h), space.observed, here.gain[:-1], here.whitening[1:], place)
     does = (columns[:-1], none, np.zeros(0, dtype=np.int64), np.zeros((count, space.n, k)))
-    kernels.in_parts(kernels.sensitivities, rows - 1, count, *read, space.chunks.counted[1:], *does, table)
-    return np.concatenate((np.zeros((1, count, m, k)), table.transpose(1, 0, 2, 3)))
+    kernels.in_parts(kernels.sensitivities, rows - 1, count, *read, *does, 0, table)
+    return table.transpose(1, 0, 2, 3)

@@ -23,6 +23,7 @@ nobody declared would else be learned as a function of the state.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations, groupby, pairwise
 from math import log
 
@@ -37,7 +38,7 @@ from nsde_torch.inference.filtering import Pass, filtered, forced, with_paramete
 from nsde_torch.inference.force_scores import FunctionScores, force_scores
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.maximum import likeliest
-from nsde_torch.inference.sensitivity import Grams, grams, inverted, solved
+from nsde_torch.inference.sensitivity import Grams, Rows, grams, grams_beside, inverted, rows_of, solved
 from nsde_torch.inference.smooth import EXTENDED, Kind, Scale, functions
 from nsde_torch.inference.state_space import StateSpace
 from nsde_torch.systems import System
@@ -212,6 +213,8 @@ class _View:
             own = own[np.argsort(firsts[own], kind="stable")]
             self.fold[own] = np.arange(len(own)) * _FOLDS // len(own)
         self._turns: tuple[Levels, dict[BasisGroup, Array]] | None = None
+        self._keeps = int(self.space.chunks.counted.sum()) <= 2 * _SCREENED
+        self._rows: tuple[tuple[BasisGroup, ...], Rows] | None = None
 
     def at(self, levels: Levels) -> Pass:
         """The pass under some noise levels."""
@@ -238,14 +241,15 @@ class _View:
     ) -> tuple[Array, list[slice], list[Array]]:
         """Gram matrices by block of [e, theta, groups], columns of each group, and what these are of its functions.
 
-        Groups `apart` come after the others; products of one with another of them are 0.
+        Groups `apart` come after the others; products of one with another of them are 0. Rows of the others are kept
+        where they are few: what was chosen is soon the larger part of each recursion.
 
         Directions of a group that the declared parameters can do already are left out: what is left of them is
         rounding, and weights of it could be anything.
         """
         together, groups = len(groups), [*groups, *apart]
         if self._turns is None or self._turns[0] is not levels:
-            self._turns = levels, {}
+            self._turns, self._rows = (levels, {}), None
         known_turns = self._turns[1]
         begun = [known_turns.get(g) for g in groups]
         each = [
@@ -253,12 +257,18 @@ class _View:
             for g, turn in zip(groups, begun, strict=True)
         ]
         ends = np.cumsum([1, self.base.shape[-1], *(force.shape[-1] for force in each)])
-        forces = []
-        for port, some in groupby(zip(groups, each, strict=True), lambda pair: pair[0].port):
-            forces.append((port, torch.cat([force for _, force in some], -1)))
         own, theta = [slice(a, b) for a, b in pairwise(ends[1:].tolist())], int(ends[1])
         parted = own[together:]
-        held = grams(self.space, levels, self.about, self.at(levels), self.base, forces=forces, apart=parted)
+        on_ports = partial(_on_ports, groups, each)
+        of = self.space, levels, self.about, self.at(levels)
+        if apart and self._keeps and all(turn is not None for turn in begun[:together]):
+            fixed = tuple(groups[:together])
+            if self._rows is None or self._rows[0] != fixed:
+                self._rows = None  # before others take its place
+                self._rows = fixed, rows_of(*of, self.base, on_ports(0, together))
+            held = grams_beside(self._rows[1], *of, on_ports(together, len(groups)), parted)
+        else:
+            held = grams(*of, self.base, forces=on_ports(0, len(groups)), apart=parted)
         total = held.total
         known = np.asarray(np.linalg.pinv(total[1:theta, 1:theta], rcond=_ROUNDING, hermitian=True))
         for g, turn, s in zip(groups, begun, own, strict=True):
@@ -642,6 +652,14 @@ def log_chance(scores: FunctionScores) -> float:
     if not variance:
         return 0.0
     return float(chi2.logsf(2.0 * mean / variance * np.square(scores.total).sum(), 2.0 * mean**2 / variance))
+
+
+def _on_ports(
+    groups: Sequence[BasisGroup], each: Sequence[torch.Tensor], first: int, end: int
+) -> list[tuple[int, torch.Tensor]]:
+    """Forces of some groups (T, C, q), those of neighbours on the same port as one."""
+    pairs = groupby(zip(groups[first:end], each[first:end], strict=True), lambda pair: pair[0].port)
+    return [(port, torch.cat([force for _, force in some], -1)) for port, some in pairs]
 
 
 def _columns(groups: Sequence[slice]) -> Labels:

@@ -734,11 +734,12 @@ def sensitivities(
     observed: Labels,
     gain: Array,
     whitening: Array,
-    counted: NDArray[np.bool_],
+    place: Labels,
     columns: Array,
     forces: Array,
     acts: Labels,
     moved: Array,
+    begun: int,
     table: Array,
 ) -> None:
     """What unknowns do to the whitened innovations of some rows (`nsde_torch.inference.sensitivity`).
@@ -747,12 +748,13 @@ def sensitivities(
         slopes, gain: Of the rows before these, from which steps lead to these (T, C, ne, n), (T, C, n, m).
         keep, observed: As in `covariances`.
         whitening: Of these rows (T, C, m, m).
-        counted: Whether a row counts (T, C).
+        place: Where in the table a row stands (T, C); below 0 where it does not.
         columns: What k parameters do to the steps (T, C, ne, k).
         forces: Forces of q others on disturbances (T, C, q).
         acts: Numbers of these disturbances (q,).
         moved: What they do to the predicted states of the row before; is left with that of the last row (C, n, k + q).
-        table: Is filled (C, T, m, k + q).
+        begun: The first column of the table that is filled.
+        table: Rows that stand there are filled (C, rows, m, begun + k + q and more).
     """
     rows, _, ne, n = slopes.shape
     m, k, more = len(observed), columns.shape[3], len(acts)
@@ -769,14 +771,15 @@ def sensitivities(
                 for q in range(more):
                     after[i, k + q] += a[i, ne + acts[q]] * forces[r, c, q]
             _copy(after, now)
-            if counted[r, c]:
+            if place[r, c] >= 0:
                 for j in range(m):
                     for q in range(k + more):
                         seen[j, q] = after[observed[j], q]
                 np.dot(whitening[r, c], seen, white)
-                _copy(white, table[c, r])
-            else:
-                table[c, r] = 0.0
+                out = table[c, place[r, c]]
+                for j in range(m):
+                    for q in range(k + more):
+                        out[j, begun + q] = white[j, q]
 
 
 @compiled

@@ -104,26 +104,82 @@ def grams(
         apart: Rows of the matrix, the last ones, of groups of columns whose products with one another are not asked
             for: they are 0.
     """
-    chunks = space.chunks
     k = columns.shape[-1] + sum(force.shape[-1] for _, force in forces)
     size = 1 + k + (0 if nuisances is None else nuisances.shape[-1])
-    sums = at.gain.new_zeros(len(chunks.parts), chunks.count, size, size)
-    longest = max(b - a for a, b in chunks.parts)
-    most = max(1, _NUMBERS // (longest * len(space.observed) * size))
-    buffer = at.gain.new_empty(min(most, chunks.count), longest, len(space.observed), size)
-    for some in torch.arange(chunks.count).split(most):
-        extra = None if nuisances is None else nuisances[:, some]
-        pushed = [(j, force[:, some]) for j, force in forces]
-        near, here = (about, at) if len(some) == chunks.count else (about.of(some), at.of(some))
-        tables = _tables(space, levels, near, here, columns[:, some], pushed, extra, some, buffer)
-        for p, table in enumerate(tables):
-            flat = table.flatten(1, 2)
-            own, head = flat.transpose(1, 2), apart[0].start if apart else size
-            sums[p, some, :head] = own[:, :head] @ flat
-            sums[p, some, head:, :head] = sums[p, some, :head, head:].transpose(1, 2)
-            for s in apart:
-                sums[p, some, s, s] = own[:, s] @ flat[..., s]
-    return Grams(chunks.blocks(sums), space.measurements, k)
+    head = apart[0].start if apart else size
+    sums = at.gain.new_zeros(len(space.chunks.parts), space.chunks.count, size, size)
+    for p, some, table in _tables(space, levels, about, at, columns, forces, nuisances):
+        own = table.transpose(1, 2)
+        sums[p, some, :head] = own[:, :head] @ table
+        sums[p, some, head:, :head] = sums[p, some, :head, head:].transpose(1, 2)
+        for s in apart:
+            sums[p, some, s, s] = own[:, s] @ table[..., s]
+    return Grams(space.chunks.blocks(sums), space.measurements, k)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Whitened rows of e and of some columns, which others are held against."""
+
+    tables: list[Tensor]  # of each block of time (C, rows, 1 + k), in single precision
+    sums: Tensor  # their Gram matrices (parts, C, 1 + k, 1 + k)
+
+
+@torch.no_grad()
+def rows_of(
+    space: StateSpace,
+    levels: Levels,
+    about: Linearisation,
+    at: Pass,
+    columns: Tensor,
+    forces: Sequence[tuple[int, Tensor]],
+) -> Rows:
+    """Whitened rows of a pass that are kept, for `grams_beside`; see `grams`."""
+    size, count, m = 1 + columns.shape[-1] + sum(f.shape[-1] for _, f in forces), len(columns[0]), len(space.observed)
+    lengths = [m * length for length in _lengths(space, _shown(space, about))]
+    tables = [torch.empty(count, length, size) for length in lengths]
+    sums = at.gain.new_zeros(len(lengths), count, size, size)
+    for p, some, table in _tables(space, levels, about, at, columns, forces):
+        tables[p][some] = table.float()
+        sums[p, some] = table.transpose(1, 2) @ table
+    return Rows(tables, sums)
+
+
+@torch.no_grad()
+def grams_beside(
+    rows: Rows,
+    space: StateSpace,
+    levels: Levels,
+    about: Linearisation,
+    at: Pass,
+    forces: Sequence[tuple[int, Tensor]],
+    apart: Sequence[slice],
+) -> Grams:
+    """Gram matrices of rows that were kept, and of forces `apart` beside them: see `grams`."""
+    head = rows.sums.shape[-1]
+    size = head + sum(force.shape[-1] for _, force in forces)
+    sums = at.gain.new_zeros(len(rows.tables), space.chunks.count, size, size)
+    sums[..., :head, :head] = rows.sums
+    none = about.slopes[..., :0]
+    for p, some, table in _tables(space, levels, about, at, none, forces):
+        further = table[..., 1:]
+        across = rows.tables[p][some].double().transpose(1, 2) @ further
+        sums[p, some, :head, head:], sums[p, some, head:, :head] = across, across.transpose(1, 2)
+        for s in apart:
+            own = further[..., s.start - head : s.stop - head]
+            sums[p, some, s, s] = own.transpose(1, 2) @ own
+    return Grams(space.chunks.blocks(sums), space.measurements, size - 1)
+
+
+def _shown(space: StateSpace, about: Linearisation) -> Tensor:
+    """Whether rows count and measure anything (T, C): those between are nothing but zeros, four of five of NanoBench."""
+    counted = space.chunks.counted
+    return counted if about.measured is None else counted & about.measured.any(-1)
+
+
+def _lengths(space: StateSpace, shown: Tensor) -> list[int]:
+    """Most rows of a chunk that are shown, of each block of time."""
+    return [int(shown[a:b].sum(0).max()) for a, b in space.chunks.parts]
 
 
 def _tables(
@@ -133,39 +189,42 @@ def _tables(
     at: Pass,
     columns: Tensor,
     forces: Sequence[tuple[int, Tensor]],
-    nuisances: Tensor | None,
-    some: Tensor,
-    buffer: Tensor,
-) -> Iterator[Tensor]:
-    """Whitened rows [e, J, nuisances] of each block of some chunks (chunks, rows, m, ...), 0 if not counted."""
+    nuisances: Tensor | None = None,
+) -> Iterator[tuple[int, Tensor, Tensor]]:
+    """Whitened rows [e, J, nuisances] that are shown, of each block of time in turn of some chunks at once.
+
+    Number of the block, those of the chunks, and rows of all channels (chunks, rows * m, 1 + k + p), which the next
+    overwrites.
+    """
     k = columns.shape[-1] + sum(force.shape[-1] for _, force in forces)
     acts = np.array([j for j, force in forces for _ in range(force.shape[-1])], dtype=np.int64)
-    counted = space.chunks.counted[:, some]
-    keep = levels.keep(space.h)
-    moved = at.gain.new_zeros(len(some), space.n, k)
-    for first, end in space.chunks.parts:
-        begun = max(first, 1)
-        table = buffer[: len(some), : end - first]  # new memory costs as much as what is done in it
-        table[:, : begun - first] = 0.0
-        rows, before = slice(begun, end), slice(begun - 1, end - 1)
-        pushed = [force[before] for _, force in forces] or [moved.new_zeros(end - begun, len(some), 0)]
-        filled = moved.new_empty(len(some), end - begun, len(space.observed), k)
-        read = (
-            about.slopes[before],
-            keep,
-            space.observed,
-            at.gain[before],
-            at.whitening[rows],
-            counted[rows],
-        )
-        does = (columns[before].double(), torch.cat(pushed, -1).double(), acts)
-        kernels.in_parts(kernels.sensitivities, end - begun, len(some), *read, *does, moved, filled)
-        table[:, begun - first :, :, 1 : 1 + k] = filled
-        shown = counted[first:end, :, None]
-        table[..., 0] = (at.white[first:end] * shown).transpose(0, 1)
-        if nuisances is not None:
-            table[..., 1 + k :] = (nuisances[first:end] * shown[..., None]).transpose(0, 1)
-        yield table
+    m, size = len(space.observed), 1 + k + (0 if nuisances is None else nuisances.shape[-1])
+    shown, keep = _shown(space, about), levels.keep(space.h)
+    whole = max(1, m * max(_lengths(space, shown)) * size)  # numbers of a chunk
+    most = min(space.chunks.count, max(1, _NUMBERS // whole))
+    buffer = at.gain.new_empty(most * whole)  # new memory costs as much as what is done in it
+    for some in torch.arange(space.chunks.count).split(most):
+        count = len(some)
+        near, here = (about, at) if count == space.chunks.count else (about.of(some), at.of(some))
+        moved = at.gain.new_zeros(count, space.n, k)
+        for p, (first, end) in enumerate(space.chunks.parts):
+            own = shown[first:end, some]
+            place = torch.where(own, own.cumsum(0) - 1, -1)
+            length = int(shown[first:end].sum(0).max())
+            table = buffer[: count * length * m * size].zero_().view(count, length, m, size)
+            begun = max(first, 1)
+            rows, before = slice(begun, end), slice(begun - 1, end - 1)
+            pushed = [force[before, some] for _, force in forces] or [moved.new_zeros(end - begun, count, 0)]
+            read = (near.slopes[before], keep, space.observed, here.gain[before], here.whitening[rows])
+            does = (columns[before, some].double(), torch.cat(pushed, -1).double(), acts)
+            stand = place[begun - first :]
+            kernels.in_parts(kernels.sensitivities, end - begun, count, *read, stand, *does, moved, 1, table)
+            row, chunk = own.nonzero(as_tuple=True)
+            there = place[row, chunk]
+            table[chunk, there, :, 0] = here.white[first:end][row, chunk]
+            if nuisances is not None:
+                table[chunk, there, :, 1 + k :] = nuisances[first:end, some][row, chunk]
+            yield p, some, table.flatten(1, 2)
 
 
 def bounded_step(inner: Array, pull: Array, damping: float, low: Array, high: Array) -> Array:

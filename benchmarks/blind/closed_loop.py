@@ -125,6 +125,8 @@ def _sized(name: str, system: str, rng: np.random.Generator) -> dict[str, Any]:
     made: dict[str, dict[str, Any]] = {
         "linear_drag": {"drag": drag},
         "quadratic_drag": {"drag": [0.4 * d for d in drag]},
+        "rotor_drag": {"drag": drag},
+        "translational_lift": {"lift": 0.1 * side},
         "constant_wind": {"drag": drag, "wind": wind.tolist()},
         "constant_world_force": {"acceleration": signed(0.1, 0.5, 3)},
         "ground_effect": {"area": size(0.01, 0.05), "height": float(rng.uniform(0.1, 0.3))},

@@ -44,6 +44,8 @@ SIGNS: dict[str, Array] = {
 SIZES: dict[str, dict[str, int]] = {
     "linear_drag": {"drag": 3},
     "quadratic_drag": {"drag": 3},
+    "rotor_drag": {"drag": 3},
+    "translational_lift": {"lift": 1},
     "constant_wind": {"drag": 3, "wind": 2},
     "constant_world_force": {"acceleration": 3},
     "ground_effect": {"area": 1, "height": 1},
@@ -239,6 +241,9 @@ class Bodies:
         still = np.einsum("bji,bj->bi", r, v)
         speed = np.linalg.norm(v, axis=1, keepdims=True)
         force = -self.drag * air - e["quadratic_drag"]["drag"] * speed * still
+        spun = np.sqrt(np.maximum(thrust, 0.0) / G)[:, None]  # rotor speed over that of hover
+        force -= e["rotor_drag"]["drag"] * spun * still
+        force[:, 2] += e["translational_lift"]["lift"][:, 0] * np.square(still[:, :2]).sum(1)
         force[:, :2] += e["thrust_misalignment"]["tilt"] * thrust[:, None]
         near = e["ground_effect"]["area"] / (p[:, 2:] ** 2 + e["ground_effect"]["height"] ** 2 + 1e-12)
         force[:, 2] += thrust * (1 + near[:, 0])

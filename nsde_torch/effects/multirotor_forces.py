@@ -9,6 +9,7 @@ from nsde_torch.columns import columns, split_columns, stack_columns
 from nsde_torch.effects.base import Effect, Parameter, Port, elapsed
 from nsde_torch.rotation import euler_coupling, matrix, rate_products, rotate_back, turned
 
+GRAVITY = 9.81
 TWO_SPEEDS = "fly at two more speeds, in several directions"
 
 
@@ -53,6 +54,57 @@ class QuadraticDrag(Effect):
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         v = body_velocity(x)
         return -self.value("drag") * v * torch.sqrt((v * v).sum(1, keepdim=True) + 1e-12)
+
+
+@final
+class RotorDrag(Effect):
+    """Drag of the rotors alone: in proportion to their speed, and to body velocity.
+
+    Near hover it is a linear drag, which is preferred where the data do not tell.
+    """
+
+    name = "rotor_drag"
+    port = Port.BODY_FORCE
+    quantities = {"thrust": 1}
+    formula = "-d * sqrt(T / g) v_body"
+    source = "Svacha, Mohta, Kumar, ICUAS (2017); rotor speed in proportion to the root of the thrust"
+    PARAMETERS = {
+        "drag": Parameter(
+            (0.1, 0.1, 0.1), "1/s", low=0.0, help="drag over mass at the thrust of hover, body x y z"
+        )
+    }
+    along = "speed"
+    amplitudes = ("drag",)
+    includes = ("linear_drag",)
+    sentence = (
+        "The rotors brake with their own speed times that of flight: {drag} at hover, forward, left and up."
+    )
+    separate = "fly fast curves, for thrust far from that of hover at speed"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        speed = torch.sqrt(self.channel("thrust", u).clamp_min(0.0) / GRAVITY + 1e-12)
+        return -self.value("drag") * speed * body_velocity(x)
+
+
+@final
+class TranslationalLift(Effect):
+    """More thrust in forward flight, where the rotors meet air that has not been moved yet."""
+
+    name = "translational_lift"
+    port = Port.BODY_FORCE
+    formula = "k (v_x^2 + v_y^2), along body z"
+    source = "Svacha, Mohta, Kumar, ICUAS (2017), eq. of thrust with k_h"
+    PARAMETERS = {"lift": Parameter(0.01, "1/m", low=0.0, help="k over mass")}
+    amplitudes = ("lift",)
+    sentence = (
+        "In forward flight the rotors lift more: by {lift} times the square of the speed in their plane."
+    )
+    separate = "fly level at two more speeds, forwards and sideways"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        v_x, v_y, _ = columns(body_velocity(x))
+        lift = self.value("lift") * (v_x * v_x + v_y * v_y)
+        return stack_columns((torch.zeros_like(lift), torch.zeros_like(lift), lift))
 
 
 @final

@@ -50,6 +50,8 @@ EFFECTS: dict[str, type[Effect]] = {
         # multirotors
         multirotor_forces.LinearDrag,
         multirotor_forces.QuadraticDrag,
+        multirotor_forces.RotorDrag,
+        multirotor_forces.TranslationalLift,
         multirotor_forces.ConstantWind,
         multirotor_forces.ConstantWorldForce,
         multirotor_forces.GroundEffect,

@@ -241,7 +241,8 @@ def _moved(at: Optimum, columns: Tensor) -> Array:
     k = columns.shape[-1]
     table, none = np.zeros((count, rows, m, k)), np.zeros((rows - 1, count, 0))
     place = np.where(space.chunks.counted[1:].numpy(), np.arange(1, rows)[:, None], -1)
-    read = (about.slopes[:-1], at.levels.keep(space.h), space.observed, here.gain[:-1], here.whitening[1:], place)
+    keep = at.levels.keep(space.h)
+    read = (about.slopes[:-1], keep, space.observed, here.gain[:-1], here.whitening[1:], place)
     does = (columns[:-1], none, np.zeros(0, dtype=np.int64), np.zeros((count, space.n, k)))
     kernels.in_parts(kernels.sensitivities, rows - 1, count, *read, *does, 0, table)
     return table.transpose(1, 0, 2, 3)

@@ -135,8 +135,8 @@ def rows_of(
     forces: Sequence[tuple[int, Tensor]],
 ) -> Rows:
     """Whitened rows of a pass that are kept, for `grams_beside`; see `grams`."""
-    size, count, m = 1 + columns.shape[-1] + sum(f.shape[-1] for _, f in forces), len(columns[0]), len(space.observed)
-    lengths = [m * length for length in _lengths(space, _shown(space, about))]
+    count, size = space.chunks.count, 1 + columns.shape[-1] + sum(force.shape[-1] for _, force in forces)
+    lengths = [len(space.observed) * length for length in _lengths(space, _shown(space, about))]
     tables = [torch.empty(count, length, size) for length in lengths]
     sums = at.gain.new_zeros(len(lengths), count, size, size)
     for p, some, table in _tables(space, levels, about, at, columns, forces):
@@ -172,7 +172,7 @@ def grams_beside(
 
 
 def _shown(space: StateSpace, about: Linearisation) -> Tensor:
-    """Whether rows count and measure anything (T, C): those between are nothing but zeros, four of five of NanoBench."""
+    """Whether rows count and measure anything (T, C): others are zeros, four of five rows of NanoBench."""
     counted = space.chunks.counted
     return counted if about.measured is None else counted & about.measured.any(-1)
 

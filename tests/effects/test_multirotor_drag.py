@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from scipy.spatial.transform import Rotation
 
+from nsde_torch.systems.machines import plant_effects
 from tests.helpers.effect_contract import EffectContract
 from tests.helpers.effect_rows import flying, term
 
@@ -35,6 +36,36 @@ class TestQuadraticDrag(EffectContract):
         torch.testing.assert_close(term(effect, x), torch.tensor([[-1.5, 0.0, -4.0]]))
         doubled = flying([6.0, 0.0, 8.0], Rotation.identity())
         torch.testing.assert_close(term(effect, doubled), 4 * term(effect, x))
+
+
+class TestRotorDrag(EffectContract):
+    name, system = "rotor_drag", "hexacopter"
+
+    def test_it_is_linear_drag_at_hover_and_twice_that_at_four_times_the_thrust(self) -> None:
+        effect = self.make({"drag": [0.1, 0.2, 0.3]})
+        x = flying([2.0, -1.0, 3.0], Rotation.identity())
+        for thrust, times in ((9.81, 1.0), (4 * 9.81, 2.0), (-1.0, 0.0)):
+            u = torch.cat((torch.zeros(1, 6), torch.tensor([[thrust]])), 1)
+            expected = times * torch.tensor([[-0.2, 0.2, -0.9]])
+            torch.testing.assert_close(term(effect, x, u), expected, atol=1e-5, rtol=0)
+
+    def test_it_stands_in_for_linear_drag(self) -> None:
+        before, after = (plant_effects("hexacopter", effects=e) for e in ([], ["rotor_drag"]))
+        assert after["rotor_drag"] == before["linear_drag"]
+        assert "linear_drag" not in after
+
+
+class TestTranslationalLift(EffectContract):
+    name, system = "translational_lift", "quadrotor"
+
+    def test_it_grows_with_the_square_of_the_speed_in_the_plane_of_the_rotors(self) -> None:
+        effect = self.make({"lift": 0.02})
+        # on its side, what is up in the world lies in that plane
+        x = flying([3.0, 0.0, 4.0], Rotation.from_euler("x", 90, degrees=True))
+        torch.testing.assert_close(term(effect, x), torch.tensor([[0.0, 0.0, 0.5]]), atol=1e-6, rtol=0)
+        torch.testing.assert_close(
+            term(effect, flying([0.0, 0.0, 4.0], Rotation.identity())), torch.zeros(1, 3)
+        )
 
 
 class TestConstantWind(EffectContract):

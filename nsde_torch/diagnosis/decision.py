@@ -8,6 +8,7 @@ in noise, which is taken off first.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.cross_validation import HeldOut
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
@@ -91,13 +92,9 @@ def set_aside(search: Search, chosen: Selection, feedback: Feedback) -> Selectio
         # `nsde benchmark emps` the frictions went before a force that brought nothing
         weakest: tuple[float, str, Base, tuple[str, ...]] | None = None
         for name, one in joint.selected.items() if lengths else ():
-            # what moves nothing (a limit that no input reaches any more) brings nothing
-            moved = moved_channels(base.regression, name) or tuple(lengths)
+            moved, allowed, count = _hidden(lengths, base.regression, name)
             if not set(moved) & set(lengths):
                 continue
-            # not of its shapes: feedback may bias the width of EMPS's friction by 68 standard errors, its size by 21
-            allowed = allowances(lengths, base.regression.vector.sizes(name))
-            count = len(base.regression.vector.of(name))
             enough = search.level("effects") / among
             if name in known and chance_beyond(known[name], moved, allowed, count) < enough:
                 continue
@@ -117,6 +114,37 @@ def set_aside(search: Search, chosen: Selection, feedback: Feedback) -> Selectio
         tested = feedback.test(base.regression)
     found = found_by(search, joint)
     return replace(chosen, final=base, found=found, joint=joint, hidden=tuple(hidden), feedback=tested)
+
+
+def _hidden(
+    lengths: Mapping[str, Array], regression: Regression, name: str
+) -> tuple[tuple[str, ...], dict[str, float], int]:
+    """Channels that an effect moves, what feedback may hide of it there (2 log L), and number of its parameters."""
+    # what moves nothing (a limit that no input reaches any more) brings nothing
+    moved = moved_channels(regression, name) or tuple(lengths)
+    # not of its shapes: feedback may bias the width of EMPS's friction by 68 standard errors, its size by 21
+    return (
+        moved,
+        allowances(lengths, regression.vector.sizes(name)),
+        len(regression.vector.of(name)),
+    )
+
+
+def feedback_made(search: Search, feedback: Feedback, before: FittedPhysics, after: FittedPhysics) -> bool:
+    """Whether feedback may have made all that some effects brought, by which two physics differ: see `set_aside`."""
+    base = at(search, after)
+    lengths = lengths_of_parameters(feedback.test(base.regression), base.regression)
+    if not lengths:
+        return False
+    nats = nats_by_channel(at(search, before).regression, base.regression)
+    brought = {channel: 2.0 * value for channel, value in nats.items()}
+
+    def made(name: str) -> bool:
+        moved, allowed, count = _hidden(lengths, base.regression, name)
+        beyond = chance_beyond(brought, moved, allowed, count) < search.level("effects")
+        return not (beyond or feedback.shown(fitted_system(base.regression), name))
+
+    return all(map(made, set(after.system.effect_names) - set(before.system.effect_names)))
 
 
 def decide(

@@ -5,10 +5,10 @@
     <!-- run slow: ... -->, <!-- run slow -->    the same where it takes longer than a test may
     <!-- no run: why -->                         before a block that no command can print here, and why
 
-The commands of a page run in turn, in one scratch folder with the `examples` of the checkout. A command that names
-$PUBLISHED needs the published data and is left where that variable is not set. A line that differs in seconds,
-dates or the scratch folder alone stays as it was, and so does a first line `$ ...`, which shows the command. What
-a block leaves out its command takes out, as by `| sed '/^from/,/^to/c[...]'`; of several such lines one stays.
+The commands of a page run in turn, in one scratch folder with `examples` and `benchmarks` of the checkout. A command
+that names $PUBLISHED needs the published data and is left where that variable is not set. A line that differs in
+seconds, dates or the scratch folder alone stays as it was, and so does a first line `$ ...`, which shows the command.
+What a block leaves out its command takes out, as by `| sed '/^from/,/^to/c[...]'`; of several such lines one stays.
 
     python docs/blocks.py [--check] [PAGE ...]   writes what differs; --check shows it, and fails
 """
@@ -93,7 +93,8 @@ def renewed(page: Path, *, slow: bool = True) -> tuple[str, list[str]]:
     text = page.read_text(encoding="utf-8")
     pieces, end, failed = [], 0, []
     with tempfile.TemporaryDirectory() as name:
-        (Path(name) / "examples").symlink_to(ROOT / "examples")
+        for part in ("examples", "benchmarks"):
+            (Path(name) / part).symlink_to(ROOT / part)
         for mark in marks(text, slow=slow):
             try:
                 printed = run(words(mark), Path(name))

@@ -18,7 +18,7 @@ from .machines import HAND, LINK
 from .told import experiment_lines
 
 RESULT, PICTURE = "close_loop.json", "close_loop.png"
-_DRAWN = {BEFORE: "declared physics", AFTER: "with what was found", TRUTH: "told the truth"}
+_DRAWN = {BEFORE: "declared physics", AFTER: "with what was found", TRUTH: "with the true effects"}
 
 
 def record(loop: ClosedLoop, experiments: list[dict[str, Any]], stop: StoppedLoop | None) -> dict[str, Any]:
@@ -81,11 +81,11 @@ def text(content: dict[str, Any]) -> str:
     if not content["findings"]:
         lines.append("Nothing is missing from the declared physics, as far as the flights show.")
     names = ", ".join(name for entry in content["told"] for name in entry)
-    lines.append(f"The controller is told of: {names or 'nothing more than before'}.")
+    lines.append(f"The controller now has: {names or 'nothing more than before'}.")
     for p in content["rmse_m"]:
         shown = [f"{_cm(p['before_m'])} before", f"{_cm(p['after_m'])} after"]
         if "truth_m" in p:
-            shown.append(f"{_cm(p['truth_m'])} told the truth")
+            shown.append(f"{_cm(p['truth_m'])} with the true effects")
         lines.append(f"seed {p['seed']}: RMSE {', '.join(shown)}")
     again = " Start the same command again, and it is flown again." if content["by"] == LINK else ""
     for f in content["not_to_the_end"]:
@@ -97,7 +97,7 @@ def text(content: dict[str, Any]) -> str:
         )
     if content.get("after_over_truth") is not None:
         lines.append(
-            f"{content['after_over_truth']:.2f} times the error of a controller told the truth "
+            f"{content['after_over_truth']:.2f} times the error of a controller with the true effects "
             f"({_cm(content['truth_mean_m'])})"
         )
     return "\n".join(lines)

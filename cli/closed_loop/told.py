@@ -57,7 +57,7 @@ def too_little(plan: Mapping[str, Any], told: float, config: DictConfig) -> str:
             near.append(f"acceleration {name} ({path[what]:g} {path['unit']}, the most that a path asks for)")
     binds = ", ".join(near) or "its length"
     return (
-        f"{asked(plan['question'])} No plan within the limits tells much: of the best one {told:.2g} nats are "
+        f"{asked(plan['question'])} No plan within the limits shows much: of the best one {told:.2g} nats are "
         f"expected, less than experiment.least_nats={config.experiment.least_nats:g}. What limits it: {binds}. "
         f"Allow more, or a longer experiment (experiment.duration={config.experiment.duration:g})."
     )
@@ -109,7 +109,7 @@ def experiment_lines(entry: Mapping[str, Any]) -> list[str]:
         lines.append(f"  the flight was not flown to its end: {entry['flight']['trouble']['text']}")
     if question["kind"] == "tie":
         wanted = ", ".join(f"{n:.1f} if {name}" for name, n in entry["expected_nats"].items())
-        broken = "the tie is broken" if told["broken"] else "still tied by this"
+        broken = "distinguished" if told["broken"] else "still indistinguishable"
         lines.append(
             f"  nats expected: {wanted}; obtained: {entry['nats_obtained']:.1f} for {told['speaks_for']} ({broken})"
         )

@@ -26,14 +26,14 @@ class DesignConfig:
 
     run: str = key(
         "???",
-        "folder of a diagnosis (nsde diagnose), whose ties or hidden parameters are asked for",
+        "folder of a diagnosis (nsde diagnose), whose indistinguishable effects or hidden parameters are asked for",
         file=True,
     )
     runs: str | None = key(None, "where the runs of the diagnosis are now; null: where they were", file=True)
     members: Any = key(
         None,
         "what may be true, each a list of effects beside the declared physics: [[coulomb_friction,constant_force],"
-        "[asymmetric_friction]]; null: the first tie of the diagnosis",
+        "[asymmetric_friction]]; null: the first indistinguishable ones of the diagnosis",
     )
     flown: str | None = key(
         None,
@@ -52,13 +52,13 @@ class DesignConfig:
 
 COMMAND = HydraCommand(
     name="design",
-    help="Plan the most informative experiment: between the members of a tie, or of parameters that are not shown",
+    help="Plan the most informative experiment: between indistinguishable effects, or of parameters that are not shown",
     schema=DesignConfig,
     module=__name__,
     folder="designs/${now:%Y-%m-%d}/${now:%H-%M-%S}",
     result=("design.json", "a plan"),
     examples=(
-        ("run=diagnosis/ out_dir=experiment/", "what would break the tie of this diagnosis?"),
+        ("run=diagnosis/ out_dir=experiment/", "which experiment would distinguish them?"),
         (
             "run=diagnosis/ 'members=[[coulomb_friction,constant_force],[asymmetric_friction]]'",
             "between these",

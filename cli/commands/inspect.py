@@ -204,6 +204,10 @@ def _given(words: Sequence[str]) -> tuple[str, dict[str, str]]:
     out: dict[str, str] = {}
     for word in words:
         key, equals, value = word.partition("=")
+        if word == "--" or key == "data.path":  # as in other commands
+            word, equals = value, ""
+        if word == "":
+            continue
         if equals and (key in KEYS or key.startswith(_OPTION)):
             out[key] = value
         elif equals and not Path(word).exists():

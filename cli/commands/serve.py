@@ -48,7 +48,7 @@ COMMAND = HydraCommand(
     schema=ServeConfig,
     module=__name__,
     groups={"system": None},
-    values={"system": {"name": "told by what is logged"}},
+    values={"system": {"name": "chosen from what is logged"}},
     examples=(
         ("", "print the address of the page; Ctrl-C ends it"),
         ("system=hexacopter", "for logs of this machine"),

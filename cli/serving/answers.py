@@ -10,14 +10,19 @@ from typing import Any
 
 from werkzeug.wrappers import Request, Response
 
+from nsde_torch.diagnosis.time_series import script_hash
+
 from .job import RefusedError
 
 _PAGE = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; frame-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-_SHEET = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; sandbox; frame-ancestors 'self'"
-"""A report is shown without scripts, and can ask for nothing."""
+_SHEET = (
+    "default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
+    f"script-src '{script_hash()}'; sandbox allow-scripts; frame-ancestors 'self'"
+)
+"""A report runs the script of its time series and no other, and can ask for nothing."""
 TYPES = {
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",

@@ -12,7 +12,7 @@ import numpy as np
 
 from nsde_torch.api.reading import REFUSED, check_physics
 from nsde_torch.data.mapping.apply import apply
-from nsde_torch.data.mapping.checks import LogCheck, checks
+from nsde_torch.data.mapping.checks import LogCheck, checks, together
 from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping, read_mapping, targets, text
 from nsde_torch.data.mapping.proposal import Proposal, propose
 from nsde_torch.data.mapping.reader import LogFile, format_of, full_of_all, log_files
@@ -203,19 +203,18 @@ def _check(
     """Kinematics, gravity and physics of the first runs."""
     assert out.mapping is not None
     try:
-        run = apply(log, out.mapping, machine)
+        runs = [apply(log, out.mapping, machine)]
     except NsdeError as error:
         out.checks = [LogCheck("reading", False, str(error), REFUSED)]
         return
-    out.checks = checks(machine, run, out.mapping)
-    if out.refused:
-        return
-    runs = [run]
     for file in files[1:_RUNS]:
         try:
             runs.append(apply(file.open(out.mapping.time), out.mapping, machine))
         except NsdeError as error:
             out.notes.append(f"{file.name} cannot be read: {error}")
+    out.checks = checks(machine, together(runs), out.mapping)
+    if out.refused:
+        return
     entry = out.mapping.columns.get("u")
     said = entry is None or "u" in log.columns
     numbering = None if entry is None or said else entry.numbering or "px4"
@@ -243,7 +242,7 @@ def _native(path: Path, kind: str, machine: System | None, *, physics: bool) -> 
     except NsdeError as error:
         out.checks.append(LogCheck("reading", False, str(error), REFUSED))
         return out
-    out.checks = checks(machine, runs[0])
+    out.checks = checks(machine, together(runs))
     if not out.refused:
         found = check_physics(machine, runs[:_RUNS], fits=physics and not out.doubts)
         out.checks += found.checks

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -15,7 +16,7 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.models.kind import ModelKind, model_options
 from nsde_torch.models.model import Model
 from nsde_torch.models.options import ModelOptions
-from nsde_torch.models.run_directory import load
+from nsde_torch.models.run_directory import WEIGHTS, load
 from nsde_torch.sde.options import IntegratorOptions, integrator_options
 from nsde_torch.sde.step import Step
 from nsde_torch.systems.base import System
@@ -55,7 +56,8 @@ def train(
     """Train a model on runs and score it on runs held out, as `nsde train` does.
 
     What the user does not choose of the model's structure (input filter, sensor noise, disturbance, integrator) is as
-    the system and the data ask for (`nsde_torch.models.kinds`).
+    the system and the data ask for (`nsde_torch.models.kinds`). Ctrl-C (in a notebook: interrupt) once the model is
+    fitted returns it, with what `metrics` holds by then; before, it is a KeyboardInterrupt as ever.
 
     Args:
         data: Folder of CSV files, PX4 log, simulation, arrays or data set (see `nsde_torch.read`).
@@ -114,26 +116,34 @@ def train(
         if dtype not in DTYPES:
             raise ConfigError(f"`dtype` must be {' or '.join(DTYPES)}; got {dtype!r}.")
         dtype = DTYPES[dtype]
+    began = time.time()
     with tempfile.TemporaryDirectory() if run_dir is None else nullcontext(run_dir) as folder:
-        train_model(
-            spec,
-            runs,
-            parts,
-            loss=machine_losses(losses, machine_options),
-            options=trainer_options(trainer),
-            validation=validation,
-            seed=seed,
-            run_dir=folder,
-            values=machine_options.values,
-            device=device,
-            dtype=dtype,
-            about=about,
-            say=say,
-            verbose=verbose,
-            other_sensors=other is not None,
-            instruments=list(instruments),
-            kept=run_dir is not None,
-        )
+        try:
+            train_model(
+                spec,
+                runs,
+                parts,
+                loss=machine_losses(losses, machine_options),
+                options=trainer_options(trainer),
+                validation=validation,
+                seed=seed,
+                run_dir=folder,
+                values=machine_options.values,
+                device=device,
+                dtype=dtype,
+                about=about,
+                say=say,
+                verbose=verbose,
+                other_sensors=other is not None,
+                instruments=list(instruments),
+                kept=run_dir is not None,
+            )
+        except KeyboardInterrupt:
+            weights = Path(folder) / WEIGHTS
+            if not weights.is_file() or weights.stat().st_mtime < began:  # of this training
+                raise
+            if say:
+                say("stopped: the model is fitted; its intervals are not calibrated, and it is not tested")
         made = load(folder, device=device)
     if run_dir is None:
         made.folder = None

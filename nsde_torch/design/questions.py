@@ -227,10 +227,10 @@ class Standing:
     def words(self) -> str:
         """One line."""
         said = [f"found: {', '.join(self.found) or 'nothing'}"]
-        said += [f"tied: {' or '.join(t)}" for t in self.tied]
-        said += [f"tied whatever the input: {' or '.join(t)}" for t in self.beyond]
+        said += [f"indistinguishable: {' or '.join(t)}" for t in self.tied]
+        said += [f"indistinguishable whatever the input: {' or '.join(t)}" for t in self.beyond]
         lists = {
-            "no more than leads": self.leads,
+            "provisional": self.leads,
             "not well known": self.wide,
             "wide by what feedback may hide": self.confounded,
             "suspected": self.suspected,

@@ -167,7 +167,7 @@ def ceiling(log: Log, outcome: Outcome) -> Ceiling:
 def _why_not(log: Log, outcome: Outcome) -> str:
     """Why functions would say nothing, in words; empty where they do."""
     if outcome.doubted and log.budgets.function_groups:
-        return "the fit is not believed"
+        return "the fit is rejected"
     if not (why := silent(log)) and outcome.final.regression.arithmetic:
         return "what is left is what arithmetic leaves"
     return why

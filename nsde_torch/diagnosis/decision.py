@@ -284,9 +284,7 @@ def doubted(outcome: Outcome, guard: Guarded) -> Outcome:
     if not guard.objections:
         return outcome
     against = doubts_the_fit(o.kind for o in guard.objections)
-    why = (
-        "the fit is not believed" if against else "the physics explains next to nothing of what was measured"
-    )
+    why = "the fit is rejected" if against else "the physics explains next to nothing of what was measured"
     whole = all(guard.doubts(f.moves) for f in outcome.found)
     outcome = outcome.provisional(lambda f: why if guard.doubts(f.moves) else "")
     if not against:

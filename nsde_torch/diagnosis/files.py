@@ -52,21 +52,24 @@ class DiagnosisFiles:
         self._began, self._spent, self._next = perf_counter(), 0.0, _REPORT_S
 
     def write_so_far(self, found: Diagnosis) -> None:
-        """Write what is known so far; the report too, where that takes little of the time so far."""
+        """Write what is known so far; the report too, where that takes little of the time so far.
+
+        That report is without the log over time, which is 5 MB with its script.
+        """
         now = perf_counter()
         if self._spent + self._next < _REPORTS * (now - self._began):
-            self.write(found)
+            self.write(found, over_time=False)
             self._next = perf_counter() - now
             self._spent += self._next
         else:
             self._write(found)
 
-    def write(self, found: Diagnosis) -> Content:
-        """Write everything; returns the content of `diagnosis.json`."""
+    def write(self, found: Diagnosis, *, over_time: bool = True) -> Content:
+        """Write everything, the log over time if it is asked for; returns the content of `diagnosis.json`."""
         from nsde_torch.diagnosis.report import write_report
 
         content = self._write(found)
-        write_report(self._folder / REPORT, found, content)
+        write_report(self._folder / REPORT, found, content, over_time=over_time)
         return content
 
     def _write(self, found: Diagnosis) -> Content:

@@ -51,6 +51,7 @@ from nsde_torch.diagnosis.shape import (
     white_parts,
 )
 from nsde_torch.diagnosis.text import rendered
+from nsde_torch.diagnosis.time_series import script, time_series
 from nsde_torch.effects import effect_class
 from nsde_torch.plots.diagnosis import (
     Cloud,
@@ -428,22 +429,31 @@ def _errors(errors: Mapping[str, Any]) -> Figure:
 _DPI = 100  # of the pictures
 
 
-def write_report(path: Path, found: Diagnosis, content: Content) -> None:
-    """Write the page, and its pictures into `plots` beside it."""
+def write_report(path: Path, found: Diagnosis, content: Content, *, over_time: bool = True) -> None:
+    """Write the page, and its pictures into `plots` beside it; `over_time` is whether it shows the log over time."""
     from nsde_torch.plots import save
 
     figures = pictures(found, content)
     for name, figure in figures.items():
         save(figure, path.parent / "plots" / picture_file(name))
-    write_whole(path, page(content, figures, width=found.width))
+    series = time_series(found) if over_time else ""
+    write_whole(path, page(content, figures, width=found.width, series=series))
 
 
-def page(content: Content, figures: Mapping[str, Figure], *, width: float) -> str:
-    """The page as HTML, with the figures that `pictures` makes of means over `width` [s]."""
+def page(content: Content, figures: Mapping[str, Figure], *, width: float, series: str = "") -> str:
+    """The page as HTML, with the figures that `pictures` makes of means over `width` [s], and `time_series` as JSON."""
     shown = {}
     for name, figure in figures.items():
         buffer = io.BytesIO()
         figure.savefig(buffer, format="png", dpi=_DPI)
         png = base64.b64encode(buffer.getvalue()).decode("ascii")
         shown[name] = {"alt": figure.get_suptitle(), "png": png}
-    return rendered("report.html", content, content=content, figures=shown, width=width)
+    return rendered(
+        "report.html",
+        content,
+        content=content,
+        figures=shown,
+        width=width,
+        series=series,
+        script=script,
+    )

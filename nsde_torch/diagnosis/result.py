@@ -491,7 +491,7 @@ def _not_shown(o: Outcome) -> list[NotShown]:
 def _interval(found: Diagnosis, e: Estimate) -> dict[str, Any]:
     regression = found.outcome.final.regression
     if found.explanation.guard.doubts(channels_of(regression, [regression.vector.labels.index(e.name)])):
-        return {"interval_90": None, "bound": "not believed"}
+        return {"interval_90": None, "bound": "rejected"}
     if e.low is None and found.outcome.unsettled:
         return {"interval_90": None, "bound": "not settled"}
     widened: dict[str, Any] = {"widened_by": e.widened} if e.widened and e.low is not None else {}

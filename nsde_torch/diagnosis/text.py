@@ -23,7 +23,7 @@ _VERDICTS = {
     "effect_found": "Found what is missing",
     "unexplained": "Something is missing that the catalogue does not name",
     "undecided": "Not decided yet",
-    "doubted": "The fit is not believed",
+    "doubted": "The fit is rejected",
 }
 _CELLS = "│"  # between the cells of a table in a template
 

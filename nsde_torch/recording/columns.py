@@ -1,26 +1,18 @@
 """What columns must hold before anything is made of them: sizes, units, unit quaternions, angles without wraps.
 
-**Conventions** that kinematics distinguish: order and direction of a quaternion, axes of a velocity.
-
-    log(q(t)^-1 q(t + dt)) = omega dt           for a quaternion w x y z, body to world
-    p(t + dt) - p(t) = v dt                     for a velocity in the world, R(q) v dt for one in the body's axes
-
-Each way to read the columns is judged by what it leaves of these over intervals of a quarter of a second, summed over
-all runs. A log is refused where the expected way leaves much of the motion and at least ten times as much as another
-one: in sound data the expected way leaves least, whatever the noise, and a wrong unit or clock spoils all alike.
+**Conventions** (order and direction of a quaternion, axes of a velocity) are checked as `nsde inspect` does, by
+`nsde_torch.data.mapping.checks`.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from itertools import permutations
+from collections.abc import Sequence
 
 import numpy as np
 
-from nsde_torch.arrays import Array
-from nsde_torch.data.mapping.checks import LEAN, SUSPECT, VECTORS, checks, percent
-from nsde_torch.data.quaternion import conjugate, continuous_signs, increments, rotate, swap_world
+from nsde_torch.data.mapping.checks import LEAN, SUSPECT, checks
+from nsde_torch.data.quaternion import continuous_signs
 from nsde_torch.data.raw import Finding, RawRun, Report
 from nsde_torch.data.run import Run
-from nsde_torch.data.system_info import SystemInfo, derivative_columns, rate_columns, rate_pairs
+from nsde_torch.data.system_info import SystemInfo, rate_columns, rate_pairs
 from nsde_torch.errors import DataError, ShapeError
 from nsde_torch.recording.noise import white
 
@@ -79,14 +71,10 @@ def check_rates(run: RawRun, system: SystemInfo) -> None:
 
 
 def check_columns(run: RawRun, system: SystemInfo, report: Report) -> None:
-    """What `nsde inspect` says of the columns: what kinematics contradict is refused, other doubts are reported.
-
-    Vectors of a vehicle are judged in all runs together (`check_conventions`, `clock_and_biases.check_units`).
-    """
+    """What `nsde inspect` says of the columns: what kinematics contradict is refused, other doubts are reported."""
     for check in checks(system, run):
         if check.passed is False and check.name != LEAN:
-            if check.name not in VECTORS:
-                raise DataError(f"run {run.name!r}: {check.text} To mend it: {check.remedy}.")
+            raise DataError(f"run {run.name!r}: {check.text} To mend it: {check.remedy}.")
         elif check.doubts:
             report(Finding(SUSPECT, run.name, 1, check.text.rstrip("."), "reported"))
 
@@ -168,44 +156,6 @@ _OWN_S = 1.0
 _OWN, _NOISE, _OTHERS = 0.5, 6.0, 0.1
 """Of a position's changes over a second in one run: share that its rate leaves of a column that is of another run,
 times the noise of both, and share that the rates of the other runs leave at most."""
-_Way = Callable[[Array], tuple[Array, Array]]  # changes over steps, and rates, from states
-
-INTERVAL_S = 0.25
-_FEWEST = 20
-_LEFT_ATTITUDE, _LEFT_VELOCITY = 0.25, 0.02  # shares of the motion that a sound log leaves never
-_BETTER = 10.0
-
-_QUATERNIONS: dict[str, Callable[[Array], Array]] = {
-    "": lambda q: q,
-    "the quaternion turns the world into the body: change the signs of its last three columns": conjugate,
-    "the quaternion has its scalar last: write w before x y z": lambda q: q[:, [3, 0, 1, 2]],
-    "the quaternion has its scalar last and turns the world into the body: write w before x y z, and change the "
-    "signs of these three": lambda q: conjugate(q[:, [3, 0, 1, 2]]),
-}
-
-
-def check_conventions(system: SystemInfo, runs: Sequence[Run]) -> None:
-    """Refuses a quaternion or a velocity that another convention explains, and says how to write it."""
-    q = system.quaternion
-    if q is None or not runs:
-        return
-    parts = [run.x[a:b] for run in runs for a, b in run.segments]
-    rates = rate_columns(system)
-
-    def turning(read: Callable[[Array], Array]) -> _Way:
-        return lambda x: (increments(read(x[:, q])), x[:, rates])
-
-    def moving(i: list[int], j: list[int], read: Callable[[Array, Array], Array]) -> _Way:
-        return lambda x: (np.diff(x[:, i], axis=0), read(x[:, q], x[:, j]))
-
-    if rates is not None:
-        turned = {remedy: turning(read) for remedy, read in _QUATERNIONS.items()}
-        _refuse(parts, turned, runs[0].dt, _LEFT_ATTITUDE, "attitude and body rates disagree")
-    for group, (i, j) in derivative_columns(system).items():
-        if len(i) == 3 and "(world" in group:
-            names = [system.state_names[k] for k in j]
-            ways = {remedy: moving(i, j, read) for remedy, read in _velocities(names).items()}
-            _refuse(parts, ways, runs[0].dt, _LEFT_VELOCITY, "position and velocity disagree")
 
 
 def check_runs(system: SystemInfo, runs: Sequence[Run]) -> None:
@@ -244,47 +194,3 @@ def _own_share(run: Run, i: int, j: int) -> tuple[float, float]:
     gap = gap - gap.mean()  # a biased rate is another fault
     size = float(np.sqrt(np.square(gap).mean()))
     return size / max(float(np.sqrt(np.square(move).mean())), 1e-300), size / max(noise, 1e-300)
-
-
-def _velocities(names: Sequence[str]) -> dict[str, Callable[[Array, Array], Array]]:
-    """Ways to read a velocity, from the quaternion and the columns of these names, by their remedies."""
-
-    def ordered(order: Sequence[int]) -> Callable[[Array, Array], Array]:
-        return lambda q, v: v[:, order]
-
-    orders = {" ".join(names[k] for k in order): ordered(order) for order in permutations(range(3))}
-    as_it_is = orders.pop(" ".join(names))
-    turned = (
-        "the velocity is along the body's axes: turn it into the world with the attitude, v_world = R(q) v"
-    )
-    return {
-        "": as_it_is,
-        **{f"the columns {own} are {' '.join(names)}: rename them": way for own, way in orders.items()},
-        "the velocity is NED: write east, north, up": lambda q, v: swap_world(v),
-        turned: rotate,
-    }
-
-
-def _refuse(parts: Iterable[Array], ways: Mapping[str, _Way], dt: float, most: float, what: str) -> None:
-    """Refuses if the first way to read the columns leaves more than `most` of the motion, and another one much less."""
-    length = max(1, round(INTERVAL_S / dt))
-    left, whole, count = dict.fromkeys(ways, 0.0), dict.fromkeys(ways, 0.0), 0
-    for x in parts:
-        n = (len(x) - 1) // length
-        count += n
-        for remedy, read in ways.items() if n else ():
-            change, rate = read(x[: n * length + 1])
-            means = 0.5 * (rate[1:] + rate[:-1])
-            change, rate = (v.reshape(n, length, 3).sum(1) for v in (change, means))
-            left[remedy] += float(np.square(change - dt * rate).sum())
-            whole[remedy] += float(np.square(change).sum())
-    if count < _FEWEST:
-        return
-    share = {remedy: left[remedy] / max(whole[remedy], 1e-300) for remedy in ways}
-    best = min(share, key=lambda remedy: share[remedy])
-    if best and share[""] > most and _BETTER * share[best] < share[""]:
-        raise DataError(
-            f"{what}: as the columns are expected (w x y z, body to world; velocities in the world), "
-            f"{percent(share[''])} of the motion over {INTERVAL_S:g} s is left unexplained, and "
-            f"{share[best]:.1%} if {best}."
-        )

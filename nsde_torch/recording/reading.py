@@ -19,6 +19,7 @@ import numpy as np
 
 from nsde_torch.arrays import Array
 from nsde_torch.data import inputs, interventions, kinematics
+from nsde_torch.data.mapping.checks import together
 from nsde_torch.data.raw import Finding, RawRun, Report
 from nsde_torch.data.readers import READERS, Kind, name_of, reader
 from nsde_torch.data.run import DataSet, Run, fingerprint
@@ -199,6 +200,9 @@ def assemble(
             columns.check_norms(run, system.quaternion, tuple(system.state_names), report)
         times.order(run, report)
         columns.check_columns(run, system, report)
+    joined = together(raw)
+    if joined is not raw[0]:
+        columns.check_columns(joined, system, report)
     interventions.check(raw)
     whole, rates = system, unmeasured_rates.to_infer(system, raw, policy=derived_rates, report=report)
     system = unmeasured_rates.measured_part(system, rates)
@@ -250,7 +254,6 @@ def assemble(
     _check_twins(runs, report)
     interventions.report_of(runs, report)
     standstill.check_constant(system, runs, report)
-    columns.check_conventions(system, runs)
     columns.check_runs(system, runs)
     clock_and_biases.check_units(slopes, tuple(system.state_names))
     clock_and_biases.check_scales(system, slopes, report)

@@ -208,18 +208,18 @@ class FeedbackTest:
         if answers:
             told = "; ".join(
                 f"{a.input} answers what the physics leaves unexplained of {a.channel} within "
-                f"{1e3 * a.within_s:.0f} ms ({a.share:.{0 if a.share >= 0.01 else 1}%} of what is new in it)"
+                f"{1e3 * a.within_s:.0f} ms ({a.share:.{0 if a.share >= 0.01 else 1}%} of its innovation)"
                 for a in answers[:_SHOWN]
             )
             rest = f"; {len(answers) - _SHOWN} further pairs" if len(answers) > _SHOWN else ""
             out.append(
                 f"the loop is closed: {told}{rest}; errors of predictions over many steps under these inputs do not "
-                "tell what an input does"
+                "show what an input does"
             )
         elif self.closed:
             out.append(
                 "the loop is closed: inputs together answer what the physics leaves unexplained of what they drive; "
-                "errors of predictions over many steps under these inputs do not tell what an input does"
+                "errors of predictions over many steps under these inputs do not show what an input does"
             )
         elif self.open:
             out.append(
@@ -230,12 +230,13 @@ class FeedbackTest:
         predictive = _surely(self.knowledge)
         if predictive:
             told = "; ".join(
-                f"{a.input} predicts {a.share:.1%} of what is new in {a.channel}" for a in predictive[:_SHOWN]
+                f"{a.input} predicts {a.share:.1%} of the innovation of {a.channel}"
+                for a in predictive[:_SHOWN]
             )
             lost = [c for c in self.smoothed if c in {a.channel for a in predictive}]
             why = f"the states of {' and '.join(lost)} were smoothed before they were logged, and {_SAW}; or "
             why = why if lost else ""
-            out.append(f"inputs know what the log does not: {told}; {why}{_EITHER}")
+            out.append(f"inputs predict innovations: {told}; {why}{_EITHER}")
         elif self.other_sensors:
             out.append(
                 f"the inputs that move {' and '.join(self.other_sensors)} hardly answer the noise of the logged "
@@ -243,14 +244,12 @@ class FeedbackTest:
                 "not. Gains may be biased; signals from outside the loop (data.instruments=[...]) take most of that out"
             )
         elif self.closed and not self.functions_of_state:
-            out.append(
-                "inputs know nothing that the log does not: one-step estimates are right under this feedback"
-            )
+            out.append("inputs predict no innovation: one-step estimates are right under this feedback")
         for name in self.functions_of_state:
             out.append(
                 f"{name} is nearly a function of the logged state ({1 - self.new[name]:.0%} of it): what it does "
-                f"cannot be told from what {' and '.join(self.driven[name])} would do anyhow, and its gain is not "
-                "identifiable; move the sticks more, or add a test signal"
+                f"is indistinguishable from what {' and '.join(self.driven[name])} would do anyhow, and its gain is "
+                "not identifiable; move the sticks more, or add a test signal"
             )
         return out
 

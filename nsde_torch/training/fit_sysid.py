@@ -81,7 +81,7 @@ def summary(found: Identification) -> str:
     for i, half in enumerate(found.half_widths(_LEVEL)):
         value, error = found.values[i], found.standard_errors[i]
         cells = (
-            ["", "not believed" if found.converged and not found.believed else _UNKNOWN[found.converged]]
+            ["", "rejected" if found.converged and not found.believed else _UNKNOWN[found.converged]]
             if half != half
             else [number(error), between_ends((value - half, value + half))]
         )

@@ -72,7 +72,6 @@ class Training:
         self.folder, self.quiet = Path(self.run_dir), self.say is False
         compiles = model_kind(self.spec.kind).compiles
         # a fit by innovations samples too little to pay for it: a minute of compiler for some seconds
-        # a fit by innovations samples too little to pay for it: a minute of compiler for some seconds
         compiles = compiles and (self.options.compile == "on" or self.loss.kind != "innovations")
         self.compile = self.options.compile != "off" and compiles
         self.smoothing = smoothing_width(self.split.train, len(self.data.input_names))

@@ -281,3 +281,23 @@ def test_a_candidate_whose_channel_is_not_logged_is_refused_before_any_work() ->
             say=lambda stage, done, total: worked.append(stage),
         )
     assert not worked
+
+
+def test_a_training_that_is_stopped_once_the_model_is_fitted_returns_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = nsde_torch.simulate("mass_spring_damper", durations=[4.0] * 3, seed=1)
+    given: dict[str, Any] = {"system": "mass_spring_damper", "model": "sysid"}
+
+    def stop(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("nsde_torch.training.session.Training._test", stop)
+    model = nsde_torch.train(made, **given)
+    assert (
+        model.predict(nsde_torch.read(made, system="mass_spring_damper").runs[0], horizon=0.5).run == "run_0"
+    )
+    assert "stopped: the model is fitted" in capsys.readouterr().out
+    monkeypatch.setattr("nsde_torch.training.session.Training._fit", stop)
+    with pytest.raises(KeyboardInterrupt):
+        nsde_torch.train(made, **given)

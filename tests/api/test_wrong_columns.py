@@ -172,6 +172,22 @@ def test_columns_that_are_exchanged_are_named(tmp_path: Path, system: str, names
     assert found.doubts[0].startswith(f"exchange the columns {names[0]} and {names[1]}")
 
 
+@pytest.mark.parametrize("kind", [None, "table"])
+def test_runs_that_are_too_short_to_judge_alone_are_judged_together(tmp_path: Path, kind: str | None) -> None:
+    for name, columns in (("sound", cart()), ("exchanged", order(cart(), "theta", "theta_dot"))):
+        for k in range(4):  # 4 s each
+            rows = slice(200 * k, 200 * (k + 1))
+            (tmp_path / name).mkdir(exist_ok=True)
+            write_table(tmp_path / name / f"run_{k}.csv", {c: v[rows] for c, v in columns.items()})
+    sound = nsde_torch.inspect(tmp_path / "sound", system=CART, kind=kind, physics=False)
+    assert [check.passed for check in sound.checks] == [True, True]
+    nsde_torch.read(tmp_path / "sound", system=CART, state_smoothing="keep")
+    found = nsde_torch.inspect(tmp_path / "exchanged", system=CART, kind=kind, physics=False)
+    assert found.doubts[0].startswith("exchange the columns theta and theta_dot")
+    with pytest.raises(DataError, match=r"short runs together.*theta and theta_dot are exchanged"):
+        nsde_torch.read(tmp_path / "exchanged", system=CART)
+
+
 @pytest.mark.parametrize(
     ("system", "column", "factor", "words"),
     [

@@ -53,7 +53,7 @@ def test_flights_before_and_after_are_compared_and_nothing_finished_is_done_agai
     _diagnosed({"motor_lag": {"time_constant": 0.05}, "linear_drag": {"drag": [0.5, 0.5, 0.1]}})
     assert main(["close-loop", *SHORT]) == 0
     printed = capsys.readouterr().out
-    assert "The controller is told of: linear_drag." in printed
+    assert "The controller now has: linear_drag." in printed
     assert "better in" in printed
     # a lag is what `delay` stands for
     assert told == [[], [], [{"linear_drag": {"drag": [0.5, 0.5, 0.1]}}]]

@@ -181,8 +181,9 @@ def test_inspection_takes_every_path(path: str, tmp_path: Path, capsys: pytest.C
     (tmp_path / path / "run.csv").write_text(
         "t,q,q_dot\n" + "".join(f"{k / 100},{k},{100}\n" for k in range(50))
     )
-    assert main(["inspect", path, "physics=false", "system=mass_spring_damper"]) in (0, 1)
-    assert "1 run (run)" in capsys.readouterr().out
+    for words in ([path], ["--", path], [f"data.path={path}"]):
+        assert main(["inspect", *words, "physics=false", "system=mass_spring_damper"]) in (0, 1)
+        assert "1 run (run)" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("elsewhere")

@@ -90,7 +90,7 @@ def test_a_tie_with_a_fault_of_the_recording_is_no_question() -> None:
     now = standing_of(content)
     assert now.settled
     assert now.beyond == (("linear_drag", "sensor_bias"),)
-    assert "tied whatever the input: linear_drag or sensor_bias" in now.words
+    assert "indistinguishable whatever the input: linear_drag or sensor_bias" in now.words
 
 
 def test_a_lead_is_asked_with_all_its_parameters() -> None:

@@ -86,7 +86,7 @@ def test_an_effect_beside_which_more_is_left_than_it_explains_is_a_lead(
     assert doubtful.verdict == "unexplained"
     told = summary(doubtful.verdict, [], friction[0].shown, doubtful, (), "q and q_dot on force")
     assert "functions explain more (q and q_dot on force) than coulomb_friction can explain" in told
-    assert told.endswith("which is a lead.")
+    assert told.endswith("which is provisional.")
 
 
 def test_an_effect_that_is_named_explains_all_that_functions_can(
@@ -129,7 +129,7 @@ def test_what_no_candidate_names_is_explained_by_functions(
     assert "q_dot" in own["sentence"]
     told = lines(content)
     assert f"ceiling: {own['sentence']}" in told
-    assert f"  a lead, unverified: {own['remedy']}" in told
+    assert f"  provisional: {own['remedy']}" in told
     table = told[next(i for i, line in enumerate(told) if line.startswith("functions on")) + 2 :]
     assert [line.split()[0] for line in takewhile(bool, table)] == ["force"]
     html = page(content, {}, width=0.25)

@@ -28,10 +28,10 @@ def test_what_is_found_behind_a_smoother_that_is_kept_is_no_more_than_a_lead() -
     content = found.content()
     assert content["guard"]["objections"]
     assert content["verdict"] == "unexplained"
-    assert "not believed" in content["summary"]
+    assert "rejected" in content["summary"]
     assert all(finding["lead"] for finding in content["findings"])
     assert all(p["interval_90"] is None for p in content["parameters"].values())
-    assert "not believed" in found.report
+    assert "rejected" in found.report
 
 
 @pytest.fixture(scope="module")

@@ -358,13 +358,13 @@ ROLLED, NED = [7, 8, 9, 6], [1.0, 1.0, -1.0]
 @pytest.mark.parametrize(
     ("columns", "spoil", "remedy"),
     [
-        (slice(6, 10), lambda x: x[:, ROLLED], "scalar last: write w before x y z"),
-        (slice(6, 10), lambda x: conjugate(x[:, 6:10]), "world into the body: change the signs of its last three"),
-        (slice(6, 10), lambda x: conjugate(x[:, 6:10])[:, [1, 2, 3, 0]], "scalar last and turns the world into the"),
+        (slice(6, 10), lambda x: x[:, ROLLED], "w x y z, body to world.*scalar last"),
+        (slice(6, 10), lambda x: conjugate(x[:, 6:10]), "turns the world into the body"),
+        (slice(6, 10), lambda x: conjugate(x[:, 6:10])[:, [1, 2, 3, 0]], "scalar last .* and it turns the world into"),
         (slice(3, 6), lambda x: rotate(conjugate(x[:, 6:10]), x[:, 3:6]),
-         r"along the body's axes: turn it into the world .* v_world = R\(q\) v"),
+         "velocities in m/s along the axes of the positions .* along the body's axes"),
         (slice(3, 6), lambda x: x[:, [4, 3, 5]], "the columns v_y v_x v_z are v_x v_y v_z"),
-        (slice(3, 6), lambda x: x[:, [4, 3, 5]] * NED, "NED: write east, north, up"),
+        (slice(3, 6), lambda x: x[:, [4, 3, 5]] * NED, "they are NED and the positions ENU"),
     ],
 )  # fmt: skip
 def test_another_convention_is_refused_with_the_way_to_write_it(

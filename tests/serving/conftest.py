@@ -24,10 +24,15 @@ from nsde_torch.cli.serving.job import ServeLimits, machines
 from nsde_torch.cli.serving.process import EndOfProcess, why_ended
 from nsde_torch.cli.serving.runner import JobRunner
 from nsde_torch.cli.serving.shelf import Shelf
+from nsde_torch.diagnosis.time_series import script
 
 HOST = "127.0.0.1:8765"
 TOKEN = "a-token"
 FOUND = Path(__file__).parents[1] / "golden" / "diagnosis.json"
+REPORT = """<!doctype html><title>report</title><p>as found</p><select id="run"></select><div id="charts"></div>
+<script type="application/json" id="series">{"runs": [{"name": "run",
+"log": {"t": [0, 1], "y": {"q": [0, 1, "AAABAA=="]}}}],
+"charts": [{"of": "log", "names": ["q"], "unit": "m"}], "path": ["q", "q", "q"]}</script>"""
 INSPECTION = {
     "kind": "csv", "runs": ["run"], "system": "mass_spring_damper", "usable": True, "native": True, "mapping": "",
     "mapped": [], "columns": [], "missing": [], "open": [], "notes": [], "checks": [], "path": "",
@@ -72,7 +77,7 @@ class PlayedWork:
         result = Path(given["out_dir"])
         (result / "plots").mkdir(parents=True)
         shutil.copy(FOUND, result / "diagnosis.json")
-        (result / "report.html").write_text("<!doctype html><title>report</title><p>as found</p>")
+        (result / "report.html").write_text(REPORT + f"<script>{script()}</script>")
         (result / "effects.yaml").write_text("effects: []\n")
         (result / "plots" / "residual.png").write_bytes(b"\x89PNG")
         return EndOfProcess(0, "", "")

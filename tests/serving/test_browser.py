@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+import nsde_torch
 from tests.helpers.browser import chromium, programs
 from tests.serving.conftest import INSPECTION, TOKEN, Played, make_page
 
@@ -93,7 +94,7 @@ def screen(driver: Any, tmp_path: Path, played: Played) -> Iterator[Screen]:
     from nsde_torch.cli.serving.server import listen
 
     server = listen("127.0.0.1", 0, largest=1 << 20, threads=4)
-    page = make_page(tmp_path / "served", played, hosts=[f"127.0.0.1:{server.port}"], upload=1 << 16, keep=4)
+    page = make_page(tmp_path / "served", played, hosts=[f"127.0.0.1:{server.port}"], upload=1 << 18, keep=4)
     running = create_server(page.app, sockets=[server.socket], threads=4)
 
     def answer() -> None:
@@ -138,6 +139,8 @@ def test_from_drop_to_report(screen: Screen, played: Played) -> None:
     screen.driver.execute_script("arguments[0].scrollIntoView()", frame)
     screen.driver.switch_to.frame(frame)
     screen.until("p", lambda p: p.text == "as found")
+    screen.until("#charts .js-line")  # the one script that a report may run
+    screen.until("#charts canvas")
     screen.driver.switch_to.default_content()
     wrong = [e for e in screen.driver.get_log("browser") if "residual.png" not in e["message"]]
     assert not [e for e in wrong if e["level"] == "SEVERE"], wrong  # nothing against its own policy
@@ -148,10 +151,35 @@ def test_from_drop_to_report(screen: Screen, played: Played) -> None:
     screen.until(".verdict")
 
 
+def test_a_sample_log_is_diagnosed_and_two_diagnoses_are_compared(screen: Screen, played: Played) -> None:
+    played.go.set()
+    for _ in range(2):
+        assert screen.until("#empty").is_displayed() == (not screen.all("#result"))
+        screen.driver.execute_script("document.getElementById('sample').click()")
+        screen.until("#start").click()
+        screen.until(".verdict")
+        screen.until("#kept li[aria-current]")
+    logs = sorted(screen.folder.glob("*/logs/*.csv"))
+    assert len(logs) == 8
+    runs = nsde_torch.read(
+        logs[0].parent, system="mass_spring_damper"
+    )  # all checks of columns, units and times
+    assert (len(runs.runs), runs.dt) == (4, 0.01)
+    screen.press("Compare")
+    head, first, *_ = screen.until("#comparison").text.splitlines()[1:]
+    assert head.count("sample_0.csv") == 2 or "sample_0.csv" in first
+    rows = [row.text for row in screen.all("#comparison tbody tr")]
+    golden = json.loads((Path(__file__).parents[1] / "golden" / "diagnosis.json").read_text())
+    for name in golden["parameters"]:
+        effect, _, parameter = name.partition(".")
+        (row,) = [row for row in rows if row.startswith(f"{effect}: {parameter} ")] or [""]
+        assert row or effect not in {f["name"] for f in golden["findings"]}
+
+
 def test_what_is_refused_is_said_and_nothing_runs(screen: Screen, played: Played) -> None:
     for files, said in (
         ({"flights.zip": "PK"}, "unpack it"),
-        ({"a.csv": "x" * 70000}, "at most 0.0625 MiB"),
+        ({"a.csv": "x" * 270000}, "at most 0.25 MiB"),
         ({f"{HOSTILE}.svg": "x"}, HOSTILE),
         ({"a.csv": ""}, "is empty"),
         ({"a.csv": "x", "b.ulg": "y"}, "different formats"),

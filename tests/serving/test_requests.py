@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import socket
 import threading
 
@@ -60,7 +61,9 @@ def test_every_answer_lets_nothing_in_and_nothing_out(page: Page) -> None:
         assert "http" not in policy
         assert headers["X-Content-Type-Options"] == "nosniff"
         assert headers["Cache-Control"] == "no-store"
-    assert "sandbox" in page.ask("GET", f"/jobs/{job['id']}/log.txt").headers["Content-Security-Policy"]
+    sheet = page.ask("GET", f"/jobs/{job['id']}/log.txt").headers["Content-Security-Policy"]
+    assert "sandbox allow-scripts;" in sheet
+    assert re.search(r"script-src 'sha256-[^']+';", sheet)  # that of a report, and no other
 
 
 def test_the_page_asks_for_nothing_elsewhere(page: Page) -> None:

@@ -39,4 +39,4 @@ def test_no_interval_is_given_for_a_fit_that_the_guard_speaks_against(found: Ide
     assert np.isnan(told.half_widths(0.9)).all()
     assert told.warnings[0] == "it leaves more than was measured; look at it"
     assert "no interval is given" in summary(told)
-    assert "not believed" in summary(told)
+    assert "rejected" in summary(told)

@@ -69,5 +69,5 @@ def words_of(added: Sequence[str], declared: str, verdict: str = "effect_found")
     """A sentence that names what was found beside the declared physics."""
     if not added:
         return [f"Nothing was found missing in {declared}."]
-    lead = " This is a lead: something else is missing too." if verdict == "unexplained" else ""
+    lead = " This is provisional: something else is missing too." if verdict == "unexplained" else ""
     return [f"Missing in {declared}: {', '.join(added)}.{lead}"]

@@ -258,7 +258,7 @@ def _reservations(named: dict[str, Any]) -> list[str]:
     unseen = [name for name, entry in named["parameters"].items() if entry["interval_90"] is None]
     return [
         f"{what}: {', '.join(names)}."
-        for what, names in (("Leads", named["leads"]), ("Not shown by the data", unseen))
+        for what, names in (("Provisional", named["leads"]), ("Not shown by the data", unseen))
         if names
     ]
 

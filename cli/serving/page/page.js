@@ -1,5 +1,5 @@
 // Drop, look, diagnose: requests to the server of this page, and what is shown when.
-import { clock, h, inspection, progress, result, size, title } from "./views.js";
+import { clock, comparison, h, inspection, progress, result, size, title } from "./views.js";
 
 const KEY = "nsde-token";
 const JOB = /^#\d{8}-\d{6}-[0-9a-f]{16}$/;
@@ -91,6 +91,21 @@ async function upload(files, leftOut = []) {
   await list();
 }
 
+/** Four recordings of a mass on a spring with a dry friction of 0.3 m/s2, which the declared physics has not. */
+function sample() {
+  let seed = 7;
+  const noise = () => [...Array(12)].reduce((sum) => sum + (seed = (seed * 48271) % 2147483647) / 2147483647, -6);
+  return [0, 1, 2, 3].map((run) => {
+    let q = noise(), v = 0, force = 0, rows = "t,q,q_dot,force\n";
+    for (let k = 0; k < 1000; k++) {
+      if (k % 20 === 0) force = 2 * noise();
+      rows += `${k / 100},${(q + 0.001 * noise()).toFixed(5)},${(v + 0.003 * noise()).toFixed(5)},${force.toFixed(5)}\n`;
+      for (let i = 0; i < 20; i++) { v += 0.0005 * (force - 4 * q - 0.4 * v - 0.3 * Math.tanh(v / 0.005)); q += 0.0005 * v; }
+    }
+    return new File([rows], `sample_${run}.csv`);
+  });
+}
+
 const known = (name) => state.about.suffixes.some((s) => name.toLowerCase().endsWith(s));
 
 /** Files of a folder: the logs alone. */
@@ -135,6 +150,12 @@ const act = {
     await ask("DELETE", `/${job.id}`);
     if (state.job?.id === job.id) show(null);
     await list();
+  }),
+  compare: (job) => attempt(async () => {
+    const other = await ask("GET", `/${job.id}`);
+    byId("comparison")?.remove();
+    byId("result").before(comparison(state.job, other));
+    byId("comparison").scrollIntoView({ block: "nearest" });
   }),
   copy: async (text, button) => {
     try {
@@ -208,11 +229,13 @@ async function list() {
     byId("system").append(...about.systems.map((s) => h("option", { value: s, selected: s === about.system }, s)));
     byId("files").accept = about.suffixes.join(",");
     byId("accepted").textContent = `${about.suffixes.join(" ")}; up to ${size(about.upload)} together.`;
-    byId("where").textContent = `They lie in ${about.folder}.`;
+    byId("where").textContent = `Kept in ${about.folder}.`;
   }
   byId("kept").replaceChildren(...about.jobs.map((job) => h("li", job.id === state.job?.id ? { attr: { "aria-current": "true" } } : {},
     h("button", { type: "button", className: "name", onclick: () => { say(""); open(job.id); } }, title(job)),
     h("div", { className: "small" }, h("span", {}, [job.machine, job.created.slice(0, 16).replace("T", " "), job.called].filter(Boolean).join(" · ")),
+      state.job?.state === "done" && job.state === "done" && job.id !== state.job.id &&
+        h("button", { type: "button", className: "quiet", attr: { "aria-label": `Compare with ${title(job)}` }, onclick: () => act.compare(job) }, "Compare"),
       AT_WORK.includes(job.state) ? "" : h("button", { type: "button", className: "quiet", attr: { "aria-label": `Delete ${title(job)}` }, onclick: () => act.remove(job) }, "Delete")))));
   if (!about.jobs.length) byId("kept").replaceChildren(h("li", { className: "small" }, "None yet."));
 }
@@ -225,6 +248,7 @@ for (const name of ["dragover", "dragleave", "drop"]) {
 document.addEventListener("drop", dropped);
 byId("files").addEventListener("change", (event) => { upload([...event.target.files]).finally(() => { event.target.value = ""; }); });
 byId("folder").addEventListener("change", (event) => { fromFolder([...event.target.files]); event.target.value = ""; });
+byId("sample").addEventListener("click", () => { byId("system").value = "mass_spring_damper"; upload(sample()); });
 const wanted = JOB.test(location.hash) ? location.hash.slice(1) : null;
 token();
 attempt(list).then(() => { if (state.about && wanted) open(wanted); });

@@ -53,7 +53,7 @@ function mapping(job, found, act) {
 
 function choose(job, act, systems) {
   if (!["ready", "refused"].includes(job.state)) return null;
-  const now = h("select", { id: "other" }, h("option", { value: "" }, "told by what is logged"),
+  const now = h("select", { id: "other" }, h("option", { value: "" }, "chosen from what is logged"),
     systems.map((s) => h("option", { value: s, selected: s === job.system }, s)));
   return h("div", { className: "row" }, h("label", { htmlFor: "other" }, "Machine"), now,
     h("button", { type: "button", onclick: () => act.inspect(job, null, now.value) }, "Look again"));
@@ -95,11 +95,11 @@ export function progress(job, seconds) {
 function finding(one, job, act) {
   const rows = one.parameters.map((p) => [p.name, `${p.value} ${p.unit}`.trim(), p.interval]);
   return h("section", { className: "finding" },
-    h("h4", {}, h("code", {}, one.name), one.recording && " (the recording)", " ", one.lead && h("span", { className: "lead" }, `a lead: ${one.lead}`)),
+    h("h4", {}, h("code", {}, one.name), one.recording && " (the recording)", " ", one.lead && h("span", { className: "lead" }, `provisional: ${one.lead}`)),
     h("p", {}, one.sentence), one.law && h("p", {}, h("code", {}, one.law)), one.worth && h("p", {}, one.worth),
     rows.length > 0 && table(["parameter", "value", "90 % interval"], rows, `parameters of ${one.name}`),
     one.p && h("p", { className: "small" }, `Chance of this if it were not there: p ${one.p}.`),
-    one.ties.map((t) => h("p", {}, h("b", {}, "Tie. "), `These data cannot tell it from ${t.effects.join(", ")}.`, t.experiment && ` To tell: ${t.experiment}.`)),
+    one.ties.map((t) => h("p", {}, h("b", {}, "Indistinguishable. "), `These data do not distinguish it from ${t.effects.join(", ")}.`, t.experiment && ` To distinguish them: ${t.experiment}.`)),
     one.picture && picture(job, one.picture, `Residual with everything that was found, and with ${one.name} added back. What it explains is the difference; a good model lies on zero.`));
 }
 
@@ -135,8 +135,21 @@ export function result(job, act) {
     s.pictures.map((name) => picture(job, name, CAPTIONS[name](s))),
     h("h3", {}, "The command that repeats it"), command(job, act),
     fold("The whole report", false, h("p", {}, h("a", { href: `/jobs/${job.id}/report.html`, target: "_blank", rel: "noopener" }, "Open it in a tab of its own")),
-      h("iframe", { src: `/jobs/${job.id}/report.html`, title: "report", loading: "lazy", attr: { sandbox: "" } })),
+      h("iframe", { src: `/jobs/${job.id}/report.html`, title: "report", loading: "lazy", attr: { sandbox: "allow-scripts" } })),
   ];
+}
+
+/** Two diagnoses beside one another: verdicts, values with intervals, residuals. */
+export function comparison(one, other) {
+  const rows = (job) => new Map([["verdict", job.summary.heading],
+    ...job.summary.findings.flatMap((f) => (f.parameters.length ? f.parameters : [null]).map((p) =>
+      (p ? [`${f.name}: ${p.name}`, `${p.value} ${p.unit} (${p.interval})`] : [f.name, "found"]))),
+    ...job.summary.residual.map((r) => [`residual of ${r.name}, before and after`, `${r.before}, ${r.after} ${r.unit}`])]);
+  const [left, right] = [rows(one), rows(other)];
+  const names = [...new Set([...left.keys(), ...right.keys()])];
+  return h("section", { id: "comparison" }, h("h3", {}, "Beside one another"),
+    table(["", ...[one, other].map((job) => `${title(job)}, ${job.created.slice(0, 16).replace("T", " ")}`)],
+      names.map((name) => [name, left.get(name) ?? "-", right.get(name) ?? "-"]), "two diagnoses"));
 }
 
 export function command(job, act) {

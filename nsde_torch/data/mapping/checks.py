@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, permutations
 from math import pi
 
 import numpy as np
@@ -386,6 +386,8 @@ _FEW = 200  # rows, of fewer one spike is a usual change
 _TURN = 6.3  # range of an angle that was logged within one turn [rad]
 _SIZES = (1e-3, 1e-2, 0.3048, 1.0 / 0.3048, 1e2, 1e3)
 """Factors that a forgotten unit would be."""
+_ATTITUDE_AS = "write the quaternion as w x y z, body to world, and rates in rad/s about FLU axes"
+_VELOCITY_AS = "write velocities in m/s along the axes of the positions (ENU), in their order"
 _LEAN_WORDS = {
     "down": "positions are turned by 180 deg about the vertical against the attitude, or the body's third axis points "
     "down: check `frames` (NED for ENU, FRD for FLU)",
@@ -420,6 +422,25 @@ class LogCheck:
         return self.passed is False or bool(self.remedy)
 
 
+def together(runs: Sequence[RawRun]) -> RawRun:
+    """The first run, or of short ones so many, with a pause after each, that they hold intervals enough."""
+    most = 2.0 * _FEWEST * INTERVAL_S
+    parts, starts, end = [], [], 0.0
+    for run in runs:
+        n = min(len(run.t), len(run.u))
+        t = np.sort(run.t[:n])
+        if n > 1 and np.isfinite(t).all():
+            parts.append((run.t[:n] - t[0] + end, run.x[:n], run.u[:n]))
+            starts.append(run)
+            end += t[-1] - t[0] + 10.0 * float(np.median(np.diff(t)))
+        if end > most:
+            break
+    if len(parts) < 2:
+        return runs[0]
+    t, x, u = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return RawRun("short runs together", t, x, u, source=runs[0].source)
+
+
 # overflows are of numbers that no sensor says: the checks of all data refuse them
 @np.errstate(over="ignore", invalid="ignore")
 def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -> list[LogCheck]:
@@ -452,7 +473,8 @@ def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -
         if len(i) == 3 and attitude is not None and "(world" in group:
             if moved & {system.state_names[k] for k in (*i, *j)}:
                 continue
-            out.append(_velocity(run.t, attitude, run.x[:, i], run.x[:, j]))
+            names = [system.state_names[k] for k in j]
+            out.append(_velocity(run.t, attitude, run.x[:, i], run.x[:, j], names))
             if all(
                 check.passed is not False for check in out
             ):  # else the tilt shows the same fault once more
@@ -531,7 +553,7 @@ def _attitude(t: Array, q: Array, w: Array, logged: _Logged) -> LogCheck:
                         best, words = left, _attitude_words(logged, order, turns, unit, sign)
     if BETTER * best < own:
         text = f"the rates leave {own:.0%} of the attitude's turning, and {best:.1%} if {words}."
-        return LogCheck(ATTITUDE, False, text, f"read or write the attitude and the rates so: {words}")
+        return LogCheck(ATTITUDE, False, text, f"{_ATTITUDE_AS}, or say in a mapping that {words}")
     text = f"{told}, whatever their order, direction and unit: of another body or time."
     remedy = "look at the attitude and the rates: one is of another body or time"
     return LogCheck(ATTITUDE, None, text, remedy)
@@ -552,8 +574,9 @@ def _attitude_words(logged: _Logged, order: str, turns: str, unit: str, sign: fl
     return " and ".join(words)
 
 
-def _velocity(t: Array, q: Array, p: Array, v: Array) -> LogCheck:
-    ways = list(velocity_ways())
+def _velocity(t: Array, q: Array, p: Array, v: Array, names: Sequence[str]) -> LogCheck:
+    orders = (VelocityWay("world", (i, j, k)) for i, j, k in permutations(range(3)) if i > 0 or j > 1)
+    ways = [*velocity_ways(), *orders]
     left = [velocity_left(t, q, p, v, way) for way in ways]
     sizes = [velocity_left(t, q, p, factor * v, ways[0]) for factor in _SIZES]
     if not np.isfinite(left[0]):
@@ -561,10 +584,10 @@ def _velocity(t: Array, q: Array, p: Array, v: Array) -> LogCheck:
     k, size = int(np.nanargmin(left)), int(np.nanargmin(sizes))
     other = min(left[k], sizes[size])
     if left[0] > SOUND_VELOCITY and BETTER * other < left[0]:
-        by = f"{_SIZES[size]:g} times as large: a unit of one of them (`unit`)"
-        words = _velocity_words(ways[k]) if left[k] <= sizes[size] else f"they are {by}"
+        by = f"{_SIZES[size]:g} times as large: one of the two has another unit (mm or ms, say)"
+        words = _velocity_words(ways[k], names) if left[k] <= sizes[size] else f"they are {by}"
         text = f"velocities leave {percent(left[0])} of the movement, and {other:.1%} if {words}."
-        return LogCheck(VELOCITY, False, text, f"read or write the velocities so: {words}")
+        return LogCheck(VELOCITY, False, text, f"{_VELOCITY_AS}, or say in a mapping that {words}")
     if left[0] <= NOISY_VELOCITY:
         return LogCheck(VELOCITY, True, f"velocities leave {left[0]:.1%} of the movement over 0.25 s.")
     if _noise_alone(t, p, left[0]):
@@ -591,10 +614,12 @@ def _lean(t: Array, q: Array, p: Array) -> LogCheck:
     return LogCheck(LEAN, False, text, f"write all states in ENU and FLU: {words}")
 
 
-def _velocity_words(way: VelocityWay) -> str:
+def _velocity_words(way: VelocityWay, names: Sequence[str]) -> str:
     if way.axes == "body":
         body = "" if way.signs[1] > 0 else " of the other handedness, FRD for FLU"
         return f"they are along the body's axes{body} (`axes: body`)"
+    if way.signs == (1.0, 1.0, 1.0):
+        return f"the columns {' '.join(names[k] for k in way.places)} are {' '.join(names)}"
     if way.places == (1, 0, 2):
         return "they are NED and the positions ENU, or the other way round (`world` of one of them)"
     return "their third axis has the opposite sign of the position's (one up, one down)"

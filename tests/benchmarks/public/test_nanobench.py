@@ -91,7 +91,7 @@ def test_the_voltage_explains_what_the_rigid_body_does_not(
     content = run_benchmark("nanobench", nanobench_folder, out_dir=tmp_path)
     assert [log.name for log in logs] == [FLIGHTS[0]]
     assert all("battery_voltage" in log.extra for log in logs)
-    assert content["found"][1:] == ["Leads: battery_voltage.", "Not shown by the data: roll_gain."]
+    assert content["found"][1:] == ["Provisional: battery_voltage.", "Not shown by the data: roll_gain."]
     assert content["ratio_to_best_published"] == {}  # what was published is of another flight
     rows = content["ours"]
     assert rows["voltage-conditioned, fitted here"]["rmse"] < rows["constant gain, fitted here"]["rmse"]

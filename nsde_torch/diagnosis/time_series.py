@@ -1,0 +1,135 @@
+"""The log over time for `report.html`: states, inputs, and what the physics leaves before and after, by run.
+
+Runs are thinned to what a screen shows: of each stretch of rows the smallest and the largest value, so that no spike is
+lost. Values are 16-bit numbers between the ends of their channel; `templates/series.js` draws them with plotly.js, as
+the package `plotly` ships it.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from importlib.metadata import distribution
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nsde_torch.arrays import Array
+from nsde_torch.data.system_info import derivative_columns
+
+if TYPE_CHECKING:
+    from nsde_torch.data import Run
+    from nsde_torch.diagnosis.result import Diagnosis
+
+_ROWS = 16_000  # of all runs together
+_FEWEST = 200  # of a run
+_GAP = -32768  # no value
+_SCRIPT = Path(__file__).parent / "templates" / "series.js"
+_PLOTLY = "plotly/package_data/plotly.min.js"
+
+
+def plotly_script() -> str:
+    """What the package `plotly` ships; the package itself is not imported."""
+    return Path(str(distribution("plotly").locate_file(_PLOTLY))).read_text(encoding="utf-8")
+
+
+def script() -> str:
+    """The script of the page: plotly.js, and what draws with it."""
+    return f"{plotly_script()}\n{_SCRIPT.read_text(encoding='utf-8')}"
+
+
+def script_hash() -> str:
+    """What a Content-Security-Policy allows, so that this script runs and no other."""
+    return "sha256-" + base64.b64encode(hashlib.sha256(script().encode()).digest()).decode()
+
+
+def time_series(found: Diagnosis) -> str:
+    """The log over time as JSON without a `<`, which may stand in a page."""
+    system, data = found.system, found.data
+    columns = (*system.state_names, *data.input_names)
+    units = (*system.state_units, *system.input_units, *[""] * (len(data.input_names) - system.nu))
+    groups: list[tuple[str, list[str]]] = []
+    for k, (name, unit) in enumerate(zip(columns, units, strict=True)):
+        if k not in (0, len(system.state_names)) and unit == groups[-1][0]:
+            groups[-1][1].append(name)
+        else:
+            groups.append((unit, [name]))
+    runs = [data[name] for name in found.runs]
+    most = max(_FEWEST, _ROWS // len(runs))
+    logs = [_encoded(columns, *_log(run, most)) for run in runs]
+    left, charts = _left(found, most)
+    paths = (
+        i for i, _ in derivative_columns(system).values() if system.quaternion is not None and len(i) == 3
+    )
+    content = {
+        "runs": [{"name": r.name, "log": a, "left": b} for r, a, b in zip(runs, logs, left, strict=True)],
+        "charts": [{"of": "log", "names": names, "unit": unit} for unit, names in groups] + charts,
+        "path": [system.state_names[k] for k in next(paths, ())],
+    }
+    return json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def _log(run: Run, most: int) -> tuple[Array, Array]:
+    """Times and states with inputs of a run, with a row of gaps after each stretch."""
+    values = np.column_stack((run.x, run.u))
+    share = most / max(len(run.t), 1)
+    parts = [thinned(run.t[a:b], values[a:b], max(2, round(share * (b - a)))) for a, b in run.segments]
+    gap = np.full((1, values.shape[1]), np.nan)
+    t = [np.append(t, t[-1]) for t, _ in parts]
+    return np.concatenate(t), np.concatenate([part for _, y in parts for part in (y, gap)])
+
+
+def _left(found: Diagnosis, most: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """What the physics leaves of each run, before and after, and its charts; empty where it was not asked."""
+    from nsde_torch.diagnosis.shape import rates  # torch, which a server that asks for the hash does without
+
+    outcome, count = found.outcome, len(found.runs)
+    if outcome.verdict == "undecided":
+        return [{}] * count, []
+    before = rates(outcome.declared.regression, outcome.declared_variables)
+    after = rates(outcome.final.regression, outcome.variables)
+    both = {"before": before} | ({"after": after} if outcome.found else {})
+    out: list[dict[str, Any]] = []
+    for k in range(count):
+        rows = {name: seen.run == k for name, seen in both.items()}
+        t = before.values["time"][rows["before"]]
+        if not all(own.any() for own in rows.values()):
+            out.append({})
+            continue
+        values = [
+            np.interp(t, seen.values["time"][rows[name]], seen.residual[rows[name], number])
+            for number in range(len(before.names))
+            for name, seen in both.items()
+        ]
+        columns = [f"{channel} {name}" for channel in before.names for name in both]
+        out.append(_encoded(columns, *thinned(t, np.stack(values, 1), most)))
+    pairs = zip(before.names, before.units, strict=True)
+    charts = [{"of": "left", "names": [f"{c} {name}" for name in both], "unit": unit} for c, unit in pairs]
+    return out, charts
+
+
+def thinned(t: Array, y: Array, most: int) -> tuple[Array, Array]:
+    """About so many rows of t (n,) and y (n, k): of each stretch the smallest and the largest values, in turn."""
+    width = -(-2 * len(t) // most)
+    count = len(t) // width
+    if width < 2 or not count:
+        return t, y
+    parts = y[: count * width].reshape(count, width, -1)
+    ends = np.sort(np.stack((parts.argmin(1), parts.argmax(1))), axis=0)
+    first, last = (np.take_along_axis(parts, place[:, None], axis=1)[:, 0] for place in ends)
+    starts = np.arange(count) * width
+    times = np.stack((t[starts], t[starts + width // 2]), 1).reshape(-1)
+    return times, np.stack((first, last), 1).reshape(2 * count, -1)
+
+
+def _encoded(names: Any, t: Array, y: Array) -> dict[str, Any]:
+    out: dict[str, Any] = {"t": [float(f"{v:.7g}") for v in t.tolist()], "y": {}}
+    for name, values in zip(names, y.T, strict=True):
+        good = values[np.isfinite(values)]
+        low, size = (float(good.min()), float(np.ptp(good)) / 65534) if len(good) else (0.0, 0.0)
+        whole = np.round((values - low) / (size or 1.0)) - 32767
+        packed = np.where(np.isfinite(values), whole, _GAP).astype("<i2").tobytes()
+        out["y"][name] = [low, size, base64.b64encode(packed).decode()]
+    return out

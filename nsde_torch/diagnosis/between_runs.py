@@ -153,7 +153,8 @@ def with_differences(
         better, alike = _with_one(made, place, _best(again, place), names)
         # of a quadrotor's flights half of the time went into differences of gains that feedback may have made. Beside a
         # law of the time they are no worse than that (cart of seed 203, a force of each run)
-        if better is None or (not laws and feedback_made(again, numbered.feedback, place, better)):
+        timed = any("time" in law for law in laws)
+        if better is None or (not timed and feedback_made(again, numbered.feedback, place, better)):
             break
         ties |= dict.fromkeys(_of_runs(better.system) - _of_runs(place.system), alike)
         place = better

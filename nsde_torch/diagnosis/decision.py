@@ -34,7 +34,7 @@ from nsde_torch.diagnosis.residual_tests import (
 )
 from nsde_torch.diagnosis.search import Base, Search, bent_shape, fitted_system, moved_channels
 from nsde_torch.effects import effect_class
-from nsde_torch.effects.by_run import target_of
+from nsde_torch.effects.by_run import ByRun, target_of
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.sysid.feedback_test import FeedbackTest
 from nsde_torch.sysid.guard import Guarded, doubts_the_fit, guarded
@@ -92,7 +92,7 @@ def set_aside(search: Search, chosen: Selection, feedback: Feedback) -> Selectio
         # `nsde benchmark emps` the frictions went before a force that brought nothing
         weakest: tuple[float, str, Base, tuple[str, ...]] | None = None
         for name, one in joint.selected.items() if lengths else ():
-            moved, allowed, count = _hidden(lengths, base.regression, name)
+            moved, allowed, count = _hidden(tested, lengths, base.regression, name)
             if not set(moved) & set(lengths):
                 continue
             enough = search.level("effects") / among
@@ -117,30 +117,32 @@ def set_aside(search: Search, chosen: Selection, feedback: Feedback) -> Selectio
 
 
 def _hidden(
-    lengths: Mapping[str, Array], regression: Regression, name: str
+    test: FeedbackTest, lengths: Mapping[str, Array], regression: Regression, name: str
 ) -> tuple[tuple[str, ...], dict[str, float], int]:
     """Channels that an effect moves, what feedback may hide of it there (2 log L), and number of its parameters."""
     # what moves nothing (a limit that no input reaches any more) brings nothing
     moved = moved_channels(regression, name) or tuple(lengths)
+    own = regression.vector.of(name)
+    if any(isinstance(e, ByRun) and e.name == name for e in regression.vector.system.effects):
+        # what feedback does goes with how a run is flown. By what all runs have in common alone, gains that differ were
+        # named in flights of which nothing is missing (closed_loop.py, regimes b and c)
+        return moved, {c: test.hidden.get(c, 0.0) ** 2 for c in lengths}, len(own)
     # not of its shapes: feedback may bias the width of EMPS's friction by 68 standard errors, its size by 21
-    return (
-        moved,
-        allowances(lengths, regression.vector.sizes(name)),
-        len(regression.vector.of(name)),
-    )
+    return moved, allowances(lengths, regression.vector.sizes(name)), len(own)
 
 
 def feedback_made(search: Search, feedback: Feedback, before: FittedPhysics, after: FittedPhysics) -> bool:
     """Whether feedback may have made all that some effects brought, by which two physics differ: see `set_aside`."""
     base = at(search, after)
-    lengths = lengths_of_parameters(feedback.test(base.regression), base.regression)
+    tested = feedback.test(base.regression)
+    lengths = lengths_of_parameters(tested, base.regression)
     if not lengths:
         return False
     nats = nats_by_channel(at(search, before).regression, base.regression)
     brought = {channel: 2.0 * value for channel, value in nats.items()}
 
     def made(name: str) -> bool:
-        moved, allowed, count = _hidden(lengths, base.regression, name)
+        moved, allowed, count = _hidden(tested, lengths, base.regression, name)
         beyond = chance_beyond(brought, moved, allowed, count) < search.level("effects")
         return not (beyond or feedback.shown(fitted_system(base.regression), name))
 

@@ -38,7 +38,15 @@ from nsde_torch.inference.filtering import Pass, filtered, forced, with_paramete
 from nsde_torch.inference.force_scores import FunctionScores, force_scores
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.maximum import likeliest
-from nsde_torch.inference.sensitivity import Grams, Rows, grams, grams_beside, inverted, rows_of, solved
+from nsde_torch.inference.sensitivity import (
+    Grams,
+    WhitenedRows,
+    grams,
+    grams_beside,
+    inverted,
+    rows_of,
+    solved,
+)
 from nsde_torch.inference.smooth import EXTENDED, Kind, Scale, functions
 from nsde_torch.inference.state_space import StateSpace
 from nsde_torch.systems import System
@@ -213,8 +221,9 @@ class _View:
             own = own[np.argsort(firsts[own], kind="stable")]
             self.fold[own] = np.arange(len(own)) * _FOLDS // len(own)
         self._turns: tuple[Levels, dict[BasisGroup, Array]] | None = None
+        # rows of 200 columns are then 150 MB at most; longer logs are held against ten groups a turn alone
         self._keeps = int(self.space.chunks.counted.sum()) <= 2 * _SCREENED
-        self._rows: tuple[tuple[BasisGroup, ...], Rows] | None = None
+        self._rows: tuple[tuple[BasisGroup, ...], WhitenedRows] | None = None
 
     def at(self, levels: Levels) -> Pass:
         """The pass under some noise levels."""

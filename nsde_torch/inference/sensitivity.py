@@ -118,7 +118,7 @@ def grams(
 
 
 @dataclass(frozen=True)
-class Rows:
+class WhitenedRows:
     """Whitened rows of e and of some columns, which others are held against."""
 
     tables: list[Tensor]  # of each block of time (C, rows, 1 + k), in single precision
@@ -133,7 +133,7 @@ def rows_of(
     at: Pass,
     columns: Tensor,
     forces: Sequence[tuple[int, Tensor]],
-) -> Rows:
+) -> WhitenedRows:
     """Whitened rows of a pass that are kept, for `grams_beside`; see `grams`."""
     count, size = space.chunks.count, 1 + columns.shape[-1] + sum(force.shape[-1] for _, force in forces)
     lengths = [len(space.observed) * length for length in _lengths(space, _shown(space, about))]
@@ -142,12 +142,12 @@ def rows_of(
     for p, some, table in _tables(space, levels, about, at, columns, forces):
         tables[p][some] = table.float()
         sums[p, some] = table.transpose(1, 2) @ table
-    return Rows(tables, sums)
+    return WhitenedRows(tables, sums)
 
 
 @torch.no_grad()
 def grams_beside(
-    rows: Rows,
+    rows: WhitenedRows,
     space: StateSpace,
     levels: Levels,
     about: Linearisation,

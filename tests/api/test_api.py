@@ -263,7 +263,11 @@ def test_a_training_names_a_folder_that_it_wrote_and_no_other(kept: bool, runs: 
 
 @pytest.mark.parametrize(
     ("candidate", "why"),
-    [("linear_spring", "declared already"), ("rotor_drag", "does not list"), ("linear_drag", "cannot have")],
+    [
+        ("linear_spring", "declared already"),
+        ("propeller_drag", "does not list"),
+        ("linear_drag", "cannot have"),
+    ],
 )
 def test_a_candidate_that_cannot_be_one_is_refused_before_anything_is_read(candidate: str, why: str) -> None:
     with pytest.raises(ConfigError, match=why):

@@ -34,8 +34,9 @@ from nsde_torch.diagnosis.residual_tests import (
 )
 from nsde_torch.diagnosis.search import Base, Search, bent_shape, fitted_system, moved_channels
 from nsde_torch.effects import effect_class
-from nsde_torch.effects.by_run import ByRun, target_of
+from nsde_torch.effects.by_run import BY_RUN, target_of
 from nsde_torch.effects.expression_grammar import is_law
+from nsde_torch.effects.law import split_name
 from nsde_torch.sysid.feedback_test import FeedbackTest
 from nsde_torch.sysid.guard import Guarded, doubts_the_fit, guarded
 from nsde_torch.sysid.regression import Regression
@@ -123,7 +124,7 @@ def _hidden(
     # what moves nothing (a limit that no input reaches any more) brings nothing
     moved = moved_channels(regression, name) or tuple(lengths)
     own = regression.vector.of(name)
-    if any(isinstance(e, ByRun) and e.name == name for e in regression.vector.system.effects):
+    if target_of(name) or split_name(name)[0] in BY_RUN:
         # what feedback does goes with how a run is flown. By what all runs have in common alone, gains that differ were
         # named in flights of which nothing is missing (closed_loop.py, regimes b and c)
         return moved, {c: test.hidden.get(c, 0.0) ** 2 for c in lengths}, len(own)

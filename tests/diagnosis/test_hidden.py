@@ -160,3 +160,19 @@ def test_of_effects_that_all_may_be_feedback_the_one_that_brings_least_goes_firs
     kept = decision.set_aside(search, chosen, feedback)
     assert [f.name for f in kept.found] == ["friction"]
     assert [h.name for h in kept.hidden] == ["force"]
+
+
+@pytest.mark.parametrize(
+    ("name", "most"),
+    [("run_difference[roll_gain]", 256.0), ("run_force[q]", 256.0), ("flapping_moment", 36.0)],
+)
+def test_feedback_may_make_all_that_it_hides_of_a_channel_differ_between_runs(
+    name: str, most: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # gains that "differ" by 96 were named in closed-loop flights of which nothing is missing (2 log L)
+    monkeypatch.setattr(decision, "moved_channels", lambda regression, name: ("w_x",))
+    vector = SimpleNamespace(of=lambda name: [0, 1, 2], sizes=lambda name: [0, 1, 2])
+    test: Any = SimpleNamespace(hidden={"w_x": 16.0})
+    regression: Any = SimpleNamespace(vector=vector)
+    lengths = {"w_x": np.array([6.0, 5.0, 3.0])}
+    assert decision._hidden(test, lengths, regression, name) == (("w_x",), {"w_x": most}, 3)

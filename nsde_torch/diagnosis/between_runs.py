@@ -148,12 +148,12 @@ def with_differences(
     place = made.fitted(begun.system.reading(RUN), made.declared)
     other = made.fitted(joint.final.system.reading(RUN), place) if laws else place
     ties: dict[str, tuple[str, ...]] = {}
+    timed = any("time" in law for law in laws)
     for count in range(_MOST):
         log.say("what differs between runs", count, _MOST)
         better, alike = _with_one(made, place, _best(again, place), names)
         # of a quadrotor's flights half of the time went into differences of gains that feedback may have made. Beside a
         # law of the time they are no worse than that (cart of seed 203, a force of each run)
-        timed = any("time" in law for law in laws)
         if better is None or (not timed and feedback_made(again, numbered.feedback, place, better)):
             break
         ties |= dict.fromkeys(_of_runs(better.system) - _of_runs(place.system), alike)

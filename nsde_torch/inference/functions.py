@@ -38,15 +38,7 @@ from nsde_torch.inference.filtering import Pass, filtered, forced, with_paramete
 from nsde_torch.inference.force_scores import FunctionScores, force_scores
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.maximum import likeliest
-from nsde_torch.inference.sensitivity import (
-    Grams,
-    WhitenedRows,
-    grams,
-    grams_beside,
-    inverted,
-    rows_of,
-    solved,
-)
+from nsde_torch.inference.sensitivity import Grams, WhitenedRows, grams, inverted, rows_of, solved
 from nsde_torch.inference.smooth import EXTENDED, Kind, Scale, functions
 from nsde_torch.inference.state_space import StateSpace
 from nsde_torch.systems import System
@@ -274,8 +266,8 @@ class _View:
             fixed = tuple(groups[:together])
             if self._rows is None or self._rows[0] != fixed:
                 self._rows = None  # before others take its place
-                self._rows = fixed, rows_of(*of, self.base, on_ports(0, together))
-            held = grams_beside(self._rows[1], *of, on_ports(together, len(groups)), parted)
+                self._rows = fixed, rows_of(of, self.base, on_ports(0, together))
+            held = self._rows[1].beside(on_ports(together, len(groups)), parted)
         else:
             held = grams(*of, self.base, forces=on_ports(0, len(groups)), apart=parted)
         total = held.total

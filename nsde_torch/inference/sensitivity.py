@@ -119,56 +119,44 @@ def grams(
 
 @dataclass(frozen=True)
 class WhitenedRows:
-    """Whitened rows of e and of some columns, which others are held against."""
+    """Whitened rows of e and of some columns of a pass, which others are held against."""
 
+    of: tuple[StateSpace, Levels, Linearisation, Pass]
     tables: list[Tensor]  # of each block of time (C, rows, 1 + k), in single precision
     sums: Tensor  # their Gram matrices (parts, C, 1 + k, 1 + k)
+
+    @torch.no_grad()
+    def beside(self, forces: Sequence[tuple[int, Tensor]], apart: Sequence[slice]) -> Grams:
+        """Gram matrices with forces `apart` behind the columns that were kept: see `grams`."""
+        space, _, about, _ = self.of
+        head = self.sums.shape[-1]
+        size = head + sum(force.shape[-1] for _, force in forces)
+        sums = self.sums.new_zeros(*self.sums.shape[:2], size, size)
+        sums[..., :head, :head] = self.sums
+        for p, some, table in _tables(*self.of, about.slopes[..., :0], forces):
+            further = table[..., 1:]
+            across = self.tables[p][some].double().transpose(1, 2) @ further
+            sums[p, some, :head, head:], sums[p, some, head:, :head] = across, across.transpose(1, 2)
+            for s in apart:
+                own = further[..., s.start - head : s.stop - head]
+                sums[p, some, s, s] = own.transpose(1, 2) @ own
+        return Grams(space.chunks.blocks(sums), space.measurements, size - 1)
 
 
 @torch.no_grad()
 def rows_of(
-    space: StateSpace,
-    levels: Levels,
-    about: Linearisation,
-    at: Pass,
-    columns: Tensor,
-    forces: Sequence[tuple[int, Tensor]],
+    of: tuple[StateSpace, Levels, Linearisation, Pass], columns: Tensor, forces: Sequence[tuple[int, Tensor]]
 ) -> WhitenedRows:
-    """Whitened rows of a pass that are kept, for `grams_beside`; see `grams`."""
+    """Whitened rows of a pass, which are kept; columns and forces are those of `grams`."""
+    space, _, about, at = of
     count, size = space.chunks.count, 1 + columns.shape[-1] + sum(force.shape[-1] for _, force in forces)
     lengths = [len(space.observed) * length for length in _lengths(space, _shown(space, about))]
     tables = [torch.empty(count, length, size) for length in lengths]
     sums = at.gain.new_zeros(len(lengths), count, size, size)
-    for p, some, table in _tables(space, levels, about, at, columns, forces):
+    for p, some, table in _tables(*of, columns, forces):
         tables[p][some] = table.float()
         sums[p, some] = table.transpose(1, 2) @ table
-    return WhitenedRows(tables, sums)
-
-
-@torch.no_grad()
-def grams_beside(
-    rows: WhitenedRows,
-    space: StateSpace,
-    levels: Levels,
-    about: Linearisation,
-    at: Pass,
-    forces: Sequence[tuple[int, Tensor]],
-    apart: Sequence[slice],
-) -> Grams:
-    """Gram matrices of rows that were kept, and of forces `apart` beside them: see `grams`."""
-    head = rows.sums.shape[-1]
-    size = head + sum(force.shape[-1] for _, force in forces)
-    sums = at.gain.new_zeros(len(rows.tables), space.chunks.count, size, size)
-    sums[..., :head, :head] = rows.sums
-    none = about.slopes[..., :0]
-    for p, some, table in _tables(space, levels, about, at, none, forces):
-        further = table[..., 1:]
-        across = rows.tables[p][some].double().transpose(1, 2) @ further
-        sums[p, some, :head, head:], sums[p, some, head:, :head] = across, across.transpose(1, 2)
-        for s in apart:
-            own = further[..., s.start - head : s.stop - head]
-            sums[p, some, s, s] = own.transpose(1, 2) @ own
-    return Grams(space.chunks.blocks(sums), space.measurements, size - 1)
+    return WhitenedRows(of, tables, sums)
 
 
 def _shown(space: StateSpace, about: Linearisation) -> Tensor:
@@ -200,17 +188,17 @@ def _tables(
     acts = np.array([j for j, force in forces for _ in range(force.shape[-1])], dtype=np.int64)
     m, size = len(space.observed), 1 + k + (0 if nuisances is None else nuisances.shape[-1])
     shown, keep = _shown(space, about), levels.keep(space.h)
-    whole = max(1, m * max(_lengths(space, shown)) * size)  # numbers of a chunk
+    lengths = _lengths(space, shown)
+    whole = max(1, m * max(lengths) * size)  # numbers of a chunk
     most = min(space.chunks.count, max(1, _NUMBERS // whole))
     buffer = at.gain.new_empty(most * whole)  # new memory costs as much as what is done in it
     for some in torch.arange(space.chunks.count).split(most):
         count = len(some)
         near, here = (about, at) if count == space.chunks.count else (about.of(some), at.of(some))
         moved = at.gain.new_zeros(count, space.n, k)
-        for p, (first, end) in enumerate(space.chunks.parts):
+        for p, ((first, end), length) in enumerate(zip(space.chunks.parts, lengths, strict=True)):
             own = shown[first:end, some]
             place = torch.where(own, own.cumsum(0) - 1, -1)
-            length = int(shown[first:end].sum(0).max())
             table = buffer[: count * length * m * size].zero_().view(count, length, m, size)
             begun = max(first, 1)
             rows, before = slice(begun, end), slice(begun - 1, end - 1)

@@ -24,6 +24,7 @@ from torch import Tensor
 
 from nsde_torch.columns import few, join_columns, split_columns
 from nsde_torch.effects import Effect, Parameter, Port
+from nsde_torch.effects.multirotor_forces import GRAVITY as GRAVITY
 from nsde_torch.errors import ConfigError
 from nsde_torch.rotation import (
     axis_up,
@@ -38,7 +39,6 @@ from nsde_torch.rotation import (
 from nsde_torch.systems.base import System
 from nsde_torch.systems.values import Defaults, ErrorGroup, ResidualPort
 
-GRAVITY = 9.81
 _DEGREES = 180.0 / pi
 _PARTS = (3, 3, 4, 3)  # position, velocity, quaternion, rates
 

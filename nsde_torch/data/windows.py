@@ -122,6 +122,11 @@ class Windows:
             )
 
     @property
+    def interventional(self) -> bool:
+        """Whether `starts` are those of interventions, whose inputs were set from outside."""
+        return self._interventions is not None
+
+    @property
     def span(self) -> int:
         """Samples from the first to the last row of a window; a window covers `span + 1` rows."""
         return self.horizon * self.stride

@@ -28,6 +28,7 @@ INTERVENTIONS = (
     "these starts are interventions: the inputs were set from outside, whatever the state was, so that errors and "
     "intervals tell what an input does"
 )
+READ = "predictions read from the logged inputs, which a controller chose, what disturbed the machine"
 _CLOCK_TOLERANCE = 0.01  # what two measurements of one clock may differ by
 _STEP_TOLERANCE = 0.01
 _SMOOTHING_TOLERANCE = 0.1
@@ -184,8 +185,11 @@ def common_grids(
         raise DataError(f"no stretch of {horizons[-1]:g} s without a gap; evaluate on longer runs.")
     smoothing = smoothing_width(data.runs, candidates[0].model.system.nu)
     grids, notes, ahead = [], [], []
+    readers = [c.name for c in candidates if c.model.capabilities.knows_feedback]
     if interventional(runs):
         notes.append(note(INTERVENTIONS))
+    elif readers:
+        notes.append(note(f"{', '.join(readers)}: {READ}"))
     for c, (own, windows, starts, steps), at in zip(candidates, made, rows, strict=True):
         dt, remark = _own_step(c, data, windows, starts[:1])
         notes += remark

@@ -26,9 +26,13 @@ def sampled(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Measured states of windows (B, T + 1, nx), sampled ones (P, B, T + 1, nx), and times of the first [s] (B,).
 
-    Windows are of the model's step; `further` is what `Model.sample` takes beside.
+    Windows are of the model's step; `further` is what `Model.sample` takes beside. Inputs are those of a
+    controller unless windows begin at interventions; a model that has learned it reads them.
     """
     x, u, t0 = windows.batch(indices)
+    replayed = further.pop("replayed", not windows.interventional)
+    if model.capabilities.knows_feedback:
+        further["replayed"] = replayed
     further = {"dt": model.spec.dt, "t0": t0.to(x.dtype), **further}
     before = inputs_before(model.system, windows, indices)
     paths = model.sample(x[:, 0], u, particles=particles, generator=generator, u_before=before, **further)

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, final
 
 from nsde_torch.lookup import function_by_name
 from nsde_torch.models.ensemble import EnsembleSpec, GaussianEnsemble
+from nsde_torch.models.feedback_model import LAGS
 from nsde_torch.models.identified import IdentifiedModel, SysidSpec
 from nsde_torch.models.kind import Choice, ModelKind
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
@@ -66,6 +67,7 @@ class _Equation(ModelKind):
             disturbance=cls.physics and disturbance,
             learn_lag=innovations and cls.learns_lag and chosen["learn_lag"],
             loss=choice.loss,
+            feedback=LAGS if innovations and not plain and chosen.get("learn_feedback") else 0,
         )
 
     @classmethod

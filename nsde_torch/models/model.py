@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import torch
 from torch import Tensor, nn
@@ -88,6 +88,8 @@ class Capabilities:
     is_stochastic: bool = False
     """That equation has a diffusion: it is calibrated, and its distance from the data is drawn."""
     learns_sensors: bool = False  # it has learned the noise of the sensors, and has a `measurement_std`
+    knows_feedback: bool = False
+    """It has learned the controller of its training runs; its `sample` takes `replayed`."""
     propagation: str | None = None
     """How particles take to the members of an ensemble; None for a model without members."""
 
@@ -156,7 +158,14 @@ class Model(nn.Module, ABC):
         """
 
     def predict(
-        self, run: "Run", *, horizon: float, level: float = 0.9, particles: int = 199, seed: int = 0
+        self,
+        run: "Run",
+        *,
+        horizon: float,
+        level: float = 0.9,
+        particles: int = 199,
+        seed: int = 0,
+        inputs: Literal["logged", "replayed", "set"] = "logged",
     ) -> "RunPrediction":
         """Predict a run piece by piece, each from a measured state and under the logged inputs.
 
@@ -166,6 +175,10 @@ class Model(nn.Module, ABC):
             level: Share of the measurements that the intervals should hold, in (0, 1).
             particles: Paths per piece.
             seed: Seed of the paths.
+            inputs: Where the inputs of the run come from. `replayed`: from a controller like that of the training runs,
+                so that they tell what disturbed the machine; a model that has learned this controller reads them.
+                `set`: from outside, whatever the state was. `logged`: replayed, or set where the run has a column
+                `intervention`.
 
         Returns:
             Medians and intervals beside what was measured, with `coverage`, `plot()` and `to_frame()`.
@@ -176,7 +189,7 @@ class Model(nn.Module, ABC):
         """
         from nsde_torch.models.prediction import predict
 
-        return predict(self, run, horizon=horizon, level=level, particles=particles, seed=seed)
+        return predict(self, run, horizon=horizon, level=level, particles=particles, seed=seed, inputs=inputs)
 
     def to_frame(self) -> Any:
         """A `pandas.DataFrame` of fitted parameters: `name`, `value`, `half_width_90` (None: no interval), `unit`."""

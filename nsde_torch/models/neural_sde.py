@@ -16,7 +16,7 @@ What differed between the runs of the training, a trim, a zero or a parameter, d
 path draws numbers of its own for it, which stay the same from its first step to its last.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
@@ -27,6 +27,7 @@ from torch import Tensor, nn
 from nsde_torch.columns import join_columns, split_columns
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError, ShapeError
+from nsde_torch.models.feedback_model import FeedbackModel
 from nsde_torch.models.model import Capabilities, Model, ModelSpec, normal
 from nsde_torch.models.networks import (
     MLP,
@@ -39,6 +40,7 @@ from nsde_torch.models.networks import (
     tanh,
 )
 from nsde_torch.sde import Calculus, brownian, make_step, rollout
+from nsde_torch.systems import System
 from nsde_torch.systems.in_run import in_new_runs
 
 
@@ -65,6 +67,7 @@ class SDESpec(ModelSpec):
     loss: str = "innovations"  # kind of loss, for the record
     between_runs: Mapping[str, Sequence[float]] = field(default_factory=dict)
     """What differs between runs, by target, with its standard deviations (see `in_new_runs`)."""
+    feedback: int = 0  # steps that the learned controller of the training runs remembers; 0: none is learned
 
     @property
     def input_filter_reach(self) -> int:
@@ -127,6 +130,8 @@ class NeuralSDE(Model):
         self.log_tau = nn.Parameter(torch.zeros(self.nd), requires_grad=self.nd > 0)
         self.log_measurement_std = nn.Parameter(torch.full((s.nx,), -7.0), requires_grad=spec.measurement)
         self.freeze_distance = spec.loss != "paper"  # other data losses do not move eta
+        width = s.residual_features(probe).shape[1]
+        self.feedback = FeedbackModel(width, s.nu, spec.feedback) if spec.feedback else None
         if spec.between_runs:
             in_new_runs(
                 s, spec.between_runs, torch.zeros(1, self._start_widths[-1])
@@ -144,6 +149,7 @@ class NeuralSDE(Model):
             is_equation=True,
             is_stochastic=not self.step.deterministic,
             learns_sensors=self.spec.measurement,
+            knows_feedback=self.feedback is not None,
         )
 
     # ---- the equation ---------------------------------------------------------------------------------
@@ -260,12 +266,17 @@ class NeuralSDE(Model):
     @contextmanager
     def _in_new_runs(self, draws: Tensor) -> Iterator[None]:
         """Let each row of what follows be in a run of its own, by numbers for what differs (N, n)."""
-        of_all = self.system
-        self.system = in_new_runs(of_all, self.spec.between_runs, draws)
+        with self.of_system(in_new_runs(self.system, self.spec.between_runs, draws)):
+            yield
+
+    @contextmanager
+    def of_system(self, system: System) -> Iterator[None]:
+        """Let another system be the machine for what follows."""
+        own, self.system = self.system, system
         try:
             yield
         finally:
-            self.system = of_all
+            self.system = own
 
     def paths(
         self,
@@ -280,6 +291,7 @@ class NeuralSDE(Model):
         t0: float | Tensor = 0.0,
         check: bool = True,
         u_before: Tensor | None = None,
+        correct: Callable[[int, Tensor], Tensor] | None = None,
     ) -> Tensor:
         """Paths of the state under given noise: what training and `sample` share.
 
@@ -296,6 +308,7 @@ class NeuralSDE(Model):
             check: Raise on a non-finite state.
             u_before: Applied inputs of the steps before (B, K, nu), which the memory of the effects begins with, or
                 None for memory that is stationary under u[:, 0].
+            correct: A filter of the paths, as `rollout` takes it.
 
         Returns:
             States (P, B, T + 1, nx).
@@ -304,13 +317,14 @@ class NeuralSDE(Model):
         step = make_step("rk4") if noise is None and not self.step.deterministic else self.step
         if step.deterministic:
             noise = None
+        given: dict[str, Any] = {"dt": dt, "step": step, "check": check, "correct": correct}
         memory = None
         if u_before is not None and self.system.nz > nx:
             own = self.system.remembered(x0, u[:, 0], u_before, dt=dt * float(self.clock_scale))
             memory = split_columns(own, nx, self.system.nz - nx)[1]
         if start is None:
             z0 = self.augment(x0, u[:, 0], memory=memory)
-            path = rollout(self, z0, u, dt=dt, step=step, noise=noise, t0=t0, compile=compile, check=check)
+            path = rollout(self, z0, u, noise=noise, t0=t0, compile=compile, **given)
             return path[..., :nx]
         p, b = start.shape[:2]
         x = x0.expand(p, b, nx)
@@ -321,12 +335,9 @@ class NeuralSDE(Model):
         flat_u = u.expand(p, *u.shape).reshape(p * b, *u.shape[1:])
         disturbance = of_disturbances.reshape(p * b, self.nd) if self.nd else None
         memory = None if memory is None else memory.repeat(p, 1)
-        given: dict[str, Any] = {
-            "dt": dt,
-            "step": step,
+        given |= {
             "noise": None if noise is None else noise.reshape(1, p * b, *noise.shape[2:]),
             "t0": t0.repeat(p) if isinstance(t0, Tensor) and t0.ndim else t0,
-            "check": check,
         }
         z0 = self.augment(self.project(x.reshape(p * b, nx)), flat_u[:, 0], disturbance, memory)
         if self.spec.between_runs:
@@ -351,10 +362,12 @@ class NeuralSDE(Model):
             return z
         if draw is None:
             return join_columns((z, z.new_zeros(len(z), self.nd)))
-        spread = split_columns(self._sigma(x), self.system.nx, self.nd)[1] * torch.sqrt(
-            0.5 * self.tau / self.clock_scale
-        )
-        return join_columns((z, spread * draw))
+        return join_columns((z, self.disturbance_std(x) * draw))
+
+    def disturbance_std(self, x: Tensor) -> Tensor:
+        """Standard deviation of the disturbances in their stationary law (N, nd), at states (N, nx)."""
+        sigma = split_columns(self._sigma(x), self.system.nx, self.nd)[1]
+        return sigma * torch.sqrt(0.5 * self.tau / self.clock_scale)
 
     def sample(
         self,
@@ -371,10 +384,13 @@ class NeuralSDE(Model):
         t0: float | Tensor = 0.0,
         u_before: Tensor | None = None,
         numbers: Tensor | None = None,
+        replayed: bool = False,
     ) -> Tensor:
         """See `Model.sample`.
 
         Args:
+            replayed: True if `u` are inputs of a log that the controller of the training runs made, so that they tell
+                what disturbed the machine (see `feedback_model`). False: inputs that were set, whatever happened.
             numbers: What differs in the run of each row (B, n), in the standard deviations of `spec.between_runs`; None
                 draws it, as of a run that was not seen.
         """
@@ -399,8 +415,10 @@ class NeuralSDE(Model):
         start = normal((*shape[:2], self.n_start), generator, x0) if self.n_start else None
         if numbers is not None and start is not None:
             start[..., start.shape[-1] - numbers.shape[-1] :] = numbers
-        given = {"noise": noise, "start": start, "std": std, "compile": compile, "t0": t0}
-        path = self.paths(x0, u, dt=dt, u_before=u_before, **given)  # type: ignore[arg-type]
+        given: dict[str, Any] = {"noise": noise, "start": start, "std": std, "compile": compile, "t0": t0}
+        if replayed and self.feedback is not None:
+            given["correct"] = self.feedback.filter(self, u, dt=dt, std=std, generator=generator)
+        path = self.paths(x0, u, dt=dt, u_before=u_before, **given)
         path = path.expand(particles, *path.shape[1:])
         if not bool((std > 0).any()):
             return path

@@ -8,6 +8,9 @@ from typing import ClassVar
 from nsde_torch.options import REQUIRED, check, documented, key
 
 _LAG = "learn a lag or a delay of the inputs where the data show one that is not declared (loss=default)"
+_FEEDBACK = (
+    "learn how logged inputs answer the state, which predictions under such inputs read (loss=default)"
+)
 _FILTER = "taps on each side of the learned input filter; null: as the log's smoothing asks"
 
 
@@ -71,6 +74,7 @@ class NsdeOptions(DiffusionOptions):
         None, "carry lasting disturbances (gusts) as states; null: as the system asks"
     )
     learn_lag: bool = key(True, _LAG)
+    learn_feedback: bool = key(True, _FEEDBACK)
 
 
 @documented

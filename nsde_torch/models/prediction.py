@@ -86,7 +86,7 @@ class RunPrediction:
 
 @torch.no_grad()
 def predict(
-    model: Model, run: Run, *, horizon: float, level: float, particles: int, seed: int
+    model: Model, run: Run, *, horizon: float, level: float, particles: int, seed: int, inputs: str
 ) -> RunPrediction:
     """See `Model.predict`."""
     system, dt, like = model.system, model.spec.dt, model.clock_scale
@@ -98,13 +98,16 @@ def predict(
         )
     if not 0 < level < 1:
         raise ConfigError(f"`level` must lie between 0 and 1; got {level!r}.")
+    if inputs not in ("logged", "replayed", "set"):
+        raise ConfigError(f"`inputs` must be logged, replayed or set; got {inputs!r}.")
     if not horizon >= dt:
         raise ConfigError(f"`horizon` must be at least the model's step of {dt:.4g} s; got {horizon!r}.")
     windows = Windows([run], dt, round(horizon / dt), dtype=like.dtype, device=like.device)
     generator, ahead = torch.Generator().manual_seed(seed), dt * np.arange(windows.horizon + 1)
+    further = {} if inputs == "logged" else {"replayed": inputs == "replayed"}
     names, units, parts = list(system.state_names), list(system.state_units), []
     for indices in windows.starts(windows.span * windows.dt).split(_BATCH):
-        x, samples, t0 = sampled(model, windows, indices, particles=particles, generator=generator)
+        x, samples, t0 = sampled(model, windows, indices, particles=particles, generator=generator, **further)
         for k, first in enumerate(t0.tolist()):
             measured, paths = x[k].cpu().numpy(), samples[:, k].cpu().numpy()
             if (q := system.quaternion) is not None:

@@ -4,7 +4,7 @@ z_0 given;   z_{k+1} = project(advance(t_k, z_k, u_k, dt, dW_k)),   t_k = t_0 + 
 """
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
@@ -27,6 +27,7 @@ def rollout(
     t0: float | Tensor = 0.0,
     check: bool = True,
     compile: bool = False,
+    correct: Callable[[int, Tensor], Tensor] | None = None,
 ) -> Tensor:
     """Sample paths of a controlled equation on a grid of equal steps.
 
@@ -45,6 +46,8 @@ def rollout(
         t0: Time of the first state [s], one for all or (B,).
         check: Raise if a state is not finite. Costs one reduction, and waits for the device.
         compile: Compile one step at the first call (see `compiled`); the same numbers, several times faster.
+        correct: Gets the number of a step and the states of all paths (P B, nz) before it, and gives those that it
+            begins with: a filter. The states that are returned are those before.
 
     Returns:
         States (P, B, T + 1, nz), the first of them z0; P = 1 with a deterministic step.
@@ -92,6 +95,8 @@ def rollout(
             buffer[0] = z.T
         with quiet_compiler() if compile else contextlib.nullcontext():
             for k in range(horizon):
+                if correct is not None:
+                    z = by_column(correct(k, z))
                 z = advance(sde, times[k], z, inputs[k], length, increments[k])
                 if keep:
                     states.append(z)

@@ -26,7 +26,7 @@ from nsde_torch.evaluation.report import (
     parameter_table,
     short_table,
 )
-from nsde_torch.models.capabilities import is_stochastic, learns_sensors
+from nsde_torch.models.capabilities import is_equation, is_stochastic, learns_sensors
 from nsde_torch.models.kind import model_kind
 from nsde_torch.models.model import Model, ModelSpec
 from nsde_torch.models.run_directory import METRICS, save
@@ -35,6 +35,7 @@ from nsde_torch.recording.clock_and_biases import of_runs
 from nsde_torch.recording.smoothing import smoothing_width
 from nsde_torch.sysid.feedback_test import feedback_summary
 from nsde_torch.sysid.identify import identify_in_loop
+from nsde_torch.training.fit_feedback import learn_feedback
 from nsde_torch.training.options import LossOptions, TrainerOptions
 from nsde_torch.training.prepare import sensor_std
 from nsde_torch.training.task import Fitted, Progress, Task
@@ -106,6 +107,8 @@ class Training:
         save(model, self.folder, about={"calibrated": False, **(self.about or {})})
         calibration = self._calibrate(fit)
         loop = {} if "feedback" in fit.facts else self._feedback(model)
+        if model.capabilities.knows_feedback:
+            loop["replayed_inputs"] = self._learn_feedback(model)
         metrics: dict[str, Any] = {
             "system": self.spec.system,
             "model": self.spec.kind,
@@ -185,6 +188,16 @@ class Training:
         for sentence in told:
             self._say(f"feedback: {sentence}")
         return out
+
+    def _learn_feedback(self, model: Model) -> dict[str, Any]:
+        assert is_equation(model)
+        found = learn_feedback(model, self.split.train, seed=self.seed)
+        if found["kept"]:
+            self._say(
+                "learned: how logged inputs answer the state; predictions under them read from it what disturbed the "
+                f"machine (CRPS x{1 + found['crps']:.2f} on the training runs)"
+            )
+        return found
 
     def _calibrate(self, fit: Fitted) -> dict[str, Any]:
         model = fit.model

@@ -20,7 +20,9 @@ from nsde_torch.training import model_spec
 from tests.helpers.model_contract import ModelContract
 
 CAN = {
-    "nsde": Capabilities(has_physics=True, is_equation=True, is_stochastic=True, learns_sensors=True),
+    "nsde": Capabilities(
+        has_physics=True, is_equation=True, is_stochastic=True, learns_sensors=True, knows_feedback=True
+    ),
     "node": Capabilities(has_physics=True, is_equation=True),
     "blackbox_nsde": Capabilities(is_equation=True, is_stochastic=True, learns_sensors=True),
     "ensemble": Capabilities(propagation="fixed"),

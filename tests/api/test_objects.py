@@ -123,7 +123,11 @@ def test_what_cannot_be_predicted_is_refused_by_its_name(data: DataSet, model: M
     for given, error, message in (
         ({"horizon": 0.001}, ConfigError, "`horizon` must be at least the model's step of 0.01 s"),
         ({"horizon": 1.0, "level": 90}, ConfigError, "`level` must lie between 0 and 1; got 90"),
-        ({"horizon": 1.0, "inputs": "given"}, ConfigError, "`inputs` must be logged, replayed or set; got 'given'"),
+        (
+            {"horizon": 1.0, "inputs": "given"},
+            ConfigError,
+            "`inputs` must be logged, replayed or set; got 'given'",
+        ),
         ({"horizon": 99.0}, DataError, "no segment is as long as a window"),
     ):
         with pytest.raises(error, match=message):

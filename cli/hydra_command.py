@@ -37,36 +37,28 @@ _WITH_VALUE = {
 
 @dataclass(frozen=True, kw_only=True)
 class HydraCommand:
-    """A command whose configuration is composed by Hydra, from its schema and the choices of its groups in `conf/`.
+    """A command whose configuration is composed by Hydra, from its schema and the choices of its groups in `conf/`."""
 
-    Attributes:
-        name: Name of the command.
-        help: What it does, one line, the head of `nsde NAME --help`.
-        schema: Dataclass of its keys (`nsde_torch.cli.keys`).
-        module: Module whose function `run(config, job)` does the work, imported when there is some: `config` is the
-            composed and checked configuration, `job` (`cli/jobs.py`) says where to write.
-        groups: Config groups with the choice that each has by default, in order; None for none.
-        values: Values beside the defaults of the schema, as nested mappings.
-        folder: Pattern of the folder of a run, for the key `run_dir` or `out_dir`; None for a command without one.
-        result: File that a finished run holds, and what it is called: a folder that has it is not written over.
-        goes_on: Whether the same command, started again on its folder, goes on from what is finished there.
-        unnamed: Keys that do not name the jobs of a sweep.
-        words: What is typed, one word at a time, as Hydra is to have it.
-        examples: Words and what they do, for the help.
-    """
-
-    name: str
-    help: str
-    schema: type
+    name: str  # name of the command
+    help: str  # what it does, one line, the head of `nsde NAME --help`
+    schema: type  # dataclass of its keys (`nsde_torch.cli.keys`)
     module: str
+    """Module whose function `run(config, job)` does the work, imported when there is some: `config` is the composed and
+    checked configuration, `job` (`cli/jobs.py`) says where to write."""
     groups: Mapping[str, str | None] = field(default_factory=dict)
+    """Config groups with the choice that each has by default, in order; None for none."""
     values: Mapping[str, Any] = field(default_factory=dict)
+    """Values beside the defaults of the schema, as nested mappings."""
     folder: str | None = None
+    """Pattern of the folder of a run, for the key `run_dir` or `out_dir`; None for a command without one."""
     result: tuple[str, str] | None = None
+    """File that a finished run holds, and what it is called: a folder that has it is not written over."""
     goes_on: bool = False
-    unnamed: tuple[str, ...] = ()
+    """Whether the same command, started again on its folder, goes on from what is finished there."""
+    unnamed: tuple[str, ...] = ()  # keys that do not name the jobs of a sweep
     words: Callable[[Sequence[str]], list[str]] = list
-    examples: tuple[tuple[str, str], ...] = ()
+    """What is typed, one word at a time, as Hydra is to have it."""
+    examples: tuple[tuple[str, str], ...] = ()  # words and what they do, for the help
 
     @property
     def folder_key(self) -> str:

@@ -14,24 +14,16 @@ from nsde_torch.arrays import Array
 
 @dataclass(frozen=True)
 class Finding:
-    """One kind of fault in one run (or in the whole data set).
+    """One kind of fault in one run (or in the whole data set)."""
 
-    Args:
-        kind: Short name of the fault, such as `time_gap` or `sign_flip`.
-        run: Name of the run; empty for the whole data set.
-        count: How often it occurs.
-        message: What was found, with numbers and units.
-        action: What was done: `split`, `resampled`, `interpolated`, `dropped`, `sorted`, `normalised`,
-            `unwrapped`, `rescaled`, `reported`.
-        values: The numbers by name (units in the names).
-    """
-
-    kind: str
-    run: str
-    count: int
-    message: str
+    kind: str  # short name of the fault, such as `time_gap` or `sign_flip`
+    run: str  # name of the run; empty for the whole data set
+    count: int  # how often it occurs
+    message: str  # what was found, with numbers and units
     action: str
-    values: dict[str, Any] = field(default_factory=dict)
+    """What was done: `split`, `resampled`, `interpolated`, `dropped`, `sorted`, `normalised`, `unwrapped`, `rescaled`,
+    `reported`."""
+    values: dict[str, Any] = field(default_factory=dict)  # the numbers by name (units in the names)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
@@ -48,27 +40,17 @@ Report = Callable[[Finding], None]
 
 @dataclass
 class RawRun:
-    """What a reader returns; `nsde_torch.recording.assemble` turns it into a `Run`.
+    """What a reader returns; `nsde_torch.recording.assemble` turns it into a `Run`."""
 
-    Args:
-        name: Name of the run.
-        t: Time of each row [s], (n,); any start, any order.
-        x: States, (n, nx); `nan` means missing.
-        u: Inputs, (n, nu) or (n - 1, nu) where the last row has none; `nan` means missing.
-        extra: Further columns by name, each (n,).
-        source: File, for messages.
-        first_line: Line of row 0 in a text file, so that messages can say file:line; None for other files.
-        notes: What the reader itself found; goes to the summary.
-    """
-
-    name: str
-    t: Array
-    x: Array
-    u: Array
-    extra: Mapping[str, Array] = field(default_factory=dict)
-    source: str = ""
+    name: str  # name of the run
+    t: Array  # time of each row [s], (n,); any start, any order
+    x: Array  # states, (n, nx); `nan` means missing
+    u: Array  # inputs, (n, nu) or (n - 1, nu) where the last row has none; `nan` means missing
+    extra: Mapping[str, Array] = field(default_factory=dict)  # further columns by name, each (n,)
+    source: str = ""  # file, for messages
     first_line: int | None = None
-    notes: list[Finding] = field(default_factory=list)
+    """Line of row 0 in a text file, so that messages can say file:line; None for other files."""
+    notes: list[Finding] = field(default_factory=list)  # what the reader itself found; goes to the summary
 
     @property
     def label(self) -> str:

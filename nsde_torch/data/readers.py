@@ -21,26 +21,18 @@ from nsde_torch.lookup import function_by_name
 
 @dataclass(frozen=True)
 class Reader:
-    """One line of the table.
+    """One line of the table."""
 
-    Args:
-        home: Where the function lies, `module:function`.
-        summary: What it reads, one line.
-        suffixes: Suffixes of files of this kind; none: those that no other reader claims.
-        folders: Whether a folder with such a file in it is of the kind too.
-        takes_step: Whether it must know the step to resample to, as the files hold no times.
-        streams: Function `open(path)` that opens one file as streams (`nsde_torch.data.formats.StreamLog`), of a format
-            whose columns need a mapping; `home` is then that of all mappings.
-        mapped: Whether it takes a mapping.
-    """
-
-    home: str
-    summary: str
+    home: str  # where the function lies, `module:function`
+    summary: str  # what it reads, one line
     suffixes: tuple[str, ...] = ()
-    folders: bool = True
-    takes_step: bool = False
+    """Suffixes of files of this kind; none: those that no other reader claims."""
+    folders: bool = True  # whether a folder with such a file in it is of the kind too
+    takes_step: bool = False  # whether it must know the step to resample to, as the files hold no times
     streams: str | None = None
-    mapped: bool = False
+    """Function `open(path)` that opens one file as streams (`nsde_torch.data.formats.StreamLog`), of a format whose
+    columns need a mapping; `home` is then that of all mappings."""
+    mapped: bool = False  # whether it takes a mapping
 
 
 def _log_format(streams: str, summary: str, *suffixes: str) -> Reader:

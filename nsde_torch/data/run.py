@@ -104,41 +104,32 @@ def _frozen(name: str, value: object, ndim: int) -> Array:
 class Run:
     """One continuous recording; `u[k]` holds from `t[k]` to `t[k + 1]`.
 
-    Args:
-        name: Name of the run, unique in its data set.
-        t: Time of each row [s], (n,), strictly increasing; one step inside a segment.
-        x: States, (n, nx), SI units.
-        u: Inputs and then the exogenous channels that the system reads, (n, nu).
-        segments: Index ranges (start, stop) without a gap, in order, each of two rows or more; default: all
-            rows.
-        source: Where the run came from (file name), for messages.
-        extra: Further logged columns by name, each (n,).
-        band: States that were smoothed before they were logged, and the frequency up to which they are restored [Hz].
-        low_pass: Of `band`, states with louder noise above it than below, as what was removed there must not weigh.
-        apart: States whose noise is correlated from row to row, because a filter or a delay was undone, and the rows
-            from which it no longer is.
-        inferred: States that no sensor measured and that were inferred from positions: what is not known of them
-            (standard deviation, their unit).
-        unbroken: Ranges without a gap that the segments are parts of, where rows between these were left out of a
-            regression alone: they still say what an effect with memory held. Default: none but the segments.
-
     Raises:
         ShapeError: an array has the wrong number of axes or rows.
         DataError: a value is not finite, the time does not increase, or the segments do not fit.
     """
 
-    name: str
-    t: Array
-    x: Array
-    u: Array
+    name: str  # name of the run, unique in its data set
+    t: Array  # time of each row [s], (n,), strictly increasing; one step inside a segment
+    x: Array  # states, (n, nx), SI units
+    u: Array  # inputs and then the exogenous channels that the system reads, (n, nu)
     segments: tuple[tuple[int, int], ...] = ()
-    source: str = ""
-    extra: Mapping[str, Array] = field(default_factory=dict)
+    """Index ranges (start, stop) without a gap, in order, each of two rows or more; default: all rows."""
+    source: str = ""  # where the run came from (file name), for messages
+    extra: Mapping[str, Array] = field(default_factory=dict)  # further logged columns by name, each (n,)
     band: Mapping[str, float] = field(default_factory=dict)
+    """States that were smoothed before they were logged, and the frequency up to which they are restored [Hz]."""
     low_pass: Mapping[str, float] = field(default_factory=dict)
+    """Of `band`, states with louder noise above it than below, as what was removed there must not weigh."""
     apart: Mapping[str, int] = field(default_factory=dict)
+    """States whose noise is correlated from row to row, because a filter or a delay was undone, and the rows from which
+    it no longer is."""
     inferred: Mapping[str, float] = field(default_factory=dict)
+    """States that no sensor measured and that were inferred from positions: what is not known of them (standard
+    deviation, their unit)."""
     unbroken: tuple[tuple[int, int], ...] = ()
+    """Ranges without a gap that the segments are parts of, where rows between these were left out of a regression
+    alone: they still say what an effect with memory held. Default: none but the segments."""
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__
@@ -244,31 +235,21 @@ def fingerprint(runs: Sequence[Run], *, system_name: str, dt: float, clock_scale
 class DataSet:
     """Runs of one system on one step, checked and summarised.
 
-    Args:
-        system_name: Name of the system that the columns belong to.
-        runs: The runs; names are unique.
-        dt: Time step of every segment [s], as logged.
-        clock_scale: Physical seconds for each logged second; 1.0 where clock and kinematics agree or are
-            trusted.
-        summary: What was found and done, and the figures of the data.
-        fingerprint: Content hash (SHA-256).
-        state_names: Names of the columns of `x`.
-        input_names: Names of the columns of `u`: inputs, then the exogenous channels that the system reads.
-        kind: Reader that made it.
-
     Raises:
         DataError: no runs, runs of unequal width, or two runs of one name.
     """
 
-    system_name: str
-    runs: Sequence[Run]
-    dt: float
+    system_name: str  # name of the system that the columns belong to
+    runs: Sequence[Run]  # the runs; names are unique
+    dt: float  # time step of every segment [s], as logged
     clock_scale: float
-    summary: DataSummary
-    fingerprint: str
-    state_names: tuple[str, ...]
+    """Physical seconds for each logged second; 1.0 where clock and kinematics agree or are trusted."""
+    summary: DataSummary  # what was found and done, and the figures of the data
+    fingerprint: str  # content hash (SHA-256)
+    state_names: tuple[str, ...]  # names of the columns of `x`
     input_names: tuple[str, ...]
-    kind: str = ""
+    """Names of the columns of `u`: inputs, then the exogenous channels that the system reads."""
+    kind: str = ""  # reader that made it
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "runs", tuple(self.runs))

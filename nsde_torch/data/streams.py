@@ -240,26 +240,18 @@ def timed(name: str, fields: dict[str, Array], clock: ClockOf, *, source: str) -
 
 @dataclass
 class StreamLog:
-    """What is in a file.
+    """What is in a file."""
 
-    Args:
-        name: Of the run.
-        source: File, for messages.
-        streams: Columns on their clocks.
-        columns: By what is meant (`p`, `v`, `q`, `w`, `u`, a channel): how the format itself says that it is logged, as
-            an entry of a mapping would.
-        frames: Axes that the format fixes: `world` (ENU or NED), `body` (FLU or FRD).
-        notes: What the reader found, in words.
-        clock: How the time was read from a table; None: the format says it.
-    """
-
-    name: str
-    source: str
-    streams: Sequence[Stream]
+    name: str  # of the run
+    source: str  # file, for messages
+    streams: Sequence[Stream]  # columns on their clocks
     columns: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
+    """By what is meant (`p`, `v`, `q`, `w`, `u`, a channel): how the format itself says that it is logged, as an entry
+    of a mapping would."""
     frames: Mapping[str, str] = field(default_factory=dict)
-    notes: Sequence[str] = ()
-    clock: ClockOf | None = None
+    """Axes that the format fixes: `world` (ENU or NED), `body` (FLU or FRD)."""
+    notes: Sequence[str] = ()  # what the reader found, in words
+    clock: ClockOf | None = None  # how the time was read from a table; None: the format says it
 
     def names(self) -> list[str]:
         """Every column, `stream/column`; of a stream without a name the column alone."""

@@ -62,31 +62,18 @@ class FlightEnvelope:
 
 @dataclass(frozen=True)
 class DataSummary:
-    """Summary of a data set; `as_dict` for JSON, `str` for people.
+    """Summary of a data set; `as_dict` for JSON, `str` for people."""
 
-    Args:
-        kind: Reader.
-        system: Name of the system.
-        dt: Step [s].
-        clock_scale: Physical seconds for each logged second that the models use.
-        runs: Figures of each run.
-        channels: Figures of each state, input and further channel.
-        envelope: Flight envelope of a multirotor, otherwise None.
-        input_rank: Numerical rank of the inputs.
-        slopes: Measured clock slopes, axis by axis.
-        findings: What was found and done.
-    """
-
-    kind: str
-    system: str
-    dt: float
-    clock_scale: float
-    runs: tuple[RunSummary, ...]
-    channels: tuple[ChannelSummary, ...]
-    envelope: FlightEnvelope | None
-    input_rank: InputRank
-    slopes: tuple[Slope, ...]
-    findings: tuple[Finding, ...]
+    kind: str  # reader
+    system: str  # name of the system
+    dt: float  # step [s]
+    clock_scale: float  # physical seconds for each logged second that the models use
+    runs: tuple[RunSummary, ...]  # figures of each run
+    channels: tuple[ChannelSummary, ...]  # figures of each state, input and further channel
+    envelope: FlightEnvelope | None  # flight envelope of a multirotor, otherwise None
+    input_rank: InputRank  # numerical rank of the inputs
+    slopes: tuple[Slope, ...]  # measured clock slopes, axis by axis
+    findings: tuple[Finding, ...]  # what was found and done
 
     @property
     def duration(self) -> float:

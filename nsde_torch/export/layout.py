@@ -32,19 +32,14 @@ N_HEAD = 5
 
 @dataclass(frozen=True)
 class Sizes:
-    """Sizes of a controller.
+    """Sizes of a controller."""
 
-    Args:
-        nx, nu, nz, nd: States, inputs, states with memory, pushes.
-        steps, particles: Steps and paths of a plan.
-    """
-
-    nx: int
-    nu: int
-    nz: int
-    nd: int
-    steps: int
-    particles: int
+    nx: int  # states
+    nu: int  # inputs
+    nz: int  # states with memory
+    nd: int  # pushes
+    steps: int  # of a plan
+    particles: int  # paths of a plan
 
     @property
     def n_plan(self) -> int:

@@ -402,19 +402,12 @@ _LEAN_WORDS = {
 
 @dataclass(frozen=True)
 class LogCheck:
-    """One check of a mapping.
+    """One check of a mapping."""
 
-    Args:
-        name: What was checked.
-        passed: True, False, or None where the log does not decide.
-        text: The result, one sentence.
-        remedy: What to mend, in the imperative; empty where nothing speaks against the columns.
-    """
-
-    name: str
-    passed: bool | None
-    text: str
-    remedy: str = ""
+    name: str  # what was checked
+    passed: bool | None  # None where the log does not decide
+    text: str  # the result, one sentence
+    remedy: str = ""  # what to mend, in the imperative; empty where nothing speaks against the columns
 
     @property
     def doubts(self) -> bool:

@@ -35,62 +35,37 @@ from nsde_torch.plain_yaml import read_yaml
 
 @dataclass(frozen=True)
 class ColumnEntry:
-    """How a column, or a group of columns, is logged.
+    """How a column, or a group of columns, is logged."""
 
-    Args:
-        source: Columns of the log.
-        unit: Of them; None: that of the system.
-        sign: Of each, 1 or -1; empty: 1.
-        scale: Further factor.
-        offset: What is added at last, in the unit of the system.
-        axes: Of a velocity: `world` or `body`.
-        order: Of a quaternion: `wxyz` or `xyzw`.
-        turns: What a quaternion turns: `body to world` or `world to body`.
-        world: Axes of the world of this entry, where they differ from those of the file.
-        body: Axes of the body, likewise.
-        low: Reading of an input that means 0.
-        high: Reading of an input that means 1.
-        full: Speed of a rotor at full thrust, in `unit`: the input is the square of the share of it.
-        numbering: Whose numbers the motors have, a key of `numbering.NUMBERINGS`.
-        slowest: Slowest rate that is read [Hz]; None: 50 of motors, 4 of other inputs and of states.
-    """
-
-    source: tuple[str, ...]
-    unit: str | None = None
-    sign: tuple[float, ...] = ()
-    scale: float = 1.0
-    offset: float = 0.0
-    axes: str | None = None
-    order: str | None = None
-    turns: str | None = None
-    world: str | None = None
-    body: str | None = None
-    low: float | None = None
-    high: float | None = None
+    source: tuple[str, ...]  # columns of the log
+    unit: str | None = None  # of them; None: that of the system
+    sign: tuple[float, ...] = ()  # of each, 1 or -1; empty: 1
+    scale: float = 1.0  # further factor
+    offset: float = 0.0  # what is added at last, in the unit of the system
+    axes: str | None = None  # of a velocity: `world` or `body`
+    order: str | None = None  # of a quaternion: `wxyz` or `xyzw`
+    turns: str | None = None  # what a quaternion turns: `body to world` or `world to body`
+    world: str | None = None  # axes of the world of this entry, where they differ from those of the file
+    body: str | None = None  # axes of the body, likewise
+    low: float | None = None  # reading of an input that means 0
+    high: float | None = None  # reading of an input that means 1
     full: float | None = None
-    numbering: str | None = None
+    """Speed of a rotor at full thrust, in `unit`: the input is the square of the share of it."""
+    numbering: str | None = None  # whose numbers the motors have, a key of `numbering.NUMBERINGS`
     slowest: float | None = None
+    """Slowest rate that is read [Hz]; None: 50 of motors, 4 of other inputs and of states."""
 
 
 @dataclass(frozen=True)
 class LogMapping:
-    """What the columns of a log mean to a system (see the module's text).
+    """What the columns of a log mean to a system (see the module's text)."""
 
-    Args:
-        columns: Entries by the name of a column of the system, or of a group.
-        system: Name of the system; empty where any that fits will do.
-        kind: The reader, for `nsde inspect`; empty: by the files.
-        time: The clock of tables.
-        world: Axes of the world in the log, `ENU` or `NED`.
-        body: Axes of the body in the log, `FLU` or `FRD`.
-    """
-
-    columns: Table[str, ColumnEntry]
-    system: str = ""
-    kind: str = ""
-    time: ClockOf = field(default_factory=ClockOf)
-    world: str = "ENU"
-    body: str = "FLU"
+    columns: Table[str, ColumnEntry]  # entries by the name of a column of the system, or of a group
+    system: str = ""  # name of the system; empty where any that fits will do
+    kind: str = ""  # the reader, for `nsde inspect`; empty: by the files
+    time: ClockOf = field(default_factory=ClockOf)  # the clock of tables
+    world: str = "ENU"  # axes of the world in the log, `ENU` or `NED`
+    body: str = "FLU"  # axes of the body in the log, `FLU` or `FRD`
 
     def axes_of(self, entry: ColumnEntry) -> tuple[bool, bool]:
         """Whether the world of an entry is NED, and its body FRD."""

@@ -42,19 +42,13 @@ _Columns = dict[str, ColumnEntry]
 
 @dataclass
 class Proposal:
-    """A mapping, and how sure it is.
+    """A mapping, and how sure it is."""
 
-    Args:
-        mapping: What is proposed; None where too little was recognised.
-        missing: What was not found, in words.
-        open: What else the columns could be, in words: not empty means that a user should look.
-        notes: What was assumed, in words.
-    """
-
-    mapping: LogMapping | None
-    missing: list[str] = field(default_factory=list)
+    mapping: LogMapping | None  # what is proposed; None where too little was recognised
+    missing: list[str] = field(default_factory=list)  # what was not found, in words
     open: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
+    """What else the columns could be, in words: not empty means that a user should look."""
+    notes: list[str] = field(default_factory=list)  # what was assumed, in words
 
 
 def propose(log: StreamLog, system: SystemInfo, *, kind: str = "") -> Proposal:

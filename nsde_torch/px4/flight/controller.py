@@ -14,35 +14,24 @@ TIPPED = "tipped"
 
 @dataclass(frozen=True)
 class Demand:
-    """What is asked of the vehicle at one time.
+    """What is asked of the vehicle at one time."""
 
-    Args:
-        w: Body rates, FLU [rad/s].
-        thrust: Collective thrust over mass, along the body's z axis [m/s2].
-    """
-
-    w: Vec
-    thrust: float
+    w: Vec  # body rates, FLU [rad/s]
+    thrust: float  # collective thrust over mass, along the body's z axis [m/s2]
 
 
 @dataclass(frozen=True)
 class DemandPlan:
-    """What a controller returns: demands from now on.
+    """What a controller returns: demands from now on."""
 
-    Args:
-        time: From when the first demand holds, on our clock [s].
-        dt: Time between demands [s].
-        demands: One or more; between two of them both are mixed, the last one holds for `dt`.
-        status: One word or two; `failed` in it means that the controller itself does not trust it, `TIPPED` that the
-            plan that it replaces tilted too far.
-        solve_ms: Time that it took.
-    """
-
-    time: float
-    dt: float
+    time: float  # from when the first demand holds, on our clock [s]
+    dt: float  # time between demands [s]
     demands: tuple[Demand, ...]
+    """One or more; between two of them both are mixed, the last one holds for `dt`."""
     status: str = "ok"
-    solve_ms: float = 0.0
+    """One word or two; `failed` in it means that the controller itself does not trust it, `TIPPED` that the plan that
+    it replaces tilted too far."""
+    solve_ms: float = 0.0  # time that it took
 
     def at(self, time: float) -> Demand:
         """The demand at a time; before the first and after the last those two."""

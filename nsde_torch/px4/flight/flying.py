@@ -102,38 +102,25 @@ LOGGED_FROM = 0.3
 
 @dataclass
 class FlightReport:
-    """What a flight measured.
+    """What a flight measured."""
 
-    Args:
-        outcome: How it ended.
-        errors: Distance from the reference while it was tracked [m].
-        track: Time in the reference [s] and state from the place of take-off, in rows, while it was tracked.
-        gaps: Times between setpoints [s].
-        ages: Age of the state at each setpoint [s].
-        solves: Times of the controller [ms].
-        statuses: What it said of its plans.
-        bounded: How often what was bounded in setpoints.
-        hover: Throttle that hovers, as learned.
-        log: The log, None where nothing was flown.
-        link: What became of frames.
-        drift: Seconds that its clock gains in one of ours.
-        quality: The worst that the vehicle's estimator said of itself in flight, by the names of `EstimateQuality`.
-    """
-
-    outcome: FlightOutcome
+    outcome: FlightOutcome  # how it ended
     errors: list[float] = field(default_factory=list)
+    """Distance from the reference while it was tracked [m]."""
     track: list[tuple[float, ...]] = field(default_factory=list)
-    gaps: list[float] = field(default_factory=list)
-    ages: list[float] = field(default_factory=list)
-    solves: list[float] = field(default_factory=list)
-    statuses: dict[str, int] = field(default_factory=dict)
-    bounded: dict[str, int] = field(default_factory=dict)
-    hover: float = 0.0
-    log: Path | None = None
-    link: dict[str, int] = field(default_factory=dict)
+    """Time in the reference [s] and state from the place of take-off, in rows, while it was tracked."""
+    gaps: list[float] = field(default_factory=list)  # times between setpoints [s]
+    ages: list[float] = field(default_factory=list)  # age of the state at each setpoint [s]
+    solves: list[float] = field(default_factory=list)  # times of the controller [ms]
+    statuses: dict[str, int] = field(default_factory=dict)  # what it said of its plans
+    bounded: dict[str, int] = field(default_factory=dict)  # how often what was bounded in setpoints
+    hover: float = 0.0  # throttle that hovers, as learned
+    log: Path | None = None  # the log, None where nothing was flown
+    link: dict[str, int] = field(default_factory=dict)  # what became of frames
     texts: list[str] = field(default_factory=list)
-    drift: float = 0.0
+    drift: float = 0.0  # seconds that its clock gains in one of ours
     quality: dict[str, float] = field(default_factory=dict)
+    """The worst that the vehicle's estimator said of itself in flight, by the names of `EstimateQuality`."""
 
     @property
     def rmse(self) -> float | None:

@@ -38,23 +38,17 @@ REFUSED = "refused"
 
 @dataclass
 class FlightOutcome:
-    """How a flight ended.
+    """How a flight ended."""
 
-    Args:
-        tracked: The reference was flown to its end.
-        landed: On the ground and disarmed, as telemetry says.
-        trouble: The first thing that went wrong.
-        actions: The phases of the flight, with their times from the start [s] and the reason.
-        without_plans: Time for which the built-in cascade flew the reference, because plans were late [s].
-        steps: Resets of the estimate in flight, with their times from the start [s].
-    """
-
-    tracked: bool = False
-    landed: bool = False
-    trouble: Trouble | None = None
+    tracked: bool = False  # the reference was flown to its end
+    landed: bool = False  # on the ground and disarmed, as telemetry says
+    trouble: Trouble | None = None  # the first thing that went wrong
     actions: list[tuple[float, str, str]] = field(default_factory=list)
+    """The phases of the flight, with their times from the start [s] and the reason."""
     without_plans: float = 0.0
+    """Time for which the built-in cascade flew the reference, because plans were late [s]."""
     steps: list[tuple[float, EstimateStep]] = field(default_factory=list)
+    """Resets of the estimate in flight, with their times from the start [s]."""
 
     @property
     def begun(self) -> bool:

@@ -351,32 +351,21 @@ class PredictiveController:
 
 @dataclass(frozen=True)
 class PredictiveMaker:
-    """Makes the controller in the process that it runs in; everything in it can be sent there.
-
-    Args:
-        run: Run directory of a model, a file of `nsde export`, or `declared`: the declared physics of `system` with its
-            plant's values.
-        system: Name of the machine.
-        path: Where to fly.
-        problem: What a plan pays for.
-        solver: How it is found.
-        safety: When to reject a state or a plan.
-        delay, lead, tilt: See `PredictiveController`.
-        effects: Effects beside the declared ones, for `declared`.
-        threads: Threads of torch.
-    """
+    """Makes the controller in the process that it runs in; everything in it can be sent there."""
 
     run: str
-    system: str
-    path: FlightPath
-    problem: ProblemOptions
-    solver: SolverOptions
-    safety: SafetyOptions
-    delay: float = DELAY
-    lead: float = LEAD
-    tilt: float = TILT
-    effects: Effects = ()
-    threads: int = 1
+    """Run directory of a model, a file of `nsde export`, or `declared`: the declared physics of `system` with its
+    plant's values."""
+    system: str  # name of the machine
+    path: FlightPath  # where to fly
+    problem: ProblemOptions  # what a plan pays for
+    solver: SolverOptions  # how it is found
+    safety: SafetyOptions  # when to reject a state or a plan
+    delay: float = DELAY  # see `PredictiveController`
+    lead: float = LEAD  # likewise
+    tilt: float = TILT  # likewise
+    effects: Effects = ()  # effects beside the declared ones, for `declared`
+    threads: int = 1  # threads of torch
 
     def __call__(self, say: Callable[[str], None]) -> PredictiveController:
         """Load, compile, and solve some times, so that the first plan in flight is none of a cold start.

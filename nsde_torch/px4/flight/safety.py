@@ -61,19 +61,12 @@ LONGEST = 0.5
 
 @dataclass(frozen=True)
 class EstimateStep:
-    """What a reset changed.
+    """What a reset changed."""
 
-    Args:
-        position: Step of the position [m].
-        velocity: Step of the velocity, beyond what thrust explains [m/s].
-        heading: Step of the heading, counter-clockwise from above [rad].
-        announced: Whether the autopilot said so.
-    """
-
-    position: float
-    velocity: float
-    heading: float
-    announced: bool
+    position: float  # step of the position [m]
+    velocity: float  # step of the velocity, beyond what thrust explains [m/s]
+    heading: float  # step of the heading, counter-clockwise from above [rad]
+    announced: bool  # whether the autopilot said so
 
 
 def step_between(last: VehicleState, state: VehicleState) -> EstimateStep | None:

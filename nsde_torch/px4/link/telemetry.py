@@ -27,27 +27,17 @@ _TEXTS = 200
 
 @dataclass(frozen=True)
 class VehicleState:
-    """State of the vehicle, ENU and FLU.
+    """State of the vehicle, ENU and FLU."""
 
-    Args:
-        time: When it was valid, on our monotonic clock [s].
-        stamp: When it was valid, on the autopilot's clock [s].
-        received: When it came, on our clock [s].
-        p: Position [m].
-        v: Velocity in the world [m/s].
-        q: Attitude, body to world, `w x y z`.
-        w: Body rates [rad/s].
-        resets: Resets of the estimate that the autopilot has announced so far: of heading, position and velocity alike.
-    """
-
-    time: float
-    stamp: float
-    received: float
-    p: Vec
-    v: Vec
-    q: Quat
-    w: Vec
+    time: float  # when it was valid, on our monotonic clock [s]
+    stamp: float  # when it was valid, on the autopilot's clock [s]
+    received: float  # when it came, on our clock [s]
+    p: Vec  # position [m]
+    v: Vec  # velocity in the world [m/s]
+    q: Quat  # attitude, body to world, `w x y z`
+    w: Vec  # body rates [rad/s]
     resets: int = 0
+    """Resets of the estimate that the autopilot has announced so far: of heading, position and velocity alike."""
 
     @property
     def row(self) -> tuple[float, ...]:
@@ -66,23 +56,16 @@ class Text:
 
 @dataclass(frozen=True)
 class EstimateQuality:
-    """What the autopilot's estimator says of itself (ESTIMATOR_STATUS); `nan` where it does not say.
+    """What the autopilot's estimator says of itself (ESTIMATOR_STATUS); `nan` where it does not say."""
 
-    Args:
-        time: When it came, on our clock [s].
-        velocity_ratio: Innovation over the gate of its test, squared; above 1 the estimator rejects that sensor.
-        position_ratio, height_ratio: The same of the horizontal position and of the height.
-        heading_ratio: The same of the heading, or of the magnetometer.
-        horizontal_m, vertical_m: Standard deviations of the horizontal position and of the height [m].
-    """
-
-    time: float
+    time: float  # when it came, on our clock [s]
     velocity_ratio: float
-    position_ratio: float
-    height_ratio: float
-    heading_ratio: float
-    horizontal_m: float
-    vertical_m: float
+    """Innovation over the gate of its test, squared; above 1 the estimator rejects that sensor."""
+    position_ratio: float  # the same of the horizontal position
+    height_ratio: float  # the same of the height
+    heading_ratio: float  # the same of the heading, or of the magnetometer
+    horizontal_m: float  # standard deviation of the horizontal position [m]
+    vertical_m: float  # standard deviation of the height [m]
 
 
 Followed = tuple[float, Vec | None]
@@ -91,33 +74,20 @@ Followed = tuple[float, Vec | None]
 
 @dataclass
 class Status:
-    """Everything but the state; times on our clock [s], `-inf` where nothing came.
+    """Everything but the state; times on our clock [s], `-inf` where nothing came."""
 
-    Args:
-        heard: Any message.
-        armed: Whether motors may turn.
-        landed: `landed_state` of EXTENDED_SYS_STATE, 0 unknown.
-        voltage: Of the battery [V].
-        remaining: Charge left, 0 to 1.
-        motors: Commands of the motors, 0 to 1, as far as the autopilot reports them.
-        motors_stamp: Their time on the autopilot's clock [s].
-        receiver: Whether it hears a transmitter; None where it does not say.
-        home: Place of take-off, ENU [m], as far as the autopilot reports it.
-        quality: What its estimator says of itself, as far as it is sent.
-    """
-
-    heard: float = -inf
+    heard: float = -inf  # any message
     heartbeat: float = -inf
     mode: Mode = UNKNOWN
-    armed: bool = False
-    landed: int = 0
-    voltage: float = nan
-    remaining: float = nan
-    motors: tuple[float, ...] = ()
-    motors_stamp: float = nan
-    receiver: bool | None = None
-    home: Vec | None = None
-    quality: EstimateQuality | None = None
+    armed: bool = False  # whether motors may turn
+    landed: int = 0  # `landed_state` of EXTENDED_SYS_STATE, 0 unknown
+    voltage: float = nan  # of the battery [V]
+    remaining: float = nan  # charge left, 0 to 1
+    motors: tuple[float, ...] = ()  # commands of the motors, 0 to 1, as far as the autopilot reports them
+    motors_stamp: float = nan  # their time on the autopilot's clock [s]
+    receiver: bool | None = None  # whether it hears a transmitter; None where it does not say
+    home: Vec | None = None  # place of take-off, ENU [m], as far as the autopilot reports it
+    quality: EstimateQuality | None = None  # what its estimator says of itself, as far as it is sent
     texts: deque[Text] = field(default_factory=lambda: deque(maxlen=_TEXTS))
     parameters: dict[str, float] = field(default_factory=dict)
 

@@ -6,6 +6,7 @@ What reads and checks data is imported where it is called: flights need none of 
 from __future__ import annotations
 
 import contextlib
+from dataclasses import fields
 from typing import Any
 
 import torch
@@ -17,19 +18,12 @@ from nsde_torch.models import MODELS, ModelOptions
 from nsde_torch.models.kind import model_options as options_of_model
 from nsde_torch.sde import IntegratorOptions, TorchDiffEqOptions
 from nsde_torch.systems import System, SystemOptions
-from nsde_torch.training import LossOptions, TrainerOptions
 
 # Keys of a data configuration that are not arguments of the function that makes the data.
 _NOT_FOR_DATA = (
     *("kind", "test", "test_path", "validation"),
     *("options", "instruments", "state_smoothing", "stream_offsets"),
 )
-
-
-def settings(config: DictConfig, *, sweep: bool) -> tuple[torch.device, torch.dtype]:
-    """Set the number of threads, one for a job of a sweep; return device and precision."""
-    torch.set_num_threads(1 if sweep else config.threads)
-    return make_device(config.device), {"float32": torch.float32, "float64": torch.float64}[config.dtype]
 
 
 def make_device(name: str) -> torch.device:
@@ -56,6 +50,11 @@ def options(config: DictConfig, *left_out: str) -> dict[str, Any]:
     plain = OmegaConf.to_container(config, resolve=True)
     assert isinstance(plain, dict)
     return {str(key): value for key, value in plain.items() if key not in left_out}
+
+
+def shared(library: type[Any], config: DictConfig) -> dict[str, Any]:
+    """The fields of a class of options that a part of the configuration has too."""
+    return {f.name: config[f.name] for f in fields(library) if f.name in config}
 
 
 def fence(config: DictConfig, group: str) -> tuple[tuple[float, float], ...]:
@@ -155,13 +154,3 @@ def integrator(config: DictConfig) -> IntegratorOptions:
     """The group `solver`."""
     given = options(config)
     return TorchDiffEqOptions(**given) if "method" in given else IntegratorOptions(**given)
-
-
-def loss_options(config: DictConfig) -> LossOptions:
-    """Weights of the losses."""
-    return LossOptions(**options(config))
-
-
-def trainer_options(config: DictConfig) -> TrainerOptions:
-    """Settings of the optimisation."""
-    return TrainerOptions(**options(config))

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
-from nsde_torch.control import feasible
 from nsde_torch.control.loop import DECLARED, knowledge, system_of
-from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.reference import Reference
 from nsde_torch.effects import files
 from nsde_torch.errors import ConfigError
@@ -73,17 +71,6 @@ def _effects(config: DictConfig) -> list[Any]:
         else:
             out.append(entry)
     return out
-
-
-def check(config: DictConfig, reference: Reference, machine: Model | System) -> feasible.Envelope:
-    """What the reference asks for; ConfigError where the machine cannot do it."""
-    problem = track_build.problem(config.mpc)
-    predictor = Predictor(machine, dt=problem.dt)
-    if not config.reference.check:
-        return feasible.envelope(reference, predictor)
-    return feasible.check(
-        reference, predictor, low=problem.low, high=problem.high, tilt=config.reference.tilt_limit
-    )
 
 
 def runner(config: DictConfig, path: PathPoints, reference: Reference, say: Callable[[str], None]) -> Runner:

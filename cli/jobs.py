@@ -97,6 +97,7 @@ class HydraJob:
         _progress_to_files_alone()
         try:
             check_config(config, self.command, list(hydra.overrides.task))
+            set_threads(config, sweep=job.sweep)
             objective: float | None = importlib.import_module(self.module).run(config, job)
             return objective
         except Exception as error:
@@ -106,6 +107,14 @@ class HydraJob:
             if job.sweep:
                 log.error("job failed: %s", error)  # a single run's error is printed by the command
             return None
+
+
+def set_threads(config: DictConfig, *, sweep: bool) -> None:
+    """CPU threads of torch where a command has that key; one for a job of a sweep, as others run beside it."""
+    if "threads" in config:
+        import torch
+
+        torch.set_num_threads(1 if sweep else config.threads)
 
 
 def _progress_to_files_alone() -> None:

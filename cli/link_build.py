@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from functools import partial
 from math import radians
 from pathlib import Path
@@ -35,8 +34,7 @@ def key(config: DictConfig) -> bytes | None:
 
 def limits(config: DictConfig) -> Limits:
     """The group `limits`; ConfigError for a fence that is none."""
-    given = {f.name: config[f.name] for f in fields(Limits) if f.name in config}
-    return Limits(**{**given, "fence": build.fence(config, "limits")})
+    return Limits(**{**build.shared(Limits, config), "fence": build.fence(config, "limits")})
 
 
 def setpoints(config: DictConfig) -> SetpointLimits:

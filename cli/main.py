@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
-from nsde_torch.errors import ConfigError
+from nsde_torch.errors import NsdeError
 
 from .exit_status import OK, USER_ERROR
 from .registry import all_commands, entry_of
@@ -37,11 +37,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(unknown_command(name), file=sys.stderr)
         return USER_ERROR
     try:
-        command = known.load()
-    except ConfigError as error:
+        return known.load().main(rest)
+    except NsdeError as error:
         print(f"nsde {name}: {error}", file=sys.stderr)
         return USER_ERROR
-    return command.main(rest)
 
 
 def entry() -> NoReturn:

@@ -36,7 +36,7 @@ class Command(Protocol):
 
 @dataclass(frozen=True)
 class PlainCommand:
-    """A command that reads its words itself."""
+    """A command that reads its words itself; what it cannot do with them it raises as an `NsdeError`."""
 
     main: Callable[[Sequence[str]], int]
     complete: Callable[[Sequence[str]], list[str]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from nsde_torch.control import shapes
+from nsde_torch.control import feasible, shapes
 from nsde_torch.control.autopilots import (
     Autopilot,
     CascadePilot,
@@ -22,6 +22,7 @@ from nsde_torch.control.autopilots import (
 from nsde_torch.control.controller import Controller, Planner, SafetyOptions
 from nsde_torch.control.loop import DECLARED, system_of
 from nsde_torch.control.loop import knowledge as knowledge_of
+from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.control.shapes import from_csv, waypoints
@@ -123,22 +124,27 @@ def plant(config: DictConfig, known: Model | System, *, seed: int) -> SteppedMac
     )
 
 
+def envelope(config: DictConfig, path: Reference, known: Model | System) -> feasible.Envelope:
+    """What a reference asks for; ConfigError where the machine cannot do it, unless that is not to be checked."""
+    options = problem(config.mpc)
+    predictor = Predictor(known, dt=options.dt)
+    if not config.reference.check:
+        return feasible.envelope(path, predictor)
+    tilt = config.reference.tilt_limit
+    return feasible.check(path, predictor, low=options.low, high=options.high, tilt=tilt)
+
+
 def problem(config: DictConfig) -> ProblemOptions:
     """What a plan pays for."""
-    given = _of(ProblemOptions, config)
+    given = build.shared(ProblemOptions, config)
     limits = {name: inf if given[name] is None else given[name] for name in ("speed_limit", "tilt_limit")}
     fence = None if config.fence is None else build.fence(config, "mpc")
     return ProblemOptions(**{**given, **limits, "state_weights": tuple(config.state_weights), "fence": fence})
 
 
-def _of(options: type[Any], config: DictConfig) -> dict[str, Any]:
-    """The fields of a class of options that a group has too."""
-    return {f.name: config[f.name] for f in fields(options) if f.name in config}
-
-
 def solver(config: DictConfig) -> SolverOptions:
     """How plans are looked for."""
-    return SolverOptions(**{**_of(SolverOptions, config), "name": config.solver})
+    return SolverOptions(**{**build.shared(SolverOptions, config), "name": config.solver})
 
 
 def safety(config: DictConfig) -> SafetyOptions:

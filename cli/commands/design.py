@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.design.options import DesignOptions
+from nsde_torch.errors import ConfigError
 from nsde_torch.whole_files import json_text
 
 from ..hydra_command import HydraCommand
@@ -72,14 +73,11 @@ COMMAND = HydraCommand(
 
 def run(config: DictConfig, job: Job) -> None:
     """Plan an experiment, or read one."""
-    import torch
-
     from nsde_torch.design import DesignOptions, design, question_of
     from nsde_torch.progress import Stages
 
     from ..known_machine import diagnosed
 
-    torch.set_num_threads(config.threads)
     options = DesignOptions(**_options(config))
     known = diagnosed(Path(config.run), config.runs)
     if config.flown is not None:
@@ -109,7 +107,6 @@ def run(config: DictConfig, job: Job) -> None:
 
 
 def _options(config: DictConfig) -> dict[str, Any]:
-    from nsde_torch.errors import ConfigError
 
     from .. import build
 

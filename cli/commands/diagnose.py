@@ -93,7 +93,7 @@ def run(config: DictConfig, job: Job) -> None:
     from .. import build, effects_file
     from ..quoted import as_typed
 
-    build.settings(config, sweep=job.sweep)
+    build.make_device(config.device)  # refused before hours of work, not after them
     effects_file.expand(config.system)
     machine = build.system_options(config.system)
     system = machine.make()
@@ -197,7 +197,7 @@ def _train(config: DictConfig, job: Job, found: Diagnosis) -> dict[str, Any]:
                     config.data[fault][name] = config.data[fault].get(name, 0.0) + value
     config.system.effects = [*config.system.effects, *found.effects]
     about = {k: v for k, v in build.options(config).items() if k in TrainConfig.__dataclass_fields__}
-    metrics = fit(config, job, job.run_dir / MODEL, about=about)
+    metrics = fit(config, job.run_dir / MODEL, about=about)
     test = metrics.get("test", {})
     return {
         "path": MODEL,

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nsde_torch.errors import ConfigError, NsdeError
+from nsde_torch.errors import ConfigError
 
 from .. import messages
-from ..exit_status import OK, USER_ERROR
+from ..exit_status import OK
 from ..own_modules import own_system, split_config_dir
 from ..registry import PlainCommand
 
@@ -34,13 +34,9 @@ def main(arguments: Sequence[str]) -> int:
     if {"-h", "--help"} & set(arguments):
         print(usage())
         return OK
-    try:
-        folder, words = split_config_dir(arguments)
-        given = _given(words)
-        rows = catalogue(given.get("system"), config_dir=folder)
-    except NsdeError as error:
-        print(f"nsde effects: {error}", file=sys.stderr)
-        return USER_ERROR
+    folder, words = split_config_dir(arguments)
+    given = _given(words)
+    rows = catalogue(given.get("system"), config_dir=folder)
     if given.get("format") == "json":
         print(json.dumps({"effects": rows}, indent=1))
     else:

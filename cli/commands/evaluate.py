@@ -63,7 +63,6 @@ COMMAND = HydraCommand(
 
 def run(config: DictConfig, job: Job) -> None:
     """Evaluate one or several models."""
-    import torch
     from omegaconf import OmegaConf
 
     import nsde_torch
@@ -73,7 +72,6 @@ def run(config: DictConfig, job: Job) -> None:
 
     from .. import build, evaluated
 
-    torch.set_num_threads(config.threads)
     given = OmegaConf.to_container(config.run) if OmegaConf.is_config(config.run) else config.run
     names = None if config.names is None else list(config.names)
     trained = evaluated.read_runs(given, names, build.make_device(config.device))

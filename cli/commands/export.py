@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nsde_torch.errors import ConfigError
+
 from ..hydra_command import HydraCommand
 from ..keys import group, key
 from ..quoted import as_typed
@@ -57,14 +59,12 @@ def run(config: DictConfig, job: Job) -> None:
     import torch
 
     from nsde_torch.control.loop import DECLARED, system_of
-    from nsde_torch.errors import ConfigError
     from nsde_torch.export.record import C
     from nsde_torch.export.write import export
     from nsde_torch.systems.machines import machine
 
     from .. import track_build
 
-    torch.set_num_threads(config.threads)
     path = Path(config.out)
     for file in (path, path.with_suffix(".h")) if config.format == C else (path,):
         if file.exists() and not config.overwrite:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.px4.flight.options import FlightOptions
@@ -100,24 +100,19 @@ def run(config: DictConfig, job: Job) -> float | None:
     Raises:
         NsdeError: nothing was flown, or it ended otherwise than asked for, and why.
     """
-    import torch
-
     from nsde_torch.px4.flight.flying import fly
-    from nsde_torch.px4.flight.options import FlightOptions
     from nsde_torch.px4.flight.path import PathPoints
     from nsde_torch.px4.link.connection import open_link
 
     from .. import build, fly_build, link_build, track_build
 
-    torch.set_num_threads(config.threads)
     # whatever can be refused is refused before anything is connected to
     reference = track_build.reference(config.reference)
     known = fly_build.known(config)
-    asked = fly_build.check(config, reference, known)
+    asked = track_build.envelope(config, reference, known)
     path = PathPoints(reference.path)
     limits, setpoints = link_build.limits(config.limits), link_build.setpoints(config.limits)
-    given = {f.name: config[f.name] for f in fields(FlightOptions) if f.name in config}
-    options = FlightOptions(**given, only_check=config.check)
+    options = FlightOptions(**build.shared(FlightOptions, config), only_check=config.check)
     key = link_build.key(config.link)
     motors = fly_build.system_of(known).nu
     print(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from nsde_torch.errors import ConfigError, NsdeError
+from nsde_torch.errors import ConfigError
 
 from .. import messages
 from ..exit_status import FAILED_JOBS, OK, USER_ERROR
@@ -51,16 +51,7 @@ def main(arguments: Sequence[str]) -> int:
         print(_HELP + "\n".join(f"  {key:<{width}}  {text}" for key, text in KEYS.items()))
         print("\n  --config-dir DIR  folder with system/NAME.yaml and the modules of a machine of your own")
         return OK if words else USER_ERROR
-    try:
-        folder, words = split_config_dir(words)
-        path, given = _given(words)
-        return _inspect(path, given, folder)
-    except NsdeError as error:
-        print(f"nsde inspect: {error}", file=sys.stderr)
-        return USER_ERROR
 
-
-def _inspect(path: str, given: dict[str, str], folder: Path | None) -> int:
     import torch
 
     from nsde_torch.api.inspecting import inspect
@@ -69,6 +60,8 @@ def _inspect(path: str, given: dict[str, str], folder: Path | None) -> int:
     from nsde_torch.systems.options import SystemOptions
 
     torch.set_num_threads(1)
+    folder, words = split_config_dir(words)
+    path, given = _given(words)
     sys.path.insert(0, str((folder or Path.cwd()).resolve()))  # a system of the user's own, in a file there
     target = None if given.get("out") == "none" else Path(given.get("out") or _beside(path))
     # what lies beside the logs is what they will be read by, unless another one is to be written

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nsde_torch.errors import ConfigError
 from nsde_torch.policy.options import PolicyOptions
 
 from ..hydra_command import HydraCommand
@@ -95,15 +96,11 @@ def run(config: DictConfig, job: Job) -> float:
             the extra is not installed.
         CheckpointError: The environment is no run directory, or what it is scored against no policy.
     """
-    import torch
-
-    from nsde_torch.errors import ConfigError
     from nsde_torch.policy import PolicyTraining, make_learned, make_task, make_truth
 
     from .. import build
 
     _check_extra()
-    torch.set_num_threads(1 if job.sweep else config.threads)
     wanted = make_task(config.system.name)
     noise = float(config.sensor_noise)
 
@@ -148,7 +145,6 @@ def run(config: DictConfig, job: Job) -> float:
 def _model(folder: str, system: str) -> Model:
     """The model of a run directory, refused if it is of another machine."""
     import nsde_torch
-    from nsde_torch.errors import ConfigError
     from nsde_torch.systems import make_system
 
     model = nsde_torch.load(folder)
@@ -165,8 +161,6 @@ def _model(folder: str, system: str) -> Model:
 
 def _check_extra() -> None:
     from importlib.util import find_spec
-
-    from nsde_torch.errors import ConfigError
 
     missing = [name for name in ("gymnasium", "stable_baselines3") if find_spec(name) is None]
     if missing:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nsde_torch.errors import ConfigError
+
 from ..hydra_command import HydraCommand
 from ..keys import group, key
 from ..schemas.model import SystemConfig
@@ -61,8 +63,6 @@ COMMAND = HydraCommand(
 def run(config: DictConfig, job: Job) -> None:
     """Serve until Ctrl-C; ConfigError where a package, the port or the machine is not there."""
     from hydra.core.hydra_config import HydraConfig
-
-    from nsde_torch.errors import ConfigError
 
     from ..own_modules import config_folders
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nsde_torch.errors import ConfigError
 from nsde_torch.recording.faults import RecordingOptions
 from nsde_torch.simulation.options import ReplayOptions
 
@@ -98,16 +99,12 @@ COMMAND = HydraCommand(
 
 def run(config: DictConfig, job: Job) -> None:
     """Make and write one data set."""
-    import torch
-
-    from nsde_torch.errors import ConfigError
     from nsde_torch.recording.chain import Recording
     from nsde_torch.simulation.generate import check_free, simulate, truth_path, write
     from nsde_torch.simulation.replay import Replay
 
     from .. import build
 
-    torch.set_num_threads(config.threads)
     folder = Path(config.out)
     check_free(folder, truth_path(folder, config.truth), overwrite=config.overwrite)
     if (config.pilot == "plan") != (config.plan is not None):

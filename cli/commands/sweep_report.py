@@ -7,15 +7,16 @@ import csv
 import json
 import math
 import re
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
+from nsde_torch.errors import ConfigError
+
 from .. import complete as completion
-from ..exit_status import OK, USER_ERROR
+from ..exit_status import OK
 from ..registry import PlainCommand
 from ..sweep_jobs import DONE, FAILED, UNFINISHED, Group, SweepJob, grouped, read_jobs
 
@@ -33,14 +34,14 @@ def main(arguments: Sequence[str]) -> int:
     options = _parser().parse_args(words)
     folder = Path(options.dir)
     if not folder.is_dir():
-        return _refuse(f"`{folder}` is not a folder; give the folder of a sweep, multirun/DATE/TIME.")
+        raise ConfigError(f"`{folder}` is not a folder; give the folder of a sweep, multirun/DATE/TIME.")
     jobs = read_jobs(folder)
     if not jobs:
-        return _refuse(f"no jobs in `{folder}`; a sweep is made by `nsde train -m ...`.")
+        raise ConfigError(f"no jobs in `{folder}`; a sweep is made by `nsde train -m ...`.")
     score = options.by or _score(jobs)
     if options.by and not any(options.by in job.metrics for job in jobs):
         names = ", ".join(sorted({name for job in jobs for name in job.metrics})) or "none at all"
-        return _refuse(f"no job has the metric `{options.by}`; there are: {names}.")
+        raise ConfigError(f"no job has the metric `{options.by}`; there are: {names}.")
     columns = _columns(jobs, options.columns or COLUMNS, score)
     groups = ranked(grouped(jobs), score)
     if options.by:  # the user says that this number compares
@@ -201,11 +202,6 @@ def _write_csv(path: Path, jobs: Sequence[SweepJob]) -> None:
             row = [job.folder.name, job.status, job.reason]
             row += [job.overrides.get(key, "") for key in keys]
             writer.writerow([*row, *(job.metrics.get(name, "") for name in metrics)])
-
-
-def _refuse(message: str) -> int:
-    print(f"nsde sweep-report: {message}", file=sys.stderr)
-    return USER_ERROR
 
 
 COMMAND = PlainCommand(main, complete)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from nsde_torch.errors import ConfigError
 from nsde_torch.whole_files import json_text
 
 from ..hydra_command import HydraCommand
@@ -68,16 +69,10 @@ COMMAND = HydraCommand(
 
 def run(config: DictConfig, job: Job) -> float | None:
     """Fly one reference with one or several controllers; RMSE of the position [m], None if all machines were lost."""
-    import torch
-
-    from nsde_torch.control import feasible
     from nsde_torch.control.loop import summarise, write_log
-    from nsde_torch.control.predictor import Predictor
-    from nsde_torch.errors import ConfigError
 
     from .. import build, track_build
 
-    torch.set_num_threads(config.threads)
     names = [config.run, *config.beside]
     if len(set(names)) < len(names):
         raise ConfigError(f"`beside` names a controller twice: {names}.")
@@ -90,13 +85,7 @@ def run(config: DictConfig, job: Job) -> float | None:
     }
     first = known[config.run]
     path = track_build.reference(config.reference)
-    options = track_build.problem(config.mpc)
-    predictor = Predictor(first, dt=options.dt)
-    asked = (
-        feasible.check(path, predictor, low=options.low, high=options.high, tilt=config.reference.tilt_limit)
-        if config.reference.check
-        else feasible.envelope(path, predictor)
-    )
+    asked = track_build.envelope(config, path, first)
     print(
         f"{path.name}: {path.duration:g} s, up to {asked.speed:.2f} m/s and {asked.tilt:.0f} deg of tilt, commands "
         f"{asked.input_low:.2f} to {asked.input_high:.2f}"

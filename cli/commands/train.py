@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nsde_torch.training.options import LossOptions, TrainerOptions
+
 from ..hydra_command import HydraCommand
 from ..keys import group, key
 from ..schemas.data import DataConfig
@@ -69,11 +71,11 @@ def run(config: DictConfig, job: Job) -> float:
     from .. import build, effects_file
 
     effects_file.expand(config.system)
-    metrics = fit(config, job, job.run_dir, about=build.options(config))
+    metrics = fit(config, job.run_dir, about=build.options(config))
     return float(metrics["validation"]["score"])
 
 
-def fit(config: DictConfig, job: Job, run_dir: Path, *, about: dict[str, Any]) -> dict[str, Any]:
+def fit(config: DictConfig, run_dir: Path, *, about: dict[str, Any]) -> dict[str, Any]:
     """Build what a configuration describes and train it.
 
     Args:
@@ -83,19 +85,20 @@ def fit(config: DictConfig, job: Job, run_dir: Path, *, about: dict[str, Any]) -
     Returns:
         The content of `metrics.json`.
     """
+    import torch
+
     import nsde_torch
 
     from .. import build
 
-    device, dtype = build.settings(config, sweep=job.sweep)
     machine = build.system_options(config.system)
     system = machine.make()
     model = nsde_torch.train(
         build.dataset(config.data, system),
         system=machine,
         model=build.model_options(config.model),
-        loss=build.loss_options(config.loss),
-        trainer=build.trainer_options(config.trainer),
+        loss=LossOptions(**build.options(config.loss)),
+        trainer=TrainerOptions(**build.options(config.trainer)),
         solver=build.integrator(config.solver),
         test=None if config.data.test is None else list(config.data.test),
         test_data=build.test_data(config.data, system),
@@ -104,8 +107,8 @@ def fit(config: DictConfig, job: Job, run_dir: Path, *, about: dict[str, Any]) -
         seed=config.seed,
         run_dir=run_dir,
         verbose=config.verbose,
-        device=device,
-        dtype=dtype,
+        device=build.make_device(config.device),
+        dtype=getattr(torch, config.dtype),
         about={"command": "train", "config": about},
     )
     return dict(model.metrics)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from nsde_torch.errors import ConfigError
 from nsde_torch.px4.simulator.clock import CLOCK
 from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 
@@ -77,15 +78,11 @@ COMMAND = HydraCommand(
 
 def run(config: DictConfig, job: Job) -> None:
     """Be a vehicle; ConfigError for what is no multirotor, or options that it does not have."""
-    import torch
-
-    from nsde_torch.errors import ConfigError
     from nsde_torch.px4.simulator.autopilot import PARAMETERS
     from nsde_torch.px4.simulator.body import Body
 
     from .. import build
 
-    torch.set_num_threads(config.threads)
     plant = config.plant
     if plant.kind == "learned" or plant.dt is not None or plant.state_latency:
         raise ConfigError(
@@ -118,7 +115,6 @@ def run(config: DictConfig, job: Job) -> None:
 
 def _simulate(config: DictConfig, body: Callable[[], Body], errors: SensorErrors) -> None:
     """Be the simulator of a real PX4."""
-    from nsde_torch.errors import ConfigError
     from nsde_torch.px4.link.transport import open_transport
     from nsde_torch.px4.simulator.hil import HilPlant, HilServer, airframe
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nsde_torch.errors import ExportError
 from nsde_torch.whole_files import json_text
 
 from ..hydra_command import HydraCommand
@@ -68,7 +69,6 @@ def run(config: DictConfig, job: Job) -> None:
 
     from nsde_torch.control.autopilots import EstimatorOptions, PredictivePilot
     from nsde_torch.control.loop import DECLARED, knowledge, percentiles
-    from nsde_torch.errors import ExportError
     from nsde_torch.export import verify
     from nsde_torch.export.exported import ExportedController
     from nsde_torch.export.record import C, hashes
@@ -76,7 +76,6 @@ def run(config: DictConfig, job: Job) -> None:
 
     from .. import track_build
 
-    torch.set_num_threads(config.threads)
     out = verify.Verification()
     memory = verify.resident_mb()
     exported = ExportedController(config.controller)

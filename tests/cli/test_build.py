@@ -14,6 +14,7 @@ from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
 from nsde_torch.cli import build
+from nsde_torch.cli.jobs import set_threads
 from nsde_torch.cli.registry import hydra_command
 from nsde_torch.cli.schemas.data import DATA_CHOICES
 from nsde_torch.cli.store import store
@@ -22,7 +23,7 @@ from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.models import MODELS, kind
 from nsde_torch.models.kind import model_options
 from nsde_torch.systems import System, make_system
-from nsde_torch.training.options import LOSSES, TRAINERS, LossOptions
+from nsde_torch.training.options import LOSSES, TRAINERS, LossOptions, TrainerOptions
 from nsde_torch.training.structure import machine_losses, model_spec
 
 
@@ -41,9 +42,9 @@ def test_cuda_without_a_device_says_so() -> None:
 def test_a_job_of_a_sweep_has_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[int] = []
     monkeypatch.setattr(torch, "set_num_threads", seen.append)
-    config = OmegaConf.create({"device": "cpu", "dtype": "float64", "threads": 4})
-    assert build.settings(config, sweep=True) == (torch.device("cpu"), torch.float64)
-    build.settings(config, sweep=False)
+    for sweep in (True, False):
+        set_threads(OmegaConf.create({"threads": 4}), sweep=sweep)
+        set_threads(OmegaConf.create({}), sweep=sweep)
     assert seen == [1, 4]
 
 
@@ -105,17 +106,17 @@ def _spec(config: Any) -> Any:
 
 def _losses(*words: str) -> LossOptions:
     config = _configuration(*words)
-    return machine_losses(build.loss_options(config.loss), build.system_options(config.system))
+    return machine_losses(LossOptions(**build.options(config.loss)), build.system_options(config.system))
 
 
 @pytest.mark.parametrize(("choice", "name"), [("default", "innovations"), ("replay",) * 2, ("paper",) * 2])
 def test_a_loss_by_name_is_that_of_the_command_line(choice: str, name: str) -> None:
-    assert build.loss_options(_configuration(f"loss={choice}").loss) == LOSSES[name]
+    assert LossOptions(**build.options(_configuration(f"loss={choice}").loss)) == LOSSES[name]
 
 
 @pytest.mark.parametrize("choice", ["default", "fast", "paper"])
 def test_a_trainer_by_name_is_that_of_the_command_line(choice: str) -> None:
-    assert build.trainer_options(_configuration(f"trainer={choice}").trainer) == TRAINERS[choice]
+    assert TrainerOptions(**build.options(_configuration(f"trainer={choice}").trainer)) == TRAINERS[choice]
 
 
 @pytest.mark.parametrize("kind", MODELS)

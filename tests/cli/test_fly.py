@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from nsde_torch.cli import fly_build
+from nsde_torch.cli import fly_build, track_build
 from nsde_torch.cli.main import main
 from nsde_torch.effects import files
 from nsde_torch.errors import ConfigError
@@ -115,7 +115,7 @@ def test_the_declared_physics_is_told_of_what_a_diagnosis_found(
     def stop(config: Any, reference: Any, machine: Any) -> None:
         raise ConfigError(f"told of {machine.effect_names[-1]}, {machine.effects[-1].value('drag').tolist()}")
 
-    monkeypatch.setattr(fly_build, "check", stop)
+    monkeypatch.setattr(track_build, "envelope", stop)
     files.write(Path("effects.yaml"), "quadrotor", {"linear_drag": {"drag": [0.5, 0.25, 0.125]}}, "found")
     words = ["fly", "run=declared", "system.effects=effects.yaml"]
     assert main([*words, "system=hexacopter"]) == 2

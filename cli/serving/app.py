@@ -19,6 +19,7 @@ import json
 import sys
 import traceback
 from collections.abc import Callable, Collection, Iterable
+from dataclasses import KW_ONLY, dataclass
 from importlib import resources
 from typing import Any
 
@@ -38,18 +39,17 @@ _HOMES = {**dict.fromkeys(("report.html", "effects.yaml", "diagnosis.json"), RES
 """Files of a job that may be read -> folder in it."""
 
 
+@dataclass(eq=False)
 class ServedPage:
-    """The application, as WSGI calls it.
+    """The application, as WSGI calls it."""
 
-    Args:
-        runner: Works on the jobs.
-        token: What requests must hold.
-        hosts: `name:port` of this server.
-    """
+    runner: JobRunner  # works on the jobs
+    _: KW_ONLY
+    token: str  # what requests must hold
+    hosts: Collection[str]  # `name:port` of this server
 
-    def __init__(self, runner: JobRunner, *, token: str, hosts: Collection[str]) -> None:
-        self._runner, self._shelf = runner, runner.shelf
-        self._token, self._hosts = token, hosts
+    def __post_init__(self) -> None:
+        self._shelf = self.runner.shelf
         self._receiving: set[tuple[str, int]] = set()
         job = "/api/jobs/<name>"
         answers: list[tuple[str, str, Callable[..., Response]]] = [
@@ -76,9 +76,9 @@ class ServedPage:
 
     def _answer(self, request: Request) -> Response:
         try:
-            check_place(request, self._hosts)
+            check_place(request, self.hosts)
             if request.path.startswith("/api/"):
-                check_token(request, self._token)
+                check_token(request, self.token)
             answer, values = self._map.bind_to_environ(request.environ).match()
             made: Response = answer(request, **values)
             return made
@@ -99,11 +99,11 @@ class ServedPage:
         return Response(content, content_type=TYPES[f".{file.rpartition('.')[2]}"])
 
     def _list(self, request: Request) -> Response:
-        limits = self._runner.limits
+        limits = self.runner.limits
         return answer_json(
             {
-                "systems": list(self._runner.machines.names),
-                "system": self._runner.machines.first,
+                "systems": list(self.runner.machines.names),
+                "system": self.runner.machines.first,
                 "suffixes": list(FORMATS),
                 "upload": limits.upload,
                 "files": limits.files,
@@ -116,7 +116,7 @@ class ServedPage:
     def _create(self, request: Request) -> Response:
         given = _content(request)
         system, files = given.get("system") or None, given.get("files")
-        if system is not None and system not in self._runner.machines.names:
+        if system is not None and system not in self.runner.machines.names:
             raise RefusedError("Choose one of the systems of the list.")
         if not isinstance(files, list) or not all(
             isinstance(f, dict) and isinstance(f.get("name"), str) and type(f.get("size")) is int
@@ -151,15 +151,15 @@ class ServedPage:
         system, mapping = given.get("system") or None, given.get("mapping") or None
         if not isinstance(system, str | None) or not isinstance(mapping, str | None):
             raise RefusedError("`system` and `mapping` must be text.")
-        self._runner.inspect(job, system=system, mapping=mapping)
+        self.runner.inspect(job, system=system, mapping=mapping)
         return self._show(request, name)
 
     def _diagnose(self, request: Request, name: str) -> Response:
-        self._runner.diagnose(self._shelf.get(name))
+        self.runner.diagnose(self._shelf.get(name))
         return self._show(request, name)
 
     def _cancel(self, request: Request, name: str) -> Response:
-        self._runner.cancel(self._shelf.get(name))
+        self.runner.cancel(self._shelf.get(name))
         return self._show(request, name)
 
     def _delete(self, request: Request, name: str) -> Response:
@@ -195,7 +195,7 @@ class ServedPage:
             **{key: getattr(job, key) for key in ("id", "created", "system", "machine", "state")},
             "files": [{"given": f.given, "name": f.name, "size": f.size} for f in job.files],
             "called": STATES[job.state],
-            "seconds": self._runner.elapsed(job),
+            "seconds": self.runner.elapsed(job),
         }
 
 

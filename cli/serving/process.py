@@ -12,7 +12,7 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 
 from nsde_torch.progress import PROGRESS
@@ -37,37 +37,33 @@ class EndOfProcess:
     sentence: str  # what went wrong; empty where nothing did
 
 
+@dataclass(eq=False)
 class CommandProcess:
-    """One command in a process of its own.
+    """One command in a process of its own."""
 
-    Args:
-        words: The command, without `nsde`.
-        folder: Where it runs.
-        log: File for what it prints.
-        limits: Of its time and memory.
-        say: Takes stage, number done, number in all, and what was found so far.
-    """
+    words: Sequence[str]  # the command, without `nsde`
+    _: KW_ONLY
+    folder: Path  # where it runs
+    log: Path  # file for what it prints
+    limits: ServeLimits  # of its time and memory
+    say: Say  # takes stage, number done, number in all, and what was found so far
 
-    def __init__(
-        self, words: Sequence[str], *, folder: Path, log: Path, limits: ServeLimits, say: Say
-    ) -> None:
-        self._words, self._folder, self._log = list(words), folder, log
-        self._limits, self._say = limits, say
+    def __post_init__(self) -> None:
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._stopped = ""
 
     def run(self) -> EndOfProcess:
         """Run it to its end, which `stop` may bring earlier."""
-        limits = self._limits
+        limits = self.limits
         worker = [sys.executable, "-m", "nsde_torch.cli.serving.worker"]
         bounds = [str(limits.memory), str(limits.seconds), str(os.getpid())]
         with self._lock:
             if self._stopped:
                 return self._ended(-signal.SIGKILL, [])
             process = self._process = subprocess.Popen(
-                [*worker, *bounds, *self._words],
-                cwd=self._folder,
+                [*worker, *bounds, *self.words],
+                cwd=self.folder,
                 env={**os.environ, PROGRESS: "json", "MPLBACKEND": "Agg", "PYTHONUNBUFFERED": "1"},
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
@@ -102,10 +98,10 @@ class CommandProcess:
         assert process.stdout is not None
         tail: deque[str] = deque(maxlen=_TAIL)
         kept = 0
-        with process.stdout, self._log.open("ab") as log:
+        with process.stdout, self.log.open("ab") as log:
             while raw := process.stdout.readline(_LINE):
                 text = raw.decode("utf-8", errors="replace")
-                if _told(text, self._say):
+                if _told(text, self.say):
                     continue
                 tail.append(text.rstrip())
                 kept += len(raw)
@@ -115,7 +111,7 @@ class CommandProcess:
         return list(tail)
 
     def _ended(self, status: int, tail: Sequence[str]) -> EndOfProcess:
-        sentence = why_ended(self._words[0], status, tail, stopped=self._stopped, limits=self._limits)
+        sentence = why_ended(self.words[0], status, tail, stopped=self._stopped, limits=self.limits)
         return EndOfProcess(status, self._stopped, sentence)
 
 

@@ -8,7 +8,7 @@ import shutil
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -134,20 +134,16 @@ MakeWork = Callable[..., StoppableWork]
 """Makes the work of words, as `CommandProcess` does."""
 
 
+@dataclass(eq=False)
 class JobRunner:
-    """Takes jobs one after another: one is looked into at a time, `limits.jobs` are diagnosed at a time.
+    """Takes jobs one after another: one is looked into at a time, `limits.jobs` are diagnosed at a time."""
 
-    Args:
-        shelf: The jobs.
-        machines: That are offered.
-        limits: Of time and memory.
-        make: Makes a process; another one in tests.
-    """
+    shelf: Shelf  # the jobs
+    machines: Machines  # that are offered
+    limits: ServeLimits  # of time and memory
+    make: MakeWork = CommandProcess  # makes a process
 
-    def __init__(
-        self, shelf: Shelf, machines: Machines, limits: ServeLimits, *, make: MakeWork = CommandProcess
-    ) -> None:
-        self.shelf, self.machines, self.limits, self._make = shelf, machines, limits, make
+    def __post_init__(self) -> None:
         self._work: dict[str, StoppableWork] = {}
         self._began: dict[str, float] = {}
         self._closed = False
@@ -156,7 +152,7 @@ class JobRunner:
         self._threads = [threading.Thread(target=self._serve, args=(self._looks, self._look), daemon=True)]
         self._threads += [
             threading.Thread(target=self._serve, args=(self._diagnoses, self._diagnose), daemon=True)
-            for _ in range(limits.jobs)
+            for _ in range(self.limits.jobs)
         ]
         for thread in self._threads:
             thread.start()
@@ -244,7 +240,7 @@ class JobRunner:
 
     def _run(self, job: ServedJob, words: list[str], limits: ServeLimits, say: Say) -> EndOfProcess:
         folder = self.shelf.of(job)
-        work = self._make(
+        work = self.make(
             words, folder=self.machines.folder or folder, log=folder / LOG, limits=limits, say=say
         )
         with self.shelf.lock:

@@ -41,9 +41,6 @@ class Windows:
         device: Where the data live and the batches are cut.
         denoise: Whether white sensor noise is taken out of `initial_states`.
 
-    Attributes:
-        start_share: Noise that is left in `initial_states`, as a share of that of the sensors (nx,).
-
     Raises:
         ConfigError: the steps do not divide, or the horizon is not positive.
         DataError: no runs, or no segment is as long as a window.
@@ -108,6 +105,7 @@ class Windows:
         self._x, self._u = self._x.to(device), self._u.to(device)
         self._smooth: Tensor | None = None
         self.start_share = torch.ones(self._x.shape[1], dtype=dtype, device=device)
+        """Noise that is left in `initial_states`, as a share of that of the sensors (nx,)."""
         if denoise:
             smooth, share = denoised(runs)
             self._smooth = torch.from_numpy(np.concatenate(smooth)).to(self._x)

@@ -108,10 +108,6 @@ class Parametrised(nn.Module):
 
     Bounded below: value = low + softplus; on both sides: a logistic; free: value = raw * scale.
     `self.value(name)` is differentiable.
-
-    Attributes:
-        in_run: By name of a parameter that differs between runs, while a rate is worked out: from its value (k,) to
-            those of the rows (N, k).
     """
 
     PARAMETERS: ClassVar[Mapping[str, Parameter]] = {}
@@ -122,6 +118,8 @@ class Parametrised(nn.Module):
         self._scales = {name: _scale(spec) for name, spec in self._specs.items()}
         self.raw = nn.ParameterDict()
         self.in_run: dict[str, Callable[[Tensor], Tensor]] = {}
+        """By name of a parameter that differs between runs, while a rate is worked out: from its value (k,) to those of
+        the rows (N, k)."""
         for name, spec in self._specs.items():
             initial = torch.as_tensor(spec.initial, dtype=torch.float64).reshape(-1)
             self.raw[name] = nn.Parameter(torch.zeros(len(initial)))
@@ -223,67 +221,54 @@ def _inverse_softplus(y: Tensor) -> Tensor:
 class Effect(Parametrised, ABC):
     """One physical term on one port.
 
-    Attributes:
-        name: Key in `EFFECTS`.
-        port: Where it enters.
-        formula: The term, in words that fit on one line.
-        source: Where it comes from.
-        systems: Names of the systems that it is for; empty: every system with the ports.
-        needs, excludes: Ports that a system must have, or must not have, beside `port`.
-        stage: On the port `input`: effects of a lower stage act first.
-        exogenous: Logged columns that it reads beside the inputs.
-        quantities: What it reads of the system's own working, name -> columns (see `System.quantities`).
-        null: Values at which it adds nothing (a bound may mean "arbitrarily close to"). Parameters left out
-            are without effect at these values. Those of `amplitudes` are 0 unless it says otherwise.
-        amplitudes: Parameters that the term is linear in.
-        shapes: First values to try for parameters that it is not linear in; a vector parameter takes one number for
-            all axes or a tuple.
-        smooth: Parameters of `shapes` that one linear step fits again to some of the runs, as it does amplitudes.
-        relative: Parameters whose `shapes` are multiples of a size of the data: `input`, `speed`, `rate` or
-            `position` (95 % quantile of the absolute value that the effect sees), `step` (time between samples), or
-            `spectrum` (frequencies are taken from the data, `shapes` has none).
-        resolved: Times of a memory -> the least multiple of a step at which explicit steps follow it.
-        includes: Simpler effects that it contains as special cases; it stands in for them, not beside them.
-        same: Its parameters that are equal to one of a contained effect where the two are alike, own name -> theirs;
-            parameters of the same name are alike without a word.
-        along: The one variable that it is a law of (`speed`, `position`), if there is one: two of one variable on one
-            port may together represent a third that nobody listed.
-        sentence: What it means, for who runs the machine; {parameter} is replaced by a value with its unit.
-        separate: The experiment that would distinguish it from similar effects.
-
-        whole_steps: Whether, with a `step`, `memory_rate` is the mean rate over a step that starts from a memory, and
-            `forward` the mean term over it, for inputs that are held: what they are given is then of its start.
-        jumps: Whether, of `whole_steps`, its memory jumps with a held input, so that it has a rate over a step alone.
-        step: Step of the integrator [s], for effects of `whole_steps`. 0: rate and term are those of the instant.
-
     Args:
         values: First values of parameters.
         n_inputs: Number of inputs of the system, for effects with memory or parameters per input.
     """
 
-    name: ClassVar[str]
-    port: ClassVar[Port]
-    formula: ClassVar[str]
-    source: ClassVar[str]
+    name: ClassVar[str]  # key in `EFFECTS`
+    port: ClassVar[Port]  # where it enters
+    formula: ClassVar[str]  # the term, in words that fit on one line
+    source: ClassVar[str]  # where it comes from
     systems: ClassVar[tuple[str, ...]] = ()
-    needs: ClassVar[tuple[Port, ...]] = ()
-    excludes: ClassVar[tuple[Port, ...]] = ()
-    stage: ClassVar[int] = 3
-    exogenous: ClassVar[tuple[str, ...]] = ()
+    """Names of the systems that it is for; empty: every system with the ports."""
+    needs: ClassVar[tuple[Port, ...]] = ()  # ports that a system must have beside `port`
+    excludes: ClassVar[tuple[Port, ...]] = ()  # ports that it must not have
+    stage: ClassVar[int] = 3  # on the port `input`: effects of a lower stage act first
+    exogenous: ClassVar[tuple[str, ...]] = ()  # logged columns that it reads beside the inputs
     quantities: ClassVar[Mapping[str, int]] = {}
+    """What it reads of the system's own working, name -> columns (see `System.quantities`)."""
     null: ClassVar[Mapping[str, float]] = {}
-    amplitudes: ClassVar[tuple[str, ...]] = ()
+    """Values at which it adds nothing (a bound may mean "arbitrarily close to"). Parameters left out are without effect
+    at these values. Those of `amplitudes` are 0 unless it says otherwise."""
+    amplitudes: ClassVar[tuple[str, ...]] = ()  # parameters that the term is linear in
     shapes: ClassVar[Mapping[str, tuple[float | tuple[float, ...], ...]]] = {}
+    """First values to try for parameters that it is not linear in; a vector parameter takes one number for all axes or
+    a tuple."""
     smooth: ClassVar[tuple[str, ...]] = ()
+    """Parameters of `shapes` that one linear step fits again to some of the runs, as it does amplitudes."""
     relative: ClassVar[Mapping[str, str]] = {}
+    """Parameters whose `shapes` are multiples of a size of the data: `input`, `speed`, `rate` or `position` (95 %
+    quantile of the absolute value that the effect sees), `step` (time between samples), or `spectrum` (frequencies are
+    taken from the data, `shapes` has none)."""
     resolved: ClassVar[Mapping[str, float]] = {}
+    """Times of a memory -> the least multiple of a step at which explicit steps follow it."""
     includes: ClassVar[tuple[str, ...]] = ()
+    """Simpler effects that it contains as special cases; it stands in for them, not beside them."""
     same: ClassVar[Mapping[str, str]] = {}
+    """Its parameters that are equal to one of a contained effect where the two are alike, own name -> theirs;
+    parameters of the same name are alike without a word."""
     along: ClassVar[str] = ""
+    """The one variable that it is a law of (`speed`, `position`), if there is one: two of one variable on one port may
+    together represent a third that nobody listed."""
     sentence: ClassVar[str] = ""
-    separate: ClassVar[str] = ""
+    """What it means, for who runs the machine; {parameter} is replaced by a value with its unit."""
+    separate: ClassVar[str] = ""  # the experiment that would distinguish it from similar effects
     whole_steps: ClassVar[bool] = False
+    """Whether, with a `step`, `memory_rate` is the mean rate over a step that starts from a memory, and `forward` the
+    mean term over it, for inputs that are held: what they are given is then of its start."""
     jumps: ClassVar[bool] = False
+    """Whether, of `whole_steps`, its memory jumps with a held input, so that it has a rate over a step alone."""
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
@@ -293,6 +278,7 @@ class Effect(Parametrised, ABC):
     def __init__(self, values: Mapping[str, float | list[float]] | None = None, *, n_inputs: int = 1) -> None:
         self.n_inputs = n_inputs
         self.step = 0.0
+        """Step of the integrator [s], for effects of `whole_steps`. 0: rate and term are those of the instant."""
         self.PARAMETERS = {k: _widened(p, n_inputs) for k, p in self.PARAMETERS.items()}  # type: ignore[misc]
         super().__init__(values)
 

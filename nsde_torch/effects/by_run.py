@@ -33,27 +33,21 @@ Values = Mapping[str, float | list[float]]
 
 
 class ByRun(Effect):
-    """An effect with numbers for each run: of component j, those of all runs beside one another.
-
-    Attributes:
-        runs: Names of the runs by their number; empty where nobody said.
-        width: Numbers for each run.
-        first: Number of the first run that has some.
-        drawn: Numbers of each row (N, width), of runs that nobody has seen; None: those of the run that it is of.
-    """
+    """An effect with numbers for each run: of component j, those of all runs beside one another."""
 
     exogenous = (RUN,)
-    width: ClassVar[int] = 1
-    first: ClassVar[int] = 0
+    width: ClassVar[int] = 1  # numbers for each run
+    first: ClassVar[int] = 0  # number of the first run that has some
 
     def __init__(self, values: Values | None = None, *, n_inputs: int = 1) -> None:
         (key, spec), *_ = self.PARAMETERS.items()
         given = (values or {}).get(key)
         count = len(given) if isinstance(given, (list, tuple)) else self.width
         self.PARAMETERS = {key: replace(spec, initial=(0.0,) * max(count, 1))}  # type: ignore[misc]
-        self.runs: tuple[str, ...] = ()
+        self.runs: tuple[str, ...] = ()  # names of the runs by their number; empty where nobody said
         super().__init__(values, n_inputs=n_inputs)
         self.drawn: Tensor | None = None
+        """Numbers of each row (N, width), of runs that nobody has seen; None: those of the run that it is of."""
 
     @property
     def reference(self) -> str:
@@ -124,13 +118,10 @@ class RunWorldForce(ByRun, ConstantWorldForce):
 
 
 class RunDifference(ByRun):
-    """A parameter that differs between runs.
-
-    Attributes:
-        target: `name` of the machine's own parameter, `effect/name` of an effect's, or `MASS`.
-    """
+    """A parameter that differs between runs."""
 
     target: ClassVar[str] = ""
+    """`name` of the machine's own parameter, `effect/name` of an effect's, or `MASS`."""
     first = 1
     port = Port.PARAMETER
     formula = "theta + d_r in run r"

@@ -188,20 +188,13 @@ class Vocabulary:
 
 
 class Expression(Effect):
-    """A law that is written as text; classes of it are made by `expression_at` and `unplaced_expression`.
+    """A law that is written as text; classes of it are made by `expression_at` and `unplaced_expression`."""
 
-    Attributes:
-        law: The law, parsed.
-        row, width: Row of the port, and how many there are.
-        sources: Where its variables come from.
-        unit: Of what it adds.
-    """
-
-    law: ClassVar[Written]
-    row: ClassVar[int] = 0
-    width: ClassVar[int] = 0
-    sources: ClassVar[Mapping[str, Source]] = {}
-    unit: ClassVar[str] = ""
+    law: ClassVar[Written]  # the law, parsed
+    row: ClassVar[int] = 0  # of the port
+    width: ClassVar[int] = 0  # rows of the port
+    sources: ClassVar[Mapping[str, Source]] = {}  # where its variables come from
+    unit: ClassVar[str] = ""  # of what it adds
     separate = "runs in which the variables of the law move further, and apart from each other"
 
     def __init__(self, values: Mapping[str, float | list[float]] | None = None, *, n_inputs: int = 1) -> None:

@@ -46,23 +46,16 @@ class Law(Effect):
 
     Units of `PARAMETERS` are products of `force`, `speed` and `position`: `force/speed` is 1/s where forces are over
     mass. In `sentence`, `{it}` is replaced by what moves.
-
-    Attributes:
-        at: The coordinate; that of the simplest machine where none was given.
-        law: The law itself, of a class that was made of it for one coordinate.
-        kinds: Kinds of coordinates that it is for; empty: all.
-        reads_position: Whether it is for coordinates whose position is known alone.
-        reads_load: Whether it is for coordinates that say their load (`self.load(u)`).
-        dry: Whether it is a dry friction: it holds what stands, and is a function of the speed of what moves alone.
     """
 
     port = Port.FORCE
-    at: ClassVar[Bound] = PLAIN
-    law: ClassVar[type[Law]]
-    kinds: ClassVar[tuple[str, ...]] = ()
-    reads_position: ClassVar[bool] = False
-    reads_load: ClassVar[bool] = False
+    at: ClassVar[Bound] = PLAIN  # the coordinate; that of the simplest machine where none was given
+    law: ClassVar[type[Law]]  # the law itself, of a class that was made of it for one coordinate
+    kinds: ClassVar[tuple[str, ...]] = ()  # kinds of coordinates that it is for; empty: all
+    reads_position: ClassVar[bool] = False  # whether it is for coordinates whose position is known alone
+    reads_load: ClassVar[bool] = False  # whether it is for coordinates that say their load (`self.load(u)`)
     dry: ClassVar[bool] = False
+    """Whether it is a dry friction: it holds what stands, and is a function of the speed of what moves alone."""
     _declared: ClassVar[Mapping[str, Parameter]] = {}
     _sentence: ClassVar[str] = ""
 

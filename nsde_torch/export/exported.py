@@ -32,7 +32,6 @@ class Prediction(nn.Module):
     """One sample of the file's model; see `control.predictor.Predictor`.
 
     Attributes:
-        system: Declared physics with the model's values; the learned part is in the file alone.
         nx, nu, nz, nd, ports, dt, dtype: See `Predictor`.
     """
 
@@ -44,6 +43,7 @@ class Prediction(nn.Module):
         self.ports = {Port(name): int(width) for name, width in about["ports"].items()}
         self.dt, self.dtype = dt, getattr(torch, about["dtype"])
         self.system = frozen(system, dtype=self.dtype)
+        """Declared physics with the model's values; the learned part is in the file alone."""
 
     def forward(self, z: Tensor, u: Tensor, d: Tensor) -> Tensor:
         """States a sample later (N, nz), from states (N, nz), inputs (N, nu) and pushes (N, nd)."""
@@ -74,7 +74,6 @@ class ExportedController:
         record: What the file says of itself.
         known: Declared physics with the model's values.
         pilot: The file's own estimator and controller, which files in C have; else None.
-        step: The step itself; see `layout.step_inputs` and `layout.step_outputs`.
 
     Raises:
         ExportError: the file is damaged, changed, of another version or for another processor, or it is in C and there
@@ -89,7 +88,7 @@ class ExportedController:
             archive, self.record = b"", c_file.read(self.path)
         else:
             archive, self.record = container.read(self.path)
-        self.step: Function
+        self.step: Function  # the step itself; see `layout.step_inputs` and `layout.step_outputs`
         predict: Function
         try:
             record.check(self.record)

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 if TYPE_CHECKING:
@@ -67,33 +67,20 @@ class Detected:
         return {name: value for name, (value, *_) in self.values.items()}
 
 
+@dataclass(eq=False)
 class LoggedRuns:
-    """Runs of a log, from which fault after fault is taken out.
+    """Runs of a log, from which fault after fault is taken out."""
 
-    Args:
-        data: Where the runs are from; it knows what the reader made of the clock.
-        runs: Those to look at.
-        system: Names of the states.
-        alpha: Chance that any stage of a diagnosis finds something in a sound log (`level`).
-        misfit: Negative log likelihood per row [nats] of the declared physics in runs, at a clock.
+    data: DataSet  # where the runs are from; it knows what the reader made of the clock
+    runs: Sequence[Run]  # those to look at, without what was taken out
+    system: SystemInfo  # names of the states
+    _: KW_ONLY
+    alpha: float  # chance that any stage of a diagnosis finds something in a sound log (`level`)
+    misfit: Callable[[Sequence[Run], float], float]
+    """Negative log likelihood per row [nats] of the declared physics in runs, at a clock."""
 
-    Attributes:
-        runs: The runs without what was taken out.
-        clock: Physical seconds for each logged second, as far as it is known.
-    """
-
-    def __init__(
-        self,
-        data: DataSet,
-        runs: Sequence[Run],
-        system: SystemInfo,
-        *,
-        alpha: float,
-        misfit: Callable[[Sequence[Run], float], float],
-    ) -> None:
-        self.data, self.system = data, system
-        self.runs, self.clock = list(runs), 1.0
-        self._alpha, self._misfit = alpha, misfit
+    def __post_init__(self) -> None:
+        self.clock = 1.0  # physical seconds for each logged second, as far as it is known
         self._found, self._once = set[str](), dict[Any, Any]()
 
     def once(self, what: Callable[[LoggedRuns], T]) -> T:
@@ -105,11 +92,11 @@ class LoggedRuns:
 
     def level(self, stage: str) -> float:
         """Significance level of a stage, after what was taken out so far."""
-        return level(stage, self._alpha, self._found)
+        return level(stage, self.alpha, self._found)
 
     def misfit_with(self, fault: Fault, values: Mapping[str, float]) -> float:
         """What the declared physics says of the runs with a fault undone [nats per row]."""
-        return self._misfit(self._without(fault, values), self.clock)
+        return self.misfit(self._without(fault, values), self.clock)
 
     def take_out(self, fault: Fault, found: Detected) -> None:
         """Undo a fault that was found."""
@@ -117,7 +104,7 @@ class LoggedRuns:
         self.clock *= found.clock
         self._found |= {fault.stage}
 
-    def _without(self, fault: Fault, values: Mapping[str, float]) -> list[Run]:
+    def _without(self, fault: Fault, values: Mapping[str, float]) -> Sequence[Run]:
         return [fault.undo(run, self.system, values) for run in self.runs] if values else self.runs
 
 

@@ -70,7 +70,6 @@ class Physics:
 
     Attributes:
         names, units: Of the channels (the states' own; `(body)` where turned).
-        sensor_std: Standard deviation of white sensor noise (nx,), as the last `estimate_sensors` found it.
     """
 
     def __init__(
@@ -94,6 +93,7 @@ class Physics:
         self.tied = tuple(i for i, j in rate_pairs(system) if j in inferred)
         """Columns of positions whose rates were inferred from them: their residuals say nothing."""
         self.sensor_std: Array = np.zeros(system.nx)
+        """Standard deviation of white sensor noise (nx,), as the last `estimate_sensors` found it."""
         self._remembered: tuple[Tensor, tuple[Tensor, ...]] | None = None
         self._foreseen: tuple[Tensor, Tensor] | None = None
         self._forces: Forces | None = None

@@ -184,10 +184,7 @@ class Regression:
         levels: Take the mean of each run out of `white` and `slopes`: a steady push is nobody's.
 
     Attributes:
-        theta: Where the iteration stands.
         white, slopes: Whitened residuals (channels, N) and slopes (channels, N, k) at theta.
-        memory: Rows after which noise forgets.
-        held: Whether each parameter stays where it started (k,).
         shown: What the data show of theta, sizes per input counted from the median (`ParameterVector.references`).
     """
 
@@ -212,18 +209,20 @@ class Regression:
         self._past = np.zeros((0, 0))
         self.physics, self.box, self.origin, self._plain = physics, box, origin, plain
         self.held = np.array([label in held for label in physics.vector.labels])
+        """Whether each parameter stays where it started (k,)."""
         self.vector = physics.vector
         self.single = Series(physics.steps.segments)
         self.series = self.single.boxes(box)
         self.dt = physics.steps.dt * box
         most = min(_ORDERS, max(len(self.series) // 50, 2))
         self.orders = int(np.clip(round(_ORDERS_S / self.dt), 2, most))
-        self.memory = memory_s / self.dt
+        self.memory = memory_s / self.dt  # rows after which noise forgets
         if levels:
             owner = self.whitened_rows(self.owners)
             each = (owner[:, None] == np.unique(owner)[None, :]).astype(np.float64)
             self._past = each / np.sqrt(each.sum(0))
         self.theta = self.vector.inside(self.vector.start if start is None else start)
+        """Where the iteration stands."""
         self.residual = self._residual(self.theta)
         self._relinearise()
         largest = np.abs(self.jacobian).max((0, 2))

@@ -55,10 +55,6 @@ class EnsembleLoop(Loop):
     """One optimisation of one ensemble.
 
     `patience` is stretched as `steps` is against `options.steps`.
-
-    Attributes:
-        best_score: Validation score of the kept weights of each member (members,).
-        best_step: Step of the kept weights of each member (members,).
     """
 
     model: GaussianEnsemble
@@ -93,7 +89,9 @@ class EnsembleLoop(Loop):
         # int32: five bootstraps of ten hours at 100 Hz are 70 MB
         self.bootstrap = torch.randint(count, (members, count), generator=self.batches, dtype=torch.int32)
         self.best_score = torch.full((members,), math.inf)
+        """Validation score of the kept weights of each member (members,)."""
         self.best_step = torch.zeros(members, dtype=torch.int64)
+        """Step of the kept weights of each member (members,)."""
 
     def draw(self) -> Tensor:
         """Numbers of the pairs of a batch, each member from its own bootstrap (members, batch)."""

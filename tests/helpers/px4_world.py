@@ -63,7 +63,7 @@ class World:
     vehicle_key: bytes | None = None
     parameters: dict[str, float] = field(default_factory=dict)
     heading_error: float | None = None
-    errors: SensorErrors | None = None
+    errors: SensorErrors = field(default_factory=SensorErrors)
     speed: float = CLOCK
     down: Line = straight
     up: Line = straight

@@ -257,7 +257,7 @@ def _learned(estimate: PushEstimate, a: tuple[float, float, float], seconds: flo
 
 
 def test_a_constant_push_is_learned_along_the_body_within_a_few_time_constants() -> None:
-    estimate = PushEstimate(delay=0.08, drag=NO_DRAG, time=0.2, limit=4.0)
+    estimate = PushEstimate(delay=0.08, known=NO_DRAG, time=0.2, limit=4.0)
     _learned(estimate, (0.0, 0.8, -0.5), 1.0, yaw=radians(90.0))  # world's y is the body's x
     assert estimate.value == pytest.approx((0.8, 0.0, -0.5), abs=0.01)
 
@@ -265,7 +265,7 @@ def test_a_constant_push_is_learned_along_the_body_within_a_few_time_constants()
 @pytest.mark.parametrize(("drag", "wind"), [(0.6, 0.0), (0.0, 0.8), (0.6, 0.8)])
 def test_braking_that_no_model_knows_is_told_from_a_steady_push(drag: float, wind: float) -> None:
     """To and fro at up to 3 m/s for 15 s: braking changes with the speed, and is known before the speed changes."""
-    estimate = PushEstimate(delay=0.08, drag=NO_DRAG, time=0.2, limit=4.0)
+    estimate = PushEstimate(delay=0.08, known=NO_DRAG, time=0.2, limit=4.0)
     x = v = 0.0
     for k in range(round(15.0 / PERIOD)):
         t = k * PERIOD
@@ -282,7 +282,7 @@ def test_braking_that_no_model_knows_is_told_from_a_steady_push(drag: float, win
 
 def test_what_a_model_says_of_drag_is_no_push() -> None:
     drag = ((0.5, 0.0, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, 0.5))
-    estimate = PushEstimate(delay=0.08, drag=drag, time=0.2, limit=4.0)
+    estimate = PushEstimate(delay=0.08, known=drag, time=0.2, limit=4.0)
     v = 2.0
     for k in range(100):
         estimate.take(_row(v=(v, 0.0, 0.0)), k * PERIOD, HOVERING)
@@ -291,14 +291,14 @@ def test_what_a_model_says_of_drag_is_no_push() -> None:
 
 
 def test_a_push_is_bounded_forgotten_and_not_learned_across_a_silence() -> None:
-    estimate = PushEstimate(delay=0.08, drag=NO_DRAG, time=0.2, limit=1.5)
+    estimate = PushEstimate(delay=0.08, known=NO_DRAG, time=0.2, limit=1.5)
     _learned(estimate, (5.0, 0.0, 0.0), 1.0)
     assert estimate.value == pytest.approx((1.5, 0.0, 0.0))
     estimate.take(_row(v=(-20.0, 0.0, 0.0)), 3.0, HOVERING)
     assert estimate.value == pytest.approx((1.5, 0.0, 0.0))
     estimate.reset()
     assert estimate.value == (0.0, 0.0, 0.0)
-    off = PushEstimate(delay=0.08, drag=NO_DRAG, time=0.0, limit=1.5)
+    off = PushEstimate(delay=0.08, known=NO_DRAG, time=0.0, limit=1.5)
     _learned(off, (1.0, 0.0, 0.0), 1.0)
     assert off.value == (0.0, 0.0, 0.0)
 

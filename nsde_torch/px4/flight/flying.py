@@ -287,7 +287,13 @@ def fly(
         What was measured. A flight that went wrong raises nothing: see its outcome.
     """
     flight = Offboard(
-        link.endpoint, runner, path, limits=limits, setpoints=setpoints, options=options, say=say
+        link.endpoint,
+        runner,
+        path,
+        limits=limits or Limits(),
+        setpoints=setpoints or SetpointLimits(),
+        options=options or FlightOptions(),
+        say=say,
     )
     book = None if log is None else FlightLog(log, motors)
     recorder = Recorder(flight, book)

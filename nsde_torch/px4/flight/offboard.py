@@ -10,9 +10,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from math import degrees, inf, pi
-from typing import final
 
 from nsde_torch.px4.flight import failsafe, preflight
 from nsde_torch.px4.flight.cascade import GRAVITY, Point, SetpointCascade
@@ -41,48 +40,30 @@ SETPOINTS = 500
 """Newest rates that are recognised as ours when PX4 reports them: it may hold them for 2 s, at 250 a second."""
 
 
-@final
+@dataclass(eq=False)
 class Offboard:
-    """One flight: its phases, the stream, the place to hold, and the watch over all of them.
+    """One flight: its phases, the stream, the place to hold, and the watch over all of them."""
 
-    Args:
-        endpoint: The link's end.
-        runner: The controller of the reference.
-        path: The reference, from the place of take-off.
-        limits, setpoints, options: See `Limits`, `SetpointLimits` and `FlightOptions`.
-        say: Takes one line about each step.
+    endpoint: Endpoint  # the link's end
+    runner: Runner  # the controller of the reference
+    path: PathPoints  # the reference, from the place of take-off
+    _: KW_ONLY
+    limits: Limits = field(default_factory=Limits)
+    setpoints: SetpointLimits = field(default_factory=SetpointLimits)
+    options: FlightOptions = field(default_factory=FlightOptions)
+    say: Callable[[str], None] = lambda line: None  # takes one line about each step
 
-    Attributes:
-        home: Place of take-off [m], once known.
-        sent: Time, rates and throttle that left last.
-        started: When the reference began, on our clock [s].
-        ours_until: Newest time at which the vehicle said that it flies by our setpoints [s].
-    """
-
-    def __init__(
-        self,
-        endpoint: Endpoint,
-        runner: Runner,
-        path: PathPoints,
-        *,
-        limits: Limits | None = None,
-        setpoints: SetpointLimits | None = None,
-        options: FlightOptions | None = None,
-        say: Callable[[str], None] = lambda line: None,
-    ) -> None:
-        self.endpoint, self.runner, self.path = endpoint, runner, path
-        self.limits, self.options = limits or Limits(), options or FlightOptions()
-        self.guard = Guard(setpoints or SetpointLimits())
+    def __post_init__(self) -> None:
+        self.guard = Guard(self.setpoints)
         self.phase, self.outcome = Phase.CONNECT, FlightOutcome()
-        self.home: Vec | None = None
+        self.home: Vec | None = None  # place of take-off [m], once known
         self.hover = HoverThrottle(0.5)
-        self.sent: tuple[float, Vec, float] | None = None
+        self.sent: tuple[float, Vec, float] | None = None  # time, rates and throttle that left last
         self._left: deque[tuple[float, Demand]] = deque()
         self._rates: deque[Vec] = deque(maxlen=SETPOINTS)
-        self.started: float | None = None
-        self.ours_until = -inf
+        self.started: float | None = None  # when the reference began, on our clock [s]
+        self.ours_until = -inf  # newest time at which the vehicle said that it flies by our setpoints [s]
         self.streaming = False
-        self._say = say
         self._cascade = SetpointCascade()
         self._watch: Watch | None = None
         self._begun = inf  # until the first tick
@@ -131,7 +112,7 @@ class Offboard:
     def _go(self, phase: Phase, why: str = "") -> None:
         self.phase, self._since, self._asked = phase, self._now, 0.0
         self.outcome.actions.append((self._now - self._begun, phase.value, why))
-        self._say(f"{self._now - self._begun:7.2f} s  {phase.value}{': ' + why if why else ''}")
+        self.say(f"{self._now - self._begun:7.2f} s  {phase.value}{': ' + why if why else ''}")
 
     def _refuse(self, why: str) -> None:
         """End a flight that has not begun."""
@@ -211,9 +192,9 @@ class Offboard:
     def _list(self, faults: list[str], status: Status) -> None:
         """Say all that is wrong, a line each, with what mends it."""
         for line in faults:
-            self._say(f"           refused: {line}")
+            self.say(f"           refused: {line}")
         for line in preflight.warnings(self.endpoint, status, self.path, self.limits):
-            self._say(f"           note: {line}")
+            self.say(f"           note: {line}")
 
     def _controller_ready(self) -> bool:
         self.runner.collect()
@@ -347,7 +328,7 @@ class Offboard:
         if self._on_plans:
             self._on_plans = False
             self._cascade.reset()
-            self._say(
+            self.say(
                 f"           note: plans are late at {t:.1f} s; the built-in cascade flies the reference"
             )
         self.outcome.without_plans += max(self._now - self._last, 0.0)
@@ -485,7 +466,7 @@ class Offboard:
         """Note resets of the estimate; a heading that is held moves with its estimate, so that nothing turns."""
         for step in watch.steps:
             self.outcome.steps.append((self._now - self._begun, step))
-            self._say(
+            self.say(
                 f"{self._now - self._begun:7.2f} s  note: the estimate was reset: heading "
                 f"{degrees(step.heading):+.1f} deg, position {step.position:.2f} m, velocity {step.velocity:.2f} m/s"
             )

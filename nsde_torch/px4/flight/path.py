@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY, dataclass
 from typing import final
 
 import numpy as np
@@ -46,17 +47,16 @@ class PathPoints:
         return Point(now.p, now.v, soon.a, soon.yaw, now.yaw_rate)
 
 
-@final
+@dataclass(eq=False)
 class CascadeController:
-    """The cascade along a path, as a `FlightController`.
+    """The cascade along a path, as a `FlightController`."""
 
-    Args:
-        path: Points, in the controller's own coordinates.
-        lead: See `PathPoints.led` [s].
-    """
+    path: PathPoints  # points, in the controller's own coordinates
+    _: KW_ONLY
+    lead: float = LEAD  # see `PathPoints.led` [s]
 
-    def __init__(self, path: PathPoints, *, lead: float = LEAD) -> None:
-        self._path, self._cascade, self._lead = path, SetpointCascade(), lead
+    def __post_init__(self) -> None:
+        self._cascade = SetpointCascade()
         self._last: float | None = None
 
     def __call__(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> DemandPlan:
@@ -66,6 +66,6 @@ class CascadeController:
             self._cascade.reset()
         dt = min(max(dt, 0.0), 0.05)
         self._last = time
-        to = self._path.led(t, self._lead)
+        to = self.path.led(t, self.lead)
         demand: Demand = self._cascade(row[0:3], row[3:6], row[6:10], to, dt)  # type: ignore[arg-type]
         return DemandPlan(time, 0.05, (demand,), "cascade")

@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from math import cos, radians
 from pathlib import Path
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import torch
 from torch import Tensor
@@ -109,26 +109,19 @@ def carried(
     return (*p, *v, *q, *w)
 
 
-@final
+@dataclass(eq=False, kw_only=True)
 class PushEstimate:
-    """What pushes the vehicle, learned from velocities while it flies.
+    """What pushes the vehicle, learned from velocities while it flies."""
 
-    Args:
-        delay, drag: See `carried`.
-        time: Time constant of learning [s]; 0: nothing is learned.
-        limit: Largest push along each axis [m/s2].
-
-    Attributes:
-        value: Acceleration along the body's axes at the newest state [m/s2].
-        rest: What of it does not go with the speed [m/s2].
-        slopes: How it brakes by its speed along each axis, beyond what the model says [1/s].
-    """
-
-    LONGEST = 0.2
+    LONGEST: ClassVar[float] = 0.2
     """Time between two states beyond which nothing is learned from them [s]."""
 
-    def __init__(self, *, delay: float, drag: Drag, time: float, limit: float) -> None:
-        self._delay, self._drag, self._time, self._limit = delay, drag, time, limit
+    delay: float  # see `carried`
+    known: Drag  # how the machine brakes, as the model says [1/s]
+    time: float  # time constant of learning [s]; 0: nothing is learned
+    limit: float  # largest push along each axis [m/s2]
+
+    def __post_init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
@@ -139,7 +132,7 @@ class PushEstimate:
     @property
     def drag(self) -> Drag:
         """How the machine brakes, as the model says and as was learned [1/s]."""
-        (a, b, c), (k, m, n) = self._drag, self.slopes
+        (a, b, c), (k, m, n) = self.known, self.slopes
         return ((a[0] + k, a[1], a[2]), (b[0], b[1] + m, b[2]), (c[0], c[1], c[2] + n))
 
     def at(self, row: tuple[float, ...]) -> Vec:
@@ -150,13 +143,13 @@ class PushEstimate:
     def take(self, row: tuple[float, ...], time: float, asked: Asked) -> Vec:
         """Learn from a state of 13 numbers, when it was valid [s], and what was sent lately; returns `value`."""
         last, self._last = self._last, (time, row)
-        if last is None or not self._time > 0 or not 0.0 < time - last[0] <= self.LONGEST:
+        if last is None or not self.time > 0 or not 0.0 < time - last[0] <= self.LONGEST:
             return self.value
         dt = time - last[0]
-        told = carried(last[1], last[0], dt, asked, delay=self._delay, drag=self.drag, push=self.rest)
+        told = carried(last[1], last[0], dt, asked, delay=self.delay, drag=self.drag, push=self.rest)
         off = (row[3] - told[3], row[4] - told[4], row[5] - told[5])
         error = rotate_back(row[6:10], off)  # type: ignore[arg-type]
-        share = 1.0 / max(self._time, dt)
+        share = 1.0 / max(self.time, dt)
         self.rest = self._bounded(d + share * e for d, e in zip(self.rest, error, strict=True))
         u = rotate_back(row[6:10], row[3:6])  # type: ignore[arg-type]
         k, m, n = (
@@ -172,7 +165,7 @@ class PushEstimate:
         return self.value
 
     def _bounded(self, push: Iterable[float]) -> Vec:
-        x, y, z = (min(max(d, -self._limit), self._limit) for d in push)
+        x, y, z = (min(max(d, -self.limit), self.limit) for d in push)
         return (x, y, z)
 
 
@@ -279,7 +272,7 @@ class PredictiveController:
         self._delay, self._lead, self._upright = delay, lead, cos(tilt)
         self._system, self._ports = system, controller.predictor.ports
         drag = braking(controller) if isinstance(controller, Controller) else NO_DRAG
-        self._push = PushEstimate(delay=delay, drag=drag, time=push_time, limit=PUSH_LIMIT)
+        self._push = PushEstimate(delay=delay, known=drag, time=push_time, limit=PUSH_LIMIT)
         self._last: tuple[float, MotorPlan] | None = None
         self._trim = torch.zeros(3, dtype=torch.float64)
 

@@ -15,6 +15,7 @@ import traceback
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
 from math import inf
 from multiprocessing.connection import Connection
 from typing import final
@@ -71,32 +72,32 @@ class Runner(ABC):
             self.plan = plan
 
 
-@final
+@dataclass(eq=False)
 class Inline(Runner):
-    """In the loop: for controllers that take microseconds, and for flights in virtual time.
+    """In the loop: for controllers that take microseconds, and for flights in virtual time."""
 
-    Args:
-        controller: The controller.
-        period: Shortest time between states that it is given [s].
-        delay: Age of a state at which its plan is taken, where the time of a solve is to be played [s].
-    """
+    controller: FlightController
+    _: KW_ONLY
+    period: float = 0.0  # shortest time between states that it is given [s]
+    delay: float = (
+        0.0  # age of a state at which its plan is taken, where the time of a solve is to be played [s]
+    )
 
-    def __init__(self, controller: FlightController, *, period: float = 0.0, delay: float = 0.0) -> None:
-        self._controller, self.ready = controller, True
-        self._period, self._offered = period, -inf
-        self._delay, self._made = delay, deque[tuple[float, DemandPlan]]()
+    def __post_init__(self) -> None:
+        self.ready, self._offered = True, -inf
+        self._made = deque[tuple[float, DemandPlan]]()
 
     def offer(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> None:
         if self.fault is not None:
             return
-        while self._made and time - self._made[0][0] >= self._delay - 1e-3:
+        while self._made and time - self._made[0][0] >= self.delay - 1e-3:
             self._take(self._made.popleft()[1])
-        if 0.0 <= time - self._offered < self._period - 1e-3:
+        if 0.0 <= time - self._offered < self.period - 1e-3:
             return
         self._offered = time
         try:
-            plan = self._controller(row, time, t, asked)
-            if self._delay > 0.0:
+            plan = self.controller(row, time, t, asked)
+            if self.delay > 0.0:
                 self._made.append((time, plan))
             else:
                 self._take(plan)

@@ -29,7 +29,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from math import acos, degrees, inf, isfinite, radians
-from typing import final
 
 from nsde_torch.px4.flight.controller import TIPPED, DemandPlan
 from nsde_torch.px4.flight.options import Limits
@@ -144,16 +143,14 @@ def contradicted(quality: EstimateQuality | None, limits: Limits, now: float, *,
 _UNSUITED = "the controller or its model does not suit the machine, or its plans come too late"
 
 
-@final
+@dataclass(eq=False)
 class Watch:
-    """Looks at state and status of a flight from a place of take-off [m], and says what is wrong.
+    """Looks at state and status of a flight, and says what is wrong."""
 
-    Attributes:
-        steps: Resets of the estimate that were announced or seen, since somebody took them.
-    """
+    limits: Limits
+    home: Vec  # place of take-off [m]
 
-    def __init__(self, limits: Limits, home: Vec) -> None:
-        self.limits, self._home = limits, home
+    def __post_init__(self) -> None:
         self._since: dict[str, float] = {}
         self._last: VehicleState | None = None
         self._jumped: str | None = None
@@ -161,7 +158,7 @@ class Watch:
         self._plan: DemandPlan | None = None
         self._tipped: deque[float] = deque()
         self._foreign: deque[Followed] = deque()
-        self.steps: list[EstimateStep] = []
+        self.steps: list[EstimateStep] = []  # resets that were announced or seen, since somebody took them
 
     def look(self, state: VehicleState | None, status: Status, now: float) -> Trouble | None:
         """The strongest trouble at a time [s]; None: all is well."""
@@ -234,13 +231,13 @@ class Watch:
 
     def _motion(self, state: VehicleState, status: Status, now: float) -> Trouble | None:
         m = self.limits
-        at = tuple(a - b for a, b in zip(state.p, self._home, strict=True))
+        at = tuple(a - b for a, b in zip(state.p, self.home, strict=True))
         speed = length(state.v)
         tilt = degrees(acos(min(max(cos_tilt(state.q), -1.0), 1.0)))
         self._look_for_steps(state)
         where = f"outside the fence at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) m"
         checks = (
-            ("fence", m.outside(state.p, self._home), where),
+            ("fence", m.outside(state.p, self.home), where),
             ("speed", speed > m.speed, f"{speed:.1f} m/s is more than {m.speed:g}"),
             ("tilt", tilt > m.tilt, f"tilt of {tilt:.0f} deg is more than {m.tilt:g}"),
         )
@@ -273,6 +270,6 @@ class Watch:
     def inside(self, p: Vec) -> Vec:
         """The nearest point well inside the fence."""
         out = []
-        for c, h, (low, high) in zip(p, self._home, self.limits.fence, strict=True):
+        for c, h, (low, high) in zip(p, self.home, self.limits.fence, strict=True):
             out.append(min(max(c, h + min(low + MARGIN, 0.0)), h + high - MARGIN))
         return (out[0], out[1], out[2])

@@ -19,7 +19,8 @@ import struct
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from typing import Any, final
+from dataclasses import KW_ONLY, dataclass
+from typing import Any
 
 from nsde_torch.errors import ConfigError
 from nsde_torch.px4.link.dialect import mavlink
@@ -59,51 +60,38 @@ def signing_key(text: str) -> bytes:
     return key if len(key) == 32 else hashlib.sha256(text.encode()).digest()
 
 
-@final
+@dataclass(eq=False)
 class Codec:
-    """Frames of one connection.
+    """Frames of one connection."""
 
-    Args:
-        system: Own system id, 1 to 255.
-        component: Own component id.
-        key: Signing key of 32 bytes; None: messages are neither signed nor need to be.
-        wanted: Ids of the messages to decode; None: all.
-        stream: Whether bytes come as a stream, where a frame may be cut into pieces.
-        wall: Wall clock [s], for the time of signatures.
+    system: int  # own system id, 1 to 255
+    component: int  # own component id
+    _: KW_ONLY
+    key: bytes | None = None  # for signing, of 32 bytes; None: messages are neither signed nor need to be
+    wanted: frozenset[int] | None = None  # ids of the messages to decode; None: all
+    stream: bool = False  # whether bytes come as a stream, where a frame may be cut into pieces
+    wall: Callable[[], float] = time.time  # wall clock [s], for the time of signatures
 
-    Attributes:
-        only: The system that is listened to; None: any.
-        counts: What became of frames: `good`, `crc`, `unsigned`, `foreign`, `flood`, ...
-    """
-
-    def __init__(
-        self,
-        system: int,
-        component: int,
-        *,
-        key: bytes | None = None,
-        wanted: frozenset[int] | None = None,
-        stream: bool = False,
-        wall: Callable[[], float] = time.time,
-    ) -> None:
-        if not (1 <= system <= 255 and 1 <= component <= 255):
-            raise ConfigError(f"system and component ids must be 1 to 255; got {system} and {component}.")
-        if key is not None and len(key) != 32:
-            raise ConfigError(f"a signing key has 32 bytes; got {len(key)}.")
-        self.only: int | None = None
-        self.counts: Counter[str] = Counter()
-        self._key, self._wanted, self._stream, self._wall = key, wanted, stream, wall
-        self._out = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+    def __post_init__(self) -> None:
+        if not (1 <= self.system <= 255 and 1 <= self.component <= 255):
+            raise ConfigError(
+                f"system and component ids must be 1 to 255; got {self.system} and {self.component}."
+            )
+        if self.key is not None and len(self.key) != 32:
+            raise ConfigError(f"a signing key has 32 bytes; got {len(self.key)}.")
+        self.only: int | None = None  # the system that is listened to; None: any
+        self.counts: Counter[str] = Counter()  # of frames: `good`, `crc`, `unsigned`, `foreign`, `flood`, ...
+        self._out = mavlink.MAVLink(None, srcSystem=self.system, srcComponent=self.component)
         self._in = mavlink.MAVLink(None)
-        if key is not None:
-            self._out.signing.secret_key, self._out.signing.sign_outgoing = key, True
+        if self.key is not None:
+            self._out.signing.secret_key, self._out.signing.sign_outgoing = self.key, True
         self._times: dict[tuple[int, int, int], int] = {}
         self._rest = b""
         self._second, self._spent = -1, Counter[int]()
 
     def pack(self, message: Message) -> bytes:
         """Bytes of a message."""
-        if self._key is not None:
+        if self.key is not None:
             self._out.signing.timestamp = max(self._out.signing.timestamp, self._now())
         packed: bytes = message.pack(self._out)
         self._out.seq = (self._out.seq + 1) % 256
@@ -127,11 +115,11 @@ class Codec:
         return out
 
     def _now(self) -> int:
-        return int((self._wall() - _EPOCH) * 1e5)
+        return int((self.wall() - _EPOCH) * 1e5)
 
     def _frames(self, data: bytes) -> Iterator[bytes]:
         """Frames whose marks, lengths and checksums are right."""
-        if self._stream:
+        if self.stream:
             data, self._rest = self._rest + data, b""
         at, end = 0, len(data)
         while at < end:
@@ -147,7 +135,7 @@ class Codec:
             signed = mark == V2 and data[at + 2] & _SIGNED
             size = head + data[at + 1] + 2 + (_SIGNATURE if signed else 0)
             if end - at < size:
-                if self._stream and end - at < 280:
+                if self.stream and end - at < 280:
                     self._keep(data[at:])
                     return
                 self.counts["cut"] += 1
@@ -163,7 +151,7 @@ class Codec:
                 at = _next_mark(data, at + 1) if verdict in ("crc", "flags") else at + size
 
     def _keep(self, rest: bytes) -> None:
-        if self._stream:
+        if self.stream:
             self._rest = rest
         else:
             self.counts["cut"] += 1
@@ -173,7 +161,7 @@ class Codec:
         number = int.from_bytes(frame[7:10], "little") if mark == V2 else frame[5]
         if mark == V2 and frame[2] & ~_SIGNED:
             return "flags"
-        if self._wanted is not None and number not in self._wanted:
+        if self.wanted is not None and number not in self.wanted:
             return "unwanted"
         kind = mavlink.mavlink_map.get(number)
         if kind is None:
@@ -183,7 +171,7 @@ class Codec:
         end = head + frame[1]
         if crc16(frame[1:end], kind.crc_extra) != frame[end] | frame[end + 1] << 8:
             return "crc"
-        if self._key is not None:
+        if self.key is not None:
             trouble = self._signature(frame, mark)
             if trouble is not None:
                 return trouble
@@ -194,8 +182,8 @@ class Codec:
         """What is wrong with the signature, if anything."""
         if mark != V2 or not frame[2] & _SIGNED:
             return "unsigned"
-        assert self._key is not None
-        if hashlib.sha256(self._key + frame[:-6]).digest()[:6] != frame[-6:]:
+        assert self.key is not None
+        if hashlib.sha256(self.key + frame[:-6]).digest()[:6] != frame[-6:]:
             return "signature"
         source = (frame[-13], frame[5], frame[6])
         stamp = int.from_bytes(frame[-12:-6], "little")

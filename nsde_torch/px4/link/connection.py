@@ -52,15 +52,10 @@ POLL = 0.05
 
 
 class Connection(ABC):
-    """An endpoint and the clock that it lives on; a context manager.
+    """An endpoint and the clock that it lives on; a context manager."""
 
-    Attributes:
-        endpoint: Says and hears.
-        live: Whether something flies that must be landed when it is asked to stop.
-    """
-
-    endpoint: Endpoint
-    live: bool = True
+    endpoint: Endpoint  # says and hears
+    live: bool = True  # whether something flies that must be landed when it is asked to stop
 
     @abstractmethod
     def now(self) -> float:

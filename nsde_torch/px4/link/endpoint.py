@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import final
+from dataclasses import KW_ONLY, dataclass
 
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link import frames
@@ -45,35 +45,22 @@ SHARE = 0.7
 """Share of the rate that was asked for with which we are content; PX4 sends 99 Hz for 100."""
 
 
-@final
+@dataclass(eq=False)
 class Endpoint:
-    """Says and hears.
+    """Says and hears."""
 
-    Args:
-        send: Where bytes go.
-        system: Our system id; as a rule that of a ground station.
-        target: The vehicle's system id; None: the first autopilot that is heard.
-        key: Signing key; None: no signing.
-        stream: Whether bytes come as a stream.
+    send: Callable[[bytes], None]  # where bytes go
+    _: KW_ONLY
+    system: int = 245  # our system id; as a rule that of a ground station
+    target: int | None = None  # the vehicle's system id; None: the first autopilot that is heard
+    key: bytes | None = None  # signing key; None: no signing
+    stream: bool = False  # whether bytes come as a stream
 
-    Attributes:
-        telemetry: What was heard. Hold `lock` to look into it from another thread.
-    """
-
-    def __init__(
-        self,
-        send: Callable[[bytes], None],
-        *,
-        system: int = 245,
-        target: int | None = None,
-        key: bytes | None = None,
-        stream: bool = False,
-    ) -> None:
-        self.codec = Codec(system, 190, key=key, wanted=WANTED, stream=stream)
-        self.telemetry = Telemetry()
+    def __post_init__(self) -> None:
+        self.codec = Codec(self.system, 190, key=self.key, wanted=WANTED, stream=self.stream)
+        self.telemetry = Telemetry()  # what was heard; hold `lock` to look into it from another thread
         self.lock = threading.RLock()
-        self.target, self._send = target, send
-        self.codec.only = target
+        self.codec.only = self.target
         self._component = 1
         self._due = {"heartbeat": 0.0, "theirs": 0.0, "timesync": 0.0, "intervals": 0.0}
         self._counts: dict[str, int] = {}
@@ -144,7 +131,7 @@ class Endpoint:
     def say(self, message: Message) -> None:
         """Send one message."""
         with self.lock:
-            self._send(self.codec.pack(message))
+            self.send(self.codec.pack(message))
 
     def poll(self, now: float) -> None:
         """Say what is due at `now` [s]: heartbeat, time sync, requests for messages. Call it ten times a second."""

@@ -94,23 +94,18 @@ class Status:
 
 @final
 class Telemetry:
-    """Takes messages, in whatever order and state they come.
-
-    Attributes:
-        sync: The autopilot's clock.
-        state: The newest consistent state, None before the first.
-        history: The newest ones, for who looks less often than they come.
-        followed: Setpoints that the autopilot says it follows, for who takes them.
-        rejected: States that were not accepted: not finite, no rotation, or older than what is known.
-    """
+    """Takes messages, in whatever order and state they come."""
 
     def __init__(self) -> None:
-        self.sync = TimeSync()
+        self.sync = TimeSync()  # the autopilot's clock
         self.status = Status()
-        self.state: VehicleState | None = None
+        self.state: VehicleState | None = None  # the newest consistent state, None before the first
         self.history: deque[VehicleState] = deque(maxlen=100)
+        """The newest ones, for who looks less often than they come."""
         self.followed: deque[Followed] = deque(maxlen=50)
+        """Setpoints that the autopilot says it follows, for who takes them."""
         self.rejected = 0
+        """States that were not accepted: not finite, no rotation, or older than what is known."""
         self.rate = 0.0
         """States a second, smoothed over 20 of them."""
         self._position: tuple[float, Vec, Vec] | None = None

@@ -35,21 +35,16 @@ STEEPEST = 0.1
 
 @final
 class TimeSync:
-    """Offset between two clocks.
-
-    Attributes:
-        round_trip: Shortest of the answers that are used [s]; None without any.
-        late: Round trip of an answer that came too late to be used [s]; None where the newest did not.
-        drift: Seconds that their clock gains in one of ours.
-    """
+    """Offset between two clocks."""
 
     def __init__(self) -> None:
         self._answers: deque[tuple[float, float, float]] = deque()
         self._soonest: deque[float] = deque(maxlen=50)
         self._line, self._odd = (0.0, 0.0), 0
-        self.round_trip: float | None = None
+        self.round_trip: float | None = None  # shortest of the answers that are used [s]; None without any
         self.late: float | None = None
-        self.drift = 0.0
+        """Round trip of an answer that came too late to be used [s]; None where the newest did not."""
+        self.drift = 0.0  # seconds that their clock gains in one of ours
 
     def reset(self) -> None:
         """Forget all: the autopilot restarted, or its clock was set."""

@@ -30,13 +30,9 @@ class LinkError(NsdeError, OSError):
 
 
 class Transport(ABC):
-    """Bytes in and out.
+    """Bytes in and out."""
 
-    Attributes:
-        stream: Whether frames may come in pieces.
-    """
-
-    stream: bool = False
+    stream: bool = False  # whether frames may come in pieces
 
     @abstractmethod
     def receive(self, timeout: float) -> bytes:

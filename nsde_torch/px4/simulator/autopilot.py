@@ -13,9 +13,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from math import hypot, inf, nan
-from typing import final
 
 from nsde_torch.px4.flight.cascade import GRAVITY, Point, SetpointCascade, levelling
 from nsde_torch.px4.link import dialect as d
@@ -76,72 +75,53 @@ NEARLY_FULL = 0.95  # what a thrust above 1 becomes
 _NAMES = {number: name for name, number in NUMBERS.items()}
 
 
-@final
+@dataclass(eq=False)
 class SimulatedAutopilot:
-    """A vehicle without a connection: bytes in by `receive`, bytes out from `advance`, on its own clock.
+    """A vehicle without a connection: bytes in by `receive`, bytes out from `advance`, on its own clock."""
 
-    Args:
-        system: Its MAVLink system id.
-        key: Signing key; with one, unsigned messages are ignored.
-        seed: Of the estimate's noise; `sensor_noise` is a factor on it.
-        stream: Whether bytes come as a stream.
-        parameters: Values of parameters other than `PARAMETERS`.
-        heading_error, errors: See `SimulatedEstimator`.
+    body: Body
+    _: KW_ONLY
+    system: int = 1  # its MAVLink system id
+    key: bytes | None = None  # for signing; with one, unsigned messages are ignored
+    seed: int = 0  # of the estimate's noise
+    sensor_noise: float = 1.0  # factor on the estimate's noise
+    stream: bool = False  # whether bytes come as a stream
+    parameters: dict[str, float] = field(default_factory=dict)  # values other than those of `PARAMETERS`
+    heading_error: float | None = None  # see `SimulatedEstimator`
+    errors: SensorErrors = field(default_factory=SensorErrors)  # likewise
 
-    Attributes:
-        mode: Flight mode in force; `intended` is what was asked for and comes back when a failsafe ends.
-        armed: Whether the motors may turn.
-        clock_error: Added to every time stamp that is sent [s].
-        blind: No state is sent, as when the estimator is lost.
-        stuck: The estimate does not change any more, stamps included.
-        estimate: Position, velocity, attitude and rates as its estimator has them.
-        rates: Body rates that it follows [rad/s].
-        home: Place of take-off [m], None before the first arming.
-        position: Position that it followed since the last report [m], None where it followed rates.
-        commands: Commands of the motors.
-    """
-
-    def __init__(
-        self,
-        body: Body,
-        *,
-        system: int = 1,
-        key: bytes | None = None,
-        seed: int = 0,
-        sensor_noise: float = 1.0,
-        stream: bool = False,
-        parameters: dict[str, float] | None = None,
-        heading_error: float | None = None,
-        errors: SensorErrors | None = None,
-    ) -> None:
-        self.body = body
-        self.codec = Codec(system, 1, key=key, stream=stream)
-        self.parameters = {k: v for k, (v, _) in PARAMETERS.items()}
-        self.parameters.update(parameters or {})
-        self.mode = self.intended = d.HOLD
-        self.armed = self.failsafe = False
-        self.clock_error, self.blind, self.mute = 0.0, False, False
-        std = body._spec.sensor_std
+    def __post_init__(self) -> None:
+        self.codec = Codec(self.system, 1, key=self.key, stream=self.stream)
+        self.parameters = {**{k: v for k, (v, _) in PARAMETERS.items()}, **self.parameters}
+        self.mode = self.intended = d.HOLD  # in force, and what was asked for and comes back after a failsafe
+        self.armed = self.failsafe = False  # `armed`: the motors may turn
+        self.clock_error = 0.0  # added to every time stamp that is sent [s]
+        self.blind = False  # no state is sent, as when the estimator is lost
+        self.mute = False
+        std = self.body._spec.sensor_std
         self.estimator = SimulatedEstimator(
-            std=tuple(sensor_noise * std[k] for k in (0, 3, 6, 9)),
-            seed=seed,
-            heading=heading_error,
-            errors=errors,
+            std=tuple(self.sensor_noise * std[k] for k in (0, 3, 6, 9)),
+            seed=self.seed,
+            heading=self.heading_error,
+            errors=self.errors,
         )
         self._out: deque[bytes] = deque()
         self._due: dict[str, tuple[float, float]] = {"HEARTBEAT": (0.0, 1.0), "SYS_STATUS": (0.0, 1.0)}
         self._gcs, self._texts = -inf, 0
         self._setpoint: tuple[float, int, Vec, Quat, float] | None = None
         self._wanted: Point | None = None  # of the newest setpoint, where that is a position
-        self.rates: Vec = (0.0, 0.0, 0.0)
-        self.position: Vec | None = None
-        self.home: Vec | None = None
+        self.rates: Vec = (0.0, 0.0, 0.0)  # of the body, which it follows [rad/s]
+        self.position: Vec | None = (
+            None  # that it followed since the last report [m]; None where it followed rates
+        )
+        self.home: Vec | None = None  # place of take-off [m], None before the first arming
         self._integral: Vec = (0.0, 0.0, 0.0)
         self._cascade = SetpointCascade()
         self._point = Point((0.0, 0.0, 0.0))
         self._armed_at = self._landed_at = self._cut_until = 0.0
+        # position, velocity, attitude and rates as its estimator has them
         self.estimate: Estimate = ((0.0,) * 3, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.0,) * 3)
-        self.commands: tuple[float, ...] = (0.0,) * body.nu
+        self.commands: tuple[float, ...] = (0.0,) * self.body.nu  # of the motors
         self.flown = False
 
     # time

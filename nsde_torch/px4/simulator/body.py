@@ -47,7 +47,6 @@ class Body:
 
     Attributes:
         p, v, q, w: True state, ENU and FLU.
-        motors: What the motors do, 0 to 1.
         on_ground: Whether the ground carries it.
         voltage: Of the battery [V]; `used` is the share of its charge that is spent.
 
@@ -120,7 +119,7 @@ class Body:
         self.v: Vec = (0.0, 0.0, 0.0)
         self.q: Quat = (1.0, 0.0, 0.0, 0.0)
         self.w: Vec = (0.0, 0.0, 0.0)
-        self.motors: tuple[float, ...] = (0.0,) * nu
+        self.motors: tuple[float, ...] = (0.0,) * nu  # what the motors do, 0 to 1
         self.on_ground, self.used, self.time = True, 0.0, 0.0
         self._memory: torch.Tensor | None = None
         self._memory_rate = torch.zeros(0)

@@ -18,8 +18,8 @@ from __future__ import annotations
 
 import random
 from cmath import rect
+from dataclasses import dataclass, field
 from math import cos, radians, sin
-from typing import final
 
 from nsde_torch.px4.link.vectors import Quat, Vec, from_rotation_vector, multiply
 from nsde_torch.px4.simulator.body import Body
@@ -39,40 +39,30 @@ Estimate = tuple[Vec, Vec, Quat, Vec]
 """Position, velocity, attitude and rates."""
 
 
-@final
+@dataclass(eq=False, kw_only=True)
 class SimulatedEstimator:
-    """The estimator of one vehicle.
+    """The estimator of one vehicle."""
 
-    Args:
-        std: Noise of position, velocity, attitude and rates.
-        heading: Error of the heading until it is reset [rad]; None: another one in each flight.
-        errors: Of the sensors, of which the slow error of the position is this one's.
+    std: tuple[float, ...]  # noise of position, velocity, attitude and rates
+    seed: int
+    heading: float | None = None  # error of it until it is reset [rad]; None: another one in each flight
+    errors: SensorErrors = field(
+        default_factory=SensorErrors
+    )  # of which the slow error of the position is this one's
 
-    Attributes:
-        aligns: Whether the heading is reset; versions of 2026 were not seen to.
-        offset: Error of the position that its sensors share, ENU [m].
-        contradicted: Innovation ratio of the position, as where its sensors do not share an error.
-        resets: How often it was reset; ODOMETRY sends it, to 255.
-        stepped: Heading that the last reset turned it by [rad].
-    """
-
-    def __init__(
-        self,
-        *,
-        std: tuple[float, ...],
-        seed: int,
-        heading: float | None = None,
-        errors: SensorErrors | None = None,
-    ) -> None:
-        self._std, self._given, self._errors = std, heading, errors or SensorErrors()
-        self.aligns, self.contradicted = True, 0.02
-        self.offset: Vec = (0.0, 0.0, 0.0)
+    def __post_init__(self) -> None:
+        self.aligns = True  # whether the heading is reset; versions of 2026 were not seen to
+        self.contradicted = (
+            0.02  # innovation ratio of the position, as where its sensors do not share an error
+        )
+        self.offset: Vec = (0.0, 0.0, 0.0)  # error of the position that its sensors share, ENU [m]
         self._slow_v: Vec = (0.0, 0.0, 0.0)
         self._slow_p: Vec = (0.0, 0.0, 0.0)
         self._before: Vec = (0.0, 0.0, 0.0)
         self._astray = 0j  # velocity that accelerations along a wrong heading made, east and north
-        self._random, self._headings = random.Random(seed), random.Random(seed + 1)
-        self.resets, self.stepped = 0, 0.0
+        self._random, self._headings = random.Random(self.seed), random.Random(self.seed + 1)
+        self.resets = 0  # how often it was reset; ODOMETRY sends it, to 255
+        self.stepped = 0.0  # heading that the last reset turned it by [rad]
         self._error = self._drawn()
         self._speed, self._in_air = 0.0, False
         self._sinking, self._sunk = 0.0, 0.0
@@ -83,8 +73,8 @@ class SimulatedEstimator:
         return self._sinking < STILL
 
     def _drawn(self) -> float:
-        if self._given is not None:
-            return self._given
+        if self.heading is not None:
+            return self.heading
         return self._headings.choice((-1.0, 1.0)) * self._headings.uniform(*HEADING)
 
     def new_flight(self) -> None:
@@ -94,7 +84,7 @@ class SimulatedEstimator:
     def sense(self, body: Body) -> Estimate:
         """The estimate of the machine as it is now."""
         gauss = self._random.gauss
-        sp, sv, sq, sw = self._std
+        sp, sv, sq, sw = self.std
 
         def noisy(v: Vec, s: float) -> Vec:
             return (v[0] + gauss(0.0, s), v[1] + gauss(0.0, s), v[2] + gauss(0.0, s))
@@ -126,10 +116,10 @@ class SimulatedEstimator:
 
     def _drift(self, dt: float) -> None:
         """The slow error of position and velocity a step later."""
-        north, east, down = self._errors.estimate
+        north, east, down = self.errors.estimate
         if not north + east + down:
             return
-        time, gauss = self._errors.estimate_time, self._random.gauss
+        time, gauss = self.errors.estimate_time, self._random.gauss
         keep = dt / time
         self._slow_p = tuple(  # type: ignore[assignment]
             p + dt * v - keep * p for p, v in zip(self._slow_p, self._slow_v, strict=True)

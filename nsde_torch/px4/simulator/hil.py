@@ -18,6 +18,7 @@ import random
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
 from math import atan2, ceil, cos, degrees, isfinite, radians, sin
 from typing import final
 
@@ -220,7 +221,6 @@ class HilPlant:
     """The machine, whose step must be the IMU's, and its sensors, without a connection and without a clock.
 
     Attributes:
-        controls: Motor commands in force.
         answers: Messages with motor commands so far.
         lockstep: Whether PX4 says that it waits for us.
         armed: Whether PX4 says that it is armed.
@@ -233,7 +233,7 @@ class HilPlant:
             raise ValueError(f"the machine's step must be {1.0 / RATE:g} s; got {body.dt:g} s")
         self.body = body
         self.codec = Codec(1, 200, wanted=frozenset((NUMBERS["HIL_ACTUATOR_CONTROLS"],)), stream=True)
-        self.controls: tuple[float, ...] = (0.0,) * body.nu
+        self.controls: tuple[float, ...] = (0.0,) * body.nu  # motor commands in force
         self.answers, self.lockstep, self.armed = 0, False, False
         self._sensors = HilSensors(seed=seed, noise=noise, errors=errors)
 
@@ -265,68 +265,52 @@ class HilPlant:
         self.body.step(self.controls)
 
 
-@final
+@dataclass(eq=False)
 class HilServer:
-    """Serves PX4, one after another.
+    """Serves PX4, one after another."""
 
-    Args:
-        make: Makes the machine anew, on the ground.
-        transport: Where PX4 connects.
-        say: Takes a line when PX4 comes and goes.
-        speed: Seconds of the machine's clock in a second, at most.
+    make: Callable[[], HilPlant]  # makes the machine anew, on the ground
+    transport: Transport  # where PX4 connects
+    _: KW_ONLY
+    say: Callable[[str], None] = lambda line: None  # takes a line when PX4 comes and goes
+    speed: float = 1.0  # seconds of the machine's clock in a second, at most
 
-    Attributes:
-        plant: The machine in service.
-        unanswered: Samples in lockstep that PX4 did not answer in time.
-    """
-
-    def __init__(
-        self,
-        make: Callable[[], HilPlant],
-        transport: Transport,
-        *,
-        say: Callable[[str], None] = lambda line: None,
-        speed: float = 1.0,
-    ) -> None:
-        self._make, self._transport, self._say, self._speed = make, transport, say, speed
-        self.plant, self.unanswered = make(), 0
+    def __post_init__(self) -> None:
+        self.plant = self.make()  # the machine in service
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
         """Serve until asked to stop."""
-        self._say("waiting for PX4")
+        self.say("waiting for PX4")
         while not until():
-            early = self._transport.receive(0.05)  # accepts a connection
-            if not self._transport.connected:
+            early = self.transport.receive(0.05)  # accepts a connection
+            if not self.transport.connected:
                 continue
-            self._say("PX4 is here")
+            self.say("PX4 is here")
             self.plant.receive(early)
             self._serve(until)
             if not until():
-                self._say(
+                self.say(
                     f"PX4 went after {self.plant.time - _FIRST:.1f} s; the machine is put back on the ground"
                 )
-            self.plant = self._make()
+            self.plant = self.make()
 
     def _serve(self, until: Callable[[], bool]) -> None:
-        plant, transport = self.plant, self._transport
+        plant, transport = self.plant, self.transport
         due = time.monotonic()
         while transport.connected and not until():
             answers, sent = plant.answers, time.monotonic()
             transport.send(plant.sample())
-            due = max(due + plant.body.dt / self._speed, sent - LONGEST)
+            due = max(due + plant.body.dt / self.speed, sent - LONGEST)
             self._hear(due, answers, sent)
             plant.step()
 
     def _hear(self, due: float, answers: int, sent: float) -> None:
         """Until the next sample is due and, in lockstep, this one is answered."""
-        plant, transport = self.plant, self._transport
+        plant, transport = self.plant, self.transport
         while transport.connected:
             now = time.monotonic()
             waits = plant.lockstep and plant.answers == answers
-            if now >= due and not waits:
-                return
-            if waits and now - sent > PATIENCE:
-                self.unanswered += 1
+            if now - sent > PATIENCE if waits else now >= due:
                 return
             plant.receive(transport.receive(max(due - now, 0.0) if not waits else 0.002))
 

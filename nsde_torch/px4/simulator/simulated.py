@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import final
 
 from nsde_torch.px4.flight.controller import FlightController
 from nsde_torch.px4.flight.flying import FlightReport, fly
@@ -31,23 +31,19 @@ STEP = 0.002
 """Longest step between looks at what has arrived [s]."""
 
 
-@final
+@dataclass(eq=False)
 class VirtualLink(Connection):
-    """A connection to a simulated vehicle.
-
-    Args:
-        autopilot: The vehicle, whose clock runs as that of PX4's own simulator (`CLOCK`).
-        key: See `Endpoint`.
-        latency: Of messages, in each direction [s].
-    """
+    """A connection to a simulated vehicle."""
 
     live = False  # Ctrl-C ends the program, not the flight
 
-    def __init__(
-        self, autopilot: SimulatedAutopilot, *, key: bytes | None = None, latency: float = 0.0
-    ) -> None:
-        self.autopilot, self._latency = autopilot, latency
-        self.endpoint = Endpoint(self._say, key=key)
+    autopilot: SimulatedAutopilot  # the vehicle, whose clock runs as that of PX4's own simulator (`CLOCK`)
+    _: KW_ONLY
+    key: bytes | None = None  # see `Endpoint`
+    latency: float = 0.0  # of messages, in each direction [s]
+
+    def __post_init__(self) -> None:
+        self.endpoint = Endpoint(self._say, key=self.key)
         self._time, self._polled = START, START
         self._up: deque[tuple[float, bytes]] = deque()
         self._down: deque[tuple[float, bytes]] = deque()
@@ -65,7 +61,7 @@ class VirtualLink(Connection):
             while self._up and self._up[0][0] <= self._time + 1e-9:
                 self.autopilot.receive(self._up.popleft()[1])
             for frame in self.autopilot.advance((self._time - START) * CLOCK):
-                self._down.append((self._time + self._latency, frame))
+                self._down.append((self._time + self.latency, frame))
             while self._down and self._down[0][0] <= self._time + 1e-9:
                 self.endpoint.receive(self._down.popleft()[1], self._time)
             if self._time - self._polled >= POLL:
@@ -73,7 +69,7 @@ class VirtualLink(Connection):
                 self.endpoint.poll(self._time)
 
     def _say(self, data: bytes) -> None:
-        self._up.append((self._time + self._latency, data))
+        self._up.append((self._time + self.latency, data))
 
 
 LINE = 0.005

@@ -21,16 +21,13 @@ class Vehicle:
     """Runs a simulated autopilot on a transport, `speed` seconds of its clock in one of ours.
 
     A context manager does so in a thread.
-
-    Attributes:
-        slipped: Time that its clock lost because the machine was busy [s].
     """
 
     def __init__(self, autopilot: SimulatedAutopilot, transport: Transport, *, speed: float = CLOCK) -> None:
         self.autopilot, self._transport, self._speed = autopilot, transport, speed
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self.run, name="vehicle", daemon=True)
-        self.slipped = 0.0
+        self.slipped = 0.0  # time that its clock lost because the machine was busy [s]
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
         """Run until asked to stop."""

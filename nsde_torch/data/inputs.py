@@ -43,22 +43,21 @@ def input_rank(inputs: Sequence[Array]) -> InputRank:
     _, s, vt = np.linalg.svd(r, full_matrices=True)
     s = np.concatenate([s, np.zeros(nu - len(s))])
     rank = int((s > RELATIVE_RANK * s[0]).sum()) if s.any() else 0  # nor of a machine without inputs
-    null = _readable(vt[rank:])
+    null = echelon(vt[rank:])
+    null = null / np.linalg.norm(null, axis=1, keepdims=True).clip(1e-300) + 0.0
     return InputRank(rank, nu, (s / np.sqrt(max(total, 1))).tolist(), null.round(6).tolist())
 
 
-def _readable(basis: Array) -> Array:
-    """The same space in echelon form with unit rows: as many zeros as pivoting gives."""
-    basis = basis.copy()
-    for k in range(len(basis)):
-        row, column = np.unravel_index(np.argmax(np.abs(basis[k:])), basis[k:].shape)
-        basis[[k, k + int(row)]] = basis[[k + int(row), k]]
-        basis[k] /= basis[k, column]
-        others = np.arange(len(basis)) != k
-        basis[others] -= np.outer(basis[others, column], basis[k])
-    norms = np.linalg.norm(basis, axis=1, keepdims=True)
-    unit: Array = basis / np.where(norms > 0, norms, 1.0)
-    return unit + 0.0
+def echelon(rows: Array) -> Array:
+    """Rows (r, k) that span the same space with as many zeros as pivoting gives, none of them for no row."""
+    rows = rows.copy()
+    for i in range(len(rows)):
+        row, column = np.unravel_index(np.argmax(np.abs(rows[i:])), rows[i:].shape)
+        rows[[i, i + int(row)]] = rows[[i + int(row), i]]
+        rows[i] /= rows[i, column]
+        others = np.arange(len(rows)) != i
+        rows[others] -= np.outer(rows[others, column], rows[i])
+    return rows
 
 
 def check_inputs(inputs: Sequence[Array], names: Sequence[str], report: Report) -> InputRank:

@@ -15,7 +15,7 @@ one coefficient as a factor, which is its size; all others are shapes.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from nsde_torch.errors import ConfigError
@@ -136,25 +136,7 @@ def nodes(node: Node) -> Iterator[Node]:
 
 def in_text(node: Node) -> str:
     """A node as the grammar has it."""
-    if isinstance(node, Sum):
-        out = ""
-        for sign, part in node.parts:
-            text = f"({in_text(part)})" if isinstance(part, Sum) else in_text(part)
-            out += (" - " if sign < 0 else " + ") + text if out else ("-" if sign < 0 else "") + text
-        return out
-    if isinstance(node, Product):
-        return " ".join(_bracketed(part) for part in node.parts)
-    if isinstance(node, Power):
-        return f"{_bracketed(node.base)}^{node.power}"
-    if isinstance(node, Call):
-        return f"{node.function}({', '.join(map(in_text, node.arguments))})"
-    if isinstance(node, Whole):
-        return str(node.value)
-    return f"logged({node.name})" if isinstance(node, Variable) and node.logged else node.name
-
-
-def _bracketed(node: Node) -> str:
-    return f"({in_text(node)})" if isinstance(node, Sum | Product) else in_text(node)
+    return _Form().text(node)
 
 
 def _factors(term: Node) -> list[str]:
@@ -352,76 +334,88 @@ _GREEK = ("alpha", "beta", "gamma", "delta", "theta", "phi", "psi", "omega", "ta
 
 def valued(law: Written, values: Mapping[str, float]) -> str:
     """A law with numbers in the place of its coefficients, such as `force = 0.298 q q_dot`."""
-    return f"{law.place} = {_sum(law.right, values, _Form)}"
+    return f"{law.place} = {_Valued(values).text(law.right)}"
 
 
 def sympy_text(law: Written, values: Mapping[str, float]) -> str:
     """The right side of a law as text that `sympy.sympify` reads."""
-    return _sum(law.right, values, _Sympy)
+    return _Sympy(values).text(law.right)
 
 
 def latex(law: Written, values: Mapping[str, float]) -> str:
     """A law with its values in LaTeX."""
     port = rf"\mathrm{{{law.port.replace('_', ' ')}}}".replace(" ", r"\ ")
     row = f"_{{{_latex_name(law.row)}}}" if law.row else ""
-    return f"{port}{row} = {_sum(law.right, values, _Latex)}"
-
-
-def _number(value: float) -> str:
-    return f"{value:.3g}"
-
-
-def _sum(node: Sum, values: Mapping[str, float], form: type[_Form]) -> str:
-    """A sum whose signs are those of its terms with their values."""
-    out = ""
-    for sign, part in node.parts:
-        text = form(values).factor(part) if isinstance(part, Sum) else form(values).text(part)
-        minus = (sign < 0) != text.startswith("-")
-        text = text.removeprefix("-")
-        out += (" - " if minus else " + ") + text if out else ("-" if minus else "") + text
-    return out
+    return f"{port}{row} = {_Latex(values).text(law.right)}"
 
 
 class _Form:
-    """How nodes are written: as a report has them."""
+    """How nodes are written: as the grammar has them."""
 
     times = " "
 
-    def __init__(self, values: Mapping[str, float]) -> None:
-        self.values = values
-
     def text(self, node: Node) -> str:
         if isinstance(node, Sum):
-            return _sum(node, self.values, type(self))
+            return self.sum(node)
         if isinstance(node, Product):
-            size_first = sorted(node.parts, key=lambda part: not isinstance(part, Coefficient))
-            return self.times.join(map(self.factor, size_first))
+            return self.times.join(map(self.factor, self.ordered(node)))
         if isinstance(node, Power):
             return self.power(node)
         if isinstance(node, Call):
-            return self.call(node)
+            return self.call(node.function, [self.text(a) for a in node.arguments])
         if isinstance(node, Coefficient):
-            return self.number(self.values[node.name])
+            return self.coefficient(node)
         return str(node.value) if isinstance(node, Whole) else self.variable(node)
+
+    def sum(self, node: Sum) -> str:
+        """A sum whose signs are those of its terms, with their values where these are known."""
+        out = ""
+        for sign, part in node.parts:
+            text = self.factor(part) if isinstance(part, Sum) else self.text(part)
+            minus = (sign < 0) != text.startswith("-")
+            text = text.removeprefix("-")
+            out += (" - " if minus else " + ") + text if out else ("-" if minus else "") + text
+        return out
 
     def factor(self, node: Node) -> str:
         return f"({self.text(node)})" if isinstance(node, Sum | Product) else self.text(node)
 
+    def ordered(self, node: Product) -> Sequence[Node]:
+        return node.parts
+
     def power(self, node: Power) -> str:
         return f"{self.factor(node.base)}^{node.power}"
 
-    def call(self, node: Call) -> str:
-        arguments = ", ".join(map(self.text, node.arguments))
-        return f"(exp({arguments}) - 1)" if node.function == "expm1" else f"{node.function}({arguments})"
+    def call(self, function: str, arguments: list[str]) -> str:
+        return f"{function}({', '.join(arguments)})"
 
-    def number(self, value: float) -> str:
-        return _number(value)
+    def coefficient(self, node: Coefficient) -> str:
+        return node.name
+
+    def variable(self, node: Variable) -> str:
+        return f"logged({node.name})" if node.logged else node.name
+
+
+class _Valued(_Form):
+    """As a report has them, with values."""
+
+    def __init__(self, values: Mapping[str, float]) -> None:
+        self.values = values
+
+    def ordered(self, node: Product) -> Sequence[Node]:
+        return sorted(node.parts, key=lambda part: not isinstance(part, Coefficient))  # the size first
+
+    def call(self, function: str, arguments: list[str]) -> str:
+        return f"(exp({arguments[0]}) - 1)" if function == "expm1" else super().call(function, arguments)
+
+    def coefficient(self, node: Coefficient) -> str:
+        return f"{self.values[node.name]:.3g}"
 
     def variable(self, node: Variable) -> str:
         return node.name
 
 
-class _Sympy(_Form):
+class _Sympy(_Valued):
     """As SymPy has it."""
 
     times = "*"
@@ -429,21 +423,18 @@ class _Sympy(_Form):
     def power(self, node: Power) -> str:
         return f"{self.factor(node.base)}**{node.power}"
 
-    def call(self, node: Call) -> str:
-        arguments = [self.text(a) for a in node.arguments]
-        if node.function == "sign":
+    def call(self, function: str, arguments: list[str]) -> str:
+        if function == "sign":
             return f"tanh(({arguments[0]})/({arguments[1]}))"
-        if node.function == "peak":
+        if function == "peak":
             return "2*({0})*({1})/(({0})**2 + ({1})**2)".format(*arguments)
-        if node.function == "expm1":
-            return f"(exp({arguments[0]}) - 1)"
-        return f"{_SYMPY.get(node.function, node.function)}({', '.join(arguments)})"
+        return super().call(_SYMPY.get(function, function), arguments)
 
-    def number(self, value: float) -> str:
-        return repr(value)
+    def coefficient(self, node: Coefficient) -> str:
+        return repr(self.values[node.name])
 
 
-class _Latex(_Form):
+class _Latex(_Valued):
     """As LaTeX has it."""
 
     times = r"\,"
@@ -451,21 +442,21 @@ class _Latex(_Form):
     def power(self, node: Power) -> str:
         return f"{self.factor(node.base)}^{{{node.power}}}"
 
-    def call(self, node: Call) -> str:
-        arguments = [self.text(a) for a in node.arguments]
-        if node.function == "abs":
+    def call(self, function: str, arguments: list[str]) -> str:
+        if function == "abs":
             return rf"\left|{arguments[0]}\right|"
-        if node.function == "sign":
+        if function == "sign":
             return rf"\tanh\left({arguments[0]} / {arguments[1]}\right)"
-        if node.function == "peak":
+        if function == "peak":
             return r"\frac{{2\,({0})\,{1}}}{{({0})^2 + {1}^2}}".format(*arguments)
-        if node.function == "expm1":
+        if function == "expm1":
             return rf"\left(e^{{{arguments[0]}}} - 1\right)"
-        return rf"{_LATEX[node.function]}\left({', '.join(arguments)}\right)"
+        return rf"{_LATEX[function]}\left({', '.join(arguments)}\right)"
 
-    def number(self, value: float) -> str:
-        found = re.fullmatch(r"(.+)e([-+]\d+)", _number(value))
-        return rf"{found[1]} \cdot 10^{{{int(found[2])}}}" if found else _number(value)
+    def coefficient(self, node: Coefficient) -> str:
+        number = super().coefficient(node)
+        found = re.fullmatch(r"(.+)e([-+]\d+)", number)
+        return rf"{found[1]} \cdot 10^{{{int(found[2])}}}" if found else number
 
     def variable(self, node: Variable) -> str:
         return _latex_name(node.name)

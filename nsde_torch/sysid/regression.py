@@ -39,6 +39,7 @@ from scipy.optimize import lsq_linear
 
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run
+from nsde_torch.data.inputs import echelon
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.inference.estimate import ARITHMETIC
 from nsde_torch.inference.spread import Spread, spread
@@ -107,13 +108,7 @@ def shown(slopes: Array, scale: Array) -> Shown:
 
 def _readable(directions: Array, scale: Array) -> Array:
     """The same space with as many zeros as pivoting gives, each direction with a largest part of one typical size."""
-    rows = (directions / scale[:, None]).T.copy()
-    for i in range(len(rows)):
-        row, column = np.unravel_index(np.argmax(np.abs(rows[i:])), rows[i:].shape)
-        rows[[i, i + int(row)]] = rows[[i + int(row), i]]
-        rows[i] /= rows[i, column]
-        others = np.arange(len(rows)) != i
-        rows[others] -= np.outer(rows[others, column], rows[i])
+    rows = echelon((directions / scale[:, None]).T)
     largest = np.abs(rows).max(1, keepdims=True, initial=1e-300)
     return np.asarray((rows / largest).T * scale[:, None])
 

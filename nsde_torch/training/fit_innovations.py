@@ -26,7 +26,7 @@ import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import pairwise
-from math import hypot, log, sqrt
+from math import hypot, sqrt
 from typing import Any
 
 import numpy as np
@@ -121,12 +121,8 @@ def identified(
 ) -> Identified:
     """Identify declared physics, with a lag or a delay of the inputs where the data show one.
 
-    Args:
-        spec: What to build.
-        runs: Runs with inputs as they acted.
-        clock: Physical seconds per logged second.
-        values: Initial values of declared parameters.
-        method: Of the identification; a law is looked for with "weak" alone, whose innovations are white.
+    Of runs with inputs as they acted, from initial `values`. A law is looked for with the method "weak" alone, whose
+    innovations are white.
 
     Raises:
         ConfigError, DataError, NonFiniteError: there is no parameter, nothing moves, or the physics diverges.
@@ -138,7 +134,7 @@ def identified(
     if not spec.learn_lag or remembers or method != "weak":
         return found
     rows = len(base.regression.series)  # a memory takes some rows for itself
-    before = _log_likelihood(base.regression, rows)
+    before = sum(noise.likelihood(rows) for noise in base.regression.noises)
     for name in LAWS:
         wider = replace(spec, effects=(*spec.effects, name))
         try:
@@ -146,7 +142,7 @@ def identified(
             base.regression.vector.write(machine, base.regression.theta)
             regression = regression_of(machine, base.runs, clock=clock)
             regression.run(ITERATIONS)
-            won = _log_likelihood(regression, rows) - before
+            won = sum(noise.likelihood(rows) for noise in regression.noises) - before
             if won > max(EVIDENCE, found.evidence) and _shown(regression, name):
                 found = Identified(wider, replace(base, regression=regression), name, won)
         except NsdeError:
@@ -163,11 +159,6 @@ def _shown(regression: Regression, law: str) -> bool:
         if key.startswith(f"{law}.")
         for value, half in zip(p["value"], p["half_width_90"], strict=True)  # type: ignore[call-overload]
     )
-
-
-def _log_likelihood(regression: Regression, rows: int) -> float:
-    """Log likelihood of so many innovations [nats], up to a constant, less one for each parameter of the noise."""
-    return sum(-rows * log(noise.std) - noise.parameters for noise in regression.noises)
 
 
 # Residual networks from functions that the likelihood chose (`nsde_torch.inference.functions`).

@@ -19,10 +19,10 @@ import copy
 import time as clock
 from bisect import bisect_right
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from math import cos, radians
 from pathlib import Path
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -113,8 +113,7 @@ def carried(
 class PushEstimate:
     """What pushes the vehicle, learned from velocities while it flies."""
 
-    LONGEST: ClassVar[float] = 0.2
-    """Time between two states beyond which nothing is learned from them [s]."""
+    LONGEST: ClassVar[float] = 0.2  # time between two states beyond which nothing is learned from them [s]
 
     delay: float  # see `carried`
     known: Drag  # how the machine brakes, as the model says [1/s]
@@ -238,41 +237,31 @@ def braking(controller: Controller) -> Drag:
     return tuple((row[0], row[1], row[2]) for row in rows)  # type: ignore[return-value]
 
 
-@final
+@dataclass(eq=False)
 class PredictiveController:
     """Plans with a model; a `FlightController`.
-
-    Args:
-        controller: The solver and what it pays for; batch of one.
-        reference: Where to fly.
-        delay: From a setpoint to its effect [s].
-        lead: How much earlier than the plan says rates are asked for [s].
-        tilt: Tilt beyond which a plan is not flown [rad].
-        push_time: Time constant of the push that is learned [s]; 0: none is.
 
     Raises:
         ConfigError: the model is of no multirotor, or knows an effect that `delay` makes up for.
     """
 
-    def __init__(
-        self,
-        controller: Planner,
-        reference: Reference,
-        *,
-        delay: float = DELAY,
-        lead: float = LEAD,
-        tilt: float = TILT,
-        push_time: float = PUSH_TIME,
-    ) -> None:
-        system = controller.predictor.system
-        if not isinstance(system, Multirotor):
-            raise ConfigError(f"PX4 flies multirotors; the model is of a {system.name!r}.")
-        check_uncovered(system)
-        self.controller, self.reference = controller, reference
-        self._delay, self._lead, self._upright = delay, lead, cos(tilt)
-        self._system, self._ports = system, controller.predictor.ports
-        drag = braking(controller) if isinstance(controller, Controller) else NO_DRAG
-        self._push = PushEstimate(delay=delay, known=drag, time=push_time, limit=PUSH_LIMIT)
+    controller: Planner  # the solver and what it pays for; batch of one
+    reference: Reference  # where to fly
+    _: KW_ONLY
+    delay: float = DELAY  # from a setpoint to its effect [s]
+    lead: float = LEAD  # how much earlier than the plan says rates are asked for [s]
+    tilt: float = TILT  # beyond which a plan is not flown [rad]
+    push_time: float = PUSH_TIME  # time constant of the push that is learned [s]; 0: none is
+
+    def __post_init__(self) -> None:
+        predictor = self.controller.predictor
+        if not isinstance(predictor.system, Multirotor):
+            raise ConfigError(f"PX4 flies multirotors; the model is of a {predictor.system.name!r}.")
+        check_uncovered(predictor.system)
+        self._upright = cos(self.tilt)
+        self._system, self._ports = predictor.system, predictor.ports
+        drag = braking(self.controller) if isinstance(self.controller, Controller) else NO_DRAG
+        self._push = PushEstimate(delay=self.delay, known=drag, time=self.push_time, limit=PUSH_LIMIT)
         self._last: tuple[float, MotorPlan] | None = None
         self._trim = torch.zeros(3, dtype=torch.float64)
 
@@ -287,7 +276,7 @@ class PredictiveController:
         """See `FlightController`."""
         started = clock.perf_counter()
         c, o = self.controller, self.controller.options
-        window = self.reference.window(t + self._delay, dt=o.dt, steps=o.steps)
+        window = self.reference.window(t + self.delay, dt=o.dt, steps=o.steps)
         elapsed = 0.0 if self._last is None else time - self._last[0]
         if abs(elapsed) > PAUSE:
             self.reset()
@@ -301,7 +290,7 @@ class PredictiveController:
         before = None if self._last is None else self._last[1]
         self._push.take(row, time, asked)
         known = self._push
-        ahead = carried(row, time, self._delay, asked, delay=self._delay, drag=known.drag, push=known.rest)
+        ahead = carried(row, time, self.delay, asked, delay=self.delay, drag=known.drag, push=known.rest)
         x = torch.tensor([ahead], dtype=torch.float64)
         forces = self._forces(self._push.at(ahead))
         plan = c.plan(x, window[None], before, elapsed=elapsed, push=forces)
@@ -309,7 +298,7 @@ class PredictiveController:
         if self._tips(plan):
             plan, status = self._upright_plan(x, window, before, elapsed, forces)
         self._last = (time, plan)
-        rates, thrust = (one[0].tolist() for one in setpoints(plan, self._system, ahead=self._lead))
+        rates, thrust = (one[0].tolist() for one in setpoints(plan, self._system, ahead=self.lead))
         demands = tuple(Demand((w[0], w[1], w[2]), a) for w, a in zip(rates, thrust, strict=True))
         took = 1e3 * (clock.perf_counter() - started)
         return DemandPlan(time, plan.dt, demands, status, took)

@@ -18,7 +18,6 @@ from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
 from math import inf
 from multiprocessing.connection import Connection
-from typing import final
 
 from nsde_torch.errors import NsdeError
 from nsde_torch.px4.flight.controller import Asked, DemandPlan, FlightController
@@ -37,12 +36,9 @@ class ControllerError(NsdeError, RuntimeError):
 class Runner(ABC):
     """Runs a controller."""
 
-    plan: DemandPlan | None = None
-    """The newest plan."""
-    fault: str | None = None
-    """Why there will be no more."""
-    ready: bool = False
-    """Whether the controller is made."""
+    plan: DemandPlan | None = None  # the newest plan
+    fault: str | None = None  # why there will be no more
+    ready: bool = False  # whether the controller is made
 
     @abstractmethod
     def offer(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> None:
@@ -52,11 +48,7 @@ class Runner(ABC):
         """Take what has come."""
 
     def wait(self) -> None:
-        """Until the controller is made, which may take minutes where it is compiled.
-
-        Raises:
-            ControllerError: it cannot be made.
-        """
+        """Until the controller is made, minutes where it is compiled; ControllerError where it cannot be."""
         while not self.ready and self.fault is None:
             time.sleep(0.02)
             self.collect()
@@ -105,21 +97,21 @@ class Inline(Runner):
             self.fault = f"{type(error).__name__}: {error}"
 
 
-@final
+@dataclass(eq=False)
 class Process(Runner):
-    """In a process of its own.
+    """In a process of its own."""
 
-    Args:
-        maker: Makes the controller over there; it must be importable by name.
-        period: Shortest time between states that it is given [s].
-        say: Takes a line about what takes long over there.
-    """
+    maker: Maker  # makes the controller over there; it must be importable by name
+    _: KW_ONLY
+    period: float = 0.0  # shortest time between states that it is given [s]
+    say: Say = lambda line: None  # takes a line about what takes long over there
 
-    def __init__(self, maker: Maker, *, period: float = 0.0, say: Say = lambda line: None) -> None:
-        self._period, self._offered, self._say = period, -inf, say
+    def __post_init__(self) -> None:
+        self._offered = -inf
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_work, args=(maker, theirs), name="controller", daemon=True)
+        arguments = (self.maker, theirs)
+        self._process = context.Process(target=_work, args=arguments, name="controller", daemon=True)
         self._process.start()
         theirs.close()
         self._busy = True  # until it says that it is ready
@@ -131,7 +123,7 @@ class Process(Runner):
 
     def offer(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> None:
         # a state that is a fraction of a millisecond early is not left for the next tick
-        if self._busy or self.fault is not None or 0.0 <= time - self._offered < self._period - 1e-3:
+        if self._busy or self.fault is not None or 0.0 <= time - self._offered < self.period - 1e-3:
             return
         try:
             self._pipe.send((row, time, t, tuple(asked)))
@@ -149,7 +141,7 @@ class Process(Runner):
                 elif answer is None:
                     self._busy, self.ready = False, True
                 elif isinstance(answer, tuple):  # a line that was said over there
-                    self._say(*answer)
+                    self.say(*answer)
                 else:
                     self.fault = str(answer)
         except (EOFError, OSError):

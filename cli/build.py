@@ -78,12 +78,7 @@ def system(config: DictConfig) -> System:
 
 
 def dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
-    """Read or simulate the runs of the group `data`.
-
-    Raises:
-        DataError: The data cannot be used.
-        ConfigError: An option is wrong.
-    """
+    """Read or simulate the runs of the group `data`; ConfigError for a wrong option, DataError for unusable data."""
     if config.kind == "simulated":
         from nsde_torch.simulation import simulated
 

@@ -38,10 +38,7 @@ class TrainedRun:
 
 
 def read_runs(given: object, names: Sequence[str] | None, device: Any) -> list[TrainedRun]:
-    """The runs of the key `run`.
-
-    Args:
-        names: A name for each; None makes them from the folders.
+    """The runs of the key `run`, by names that were given or made from the folders.
 
     Raises:
         ConfigError: not a folder or list of folders, a folder twice, or names that do not fit.
@@ -132,10 +129,7 @@ class Chosen:
 
 
 def choose(config: DictConfig, trained: TrainedRun, machine: SystemInfo) -> Chosen:
-    """The runs that the configuration asks for.
-
-    Args:
-        config: The group `data`; of the kind "trained", it means that of a run.
+    """The runs that the group `data` asks for; of the kind "trained", it means those of a run.
 
     Raises:
         ConfigError: nothing says which data.

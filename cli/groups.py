@@ -37,10 +37,7 @@ def config_dir(words: Sequence[str]) -> Path | None:
 
 
 def check_own_files(folder: Path, chosen: Mapping[str, str]) -> None:
-    """Refuse choices of the user's own that cannot be read, before Hydra reads them.
-
-    Args:
-        folder: Of `--config-dir`.
+    """Refuse choices of the user's own, in the folder of `--config-dir`, that cannot be read, before Hydra reads them.
 
     Raises:
         ConfigError: one is no plain YAML, which could name objects of Python, or holds no keys.

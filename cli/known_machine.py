@@ -65,11 +65,7 @@ class Diagnosed(KnownMachine):
 
 
 def diagnosed(folder: Path, moved: str | None) -> Diagnosed:
-    """Read a diagnosis with its runs.
-
-    Args:
-        folder: Folder of `nsde diagnose`.
-        moved: Where its runs are now; None for where they were.
+    """Read a diagnosis from its folder, with its runs where they were, or where they have been `moved` to.
 
     Raises:
         ConfigError: the folder holds no diagnosis, or one that was stopped.

@@ -39,11 +39,7 @@ _IN_FILE = re.compile(
 
 
 def explain(error: Exception, command: str, words: Sequence[str]) -> str | None:
-    """The message for a fault that Hydra or OmegaConf found in the configuration.
-
-    Returns:
-        The message, or None if the error is not about the configuration.
-    """
+    """The message for a fault that Hydra or OmegaConf found in the configuration; None if it is not about that."""
     from hydra.errors import HydraException, MissingConfigException, OverrideParseException
     from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 

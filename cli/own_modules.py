@@ -30,14 +30,7 @@ def config_folders(sources: Iterable[Any]) -> list[str]:
 
 
 def own_system(system: str, config_dir: Path | None) -> str:
-    """What the user's own file `system/NAME.yaml` names, or the name as it is.
-
-    Args:
-        config_dir: Folder of `--config-dir`; None: none.
-
-    Raises:
-        ConfigError: The file names no class.
-    """
+    """What the user's own file `system/NAME.yaml` names, or the name as it is; ConfigError where it names no class."""
     if config_dir is None or not (file := config_dir / "system" / f"{system}.yaml").is_file():
         return system
     groups.check_own_files(config_dir, {"system": system})
@@ -48,14 +41,7 @@ def own_system(system: str, config_dir: Path | None) -> str:
 
 
 def split_config_dir(arguments: Sequence[str]) -> tuple[Path | None, list[str]]:
-    """The folder of `--config-dir`, and the other words.
-
-    Args:
-        arguments: Words after the name of a command that Hydra does not configure.
-
-    Raises:
-        ConfigError: There is no such folder.
-    """
+    """The folder of `--config-dir` (None: none), and the other words; ConfigError where there is no such folder."""
     folder = groups.config_dir(arguments)
     if folder is not None and not folder.is_dir():
         raise ConfigError(f"`--config-dir {folder}`: no such folder.")

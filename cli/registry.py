@@ -132,12 +132,7 @@ def entry_of(name: str) -> CommandEntry | None:
 
 
 def hydra_command(name: str) -> HydraCommand:
-    """A command that Hydra configures.
-
-    Raises:
-        KeyError: there is none of that name.
-        ConfigError: its package does not load.
-    """
+    """A command that Hydra configures; KeyError for none of that name, ConfigError where its package does not load."""
     from .hydra_command import HydraCommand
 
     entry = entry_of(name)

@@ -70,11 +70,7 @@ _LAGS = {"motor_lag", "actuator_lag", "input_delay"}
 
 
 def knowledge(name: str, config: DictConfig, *, command: str) -> Model | System:
-    """What `run=` names: a model, or the declared physics with the values of the plant.
-
-    Raises:
-        ConfigError: no multirotor, or no machine for the declared physics.
-    """
+    """What `run=` names, a model or the declared physics of the plant; ConfigError for no multirotor, or no machine."""
     if is_exported(name):
         return exported(name).known
     if name == DECLARED and config.system is None:

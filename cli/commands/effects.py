@@ -23,10 +23,8 @@ if TYPE_CHECKING:
 KEYS = {"system": "only those that this system can have", "format": "text or json"}
 FORMATS = ("text", "json")
 _GAP = "  "
-_ANY = "coordinate"
-"""Port of a law: that of the coordinate which it is on."""
-_SMALLEST = 100
-"""Characters below which the table is not squeezed."""
+_ANY = "coordinate"  # port of a law: that of the coordinate which it is on
+_SMALLEST = 100  # characters below which the table is not squeezed
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -76,9 +74,8 @@ def usage() -> str:
 def catalogue(system: str | None = None, *, config_dir: Path | None = None) -> list[dict[str, Any]]:
     """What the catalogue says of every effect, or of those that one system can have.
 
-    Args:
-        system: Key of `SYSTEMS`, `module:Class`, or NAME of a file `system/NAME.yaml` in `config_dir`; None for all.
-        config_dir: Folder of the user's own modules and systems; None: the present one, for modules.
+    A system is a key of `SYSTEMS`, `module:Class`, or NAME of a file `system/NAME.yaml` in `config_dir`, the folder of
+    the user's own modules and systems (None: the present one, for modules).
 
     Raises:
         ConfigError: There is no such system.
@@ -149,12 +146,9 @@ def _row(cls: type[Effect], systems: Sequence[str]) -> dict[str, Any]:
 
 
 def table(rows: Sequence[dict[str, Any]], width: int, *, systems: bool) -> str:
-    """The catalogue as aligned tables, the source of each effect under it.
+    """The catalogue as aligned tables, the source of each effect under it; cells that are too long are wrapped.
 
-    Args:
-        rows: Of `catalogue`.
-        width: Characters that a line may have; longer cells are wrapped.
-        systems: Whether to head the effects with the systems of the package that they are for.
+    With `systems`, effects are headed by the systems of the package that they are for.
     """
     cells = [(row["name"], row["port"], row["formula"], _parameters(row)) for row in rows]
     fixed = [max(map(len, column)) for column in list(zip(*cells, strict=True))[:3]]

@@ -92,10 +92,7 @@ COMMAND = HydraCommand(
 
 
 def run(config: DictConfig, job: Job) -> float | None:
-    """Fly a reference once or several times.
-
-    Returns:
-        RMSE of the position over all flights [m]; None if the reference was not flown.
+    """Fly a reference once or several times; RMSE of the position over all flights [m], None if it was not flown.
 
     Raises:
         NsdeError: nothing was flown, or it ended otherwise than asked for, and why.

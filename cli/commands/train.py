@@ -76,14 +76,9 @@ def run(config: DictConfig, job: Job) -> float:
 
 
 def fit(config: DictConfig, run_dir: Path, *, about: dict[str, Any]) -> dict[str, Any]:
-    """Build what a configuration describes and train it.
+    """Build what a configuration describes and train it; returns the content of `metrics.json`.
 
-    Args:
-        config: The composed and checked configuration, effects files expanded.
-        about: The configuration that `metrics.json` records.
-
-    Returns:
-        The content of `metrics.json`.
+    The configuration is composed and checked, its effects files expanded; `about` is the one that is recorded.
     """
     import torch
 

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
     from ..jobs import Job
 
-_ESTIMATED = 200
-"""States that the estimator of a file is given."""
+_ESTIMATED = 200  # states that the estimator of a file is given
 
 
 @dataclass

@@ -79,14 +79,7 @@ class PageServer:
 
 
 def listen(host: str, port: int, *, largest: int, threads: int) -> PageServer:
-    """Bind a port.
-
-    Args:
-        port: 0: any that is free.
-
-    Raises:
-        ConfigError: it is taken, or may not be bound.
-    """
+    """Bind a port, 0 for any that is free; ConfigError where it is taken, or may not be bound."""
     sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:

@@ -39,8 +39,7 @@ FORMATS: dict[str, str] = {
 def file_names(given: Sequence[str]) -> list[str]:
     """Names for the files of an upload, made of letters, digits, `_` and `-`, and a known suffix.
 
-    Args:
-        given: As the browser says them; nothing of them is taken for a path.
+    They are given as the browser says them; nothing of them is taken for a path.
 
     Raises:
         RefusedError: one is no log, or they are logs of several formats.
@@ -83,11 +82,9 @@ def _no_log(name: str, suffix: str) -> str:
 
 
 def receive(read: Callable[[int], bytes], target: Path, size: int) -> None:
-    """Write what is sent to a file, and stop where it is longer than was said.
+    """Write what is sent to a file, and stop where it is longer than was said: nothing is left of it if that fails.
 
-    Args:
-        read: Reads at most so many bytes of the request; empty at its end.
-        target: The file; nothing is left of it if the upload fails.
+    `read` reads at most so many bytes of the request; it is empty at the end.
 
     Raises:
         RefusedError: more or fewer bytes came.
@@ -163,11 +160,7 @@ class Shelf:
         return self.folder / job.id
 
     def create(self, given: Sequence[tuple[str, int]], system: str | None) -> ServedJob:
-        """A job for logs that are about to be sent.
-
-        Args:
-            given: Name and size [bytes] of each.
-            system: Machine; None: to be guessed.
+        """A job for logs that are about to be sent, by name and size [bytes] of each; no machine: it is to be guessed.
 
         Raises:
             RefusedError: no log, too many, too large, or no room.

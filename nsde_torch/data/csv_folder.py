@@ -203,14 +203,9 @@ def read_csv(system: SystemInfo, *, path: str | Path) -> list[RawRun]:
 
 
 def write_csv(dataset: DataSet, folder: str | Path) -> list[Path]:
-    """Writes each run as `<name>.csv` with every digit, so that it is read back as the same numbers.
+    """Writes each run as `<name>.csv` with every digit, so that it is read back as the same numbers; returns the files.
 
-    Args:
-        dataset: The data set.
-        folder: Made where it is missing; files of the same names are replaced.
-
-    Returns:
-        The files, in the order of the runs.
+    The folder is made where it is missing; files of the same names are replaced.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)

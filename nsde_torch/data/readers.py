@@ -25,8 +25,7 @@ class Reader:
 
     home: str  # where the function lies, `module:function`
     summary: str  # what it reads, one line
-    suffixes: tuple[str, ...] = ()
-    """Suffixes of files of this kind; none: those that no other reader claims."""
+    suffixes: tuple[str, ...] = ()  # suffixes of files of this kind; none: those that no other reader claims
     folders: bool = True  # whether a folder with such a file in it is of the kind too
     takes_step: bool = False  # whether it must know the step to resample to, as the files hold no times
     streams: str | None = None

@@ -199,11 +199,7 @@ class Run:
         return digest.hexdigest()
 
     def slice(self, start: int, stop: int, *, name: str | None = None) -> Run:
-        """Rows start..stop (not included) as a run; segments are cut to fit, those below two rows dropped.
-
-        Raises:
-            DataError: no segment has two rows in the range.
-        """
+        """Rows start..stop (not included) as a run, without segments below two rows; DataError where none has two."""
         start, stop, _ = slice(start, stop).indices(len(self))
         cut = [(max(a, start) - start, min(b, stop) - start) for a, b in self.segments]
         segments = tuple((a, b) for a, b in cut if b - a >= 2)
@@ -305,12 +301,7 @@ class DataSet:
         return sum(run.duration for run in self.runs)
 
     def changed(self, runs: Sequence[Run], findings: Sequence[Finding]) -> DataSet:
-        """The data set with its runs changed, and a fingerprint of theirs.
-
-        Args:
-            runs: The changed runs.
-            findings: All that its summary says was found and done.
-        """
+        """The data set with its runs changed, a fingerprint of theirs, and all findings that its summary says."""
         mark = fingerprint(runs, system_name=self.system_name, dt=self.dt, clock_scale=self.clock_scale)
         told = replace(self.summary, findings=tuple(findings))
         return replace(self, runs=runs, summary=told, fingerprint=mark)

@@ -39,11 +39,7 @@ class Stream:
     units: Mapping[str, str] = field(default_factory=dict)  # unit of a column, where the log says it
 
     def columns(self, *names: str) -> Array:
-        """Fields side by side, (n, columns).
-
-        Raises:
-            DataError: one is not there.
-        """
+        """Fields side by side, (n, columns); DataError where one is not there."""
         for name in names:
             if name not in self.fields:
                 known = ", ".join(list(self.fields)[:8]) or "none"

@@ -190,11 +190,7 @@ def _check_memo(file: BinaryIO) -> None:
 def read_pickle(path: str | Path) -> object:
     """Contents of a pickle of NumPy arrays and plain containers; nothing in the file is executed.
 
-    Args:
-        path: The file.
-
-    Returns:
-        Lists, tuples, dicts, strings, numbers, None and NumPy arrays of bool, int or float.
+    These are lists, tuples, dicts, strings, numbers, None and NumPy arrays of bool, int or float.
 
     Raises:
         DataError: the file is missing, not a pickle, cut short, or names anything else (the name is in the
@@ -280,10 +276,7 @@ def _pairs(content: object, where: str) -> list[tuple[Array, Array]]:
 
 
 def read_published(system: SystemInfo, *, path: str | Path, dt: float | None = None) -> list[RawRun]:
-    """Runs of one of the authors' files, which the system must fit.
-
-    Args:
-        dt: Nominal step [s]; default: the published rate of the file's kind.
+    """Runs of one of the authors' files, which the system must fit, on a step [s] or the published rate of their kind.
 
     Raises:
         DataError: the file is unreadable, of another system, or of no known kind.

@@ -311,9 +311,8 @@ class Effect(Parametrised, ABC):
     ) -> list[dict[str, float | list[float]]]:
         """Values to start a fit from: no effect, at every point of the grid of `shapes`; strictly inside the bounds.
 
-        Args:
-            sizes: Sizes of the data that `relative` may ask for, in their units.
-            frequencies: Where the residual has lines in its spectrum [Hz], for parameters relative to `spectrum`.
+        `sizes` are those of the data that `relative` may ask for, in their units; `frequencies` where the residual has
+        lines in its spectrum [Hz], for parameters relative to `spectrum`.
 
         Raises:
             KeyError: a size that is asked for is not given.

@@ -156,12 +156,7 @@ def target_of(name: str) -> str:
 
 @cache
 def difference_class(target: str, width: int = 1, unit: str = "1", scale: float = 0.1) -> type[RunDifference]:
-    """The effect that a parameter differs between runs.
-
-    Args:
-        target: See `RunDifference`.
-        width: Numbers that the parameter has.
-    """
+    """The effect that a parameter of so many numbers differs between runs; see `RunDifference.target`."""
     effect, _, own = target.rpartition("/")
     what = "The mass" if target == MASS else f"{own} of {effect}" if effect else target
     own_values: dict[str, Any] = {

@@ -53,11 +53,7 @@ UNKNOWN = "SI"
 
 
 def coefficient_units(law: Written, variables: Mapping[str, str], port: str) -> dict[str, str]:
-    """Unit of each coefficient of a law.
-
-    Args:
-        variables: Unit of each variable; empty where it is unknown.
-        port: Unit of the law's value.
+    """Unit of each coefficient of a law, from those of its variables (empty: unknown) and of its value, the port's.
 
     Raises:
         ConfigError: things of different units are added, or an angle is none.
@@ -268,11 +264,7 @@ _LARGEST_EXPONENT = 30.0  # a rollout that has run off stays finite
 
 
 def unplaced_expression(name: str) -> type[Expression]:
-    """The effect that a law is on some machine: its coefficients, and not where it acts or in what units.
-
-    Raises:
-        ConfigError: not of the grammar.
-    """
+    """The effect that a law is on some machine, and not where it acts or in what units; ConfigError for no law."""
     return _unplaced(parse(name).text)
 
 

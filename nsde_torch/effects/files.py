@@ -29,14 +29,7 @@ def is_file(entry: str) -> bool:
 
 
 def read(path: str | Path, key: str = "system.effects") -> tuple[str, dict[str, dict[str, Any]]]:
-    """System and effects of a file.
-
-    Args:
-        key: The key that names it, for messages.
-
-    Raises:
-        ConfigError: no such file, or not what it should be.
-    """
+    """System and effects of a file; a ConfigError names the key by which it was given, where it is none."""
     file = Path(path)
     if not file.is_file():
         raise ConfigError(f"`{key}`: no file {str(path)!r}. `nsde diagnose` writes effects.yaml.")
@@ -59,11 +52,7 @@ def write(path: Path, system: str, effects: Mapping[str, Mapping[str, Any]], not
 
 
 def read_for(path: str | Path, system: str | None, key: str = "system.effects") -> dict[str, dict[str, Any]]:
-    """Effects of a file for a system, by name.
-
-    Args:
-        system: Name of the system; None: any.
-        key: The key that names it, for messages.
+    """Effects of a file for a system (None: any), by name; messages name the file by a key.
 
     Raises:
         ConfigError: a file that cannot be used, or one of another system.

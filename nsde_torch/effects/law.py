@@ -107,11 +107,7 @@ class Law(Effect):
 
 
 def law_at(law: type[Law], at: Bound) -> type[Law]:
-    """The effect that a law is on one coordinate.
-
-    Raises:
-        ConfigError: the law makes no sense there.
-    """
+    """The effect that a law is on one coordinate; ConfigError where it makes no sense there."""
     law = law.law
     if not law.suits(at):
         what = f"that has a {'`load`' if law.reads_load else '`position`'}"

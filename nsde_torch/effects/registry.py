@@ -71,18 +71,13 @@ EFFECTS: dict[str, type[Effect]] = {
 }
 
 
-_OWN: dict[str, type[Effect]] = {}
-"""Effects of the user's own that `register` made known."""
+_OWN: dict[str, type[Effect]] = {}  # effects of the user's own that `register` made known
 
 
 def register(name: str) -> str:
-    """Make an effect known by its own name, so that `effects_of` lists it and a diagnosis tries it.
+    """Make an effect known, so that `effects_of` lists it and a diagnosis tries it; returns its own name.
 
-    Args:
-        name: `package.module:Class` of the user's own.
-
-    Returns:
-        The effect's own name.
+    It is given as `package.module:Class` of the user's own.
 
     Raises:
         ConfigError: as `effect_class`, or another effect has that name.
@@ -166,8 +161,7 @@ def _coordinate(law: str, name: str, coordinates: Sequence[Bound]) -> Bound:
 def canonical_name(name: str, coordinates: Sequence[Bound], aliases: Mapping[str, str]) -> str:
     """What an effect is called on a machine: older names replaced, and a coordinate that goes without saying left out.
 
-    Args:
-        aliases: Older names of its effects.
+    `aliases` are older names of the machine's effects.
     """
     if is_law(name):
         return unplaced_expression(name).name

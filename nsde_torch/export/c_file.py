@@ -42,11 +42,7 @@ def write(path: Path, source: str, header: str, record: Mapping[str, Any]) -> st
 
 
 def read(path: Path) -> dict[str, Any]:
-    """The record of a pair of files, checked.
-
-    Raises:
-        ExportError: one of them is missing, changed, or of another format.
-    """
+    """The record of a pair of files, checked; ExportError where one is missing, changed, or of another format."""
     beside = path.with_suffix(".h")
     for file in (path, beside):
         if not file.is_file():

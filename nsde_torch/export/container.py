@@ -40,11 +40,7 @@ def digest_of(members: Mapping[str, bytes]) -> str:
 
 
 def members_of(archive: bytes) -> dict[str, bytes]:
-    """Members of an archive by their name below its one folder.
-
-    Raises:
-        ExportError: it is no archive, damaged, or too large.
-    """
+    """Members of an archive by their name below its one folder; ExportError where it is none, damaged, or too large."""
     out: dict[str, bytes] = {}
     try:
         with zipfile.ZipFile(io.BytesIO(archive)) as opened:
@@ -126,11 +122,7 @@ def read(path: Path) -> tuple[bytes, dict[str, Any]]:
 
 
 def checked(path: Path, members: Mapping[str, bytes]) -> dict[str, Any]:
-    """The record of a file with these members, after its format and its hash.
-
-    Raises:
-        ExportError: it was changed, or is of another format.
-    """
+    """The record of a file with these members; ExportError where it was changed, or is of another format."""
     if RECORD not in members:
         raise ExportError(
             f"{path} is no exported controller (it holds no {RECORD}). Make one with `nsde export`."

@@ -129,11 +129,7 @@ class ExportedController:
         push: Tensor | None = None,
         memory: Tensor | None = None,
     ) -> Plan:
-        """See `Controller.plan`.
-
-        Raises:
-            ShapeError: wrong axes or columns.
-        """
+        """See `Controller.plan`; ShapeError for wrong axes or columns."""
         s = self.sizes
         if x.shape != (1, s.nx) or reference.shape != (1, s.steps, s.nx):
             raise ShapeError(

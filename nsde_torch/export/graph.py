@@ -158,10 +158,8 @@ def graph_of(
 ) -> fx.GraphModule:
     """A function of tensors, without branches on their values, as a graph of torch's operations.
 
-    Args:
-        function: The function.
-        example: Arguments, whose shapes and types are fixed.
-        few: Write it with as few operations as there can be; else as the function is.
+    Shapes and types are those of the `example`. With `few`, it has as few operations as there can be; else as the
+    function.
     """
 
     def run(*arguments: Tensor) -> tuple[Tensor, ...]:

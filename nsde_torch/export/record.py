@@ -101,11 +101,7 @@ def hashes(known: Model | System, run: Path | None) -> dict[str, str]:
 
 
 def check(record: Mapping[str, Any]) -> None:
-    """Refuse a record of other versions or another processor.
-
-    Raises:
-        ExportError: names what differs.
-    """
+    """Refuse a record of other versions or another processor; an ExportError names what differs."""
     try:
         written = record["versions"]
         for name, own in (("nsde_torch", version()), ("torch", torch.__version__)):

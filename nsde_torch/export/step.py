@@ -300,10 +300,8 @@ class ExportedStep(nn.Module):
 def run(stages: Mapping[str, Stage], loops: Loops, *given: Tensor) -> tuple[Tensor, ...]:
     """The step, stage after stage: what every form of it does.
 
-    Args:
-        stages: The stages, as they are, as graphs or compiled; those of `STAGES` or of `WHOLE`.
-        loops: What the loops go by.
-        given: See `layout.step_inputs`.
+    The stages, those of `STAGES` or of `WHOLE`, are as they are, graphs or compiled; `given` is that of
+    `layout.step_inputs`.
     """
     finish = stages["finish"] if "finish" in stages else _composed(stages)
     z0, start_u, start_z, ref, last, d, head, trouble = stages["begin"](*given)

@@ -30,8 +30,7 @@ TOLERANCE = 1e-4
 """Largest difference of inputs that is put down to rounding."""
 SINGLE_TOLERANCE = 5e-3
 """The same for a controller in C of single precision, which solves its equations in another order than Python."""
-_START = 2.0
-"""Time of the first state along a reference [s]."""
+_START = 2.0  # time of the first state along a reference [s]
 _EVERY = 50
 """Samples between cold starts, and between samples that are in trouble, of the states that both are given."""
 

@@ -31,11 +31,7 @@ def controller_of(
     safety: SafetyOptions,
     dtype: torch.dtype,
 ) -> Controller:
-    """The controller in Python that an exported one is held against.
-
-    Raises:
-        ConfigError: an option that a file cannot have.
-    """
+    """The controller in Python that an exported one is held against; ConfigError for what a file cannot have."""
     if solver.deadline is not None:
         raise ConfigError(
             "`mpc.deadline` needs a clock, which a graph has not; the program around it has. Bound "

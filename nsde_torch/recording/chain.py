@@ -23,10 +23,7 @@ from nsde_torch.recording.latency import Misfits, suspected_latency, whole_senso
 
 @final
 class Recording:
-    """A recording chain with faults; without any it logs what there is.
-
-    Args:
-        faults: Sizes by name of the fault (`RecordingOptions` lists them).
+    """A recording chain with faults, sizes by name (`RecordingOptions` lists them); without any it logs what there is.
 
     Raises:
         ConfigError: no fault of that name.
@@ -56,11 +53,7 @@ class Recording:
         return [name for name, fault in FAULTS.items() if fault.mixes_times and name in self._faults]
 
     def check(self, system: SystemInfo) -> None:
-        """Refuse what this system cannot have.
-
-        Raises:
-            ConfigError: names the key, what it takes and what it was given.
-        """
+        """Refuse what this system cannot have; a ConfigError names the key, what it takes and what it was given."""
         check(recording_options(), self._faults, "recording.")
         for name, value in self._faults.items():
             FAULTS[name].check(value, system)

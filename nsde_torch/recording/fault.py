@@ -175,10 +175,7 @@ class Fault(ABC):
         return None
 
     def undo(self, run: Run, system: SystemInfo, values: Mapping[str, float]) -> Run:
-        """A run without the fault; the run itself where nothing can be done.
-
-        Args:
-            values: Sizes by name, as `detect` finds them or a user gives them.
+        """A run without the fault, of sizes as `detect` finds them or a user gives them; itself if nothing can be done.
 
         Raises:
             ConfigError: no such name, or no such size.

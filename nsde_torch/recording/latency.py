@@ -110,8 +110,7 @@ def surely_late(late: Sequence[Latency], dt: float, *, chance: float = LATE) -> 
     return [one for one in late if one.p * len(late) < chance and one.low > _SURE_STEPS * dt]
 
 
-_Fit: TypeAlias = tuple[Uncertain, float]
-"""How late positions are [s], and what remains unexplained [nats]."""
+_Fit: TypeAlias = tuple[Uncertain, float]  # how late positions are [s], and what remains unexplained [nats]
 
 
 def _delay_or_filter(

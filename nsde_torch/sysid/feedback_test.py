@@ -275,11 +275,7 @@ def _surely(answers: Sequence[Answer]) -> list[Answer]:
 
 
 def feedback_summary(system: System, runs: Sequence[Run], clock: float = 1.0) -> FeedbackTest:
-    """Test recordings for feedback, against the declared physics fitted to them.
-
-    Returns:
-        What was found; `why_not` says where nothing could be tested.
-    """
+    """Test recordings for feedback, against declared physics fitted to them; `why_not` says where that cannot be."""
     if not runs:
         return FeedbackTest(why_not="there is no run")
     why = _smoothed(runs, system.nu)

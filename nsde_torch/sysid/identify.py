@@ -220,10 +220,7 @@ def dependence_on_band(
     """How far parameters (k,) depend on the band up to which smoothed states were restored; zero where none were.
 
     It is twice what they change by with half of the band: a bias that halves when the band doubles is as large as that
-    change. nan where nothing can be fitted in half of the band.
-
-    Args:
-        apart: Least time from one measurement to the next [s].
+    change. nan where nothing can be fitted in half of the band. `apart` is the least time between two measurements [s].
     """
     if not any(run.band for run in runs):
         return np.zeros(len(theta))

@@ -41,9 +41,8 @@ def rough_fit(
 ) -> Regression | None:
     """The declared physics fitted to means over `MEANS_S`; None where that cannot be done.
 
-    Args:
-        levels: Whether steady pushes are left out, the mean of each channel over each run.
-        start: First theta (k,); None takes the system's values.
+    Starts from theta (k,), or the system's values. With `levels`, steady pushes are left out: the mean of each channel
+    over each run.
     """
     box = max(1, round(MEANS_S / (runs[0].dt * clock)))
     vector = ParameterVector(copy.deepcopy(system))
@@ -128,9 +127,7 @@ def share_left(rough: Regression) -> float:
 def beginnings(runs: Sequence[Run], clock: float, *, seconds: float, fewest: int) -> list[Run]:
     """Runs of which the beginning of the longest stretch is left, for fits that are compared with each other.
 
-    Args:
-        seconds: How long all together last [s].
-        fewest: Rows that are left of each at least.
+    All together they last so many `seconds`, each of at least the `fewest` rows.
     """
     out = []
     for run in runs:

@@ -150,8 +150,7 @@ def _differences(regression: Regression, answered: Mapping[int, Array]) -> dict[
     return out
 
 
-_DEGREES = 15
-"""Degrees of freedom of errors from blocks of time, for Student's t."""
+_DEGREES = 15  # degrees of freedom of errors from blocks of time, for Student's t
 
 
 def unexplained_runs(rough: Regression, runs: Sequence[Run]) -> list[Objection]:

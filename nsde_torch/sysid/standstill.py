@@ -36,8 +36,7 @@ def slowest(
 ) -> dict[int, float]:
     """Speeds whose direction is not known, of coordinates with dry friction, by column of the state.
 
-    Args:
-        effects: Effects among which dry frictions are looked for; None takes those of the machine.
+    Dry frictions are looked for among the effects, or among those of the machine.
     """
     out: dict[int, float] = {}
     own = [type(e) for e in system.effects if isinstance(e, Effect)]

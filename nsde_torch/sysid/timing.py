@@ -35,8 +35,7 @@ ACTUATOR_S = 0.08
 """How late inputs may act by what actuators do, a lag or a delay, which the declared physics may lack [s]."""
 GAIN = 0.4
 """By how much L must be smaller than without the shift; four channels that each lose a tenth."""
-_WORSE = 0.05
-"""By how much the logarithm of one channel's residual must grow to speak against a shift."""
+_WORSE = 0.05  # by how much the logarithm of one channel's residual must grow to speak against a shift
 _ITERATIONS = 3
 _PART_S = 30.0
 

@@ -57,9 +57,7 @@ class DifferenceCandidate:
 def differing(at: Optimum, beside: Functions | None) -> list[str]:
     """Targets of what surely differs between runs, the surest first.
 
-    Args:
-        at: The optimum of the physics; theta of it is in use.
-        beside: Functions that were learned beside it, which are held against it.
+    At the optimum of the physics, whose theta is in use; held against the functions that were learned `beside` it.
     """
     space, about, vector = at.of.space, at.about, at.of.vector
     owner, _ = space.chunks.places()
@@ -188,11 +186,8 @@ def _log_likelihood(
 ) -> float:
     """Restricted log likelihood, up to a constant; see the module docstring.
 
-    Args:
-        of_runs: Gram matrix of each run (R, n, n).
-        shared: Columns of e and of what all runs share.
-        columns: Columns of what differs (k,).
-        variance: Its variances (k,).
+    Of Gram matrices of each run (R, n, n), columns of e and of what all runs share, and columns (k,) of what differs
+    with its variances (k,).
     """
     inner = of_runs[:, columns[:, None], columns]
     across = of_runs[:, shared[:, None], columns]

@@ -147,11 +147,7 @@ class EnsembleLoop(Loop):
 
 
 def fit_ensemble(task: Task) -> Fitted:
-    """Fit by gradient steps on pairs of consecutive states.
-
-    Raises:
-        NonFiniteError: the optimisation left the finite numbers.
-    """
+    """Fit by gradient steps on pairs of states; NonFiniteError where the optimisation leaves the finite numbers."""
     spec = task.spec
     assert isinstance(spec, EnsembleSpec)
     model = GaussianEnsemble(spec, generator=torch.Generator().manual_seed(task.seed), values=task.values)

@@ -213,11 +213,7 @@ class Loop(ABC):
         write_checkpoint(path, tensors, {"identity": self.identity, **vars(self.progress)})
 
     def restore(self, path: Path) -> None:
-        """Continue from a checkpoint if there is one.
-
-        Raises:
-            CheckpointError: the checkpoint is damaged or of another training.
-        """
+        """Continue from a checkpoint if there is one; CheckpointError where it is damaged or of another training."""
         parts = ("batches", *self._further(), *(f"average.{i}" for i in range(len(self.parameters))))
         found = read_checkpoint(path, self.model.state_dict(), self.identity, parts=parts, differ=self.differ)
         if found is None:

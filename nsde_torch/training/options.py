@@ -113,11 +113,7 @@ TRAINERS: dict[str, TrainerOptions] = {
 
 
 def loss_options(loss: str | LossOptions) -> LossOptions:
-    """A loss by its name; options as they are.
-
-    Raises:
-        ConfigError: no such loss.
-    """
+    """A loss by its name, options as they are; ConfigError for no such loss."""
     if isinstance(loss, LossOptions):
         return loss
     if loss not in LOSSES:
@@ -126,11 +122,7 @@ def loss_options(loss: str | LossOptions) -> LossOptions:
 
 
 def trainer_options(trainer: str | TrainerOptions) -> TrainerOptions:
-    """An optimisation by its name; options as they are.
-
-    Raises:
-        ConfigError: no such name.
-    """
+    """An optimisation by its name, options as they are; ConfigError for no such name."""
     if isinstance(trainer, TrainerOptions):
         return trainer
     if trainer not in TRAINERS:

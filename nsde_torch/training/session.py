@@ -79,11 +79,7 @@ class Training:
         self.filter_reach = self.spec.input_filter_reach
 
     def run(self) -> dict[str, Any]:
-        """Train, calibrate, test and write.
-
-        Returns:
-            What `metrics.json` holds.
-        """
+        """Train, calibrate, test and write; returns what `metrics.json` holds."""
         started = time.perf_counter()
         self._say(str(self.data.summary) if self.verbose else self.data.summary.short)
         self._say_split()

@@ -83,7 +83,6 @@ class Fitted:
     facts: dict[str, Any] = field(default_factory=dict)  # further plain values for `metrics.json`
     said: str = ""
     """What to say of the fit, beside the table of parameters; empty: the optimisation's usual line."""
-    details: str = ""
-    """Tables of the fit that are said with `verbose`."""
+    details: str = ""  # tables of the fit that are said with `verbose`
     begin: dict[str, Any] = field(default_factory=dict)
     """Plain values with which a fit to some of the runs begins (`Task.near`)."""

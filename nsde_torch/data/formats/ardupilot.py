@@ -45,8 +45,7 @@ _SYSTEM = {
     "ISBH",
 }
 _HEADER = 3  # bytes before the fields of a message
-_MOTORS = [*range(33, 41), *range(82, 86)]
-"""Values of SERVOn_FUNCTION of motors 1 to 12."""
+_MOTORS = [*range(33, 41), *range(82, 86)]  # values of SERVOn_FUNCTION of motors 1 to 12
 
 
 def open_ardupilot(path: Path) -> StreamLog:

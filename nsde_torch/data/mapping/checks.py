@@ -384,8 +384,7 @@ _MOST = 60_000  # rows
 _SPIKE = 20.0  # such a multiple of the largest usual changes between rows is no movement
 _FEW = 200  # rows, of fewer one spike is a usual change
 _TURN = 6.3  # range of an angle that was logged within one turn [rad]
-_SIZES = (1e-3, 1e-2, 0.3048, 1.0 / 0.3048, 1e2, 1e3)
-"""Factors that a forgotten unit would be."""
+_SIZES = (1e-3, 1e-2, 0.3048, 1.0 / 0.3048, 1e2, 1e3)  # factors that a forgotten unit would be
 _ATTITUDE_AS = "write the quaternion as w x y z, body to world, and rates in rad/s about FLU axes"
 _VELOCITY_AS = "write velocities in m/s along the axes of the positions (ENU), in their order"
 _LEAN_WORDS = {

@@ -85,11 +85,7 @@ _CHOICES: dict[str, Sequence[str]] = {
 
 
 def read_mapping(path: str | Path) -> LogMapping:
-    """The mapping of a YAML file.
-
-    Raises:
-        ConfigError: no such file, not YAML, an unknown key or a value out of range; the message names the key.
-    """
+    """The mapping of a YAML file; a ConfigError names what is no file, no YAML, no key or out of range."""
     try:
         content = read_yaml(path)
     except ConfigError as error:

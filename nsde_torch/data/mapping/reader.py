@@ -115,8 +115,7 @@ def format_of(path: str | Path, system: SystemInfo | None = None) -> str:
 def read_log(system: SystemInfo, *, path: str | Path, mapping: str | None = None) -> list[RawRun]:
     """Runs of a file or folder of logs.
 
-    Args:
-        mapping: What the columns mean, a YAML file; None: `mapping.yaml` beside the logs, else the proposal.
+    What the columns mean is said by a YAML file; None: `mapping.yaml` beside the logs, else the proposal.
 
     Raises:
         DataError: as the reader of the format.
@@ -150,11 +149,10 @@ def full_of_all(mapping: LogMapping, files: Sequence[LogFile]) -> LogMapping:
 def read_mapped(
     system: SystemInfo, *, path: str | Path, kind: str, mapping: str | Path | LogMapping | None = None
 ) -> list[RawRun]:
-    """Runs of a file or a folder of logs.
+    """Runs of a file or a folder of logs, of a kind of `READERS` that reads streams.
 
-    Args:
-        kind: Key of `READERS` of a reader of streams.
-        mapping: What the columns mean, or its YAML file; None: `mapping.yaml` beside the logs, else the proposal.
+    What the columns mean is said by a mapping or its YAML file; None: `mapping.yaml` beside the logs, else the
+    proposal.
 
     Raises:
         DataError: a log that cannot be read, one that needs a mapping, or one that contradicts it.

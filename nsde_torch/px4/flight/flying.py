@@ -42,10 +42,7 @@ def land(
     """Ask for LAND until that is confirmed, and wait until the vehicle is disarmed, however long that takes.
 
     No setpoint is sent. Whoever chooses another mode meanwhile has the vehicle; to disarm is asked for on the ground
-    alone, and never by force.
-
-    Returns:
-        Whether it landed, or what kept it from that; raises nothing.
+    alone, and never by force. Raises nothing: the outcome says whether it landed, or what kept it from that.
     """
     options = options or FlightOptions()
     endpoint, out = link.endpoint, FlightOutcome()
@@ -105,8 +102,7 @@ class FlightReport:
     """What a flight measured."""
 
     outcome: FlightOutcome  # how it ended
-    errors: list[float] = field(default_factory=list)
-    """Distance from the reference while it was tracked [m]."""
+    errors: list[float] = field(default_factory=list)  # distance from the reference while it was tracked [m]
     track: list[tuple[float, ...]] = field(default_factory=list)
     """Time in the reference [s] and state from the place of take-off, in rows, while it was tracked."""
     gaps: list[float] = field(default_factory=list)  # times between setpoints [s]

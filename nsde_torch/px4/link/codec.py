@@ -32,8 +32,7 @@ V1, V2 = 0xFE, 0xFD
 _HEADER = {V1: 6, V2: 10}
 _SIGNED, _SIGNATURE = 0x01, 13
 _REVERSED = bytes(int(f"{k:08b}"[::-1], 2) for k in range(256))
-_EPOCH = 1420070400.0
-"""Start of the clock of signatures, 1 January 2015 [s]."""
+_EPOCH = 1420070400.0  # start of the clock of signatures, 1 January 2015 [s]
 _MINUTE = 6_000_000
 BUDGET = 1500
 """Frames of one message that are decoded in a second; PX4 sends a tenth of it."""
@@ -98,11 +97,9 @@ class Codec:
         return packed
 
     def unpack(self, data: bytes, now: float) -> list[Message]:
-        """Messages in bytes; what is no message is counted and skipped.
+        """Messages in bytes, a datagram or a piece of a stream; what is no message is counted and skipped.
 
-        Args:
-            data: What arrived: a datagram, or a piece of a stream.
-            now: Time [s], of any clock that runs; the budget is for each of its seconds.
+        The budget is for each second of `now`, a time of any clock that runs [s].
         """
         if int(now) != self._second:
             self._second = int(now)

@@ -74,12 +74,7 @@ class Connection(ABC):
 
 @final
 class Link(Connection):
-    """A connection to one vehicle; a context manager.
-
-    Args:
-        transport: Bytes in and out.
-        system, target, key: See `Endpoint`.
-    """
+    """A connection to one vehicle, over bytes in and out (else see `Endpoint`); a context manager."""
 
     def __init__(
         self, transport: Transport, *, system: int = 245, target: int | None = None, key: bytes | None = None
@@ -123,11 +118,7 @@ class Link(Connection):
                 time.sleep(0.001)
 
     def wait_for_vehicle(self, timeout: float) -> None:
-        """Wait for the first state.
-
-        Raises:
-            LinkError: nothing, or no state, within `timeout` [s]; says what was heard.
-        """
+        """Wait for the first state; after `timeout` [s] without any, a LinkError says what was heard."""
         end = time.monotonic() + timeout
         while time.monotonic() < end:
             if self.endpoint.state is not None:
@@ -158,9 +149,5 @@ def why_no_state(endpoint: Endpoint, timeout: float) -> str:
 def open_link(
     url: str, *, expose: bool = False, system: int = 245, target: int | None = None, key: bytes | None = None
 ) -> Link:
-    """A link to what a url names; see `transport` and `Endpoint`.
-
-    Raises:
-        LinkError: the url is not understood or cannot be opened.
-    """
+    """A link to what a url names (`transport`; see `Endpoint`); LinkError where it is no url, or cannot be opened."""
     return Link(open_transport(url, expose=expose), system=system, target=target, key=key)

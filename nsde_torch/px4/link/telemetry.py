@@ -106,8 +106,7 @@ class Telemetry:
         """Setpoints that the autopilot says it follows, for who takes them."""
         self.rejected = 0
         """States that were not accepted: not finite, no rotation, or older than what is known."""
-        self.rate = 0.0
-        """States a second, smoothed over 20 of them."""
+        self.rate = 0.0  # states a second, smoothed over 20 of them
         self._position: tuple[float, Vec, Vec] | None = None
         self._last_odometry = -inf
         self._old = 0

@@ -56,12 +56,9 @@ class Transport(ABC):
 
 
 def open_transport(url: str, *, expose: bool = False, name: str = "link.url") -> Transport:
-    """The way for bytes that a url names.
+    """The way for bytes that a url names (see the module's text), which was given by a key of that name.
 
-    Args:
-        url: See the module's text.
-        expose: Allow to wait on other interfaces than loopback.
-        name: Key that the url was given by.
+    Other interfaces than loopback are waited on where that is allowed, with `expose`.
 
     Raises:
         LinkError: a url that is not understood, an address that cannot be had, or an interface without `expose`.

@@ -211,8 +211,7 @@ PATIENCE = 0.1
 """Longest wait for the motor commands to a sample [s]."""
 LONGEST = 0.1
 """Most that is made up for at once when the machine or PX4 was busy [s]."""
-_FIRST = 1.0
-"""First time that is sent; PX4 takes 0 for no time [s]."""
+_FIRST = 1.0  # first time that is sent; PX4 takes 0 for no time [s]
 _LOCKSTEP = 1
 
 

@@ -12,6 +12,7 @@ import pytest
 
 # Each part may import itself and what it names here.
 BASE = {
+    "aligned",
     "arrays",
     "errors",
     "columns",
@@ -32,6 +33,7 @@ MACHINES = {*BASE, "systems", "effects"}
 LEARNED = {*MACHINES, "data", "recording", "sde", "models", "plots"}
 TRAINED = {"inference", "sysid", "evaluation", "training"}
 MAY_IMPORT = {
+    "aligned": set(),
     "arrays": set(),
     "errors": set(),
     "jit": set(),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from nsde_torch.aligned import aligned
 from nsde_torch.errors import ConfigError
 
 from .. import messages
@@ -181,14 +182,9 @@ def _table(found: Inspection, *, everything: bool) -> list[str]:
         )
         for r in rows
     ]
-    widths = [max(len(row[k]) for row in (head, *cells)) for k in range(len(head))]
-    left_or_right = ["<", "<", *[">"] * (len(head) - 2)]
-    out = [
-        "  ".join(f"{c:{side}{w}}" for c, side, w in zip(row, left_or_right, widths, strict=True)).rstrip()
-        for row in (head, *cells)
-    ]
     left = len(found.columns) - len(rows)
-    return [*out, *([f"({left} more; columns=all lists them)"] if left else [])]
+    more = [f"({left} more; columns=all lists them)"] if left else []
+    return [*aligned([head, *cells], left=2), *more]
 
 
 def _given(words: Sequence[str]) -> tuple[str, dict[str, str]]:

@@ -13,6 +13,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
+from nsde_torch.aligned import aligned
 from nsde_torch.errors import ConfigError
 
 from .. import complete as completion
@@ -114,7 +115,8 @@ def _ranking(groups: Sequence[Group], score: str, columns: Sequence[str]) -> lis
         groups[0].jobs,
         key=lambda job: (math.isnan(job.metrics.get(score, math.nan)), job.metrics.get(score, 0.0)),
     )
-    return [*_table([head, *rows]), f"  best job: {best.folder}"]
+    table = aligned([head, *rows], left=len(head))
+    return [*(f"  {row}" for row in table), f"  best job: {best.folder}"]
 
 
 def _short(name: str) -> str:
@@ -155,14 +157,6 @@ def _pair(group: Group, metric: str) -> str:
     if math.isnan(mean):
         return "-"
     return f"{mean:.4g}" if math.isnan(spread) else f"{mean:.4g} +- {spread:.2g}"
-
-
-def _table(rows: list[list[str]]) -> list[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    ]
 
 
 def _finite(value: float) -> float | None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from nsde_torch.aligned import aligned
 from nsde_torch.arrays import Array
 from nsde_torch.data.inputs import InputRank
 from nsde_torch.data.kinematics import Slope, pool
@@ -129,7 +130,7 @@ class DataSummary:
                 " ..." if len(run.segments) > 3 else ""
             )
             table.append((run.name, str(run.rows), f"{run.duration_s:.2f}", parts))
-        lines += _columns(table)
+        lines += [f"  {row}" for row in aligned(table)]
         if len(shown) < len(self.runs):
             lines.append(f"  ... and {len(self.runs) - len(shown)} runs more")
         table = [("channel", "unit", "min", "5 %", "median", "95 %", "max")]
@@ -137,7 +138,7 @@ class DataSummary:
             (c.name, c.unit, *(f"{v:.4g}" for v in (c.minimum, c.q05, c.median, c.q95, c.maximum)))
             for c in self.channels
         ]
-        lines += _columns(table)
+        lines += [f"  {row}" for row in aligned(table)]
         e = self.envelope
         if e is not None:
             table = [
@@ -148,7 +149,7 @@ class DataSummary:
                 ("|yaw| [deg]", f"{e.yaw_q95:.1f}", f"{e.yaw_max:.1f}"),
                 ("|yaw - mean| [deg]", f"{e.heading_q95:.1f}", f"{e.heading_max:.1f}"),
             ]
-            lines += _columns(table)
+            lines += [f"  {row}" for row in aligned(table)]
         if self.input_rank.channels:
             lines.append(f"inputs span {self.input_rank.rank} of {self.input_rank.channels} dimensions")
         if self.findings:
@@ -172,13 +173,6 @@ def _grouped(findings: Sequence[Finding]) -> list[str]:
         if len(same) > 3:
             out.append(f"... {kind} in {len(same) - 3} runs more, {sum(f.count for f in same)} in all")
     return out
-
-
-def _columns(table: Sequence[tuple[str, ...]]) -> list[str]:
-    """Rows as text, first column left, the others right aligned."""
-    first, *widths = (max(map(len, column)) for column in zip(*table, strict=True))
-    rows = ([name.ljust(first), *map(str.rjust, cells, widths)] for name, *cells in table)
-    return ["  " + "  ".join(row) for row in rows]
 
 
 def _inside(run: Run, column: Array) -> Array:

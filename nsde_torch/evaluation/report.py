@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from math import floor, inf, log10
 from typing import Any
 
+from nsde_torch.aligned import aligned
+
 REPLAYED = "rms error, inputs replayed"
 """Head of a table of errors whose inputs are the log's own: in a closed loop they answer what disturbed."""
 NO_INTERVALS = "the model is deterministic: it has no intervals"
@@ -12,13 +14,8 @@ SHOWN_LEVELS = ("0.5", "0.9", "0.95")
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Rows in aligned columns, the first left, the others right."""
-    widths = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
-
-    def line(row: Sequence[str]) -> str:
-        cells = [row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))]
-        return "  ".join(cells).rstrip()
-
-    return "\n".join([line(head), "  ".join("-" * w for w in widths), *(line(row) for row in rows)])
+    rule = ["-" * max(map(len, column)) for column in zip(head, *rows, strict=True)]
+    return "\n".join(aligned([head, rule, *rows]))
 
 
 def number(value: float, width: float = 0.0) -> str:

@@ -10,6 +10,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import torch
+from torch import Tensor
+
 from nsde_torch.control.controller import (
     BAD_REFERENCE,
     BAD_STATE,
@@ -74,6 +77,14 @@ def step_inputs(s: Sizes) -> tuple[Entry, ...]:
         ),
         Entry("before", (s.n_plan,), "1", "`after` of the step before; zeros: there was none"),
     )
+
+
+def first_inputs(s: Sizes, x: Tensor) -> dict[str, Tensor]:
+    """Arguments of a first step by name, in order: at a state (nx,), where the machine is to stay."""
+    made = {e.name: torch.zeros(e.shape, dtype=torch.float64) for e in step_inputs(s)}
+    unknown = {name: torch.full_like(made[name], torch.nan) for name in ("last", "memory")}
+    valid = torch.ones((), dtype=torch.float64)
+    return {**made, **unknown, "state": x.clone(), "reference": x.repeat(s.steps, 1), "valid": valid}
 
 
 def step_outputs(s: Sizes) -> tuple[Entry, ...]:

@@ -23,7 +23,7 @@ from nsde_torch.control.gauss_newton import CHANGES, LEFT, GaussNewton
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import _repeat
 from nsde_torch.errors import ConfigError
-from nsde_torch.export.layout import AGE, COST, GAP, JUMPED, KNOWN, N_HEAD, TROUBLES, Sizes, step_inputs
+from nsde_torch.export.layout import AGE, COST, GAP, JUMPED, KNOWN, N_HEAD, TROUBLES, Sizes, first_inputs
 from nsde_torch.systems import Multirotor
 
 Stage = Callable[..., Sequence[Tensor]]
@@ -271,16 +271,7 @@ class ExportedStep(nn.Module):
 
     def first(self) -> list[Tensor]:
         """Arguments of a first step: hovering, where the machine is to hover."""
-        made = {e.name: torch.zeros(e.shape, dtype=torch.float64) for e in step_inputs(self.sizes)}
-        x = self.hover_z[0, 0, 0, : self.sizes.nx].double()
-        made |= {
-            "state": x.clone(),
-            "reference": x.repeat(self.sizes.steps, 1),
-            "valid": torch.ones((), dtype=torch.float64),
-        }
-        made["last"].fill_(torch.nan)
-        made["memory"].fill_(torch.nan)
-        return list(made.values())
+        return list(first_inputs(self.sizes, self.hover_z[0, 0, 0, : self.sizes.nx].double()).values())
 
     def run(self, stages: Mapping[str, Stage], *given: Tensor) -> tuple[Tensor, ...]:
         """The step, in Python: see `run`."""

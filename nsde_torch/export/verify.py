@@ -23,7 +23,7 @@ from nsde_torch.control.loop import percentiles
 from nsde_torch.control.reference import Reference
 from nsde_torch.errors import DataError
 from nsde_torch.export.exported import ExportedController
-from nsde_torch.export.layout import STATUS
+from nsde_torch.export.layout import STATUS, first_inputs
 from nsde_torch.rotation import turned
 
 TOLERANCE = 1e-4
@@ -254,16 +254,9 @@ def attack(
         x = reference.at(torch.tensor(t, dtype=torch.float64)) + 0.05 * draw(s.nx)
         x[6:10] = torch.nn.functional.normalize(x[6:10], dim=0)
         ref = reference.window(t, dt=o.dt, steps=o.steps).clone()
-        given = {
-            "state": x,
-            "valid": torch.tensor(1.0, dtype=torch.float64),
-            "elapsed": torch.tensor(0.02, dtype=torch.float64),
-            "reference": ref,
-            "last": torch.full((s.nu,), torch.nan, dtype=torch.float64),
-            "push": torch.zeros(s.nd, dtype=torch.float64),
-            "memory": torch.full((s.nz - s.nx,), torch.nan, dtype=torch.float64),
-            "before": before.clone(),
-        }
+        elapsed = torch.tensor(0.02, dtype=torch.float64)
+        now = {"state": x, "elapsed": elapsed, "reference": ref, "before": before.clone()}
+        given = {**first_inputs(s, x), **now}
         for _ in range(1 + pick(3)):
             kind = pick(10)
             if kind == 0:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import torch
@@ -37,9 +37,7 @@ def controller_of(
             "`mpc.deadline` needs a clock, which a graph has not; the program around it has. Bound "
             "mpc.iterations instead."
         )
-    plain = SolverOptions(
-        name=solver.name, iterations=solver.iterations, tolerance=solver.tolerance, compile="off"
-    )
+    plain = replace(solver, compile="off")
     return Controller(known, problem=problem, solver=plain, safety=safety, dtype=dtype)
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import KW_ONLY, InitVar, dataclass
 
 import numpy as np
 import torch
@@ -30,16 +31,9 @@ Indices = Tensor | NDArray[np.int64] | Sequence[int]
 TOLERANCE = 0.01  # share by which a step may miss a whole multiple of the data's
 
 
+@dataclass(eq=False)
 class Windows:
     """All windows of some runs; cut lazily.
-
-    Args:
-        runs: The runs, all on one step.
-        dt_model: Step of the model [s], a whole multiple of the step of the data (within 1 %).
-        horizon: Model steps in a window.
-        dtype: Type of the tensors.
-        device: Where the data live and the batches are cut.
-        denoise: Whether white sensor noise is taken out of `initial_states`.
 
     Raises:
         ConfigError: the steps do not divide, or the horizon is not positive.
@@ -50,17 +44,18 @@ class Windows:
         >>> x, u, t0 = windows.batch(windows.sample(512, generator))  # doctest: +SKIP
     """
 
-    def __init__(
-        self,
-        runs: Sequence[Run],
-        dt_model: float,
-        horizon: int,
-        *,
-        dtype: torch.dtype = torch.float32,
-        device: str | torch.device = "cpu",
-        denoise: bool = False,
+    runs: InitVar[Sequence[Run]]  # all on one step
+    dt_model: float  # step of the model [s], a whole multiple of the step of the data (within 1 %)
+    horizon: int  # model steps in a window
+    _: KW_ONLY
+    dtype: InitVar[torch.dtype] = torch.float32  # type of the tensors
+    device: InitVar[str | torch.device] = "cpu"  # where the data live and the batches are cut
+    denoise: InitVar[bool] = False  # whether white sensor noise is taken out of `initial_states`
+
+    def __post_init__(
+        self, runs: Sequence[Run], dtype: torch.dtype, device: str | torch.device, denoise: bool
     ) -> None:
-        runs = tuple(runs)
+        runs, dt_model, horizon = tuple(runs), float(self.dt_model), self.horizon
         if not runs:
             raise DataError("`runs` is empty; windows need at least one run.")
         if isinstance(horizon, bool) or horizon < 1 or int(horizon) != horizon:
@@ -80,9 +75,7 @@ class Windows:
                 f"got {dt_model:.6g} s, {ratio:.4g} steps. Take {low * data_dt:.6g} or "
                 f"{(low + 1) * data_dt:.6g} s, or read the data with another `dt`."
             )
-        self.dt_model = float(dt_model)
-        self.dt = data_dt
-        self.horizon = int(horizon)
+        self.dt_model, self.horizon, self.dt = dt_model, int(horizon), data_dt
         self.stride = round(ratio)
         self.run_names = tuple(run.name for run in runs)
         lengths = np.array([len(run) for run in runs])

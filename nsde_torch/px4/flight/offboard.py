@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field, replace
 from math import degrees, inf, pi
+from typing import final
 
 from nsde_torch.px4.flight import failsafe, preflight
 from nsde_torch.px4.flight.cascade import GRAVITY, Point, SetpointCascade
@@ -40,6 +41,7 @@ SETPOINTS = 500
 """Newest rates that are recognised as ours when PX4 reports them: it may hold them for 2 s, at 250 a second."""
 
 
+@final
 @dataclass(eq=False)
 class Offboard:
     """One flight: its phases, the stream, the place to hold, and the watch over all of them."""

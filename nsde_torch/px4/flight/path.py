@@ -47,6 +47,7 @@ class PathPoints:
         return Point(now.p, now.v, soon.a, soon.yaw, now.yaw_rate)
 
 
+@final
 @dataclass(eq=False)
 class CascadeController:
     """The cascade along a path, as a `FlightController`."""

@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import KW_ONLY, dataclass
 from math import cos, radians
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, final
 
 import torch
 from torch import Tensor
@@ -109,6 +109,7 @@ def carried(
     return (*p, *v, *q, *w)
 
 
+@final
 @dataclass(eq=False, kw_only=True)
 class PushEstimate:
     """What pushes the vehicle, learned from velocities while it flies."""
@@ -237,6 +238,7 @@ def braking(controller: Controller) -> Drag:
     return tuple((row[0], row[1], row[2]) for row in rows)  # type: ignore[return-value]
 
 
+@final
 @dataclass(eq=False)
 class PredictiveController:
     """Plans with a model; a `FlightController`.

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
 from math import inf
 from multiprocessing.connection import Connection
+from typing import final
 
 from nsde_torch.errors import NsdeError
 from nsde_torch.px4.flight.controller import Asked, DemandPlan, FlightController
@@ -64,6 +65,7 @@ class Runner(ABC):
             self.plan = plan
 
 
+@final
 @dataclass(eq=False)
 class Inline(Runner):
     """In the loop: for controllers that take microseconds, and for flights in virtual time."""
@@ -97,6 +99,7 @@ class Inline(Runner):
             self.fault = f"{type(error).__name__}: {error}"
 
 
+@final
 @dataclass(eq=False)
 class Process(Runner):
     """In a process of its own."""

@@ -29,6 +29,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from math import acos, degrees, inf, isfinite, radians
+from typing import final
 
 from nsde_torch.px4.flight.controller import TIPPED, DemandPlan
 from nsde_torch.px4.flight.options import Limits
@@ -143,6 +144,7 @@ def contradicted(quality: EstimateQuality | None, limits: Limits, now: float, *,
 _UNSUITED = "the controller or its model does not suit the machine, or its plans come too late"
 
 
+@final
 @dataclass(eq=False)
 class Watch:
     """Looks at state and status of a flight, and says what is wrong."""

@@ -20,7 +20,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import KW_ONLY, dataclass
-from typing import Any
+from typing import Any, final
 
 from nsde_torch.errors import ConfigError
 from nsde_torch.px4.link.dialect import mavlink
@@ -59,6 +59,7 @@ def signing_key(text: str) -> bytes:
     return key if len(key) == 32 else hashlib.sha256(text.encode()).digest()
 
 
+@final
 @dataclass(eq=False)
 class Codec:
     """Frames of one connection."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
+from typing import final
 
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link import frames
@@ -45,6 +46,7 @@ SHARE = 0.7
 """Share of the rate that was asked for with which we are content; PX4 sends 99 Hz for 100."""
 
 
+@final
 @dataclass(eq=False)
 class Endpoint:
     """Says and hears."""

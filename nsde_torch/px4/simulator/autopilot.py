@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field, replace
 from math import hypot, inf, nan
+from typing import final
 
 from nsde_torch.px4.flight.cascade import GRAVITY, Point, SetpointCascade, levelling
 from nsde_torch.px4.link import dialect as d
@@ -75,6 +76,7 @@ NEARLY_FULL = 0.95  # what a thrust above 1 becomes
 _NAMES = {number: name for name, number in NUMBERS.items()}
 
 
+@final
 @dataclass(eq=False)
 class SimulatedAutopilot:
     """A vehicle without a connection: bytes in by `receive`, bytes out from `advance`, on its own clock."""

@@ -13,6 +13,7 @@ The ground is a plane at height 0 that carries what does not lift itself, withou
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import KW_ONLY, dataclass
 from math import exp
 from typing import final
 
@@ -36,41 +37,31 @@ _NATIVE = {"motor_lag", "linear_drag"}
 
 
 @final
+@dataclass(eq=False)
 class Body:
     """One multirotor.
-
-    Args:
-        name, effects, declared_only: See `make_plant_system`; a multirotor.
-        seed: Of the gusts; `process_noise` is a factor on them.
-        latency: Time from a command to its effect [s]; an effect `input_delay` adds to it.
-        dt: Step [s].
-
-    Attributes:
-        p, v, q, w: True state, ENU and FLU.
-        on_ground: Whether the ground carries it.
-        voltage: Of the battery [V]; `used` is the share of its charge that is spent.
 
     Raises:
         ConfigError: no multirotor plant of that name, or an effect that reads a channel that is not there.
     """
 
-    def __init__(
-        self,
-        name: str,
-        *,
-        seed: int,
-        effects: Effects = (),
-        declared_only: bool = False,
-        process_noise: float = 1.0,
-        latency: float = 0.0,
-        dt: float = 0.004,
-    ) -> None:
-        spec, asked = machine(name), named_effects(effects, name)
+    name: str  # of a multirotor; as `effects` and `declared_only` see `make_plant_system`
+    _: KW_ONLY
+    seed: int  # of the gusts
+    effects: Effects = ()
+    declared_only: bool = False
+    process_noise: float = 1.0  # factor on the gusts
+    latency: float = 0.0  # time from a command to its effect [s]; an effect `input_delay` adds to it
+    dt: float = 0.004  # step [s]
+
+    def __post_init__(self) -> None:
+        name, dt, latency = self.name, self.dt, self.latency
+        spec, asked = machine(name), named_effects(self.effects, name)
         delay = asked.pop("input_delay", None)
         if delay is not None:
             latency += float(delay.get("delay", 0.02))  # type: ignore[arg-type]
         system = make_plant_system(
-            name, effects=[{k: v} for k, v in asked.items()], declared_only=declared_only
+            name, effects=[{k: v} for k, v in asked.items()], declared_only=self.declared_only
         )
         if not isinstance(system, Multirotor):
             raise ConfigError(
@@ -80,7 +71,7 @@ class Body:
             raise ConfigError(
                 f"effects read {system.exogenous}; a simulated vehicle has battery_voltage only."
             )
-        self.system, self.dt, self._spec = system, dt, spec
+        self.system, self._spec = system, spec
         self._full = frozen(system).double()
         declared = {k: v for k, (v, _) in system.declared_parameters().items() if v.numel() == 1}
         self._gain, self._offset = float(declared["thrust_gain"]), float(declared["thrust_offset"])
@@ -107,20 +98,23 @@ class Body:
             spec.gusts,
             system.ports,
             dt=HELD,
-            scale=process_noise,
-            generator=torch.Generator().manual_seed(seed),
+            scale=self.process_noise,
+            generator=torch.Generator().manual_seed(self.seed),
         )
         self._gusts.reset(1)
         self._delay = round(latency / dt)
         nu = system.nu
         self._commands: deque[tuple[float, ...]] = deque([(0.0,) * nu] * (self._delay + 1), self._delay + 1)
         self.nu = nu
+        # the true state, ENU and FLU
         self.p: Vec = (0.0, 0.0, 0.0)
         self.v: Vec = (0.0, 0.0, 0.0)
         self.q: Quat = (1.0, 0.0, 0.0, 0.0)
         self.w: Vec = (0.0, 0.0, 0.0)
         self.motors: tuple[float, ...] = (0.0,) * nu  # what the motors do, 0 to 1
-        self.on_ground, self.used, self.time = True, 0.0, 0.0
+        self.on_ground = True  # whether the ground carries it
+        self.used = 0.0  # share of the battery's charge that is spent
+        self.time = 0.0
         self._memory: torch.Tensor | None = None
         self._memory_rate = torch.zeros(0)
         self._push: Vec = (0.0, 0.0, 0.0)

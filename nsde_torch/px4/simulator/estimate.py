@@ -20,6 +20,7 @@ import random
 from cmath import rect
 from dataclasses import dataclass, field
 from math import cos, radians, sin
+from typing import final
 
 from nsde_torch.px4.link.vectors import Quat, Vec, from_rotation_vector, multiply
 from nsde_torch.px4.simulator.body import Body
@@ -39,6 +40,7 @@ Estimate = tuple[Vec, Vec, Quat, Vec]
 """Position, velocity, attitude and rates."""
 
 
+@final
 @dataclass(eq=False, kw_only=True)
 class SimulatedEstimator:
     """The estimator of one vehicle."""

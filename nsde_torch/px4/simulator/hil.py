@@ -18,7 +18,7 @@ import random
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, field
 from math import atan2, ceil, cos, degrees, isfinite, radians, sin
 from typing import final
 
@@ -216,25 +216,25 @@ _LOCKSTEP = 1
 
 
 @final
+@dataclass(eq=False)
 class HilPlant:
-    """The machine, whose step must be the IMU's, and its sensors, without a connection and without a clock.
+    """The machine, whose step must be the IMU's, and its sensors, without a connection and without a clock."""
 
-    Attributes:
-        answers: Messages with motor commands so far.
-        lockstep: Whether PX4 says that it waits for us.
-        armed: Whether PX4 says that it is armed.
-    """
+    body: Body
+    _: KW_ONLY
+    seed: int  # of the sensors, as what follows
+    noise: float = 1.0
+    errors: SensorErrors = field(default_factory=SensorErrors)
 
-    def __init__(
-        self, body: Body, *, seed: int, noise: float = 1.0, errors: SensorErrors | None = None
-    ) -> None:
-        if abs(body.dt * RATE - 1.0) > 1e-9:
-            raise ValueError(f"the machine's step must be {1.0 / RATE:g} s; got {body.dt:g} s")
-        self.body = body
+    def __post_init__(self) -> None:
+        if abs(self.body.dt * RATE - 1.0) > 1e-9:
+            raise ValueError(f"the machine's step must be {1.0 / RATE:g} s; got {self.body.dt:g} s")
         self.codec = Codec(1, 200, wanted=frozenset((NUMBERS["HIL_ACTUATOR_CONTROLS"],)), stream=True)
-        self.controls: tuple[float, ...] = (0.0,) * body.nu  # motor commands in force
-        self.answers, self.lockstep, self.armed = 0, False, False
-        self._sensors = HilSensors(seed=seed, noise=noise, errors=errors)
+        self.controls: tuple[float, ...] = (0.0,) * self.body.nu  # motor commands in force
+        self.answers = 0  # messages with motor commands so far
+        self.lockstep = False  # whether PX4 says that it waits for us
+        self.armed = False  # whether PX4 says that it is armed
+        self._sensors = HilSensors(seed=self.seed, noise=self.noise, errors=self.errors)
 
     @property
     def time(self) -> float:
@@ -264,6 +264,7 @@ class HilPlant:
         self.body.step(self.controls)
 
 
+@final
 @dataclass(eq=False)
 class HilServer:
     """Serves PX4, one after another."""

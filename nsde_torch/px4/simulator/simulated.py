@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
+from typing import final
 
 from nsde_torch.px4.flight.controller import FlightController
 from nsde_torch.px4.flight.flying import FlightReport, fly
@@ -31,6 +32,7 @@ STEP = 0.002
 """Longest step between looks at what has arrived [s]."""
 
 
+@final
 @dataclass(eq=False)
 class VirtualLink(Connection):
     """A connection to a simulated vehicle."""

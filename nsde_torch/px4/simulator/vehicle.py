@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
 from typing import final
 
 from nsde_torch.px4.link.transport import Transport
@@ -17,14 +18,16 @@ LONGEST = 0.1
 
 
 @final
+@dataclass(eq=False)
 class Vehicle:
-    """Runs a simulated autopilot on a transport, `speed` seconds of its clock in one of ours.
+    """Runs a simulated autopilot on a transport; a context manager does so in a thread."""
 
-    A context manager does so in a thread.
-    """
+    autopilot: SimulatedAutopilot
+    transport: Transport
+    _: KW_ONLY
+    speed: float = CLOCK  # seconds of its clock in one of ours
 
-    def __init__(self, autopilot: SimulatedAutopilot, transport: Transport, *, speed: float = CLOCK) -> None:
-        self.autopilot, self._transport, self._speed = autopilot, transport, speed
+    def __post_init__(self) -> None:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self.run, name="vehicle", daemon=True)
         self.slipped = 0.0  # time that its clock lost because the machine was busy [s]
@@ -33,16 +36,16 @@ class Vehicle:
         """Run until asked to stop."""
         begun, offset = time.monotonic(), self.autopilot.time
         while not (self._stop.is_set() or until()):
-            wanted = offset + (time.monotonic() - begun) * self._speed
+            wanted = offset + (time.monotonic() - begun) * self.speed
             behind = wanted - self.autopilot.time
             if behind > LONGEST:
                 self.slipped += behind - LONGEST
                 offset -= behind - LONGEST
                 wanted -= behind - LONGEST
             for frame in self.autopilot.advance(wanted):
-                self._transport.send(frame)
+                self.transport.send(frame)
             wait = TICK
-            while data := self._transport.receive(wait):
+            while data := self.transport.receive(wait):
                 self.autopilot.receive(data)
                 wait = 0.0
 
@@ -53,4 +56,4 @@ class Vehicle:
     def __exit__(self, *error: object) -> None:
         self._stop.set()
         self._thread.join(2.0)
-        self._transport.close()
+        self.transport.close()

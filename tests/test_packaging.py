@@ -110,7 +110,8 @@ def test_wheel_holds_code_commands_and_every_config_file(wheel: Path, root: Path
     expected = {str(path.relative_to(root)) for path in (root / "nsde_torch").rglob("*.py")}
     expected |= {f"nsde_torch/{path.relative_to(root)}" for path in (root / "cli").rglob("*.py")}
     expected |= {f"nsde_torch/{path.relative_to(root)}" for path in (root / "conf").rglob("*.yaml")}
-    expected |= {f"nsde_torch/{path.relative_to(root)}" for path in (root / "cli/serving/page").iterdir()}
+    for folder in ("cli/serving/page", "cli/shell"):
+        expected |= {f"nsde_torch/{path.relative_to(root)}" for path in (root / folder).iterdir()}
     plug_ins = (root / "benchmarks" / "nsde_benchmarks").rglob("*.py")
     expected |= {str(path.relative_to(root / "benchmarks")) for path in plug_ins}
     for part in ("control/codegen", "diagnosis", "export"):

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from nsde_torch.cli import groups
-from nsde_torch.cli.commands.completion import SCRIPTS, query
+from nsde_torch.cli.commands.completion import SHELLS, query
 from nsde_torch.cli.main import main
 from nsde_torch.cli.registry import all_commands
 
@@ -56,7 +56,7 @@ def test_paths_are_completed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert query(["train", "--config-dir", "f"]) == ["flights/"]
 
 
-@pytest.mark.parametrize("shell", list(SCRIPTS))
+@pytest.mark.parametrize("shell", SHELLS)
 def test_script_is_printed_and_parses(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["completion", shell]) == 0
     script = capsys.readouterr().out

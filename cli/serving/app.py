@@ -29,8 +29,9 @@ from werkzeug.wrappers import Request, Response
 
 from .answers import TYPES, answer_file, answer_json, check_place, check_token, shut_in
 from .job import STATES, RefusedError, ServedJob
-from .runner import INSPECTION, LOG, MAPPING, RESULT, SUMMARY, JobRunner
+from .runner import INSPECTION, LOG, MAPPING, JobRunner
 from .shelf import FORMATS, receive
+from .summary import RESULT, SUMMARY
 
 _STATIC = ("index.html", "page.js", "views.js", "page.css", "icon.svg")
 _LARGEST = 1 << 18  # bytes of a request that is no log

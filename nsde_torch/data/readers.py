@@ -43,7 +43,7 @@ READERS: dict[str, Reader] = {
     "csv": Reader("nsde_torch.data.csv_folder:read_csv", "A folder with one CSV file per run."),
     "ulog": Reader("nsde_torch.data.ulog:read_ulog", "One PX4 log or a folder of them.", suffixes=(".ulg",)),
     "published": Reader(
-        "nsde_torch.data.unpickler:read_published",
+        "nsde_torch.data.published:read_published",
         "The authors' published files.",
         suffixes=(".pkl", ".pickle"),
         folders=False,

@@ -17,7 +17,8 @@ from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.recording import assemble
 from nsde_torch.systems import make_system
 from nsde_torch.training import LossOptions, TrainerOptions
-from nsde_torch.training.fit_innovations import fit_innovations, identified
+from nsde_torch.training.fit_innovations import fit_innovations
+from nsde_torch.training.late_inputs import identified
 from nsde_torch.training.task import Fitted, Task
 from tests.helpers.encoders import encoder_runs
 from tests.inference.springs import TRUTH, B, rubbing, small_runs

@@ -152,8 +152,11 @@ class _Filter:
         c = torch.cat((of_state.T @ slopes.double(), *(w.T.expand(batch, -1, -1) for w in of_past)), 2)
         pc = self.p @ c.mT
         spread = c @ pc + self.noise
-        root = torch.linalg.cholesky(spread)
+        root, failed = torch.linalg.cholesky_ex(spread)
+        # a start whose mean path has left all bounds goes on without the inputs, and does not end the others
+        root[failed > 0] = torch.eye(root.shape[-1]).to(root)
         gain = torch.cholesky_solve(pc.mT, root).mT
+        gain[(failed > 0) | ~torch.isfinite(gain).all(2).all(1)] = 0.0
         self.p = self.p - gain @ pc.mT
         self.p = 0.5 * (self.p + self.p.mT)
         known = self.inputs[:, k] - self.constant.to(z)
@@ -186,7 +189,7 @@ class _Filter:
 
 @torch.no_grad()
 def fit_feedback(model: NeuralSDE, runs: Sequence[Run], lags: int = LAGS) -> FeedbackModel | None:
-    """The controller of some runs, by least squares; None where they are too short for it.
+    """The controller of some runs, by least squares; None where they are too short for it, or no input ever changes.
 
     Args:
         model: Whose features and applied inputs count.
@@ -214,7 +217,7 @@ def fit_feedback(model: NeuralSDE, runs: Sequence[Run], lags: int = LAGS) -> Fee
         return None
     seen, given = torch.cat(rows), torch.cat(answers)
     freedom = len(seen) - seen.shape[1]
-    if freedom < seen.shape[1]:
+    if freedom < seen.shape[1] or not bool((given.std(0) > 0).any()):
         return None
     scale = seen.abs().amax(0).clamp_min(1e-12)
     # inputs that a mixer ties to one another leave directions that nothing tells: the least weights are as good there

@@ -119,6 +119,8 @@ def test_it_is_kept_where_it_makes_predictions_of_the_training_runs_better(close
     assert (model.spec.feedback > 0) == closed
     if closed:
         assert found["crps"] < -0.1
+    still = Run("run_0", DT * np.arange(len(u)), x[:-1, None], np.zeros((len(u), 1)))
+    assert fit_feedback(model, [still], 3) is None
     short = gusty()
     short.spec = replace(short.spec, feedback=3)
     few = Run("run_0", DT * np.arange(9), x[:9, None], u[:9, None])

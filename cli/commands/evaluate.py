@@ -37,6 +37,12 @@ class EvaluateConfig:
         "null: data with data.test_path, else train",
         choices=("train", "data"),
     )
+    inputs: str = key(
+        "logged",
+        "logged: a controller chose the inputs, and a model that has learned it reads from them what disturbed the "
+        "machine; set: nothing is read from them",
+        choices=("logged", "set"),
+    )
     compile: bool = key(False, "compile the step: half a minute or more, which some thousand starts repay")
     out_dir: str = key("???", "folder to write into", file=True)
     data: RunChoice = group(RunChoice, "runs to score on; null: those that the first run was tested on")
@@ -90,6 +96,7 @@ def run(config: DictConfig, job: Job) -> None:
         horizons=None if config.horizons is None else list(config.horizons),
         bootstrap=config.bootstrap,
         compile=config.compile,
+        inputs=config.inputs,
     )
     _, *pictures = done.save(job.run_dir)
     print()

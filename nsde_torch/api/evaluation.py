@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
@@ -16,7 +17,7 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.evaluation.common_grid import Candidate
 from nsde_torch.evaluation.comparison import Comparison, compare
 from nsde_torch.evaluation.seen import SeenRuns
-from nsde_torch.models.capabilities import learns_sensors
+from nsde_torch.models.capabilities import is_stochastic, learns_sensors
 from nsde_torch.models.model import Model
 from nsde_torch.models.run_directory import load
 from nsde_torch.threads import one_thread
@@ -37,6 +38,7 @@ def evaluate(
     bootstrap: int = 2000,
     seed: int = 0,
     compile: bool = False,
+    inputs: Literal["logged", "set"] = "logged",
     say: Callable[[str], None] | Literal[False] = print,
 ) -> Comparison:
     """Score models on runs, against baselines and each other, as `nsde evaluate` does.
@@ -52,6 +54,8 @@ def evaluate(
         bootstrap: Resamples of the paired bootstrap, at least 100.
         seed: Seed of the sampled paths and of the bootstrap.
         compile: Compile the step: half a minute or more, which some thousand starts repay.
+        inputs: `logged`: a controller chose the inputs, and a model that has learned it reads from them what disturbed
+            the machine, but at interventions. `set`: whatever the inputs answer, nothing is read from them.
         say: Takes what is going on, line by line; False: nothing is printed.
 
     Returns:
@@ -73,7 +77,11 @@ def evaluate(
     """
     if sensor_noise not in ("train", "data"):
         raise ConfigError(f"`sensor_noise` must be train or data; got {sensor_noise!r}.")
+    if inputs not in ("logged", "set"):
+        raise ConfigError(f"`inputs` must be logged or set; got {inputs!r}.")
     named = _named(models)
+    if inputs == "set":
+        named = {name: _without_feedback(model) for name, model in named.items()}
     read_data = read(data, system=all_columns([model.system for model in named.values()]))
     chosen = runs_named(read_data, runs)
     candidates = [
@@ -115,6 +123,15 @@ def _named(models: Models) -> dict[str, Model]:
             f"`models` has several called {', '.join(twice)}; give names, {{'a': model, 'b': other}}."
         )
     return dict(zip(names, loaded, strict=True))
+
+
+def _without_feedback(model: Model) -> Model:
+    """The model, or a copy that has not learned the controller of its training runs."""
+    if not is_stochastic(model):
+        return model
+    made = copy.deepcopy(model)
+    made.feedback = None
+    return made
 
 
 def _loaded(model: Model | str | Path) -> Model:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
 
+import nsde_torch
 from nsde_torch.data import Run
-from nsde_torch.models import NeuralSDE
+from nsde_torch.errors import ConfigError
+from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.models.feedback_model import FeedbackModel, fit_feedback
 from nsde_torch.training.fit_feedback import learn_feedback
 from tests.helpers.toy_systems import DT, Gusty, fix_sigma, make_model
@@ -125,3 +128,22 @@ def test_it_is_kept_where_it_makes_predictions_of_the_training_runs_better(close
     short.spec = replace(short.spec, feedback=3)
     few = Run("run_0", DT * np.arange(9), x[:9, None], u[:9, None])
     assert learn_feedback(short, [few], seed=0) == {"kept": False}
+
+
+def test_an_evaluation_reads_logged_inputs_or_not() -> None:
+    spec = SDESpec(
+        "mass_spring_damper", dt=0.02, horizon=10, step="euler_maruyama", sigma_max=(0.0, 0.3), feedback=1
+    )
+    model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0)).requires_grad_(False)
+    made = nsde_torch.simulate("mass_spring_damper", durations=[3.0, 3.0], seed=1)
+    data = nsde_torch.read(made, system="mass_spring_damper")
+    model.feedback = fit_feedback(model, data.runs, 1) or FeedbackModel(2, 1, 1)
+    given: dict[str, Any] = {"particles": 9, "bootstrap": 100, "say": False}
+    logged = nsde_torch.evaluate(model, data, **given)
+    blind = nsde_torch.evaluate(model, data, inputs="set", **given)
+    assert "predictions read from the logged inputs" in logged.report
+    assert "predictions read from the logged inputs" not in blind.report
+    assert model.capabilities.knows_feedback
+    assert logged.errors != blind.errors
+    with pytest.raises(ConfigError, match="`inputs` must be logged or set; got 'given'"):
+        nsde_torch.evaluate(model, data, inputs="given", **given)  # type: ignore[arg-type]

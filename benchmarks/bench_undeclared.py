@@ -1,11 +1,11 @@
-"""Question: what is a neural SDE worth on a machine with a law that nobody declared, beside the model that is told it?
+"""Question: what is a neural SDE worth on a machine with an undeclared law, beside a model that has it declared?
 
     python benchmarks/bench_undeclared.py --out results/undeclared --seeds 3
 
 Flights of a hexacopter with an undeclared law and a lag of its motors (`nsde simulate`) train three models: `nsde` by
-default, `sysid` (the declared physics alone) and `told` (least squares with both effects declared). They are judged on
+default, `sysid` (the declared physics alone) and `informed` (least squares with both effects declared). Judges are
 400 interventions on the same machine from flights of another seed (rms error at 1 s and what 90 % intervals hold), and
-by flying it (`nsde track`, four machines with gusts of their own). Ratios are to `told`.
+flights of it (`nsde track`, four machines with gusts of their own). Ratios are to `informed`.
 """
 
 from __future__ import annotations
@@ -61,14 +61,14 @@ def judged(folder: Path, name: str, seed: int, starts: int) -> dict[str, Any]:
         if not out.with_suffix(".truth.json").is_file():  # written last
             nsde("simulate", "system=hexacopter", f"out={out}", "overwrite=true", *words, *plant)
     base = ["system=hexacopter", "data=csv", f"data.path={flights}"]
-    told = f"system.effects=[{','.join([*LAG, *law])}]"
-    jobs = {"nsde": [], "sysid": ["model=sysid"], "told": ["model=sysid", told]}
+    informed = f"system.effects=[{','.join([*LAG, *law])}]"
+    jobs = {"nsde": [], "sysid": ["model=sysid"], "informed": ["model=sysid", informed]}
     runs = {model: folder / model for model in jobs}
     train_all({runs[model]: [*base, *words] for model, words in jobs.items()}, at_once=1)
     content = nsde_torch.evaluate(runs, str(others), horizons=[0.5, 1.0], bootstrap=100, say=False).content
     tracks = folder / "track"
     if not (tracks / "tracking.json").is_file():
-        beside = f"beside=[{runs['told']},{runs['sysid']}]"
+        beside = f"beside=[{runs['informed']},{runs['sysid']}]"
         words = [*flown.split(), "machines=4", f"seed={seed}", f"out_dir={tracks}"]
         nsde("track", f"run={runs['nsde']}", beside, *words, *plant)
     tracked = json.loads((tracks / "tracking.json").read_text(encoding="utf-8"))["controllers"].values()
@@ -85,13 +85,13 @@ def judged(folder: Path, name: str, seed: int, starts: int) -> dict[str, Any]:
 
 
 def line(name: str, seed: int, found: dict[str, Any]) -> str:
-    """One row of the table: ratios to the model that is told."""
+    """One row of the table: ratios to the informed model."""
     cells = [name, str(seed)]
     for model in ("nsde", "sysid"):
-        ratios = [found[model]["errors"][g] / found["told"]["errors"][g] for g in GROUPS]
+        ratios = [found[model]["errors"][g] / found["informed"]["errors"][g] for g in GROUPS]
         cells.append(", ".join(f"{r:.2f}" for r in ratios))
     cells.append(", ".join(f"{100 * found['nsde']['coverage_90'][g]:.0f}" for g in GROUPS))
-    cells.append(", ".join(f"{found[m]['track_cm']:.2f}" for m in ("nsde", "sysid", "told")))
+    cells.append(", ".join(f"{found[m]['track_cm']:.2f}" for m in ("nsde", "sysid", "informed")))
     return "| " + " | ".join(cells) + " |"
 
 
@@ -108,7 +108,8 @@ def main() -> None:
     a = parser.parse_args()
     torch.set_num_threads(1)
     print(
-        "| law | seed | errors at 1 s: nsde / told | sysid / told | 90 % hold: nsde | flown [cm]: nsde, sysid, told |"
+        "| law | seed | errors at 1 s: nsde / informed | sysid / informed | 90 % hold: nsde "
+        "| flown [cm]: nsde, sysid, informed |"
     )
     print("|---" * 6 + "|")
     every = {}

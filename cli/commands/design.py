@@ -107,7 +107,6 @@ def run(config: DictConfig, job: Job) -> None:
 
 
 def _options(config: DictConfig) -> dict[str, Any]:
-
     from .. import build
 
     given = build.options(config, "run", "runs", "flown", "plan", "baselines", "threads", "out_dir")

@@ -17,7 +17,7 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.evaluation.common_grid import Candidate
 from nsde_torch.evaluation.comparison import Comparison, compare
 from nsde_torch.evaluation.seen import SeenRuns
-from nsde_torch.models.capabilities import is_stochastic, learns_sensors
+from nsde_torch.models.capabilities import is_equation, learns_sensors
 from nsde_torch.models.model import Model
 from nsde_torch.models.run_directory import load
 from nsde_torch.threads import one_thread
@@ -127,7 +127,7 @@ def _named(models: Models) -> dict[str, Model]:
 
 def _without_feedback(model: Model) -> Model:
     """The model, or a copy that has not learned the controller of its training runs."""
-    if not is_stochastic(model):
+    if not (model.capabilities.knows_feedback and is_equation(model)):
         return model
     made = copy.deepcopy(model)
     made.feedback = None

@@ -215,7 +215,7 @@ def fit_feedback(model: NeuralSDE, runs: Sequence[Run], lags: int = LAGS) -> Fee
                 answers.append(u[lags:])
     if not rows:
         return None
-    seen, given = torch.cat(rows), torch.cat(answers)
+    seen, given = torch.cat(rows).cpu(), torch.cat(answers).cpu()  # no GPU solves it where inputs are tied
     freedom = len(seen) - seen.shape[1]
     if freedom < seen.shape[1] or not bool((given.std(0) > 0).any()):
         return None

@@ -21,7 +21,7 @@ from nsde_torch.models.neural_sde import NeuralSDE
 
 _STARTS, _PARTICLES = 128, 49
 _LONGEST_S = 1.0  # predictions from starts that are nearer to one another are not independent either
-_SURE = 2.0  # standard errors
+_SURE = 2.0  # standard errors; the built-in carts, in open loop, have -0.0003 +- 0.0054
 
 
 @torch.no_grad()
@@ -34,13 +34,13 @@ def learn_feedback(model: NeuralSDE, runs: Sequence[Run], *, seed: int) -> dict[
     """
     made, dt = fit_feedback(model, runs, model.spec.feedback), model.spec.dt
     steps = [round(h / dt) for h in horizons_of(runs, dt) if h <= _LONGEST_S and h > model.spec.feedback * dt]
-    model.feedback = None
-    windows = (
-        Windows(runs, dt, steps[-1], dtype=model.clock_scale.dtype) if made is not None and steps else None
-    )
-    starts = torch.empty(0) if windows is None else start_grid(windows)
-    if windows is None or windows.interventional or len(starts) < 2:
-        model.spec = replace(model.spec, feedback=0)
+    asked, like = model.spec, model.clock_scale
+    model.feedback, model.spec = None, replace(asked, feedback=0)
+    if made is None or not steps:
+        return {"kept": False}
+    windows = Windows(runs, dt, steps[-1], dtype=like.dtype, device=like.device)
+    starts = start_grid(windows)
+    if windows.interventional or len(starts) < 2:
         return {"kept": False}
     independent = len(starts) * START_EVERY / _LONGEST_S
     if len(starts) > _STARTS:
@@ -55,6 +55,6 @@ def learn_feedback(model: NeuralSDE, runs: Sequence[Run], *, seed: int) -> dict[
         change = ((beside.crps - without.crps) / scale).mean((1, 2))  # of each start
         mean = float(change.mean())
         error = float(change.std()) / min(len(change), independent) ** 0.5
-    if not mean < -_SURE * error:
-        model.feedback, model.spec = None, replace(model.spec, feedback=0)
-    return {"kept": model.feedback is not None, "crps": mean, "standard_error": error}
+    kept = mean < -_SURE * error
+    model.feedback, model.spec = (made, asked) if kept else (None, model.spec)
+    return {"kept": kept, "crps": mean, "standard_error": error}

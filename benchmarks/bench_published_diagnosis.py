@@ -61,9 +61,8 @@ def rates(found: Diagnosis, test: Run) -> dict[str, list[float]]:
     """Residual of each dynamic channel on a run left out: rms [unit/s] without and with effects."""
     steps = Search(found.system, [test], found.recorded.clock, found.options).steps
     out: dict[str, list[float]] = {}
-    for base in (found.outcome.declared, found.outcome.final):
-        fitted = base.regression
-        physics = Physics(ParameterVector(base.system), steps)
+    for fitted in (found.outcome.declared, found.outcome.final):
+        physics = Physics(ParameterVector(fitted_system(fitted)), steps)
         left = physics.residual(fitted.theta)[:, fitted.rows]
         smooth = smooth_rate(left, steps.segments, bump(steps.dt), steps.dt)
         for channel, rms in zip(fitted.rows, np.sqrt(np.square(smooth).mean(0)), strict=True):
@@ -77,8 +76,8 @@ def errors(found: Diagnosis, spec: SysidSpec, test: Run) -> dict[str, dict[str, 
     windows = Windows([test], spec.dt, steps[-1], dtype=torch.float64)
     starts = thinned(start_grid(windows))
     out: dict[str, dict[str, list[float]]] = {}
-    for base in (found.outcome.declared, found.outcome.final):
-        model = as_model(spec, fitted_system(base.regression), found.recorded.clock)
+    for fitted in (found.outcome.declared, found.outcome.final):
+        model = as_model(spec, fitted_system(fitted), found.recorded.clock)
         squares = rollout_squares(model, windows, starts, steps)
         for j, group in enumerate(found.system.error_groups):
             rms = squares[:, :, j].double().mean(0).sqrt() * group.factor

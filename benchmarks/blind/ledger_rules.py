@@ -85,7 +85,7 @@ def _names(found: Sequence[Any]) -> list[str]:
 
 
 def _nothing_set_aside(original: Function, search: Any, chosen: Any, feedback: Any) -> Any:
-    return replace(chosen, feedback=feedback.test(chosen.final.regression))
+    return replace(chosen, test=feedback.test(chosen.final))
 
 
 def _no_second_look(original: Function, search: Any, place: Any, *before: Any) -> Any:

@@ -225,7 +225,7 @@ def _simulated(
 
     They follow where the data were recorded in a loop, or where the machine leaves the range of the log else.
     """
-    runs, steps = found.recorded.runs, found.outcome.final.regression.physics.steps
+    runs, steps = found.recorded.runs, found.outcome.final.physics.steps
     places = [(n, a, b) for n, run in enumerate(runs) for a, b in run.segments]
     states, inputs = ([getattr(runs[n], key)[a:b] for n, a, b in places] for key in ("x", "u"))
     times = np.repeat([steps.dt / steps.logged_dt * runs[n].t[a] for n, a, _ in places], logs)

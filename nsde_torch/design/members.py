@@ -377,7 +377,7 @@ def _fit(search: Search, system: System, like: Regression | None, held: Sequence
     system = system.with_effects()
     vector = ParameterVector(system)
     vector.write(system, np.where(np.isin(vector.labels, held), 0.0, vector.start))
-    out = search.regression(system, search.base(system).regression if like is None else like, held=held)
+    out = search.regression(system, search.quick(system) if like is None else like, held=held)
     out.run(search.budgets.iterations)
     return out
 

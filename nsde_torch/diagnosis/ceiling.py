@@ -66,7 +66,7 @@ def row_gains(at: Optimum, found: Functions, outcome: Outcome) -> tuple[RowGain,
     counted = space.chunks.counted
     table = variables.values(at.x[counted], space.chunks.u[counted]).numpy()
     values = {name: table[:, k] for k, name in enumerate(variables.names)}
-    moved = moved_channels_of(outcome.final.regression, space.disturbances)
+    moved = moved_channels_of(outcome.final, space.disturbances)
     allowed = allowances_of_tests(outcome.test)
     rows = []
     for port, nats in found.nats.items():
@@ -168,7 +168,7 @@ def _why_not(log: Log, outcome: Outcome) -> str:
     """Why functions would say nothing, in words; empty where they do."""
     if outcome.doubted and log.budgets.function_groups:
         return "the fit is rejected"
-    if not (why := silent(log)) and outcome.final.regression.arithmetic:
+    if not (why := silent(log)) and outcome.final.arithmetic:
         return "what is left is what arithmetic leaves"
     return why
 

@@ -6,7 +6,7 @@ in noise, which is taken off first.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.ceiling import Ceiling
@@ -22,9 +22,8 @@ from nsde_torch.diagnosis.feedback_bias import (
     lengths_of_parameters,
 )
 from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSelection
-from nsde_torch.diagnosis.outcome import Found, Outcome, Verdict, found_by
+from nsde_torch.diagnosis.outcome import Found, Outcome, Verdict, found_by, undecided
 from nsde_torch.diagnosis.reading import Log
-from nsde_torch.diagnosis.regressors import measured
 from nsde_torch.diagnosis.residual_tests import (
     Dependence,
     PhysicsResiduals,
@@ -32,7 +31,7 @@ from nsde_torch.diagnosis.residual_tests import (
     dependences,
     overview,
 )
-from nsde_torch.diagnosis.search import Base, Search, bent_shape, fitted_system, moved_channels
+from nsde_torch.diagnosis.search import Search, bent_shape, fitted_system, moved_channels
 from nsde_torch.effects import effect_class
 from nsde_torch.effects.by_run import BY_RUN, target_of
 from nsde_torch.effects.expression_grammar import is_law
@@ -44,77 +43,56 @@ from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
 
-@dataclass(frozen=True)
-class Selection:
-    """Effects that were selected, and the regressions that test what they leave."""
-
-    declared: Base  # the declared physics, fitted, with what is shorter than a step
-    final: Base  # the physics with the effects, fitted
-    found: list[Found]  # the effects, in the order in which they were added
-    joint: JointSelection | None  # what the joint likelihood selected; None where it could not be computed
-    hidden: tuple[FeedbackBiased, ...] = ()  # effects that are not named because feedback may have made them
-    feedback: FeedbackTest = field(default_factory=FeedbackTest)
-    """What the data say of the loop that they were recorded in, by `final`."""
-
-
-def selection(search: Search, joint: JointSelection | None, system: System) -> Selection:
-    """What the joint likelihood selected, with regressions of the declared and of the final physics.
-
-    Nothing where that could not be computed (`joint` is None).
-    """
+def selection(search: Search, joint: JointSelection | None, system: System) -> Outcome:
+    """What the joint likelihood selected, not judged yet; nothing where that could not be computed (None)."""
     if joint is None:
-        declared = search.base(system)
-        return Selection(declared, declared, [], joint)
-    declared = at(search, joint.declared)
-    final = at(search, joint.final) if joint.selected else declared
-    return Selection(declared, final, found_by(search, joint), joint)
+        declared = search.quick(system)
+        return undecided(search, declared, declared)
+    declared = search.at(joint.declared)
+    final = search.at(joint.final) if joint.selected else declared
+    return undecided(search, declared, final, found_by(search, joint), joint)
 
 
-def at(search: Search, place: FittedPhysics) -> Base:
-    """Fitted physics, and a regression at its values."""
-    return search.at(place.system, place.best)
-
-
-def set_aside(search: Search, chosen: Selection, feedback: Feedback) -> Selection:
+def set_aside(search: Search, chosen: Outcome, feedback: Feedback) -> Outcome:
     """Effects that explain more than feedback may hide; the others are dropped, the weakest first.
 
     What one brought beside all others it brings at least beside fewer: physics without it are fitted again only where
     that is not enough any more (of six racing flights, NeuroBEM, each takes 6 to 10 s).
     """
     base, joint, hidden = chosen.final, chosen.joint, list(chosen.hidden)
-    tested = feedback.test(base.regression)
+    tested = feedback.test(base)
     if joint is None:
-        return replace(chosen, feedback=tested)
+        return replace(chosen, test=tested)
     among = max(len(joint.rounds[0].look.proposals), 1)
     known: dict[str, dict[str, float]] = {}
     while joint.selected:
-        lengths = lengths_of_parameters(tested, base.regression)
+        lengths = lengths_of_parameters(tested, base)
         # by what it brings less than that: of several that all could be feedback the chance is 1, and of the drive of
         # `nsde benchmark emps` the frictions went before a force that brought nothing
-        weakest: tuple[float, str, Base, tuple[str, ...]] | None = None
+        weakest: tuple[float, str, Regression, tuple[str, ...]] | None = None
         for name, one in joint.selected.items() if lengths else ():
-            moved, allowed, count = _hidden(tested, lengths, base.regression, name)
+            moved, allowed, count = _hidden(tested, lengths, base, name)
             if not set(moved) & set(lengths):
                 continue
             enough = search.level("effects") / among
             if name in known and chance_beyond(known[name], moved, allowed, count) < enough:
                 continue
-            without = at(search, one.without)
-            nats = nats_by_channel(without.regression, base.regression)
+            without = search.at(one.without)
+            nats = nats_by_channel(without, base)
             brought = known[name] = {channel: 2.0 * value for channel, value in nats.items()}
             if chance_beyond(brought, moved, allowed, count) < enough:
                 continue
             beyond = sum(brought[c] - allowed.get(c, 0.0) for c in moved)
             if weakest is None or beyond < weakest[0]:
                 weakest = (beyond, name, without, tuple(c for c in moved if c in allowed))
-        if weakest is None or feedback.shown(fitted_system(base.regression), weakest[1]):
+        if weakest is None or feedback.shown(fitted_system(base), weakest[1]):
             break
         _, name, base, channels = weakest
         hidden.append(FeedbackBiased(name, channels))
         joint = joint.less(name)
-        tested = feedback.test(base.regression)
+        tested = feedback.test(base)
     found = found_by(search, joint)
-    return replace(chosen, final=base, found=found, joint=joint, hidden=tuple(hidden), feedback=tested)
+    return replace(chosen, final=base, found=found, joint=joint, hidden=tuple(hidden), test=tested)
 
 
 def _hidden(
@@ -134,71 +112,61 @@ def _hidden(
 
 def feedback_made(search: Search, feedback: Feedback, before: FittedPhysics, after: FittedPhysics) -> bool:
     """Whether feedback may have made all that some effects brought, by which two physics differ: see `set_aside`."""
-    base = at(search, after)
-    tested = feedback.test(base.regression)
-    lengths = lengths_of_parameters(tested, base.regression)
+    base = search.at(after)
+    tested = feedback.test(base)
+    lengths = lengths_of_parameters(tested, base)
     if not lengths:
         return False
-    nats = nats_by_channel(at(search, before).regression, base.regression)
+    nats = nats_by_channel(search.at(before), base)
     brought = {channel: 2.0 * value for channel, value in nats.items()}
 
     def made(name: str) -> bool:
-        moved, allowed, count = _hidden(tested, lengths, base.regression, name)
+        moved, allowed, count = _hidden(tested, lengths, base, name)
         beyond = chance_beyond(brought, moved, allowed, count) < search.level("effects")
-        return not (beyond or feedback.shown(fitted_system(base.regression), name))
+        return not (beyond or feedback.shown(fitted_system(base), name))
 
     return all(map(made, set(after.system.effect_names) - set(before.system.effect_names)))
 
 
-def decide(
-    search: Search, chosen: Selection, feedback: Feedback, alone: FittedPhysics | None = None
-) -> Outcome:
+def decide(search: Search, chosen: Outcome, alone: FittedPhysics | None = None) -> Outcome:
     """Test what is left with and without the effects, and conclude.
 
     `alone` is the declared physics where nothing could be selected; None: nothing is tested.
     """
-    declared, base, joint = chosen.declared, chosen.final, chosen.joint
-    tested, found = chosen.feedback, chosen.found
+    declared, base, joint, found = chosen.declared, chosen.final, chosen.joint, chosen.found
     place = alone if joint is None else joint.final
     before = None
     if found and joint is not None:  # first: scores of the final physics are asked for again by what follows
-        before = overview(PhysicsResiduals(search, joint.declared, declared.regression))
-    after = [] if place is None else dependences(PhysicsResiduals(search, place, base.regression))
+        before = overview(PhysicsResiduals(search, joint.declared, declared))
+    after = [] if place is None else dependences(PhysicsResiduals(search, place, base))
     levels = search.levels(*(["effects"] if found else []))
-    allowed = allowances_of_tests(tested)
+    allowed = allowances_of_tests(chosen.test)
     # what arithmetic leaves has structure, and means nothing
-    left = [] if base.regression.arithmetic else beyond_chance(after, allowed, alpha=levels["structure"])
+    left = [] if base.arithmetic else beyond_chance(after, allowed, alpha=levels["structure"])
     explained = 0.0 if joint is None else joint.final.best.likelihood - joint.declared.best.likelihood
     rest = max((d.excess for d in left), default=0.0)
-    brought = nats_by_channel(declared.regression, base.regression)
-    found = [replace(f, moves=moved_channels(base.regression, f.name)) for f in found]
+    brought = nats_by_channel(declared, base)
+    found = [replace(f, moves=moved_channels(base, f.name)) for f in found]
     verdict: Verdict = "effect_found" if found else "no_effect"
     if rest > explained if found else left:
         verdict = "unexplained"
-    return Outcome(
+    return replace(
+        chosen,
         verdict="undecided" if place is None else verdict,
-        declared=declared,
-        final=base,
         found=[
             replace(
                 f,
-                provisional=_bent(bent_shape(base.regression, f.name))
+                provisional=_bent(bent_shape(base, f.name))
                 or provisional_reason(f, left, brought, search.decisions)
-                or _unshown(base.regression, f.name)
-                or _of_many(f, tested),
+                or _unshown(base, f.name)
+                or _of_many(f, chosen.test),
             )
             for f in found
         ],
-        joint=joint,
-        declared_variables=measured(declared.regression, inputs=search.inputs),
-        variables=measured(base.regression, inputs=search.inputs),
         before=after if before is None else before,
         after=after,
         structured=left,
-        hidden=chosen.hidden,
-        test=tested,
         levels=levels,
-        decisions=search.decisions,
     )
 
 
@@ -225,7 +193,7 @@ def judged_by_the_ceiling(outcome: Outcome, found: Ceiling) -> Outcome:
         return outcome
     rest, decisions = found.left, outcome.decisions
     verdict: Verdict = "unexplained" if not outcome.found or rest > found.effects else outcome.verdict
-    brought = nats_by_channel(outcome.declared.regression, outcome.final.regression)
+    brought = nats_by_channel(outcome.declared, outcome.final)
 
     def why(f: Found) -> str:
         own = sum(row.nats for row in found.rows if row.channels & {*f.moves})
@@ -262,7 +230,7 @@ def _unshown(regression: Regression, name: str) -> str:
 
 def guard_of(log: Log, outcome: Outcome) -> Guarded:
     """The final physics held against simple fits; the declared physics, where the columns are read in another way."""
-    regression = outcome.final.regression
+    regression = outcome.final
     basis = regression.shown.basis
     covariance = basis @ outcome.spread.covariance @ basis.T
     clock, declared = log.recorded.clock, ParameterVector(log.system)
@@ -272,7 +240,7 @@ def guard_of(log: Log, outcome: Outcome) -> Guarded:
     if found.objections or not any(is_law(f.name) for f in outcome.found):
         return found
     # laws make up for an angle that is counted from the other side (tests/diagnosis/test_declared.py)
-    alone = outcome.declared.regression
+    alone = outcome.declared
     without = guarded(alone, log.runs, clock=clock, first=alone.vector.first_values(known))
     return without if any(o.kind == "reading" for o in without.objections) else found
 

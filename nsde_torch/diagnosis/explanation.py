@@ -23,7 +23,7 @@ from nsde_torch.diagnosis.outcome import Estimate, Outcome
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.residual_tests import PhysicsResiduals
 from nsde_torch.diagnosis.search import Search
-from nsde_torch.diagnosis.shape import ChannelResidual, Shape, channel_residuals, rates, shape
+from nsde_torch.diagnosis.shape import ChannelResidual, Shape, channel_residuals, shape
 from nsde_torch.diagnosis.text import with_space
 from nsde_torch.effects import effect_class
 from nsde_torch.evaluation.report import number
@@ -49,7 +49,7 @@ def declared(outcome: Outcome) -> dict[str, Estimate]:
 
     A gain at nothing that the loop may hide has no interval: it was not measured.
     """
-    r = outcome.final.regression
+    r = outcome.final
     found = {f.name for f in outcome.found}
     columns = [j for j, label in enumerate(r.vector.labels) if label.partition(".")[0] not in found]
     hidden = unmeasured_gains(outcome)
@@ -61,7 +61,7 @@ def declared(outcome: Outcome) -> dict[str, Estimate]:
 
 def warnings(outcome: Outcome, system: System) -> list[Warned]:
     """Declared parameters at a bound that the data pull beyond, and orders of magnitude from their first values."""
-    r, decisions = outcome.final.regression, outcome.decisions
+    r, decisions = outcome.final, outcome.decisions
     v, basis = r.vector, r.shown.basis
     flat = r.slopes.reshape(-1, len(v))
     pull = basis @ np.linalg.lstsq(flat @ basis, r.white.reshape(-1), rcond=None)[0]
@@ -144,19 +144,19 @@ def explained(
     log: Log, search: Search, outcome: Outcome, guard: Guarded, runs: tuple[str, ...], most: Ceiling
 ) -> Explanation:
     """Describe what is left."""
-    regression, left = outcome.final.regression, outcome.structured
+    regression, left = outcome.final, outcome.structured
     attempt = log.stages.attempt
 
     def shaped() -> tuple[Shape, ...]:
-        seen, joint = rates(regression, outcome.variables), outcome.joint
+        joint = outcome.joint
         if not left or joint is None:
             return ()
         residuals = PhysicsResiduals(search, joint.final, regression)
-        return tuple(shape(residuals, d, seen, runs) for d in left[: log.budgets.shapes])
+        return tuple(shape(residuals, d, outcome.rates, runs) for d in left[: log.budgets.shapes])
 
     shapes = attempt("the shape of what is left", shaped, ())
     return Explanation(
-        channel_residuals(outcome.declared.regression, regression),
+        channel_residuals(outcome.declared, regression),
         shapes=shapes,
         warned=attempt("odd declared values", lambda: tuple(warnings(outcome, log.system)), ()),
         guard=guard,

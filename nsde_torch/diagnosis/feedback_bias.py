@@ -145,7 +145,7 @@ def vanishing_gains(regression: Regression) -> frozenset[str]:
 
 def unmeasured_gains(outcome: Outcome) -> frozenset[str]:
     """Labels of gains at nothing that a closed loop may hide."""
-    return vanishing_gains(outcome.final.regression) if outcome.test.closed_loop else frozenset()
+    return vanishing_gains(outcome.final) if outcome.test.closed_loop else frozenset()
 
 
 # ---- behind smoothers ----------------------------------------------------------------------------------

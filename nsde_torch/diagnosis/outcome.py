@@ -12,9 +12,10 @@ from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.decisions import DECISIONS, INTERVAL_LEVEL, Decisions
 from nsde_torch.diagnosis.feedback_bias import FeedbackBiased, lengths_of_parameters
 from nsde_torch.diagnosis.joint_selection import Evidence, JointSelection
-from nsde_torch.diagnosis.regressors import Measured
+from nsde_torch.diagnosis.regressors import Measured, measured
 from nsde_torch.diagnosis.residual_tests import Dependence
-from nsde_torch.diagnosis.search import Base, Search, fitted_system, without_effect
+from nsde_torch.diagnosis.search import Search, fitted_system, without_effect
+from nsde_torch.diagnosis.shape import Rates, rates
 from nsde_torch.effects.by_run import ByRun
 from nsde_torch.inference import Optimum
 from nsde_torch.inference.spread import Spread
@@ -100,15 +101,13 @@ class Outcome:
 
     verdict: Verdict
     """`no_effect`, `effect_found` or `unexplained`; `undecided` where what is left was not tested."""
-    declared: Base  # the declared physics, fitted
-    final: Base  # the physics with everything that was added, fitted
+    declared: Regression  # the declared physics, fitted, with what is shorter than a step
+    final: Regression  # the physics with everything that was added, fitted
     found: list[Found]  # effects, in the order in which they were added
     joint: JointSelection | None  # what the joint likelihood selected; None where it could not be computed
-    declared_variables: Measured
-    variables: Measured
-    """declared_variables, variables: what the residuals without and with the effects may be drawn against."""
-    before: list[Dependence]
-    after: list[Dependence]
+    inputs: bool = True  # whether the inputs are what acted, and not restored from an average
+    before: list[Dependence] = field(default_factory=list)
+    after: list[Dependence] = field(default_factory=list)
     """before, after: what the residual depends on without and with the effects, all tests."""
     structured: list[Dependence] = field(default_factory=list)
     """The tests that remain significant after correction for their number, what explains most first."""
@@ -129,6 +128,21 @@ class Outcome:
     optimum: Optimum | None = None
     """Where the likelihood of the final physics is largest; None where it was not computed."""
 
+    @cached_property
+    def variables(self) -> Measured:
+        """What the residuals with the effects may be drawn against."""
+        return measured(self.final, inputs=self.inputs)
+
+    @cached_property
+    def rates(self) -> Rates:
+        """Mean residual rates with the effects."""
+        return rates(self.final, self.variables)
+
+    @cached_property
+    def declared_rates(self) -> Rates:
+        """Mean residual rates without the effects."""
+        return rates(self.declared, measured(self.declared, inputs=self.inputs))
+
     @property
     def aside(self) -> tuple[str, ...]:
         """Effects that joined what is declared because they are shorter than a step."""
@@ -137,7 +151,7 @@ class Outcome:
     @cached_property
     def system(self) -> System:
         """The physics with everything that was added and its values."""
-        out = fitted_system(self.final.regression)
+        out = fitted_system(self.final)
         if self.printed is not None:
             self.printed.vector.write(out, self.printed.values)
         return out
@@ -145,7 +159,7 @@ class Outcome:
     @cached_property
     def declared_system(self) -> System:
         """The declared physics and its fitted values; `system` where nothing was added."""
-        return fitted_system(self.declared.regression) if self.found else self.system
+        return fitted_system(self.declared) if self.found else self.system
 
     def provisional(self, why: Callable[[Found], str]) -> "Outcome":
         """The outcome, each effect provisional for the reason that `why` gives, "" for none; the first one stays."""
@@ -155,12 +169,12 @@ class Outcome:
         """The physics with everything that was added but one effect; the declared physics where that is all."""
         if len(self.found) == 1:
             return self.declared_system
-        return without_effect(self.system, self.declared.system, effect)
+        return without_effect(self.system, self.declared_system, effect)
 
     def estimates(self, effect: str) -> list[Estimate]:
         """Parameters of an effect that was added or joined what is declared, all others fitted with it."""
-        found = self.estimated(self.final.regression.vector.of(effect))
-        own = next((e for e in self.final.system.effects if e.name == effect), None)
+        found = self.estimated(self.final.vector.of(effect))
+        own = next((e for e in self.final.vector.system.effects if e.name == effect), None)
         if not isinstance(own, ByRun):
             return found
         return [replace(e, run=own.run_of(k), against=own.reference) for k, e in enumerate(found)]
@@ -168,11 +182,11 @@ class Outcome:
     def estimated(self, columns: Sequence[int]) -> list[Estimate]:
         """Parameters of `final` with 90 % intervals, which feedback widens where it may hide something."""
         if self.printed is None:
-            return estimated(self.final.regression, self.spread, columns, self.doubt)
+            return estimated(self.final, self.spread, columns, self.doubt)
         printed = self.printed
         if printed.instrumented is None:  # what feedback may hide is asked for when it is printed
             printed = replace(printed, doubt=self.doubt)
-        return of_identification(printed, [self.final.regression.vector.labels[j] for j in columns])
+        return of_identification(printed, [self.final.vector.labels[j] for j in columns])
 
     @property
     def unsettled(self) -> bool:
@@ -186,7 +200,7 @@ class Outcome:
 
         Effects that were found are biased by what was made from other sensors alone, as in `feedback_bias.allowances`.
         """
-        r, found = self.final.regression, {f.name for f in self.found}
+        r, found = self.final, {f.name for f in self.found}
         of_effects = np.array([label.partition(".")[0] in found for label in r.vector.labels], dtype=bool)
         by_sensors = largest_bias(r, lengths_of_parameters(self.test, r))
         bias = np.where(of_effects, by_sensors, hidden_bias(r, self.test))
@@ -195,7 +209,7 @@ class Outcome:
     @cached_property
     def spread(self) -> Spread:
         """Cluster-robust covariance of the parameters of `final`."""
-        return self.final.regression.spread()
+        return self.final.spread()
 
 
 def found_by(search: Search, joint: JointSelection) -> list[Found]:
@@ -208,23 +222,19 @@ def found_by(search: Search, joint: JointSelection) -> list[Found]:
 
 def undecided(
     search: Search,
-    declared: Base,
-    final: Base,
+    declared: Regression,
+    final: Regression,
     found: Sequence[Found] = (),
     joint: JointSelection | None = None,
 ) -> Outcome:
     """What is known before what is left is tested."""
-    nothing = Measured({}, np.zeros(0))
     return Outcome(
-        verdict="undecided",
-        declared=declared,
-        final=final,
-        found=list(found),
-        joint=joint,
-        declared_variables=nothing,
-        variables=nothing,
-        before=[],
-        after=[],
+        "undecided",
+        declared,
+        final,
+        list(found),
+        joint,
+        inputs=search.inputs,
         test=FeedbackTest(why_not="not done yet"),
         levels=search.levels(),
         decisions=search.decisions,

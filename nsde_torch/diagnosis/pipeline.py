@@ -36,7 +36,6 @@ from nsde_torch.diagnosis.beyond_catalogue import with_laws
 from nsde_torch.diagnosis.ceiling import Ceiling, ceiling, silent
 from nsde_torch.diagnosis.cross_validation import HeldOut, cross_validated, none_held_out
 from nsde_torch.diagnosis.decision import (
-    at,
     decide,
     doubted,
     guard_of,
@@ -191,7 +190,7 @@ class DiagnosisCourse:
         self._done = done
 
         def known() -> Diagnosis:
-            channels = channel_residuals(outcome.declared.regression, outcome.final.regression)
+            channels = channel_residuals(outcome.declared, outcome.final)
             return Diagnosis(
                 log.system,
                 self.data,
@@ -422,7 +421,7 @@ def _concluded_with_laws(log: Log, search: Search, made: JointSearch, joint: Joi
             joint,
             outcome,
             partial(_concluded, log, search),
-            lambda place: log.feedback.test(at(_of_the_same_rows(search, joint), place).regression).predicted,
+            lambda place: log.feedback.test(_of_the_same_rows(search, joint).at(place)).predicted,
             of_functions=not silent(log),
         ),
         outcome,
@@ -440,14 +439,14 @@ def _selected(
     of 0.35). The declared physics decides: an effect that is missing stays seen in rows apart.
     """
     runs = moving(log.runs, log.slowest)[0] if log.slowest else log.runs
-    declared = search.base(log.system)
+    declared = search.quick(log.system)
     # of first values that are far off, what is left would pass for noise
-    system = fitted_system(declared.regression)
+    system = fitted_system(declared)
     physics, brought = _begun_with(log, search, system, before)
     smoothed, whole = any(run.band for run in log.runs), search
-    if smoothed and log.feedback.test(declared.regression).closed_loop:
+    if smoothed and log.feedback.test(declared).closed_loop:
         search = behind_smoothers(whole, log.system)
-    frequencies = [line.frequency for line in lines(declared.regression, decisions=search.decisions)]
+    frequencies = [line.frequency for line in lines(declared, decisions=search.decisions)]
     apart, share = search.decisions.apart_s, search.decisions.apart_share
 
     def of(apart: float) -> JointSearch:
@@ -485,10 +484,10 @@ def _begun_with(
 
 def _so_far(search: Search, first: FittedPhysics, place: FittedPhysics, brought: Mapping[str, float]) -> None:
     """What is known of effects before each is looked at again beside the others."""
-    declared = at(search, first)
-    final = at(search, place) if place is not first else declared
+    declared = search.at(first)
+    final = search.at(place) if place is not first else declared
     found = [
-        Found(name, Evidence(nats, 0.0, 0.0), (), moved_channels(final.regression, name))
+        Found(name, Evidence(nats, 0.0, 0.0), (), moved_channels(final, name))
         for name, nats in brought.items()
         if name in place.system.effect_names and name not in first.system.effect_names
     ]
@@ -499,7 +498,7 @@ def _concluded(log: Log, search: Search, joint: JointSelection | None) -> Outcom
     """Exclude what feedback may have made, test what is left, and conclude."""
     search = _of_the_same_rows(search, joint)
     chosen = selection(search, joint, log.system)
-    log.so_far(SECOND_LOOK, log, undecided(search, chosen.declared, chosen.final, chosen.found, joint))
+    log.so_far(SECOND_LOOK, log, chosen)
     search.say("what feedback may have made", 0, 1)
     chosen = set_aside(search, chosen, log.feedback)
     search.say("testing what is left", 0, 1)
@@ -507,7 +506,7 @@ def _concluded(log: Log, search: Search, joint: JointSelection | None) -> Outcom
     if joint is None:
         likelihood = partial(LogLikelihood, log.system, log.runs, log.recorded.clock, run_in=True)
         alone = log.stages.attempt(TESTS, lambda: fitted_at(likelihood(), log.system, None), None)
-    outcome = decide(search, chosen, log.feedback, alone)
+    outcome = decide(search, chosen, alone)
     log.so_far(TESTS, log, outcome)
     return outcome
 
@@ -540,7 +539,7 @@ def _identified(log: Log, outcome: Outcome) -> tuple[Outcome, Identification | N
     if outcome.joint is None:
         return outcome, None
     log.say("estimates of largest likelihood", 0, 1)
-    regressed = identification(outcome.final.regression, "weak")
+    regressed = identification(outcome.final, "weak")
     regressed = replace(regressed, doubt=outcome.doubt, loop=outcome.test)
     near = (outcome.joint.final.system, outcome.joint.final.at)
     likeliest = by_likelihood(regressed, outcome.system, log.runs, clock, near)

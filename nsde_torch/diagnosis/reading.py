@@ -208,7 +208,7 @@ def with_a_late_sensor(read: Log, outcome: Outcome) -> Log | None:
     def misfits(some: Sequence[Run]) -> Array:
         return np.log([noise.std for noise in read.search(some).quick(read.system).noises])
 
-    final = outcome.final.regression
+    final = outcome.final
     with_effects = sum(log(noise.std) for noise in final.noises)
     recorded = replace(read.recorded, runs=read.runs)
     moved = instead_of_effects(recorded, read.system, misfits, rows=len(final.series), other=with_effects)
@@ -220,7 +220,7 @@ def explains_more(moved: Outcome, outcome: Outcome) -> bool:
 
     Else something else looks like it: an input of the other sign, say.
     """
-    at_a_bound = bool(at_bounds(moved.declared.regression).any())
+    at_a_bound = bool(at_bounds(moved.declared).any())
     here, there = (sum(max(d.excess, 0.0) for d in o.structured) for o in (outcome, moved))
     return there < outcome.decisions.late_sensor_share * here and not at_a_bound
 
@@ -289,7 +289,7 @@ def without_standstill(
     """
     speeds = _dry(outcome, log)
     if not speeds:
-        std = outcome.final.regression.physics.sensor_std
+        std = outcome.final.physics.sensor_std
         candidates = [log.system.effect_class(n) for n in candidate_names(log.system, search.candidates)]
         speeds = slowest(log.system, std, log.runs, candidates)
         stands = max((moving(log.runs, {j: v})[1] for j, v in speeds.items()), default=0.0)
@@ -327,4 +327,4 @@ def _where_it_moves(
 
 def _dry(outcome: Outcome, log: Log) -> dict[int, float]:
     """Speeds whose direction is not known, of coordinates in which dry friction was found or declared."""
-    return slowest(outcome.system, outcome.final.regression.physics.sensor_std, log.runs)
+    return slowest(outcome.system, outcome.final.physics.sensor_std, log.runs)

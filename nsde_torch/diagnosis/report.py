@@ -147,8 +147,7 @@ def _spectra(found: Diagnosis) -> dict[str, Figure]:
 
 def effect_views(outcome: Outcome, channels: Sequence[ChannelResidual]) -> list[Panel]:
     """The channels that the effects reduced, each against the variable that its residual depended on most surely."""
-    before = rates(outcome.declared.regression, outcome.declared_variables)
-    after = rates(outcome.final.regression, outcome.variables)
+    before, after = outcome.declared_rates, outcome.rates
     out: list[Panel] = []
     if not len(before.residual):  # no stretch is as long as the means
         return out
@@ -180,8 +179,7 @@ def unexplained_views(
 
     `notes` are words for the first of them, `runs` the names of the runs, by number.
     """
-    regression = outcome.final.regression
-    seen = rates(regression, outcome.variables)
+    seen = outcome.rates
     out: list[Panel] = []
     if not len(seen.residual):
         return out
@@ -216,8 +214,8 @@ def effect_panels(
     outcome: Outcome, shown: ShownEffects, importance: Mapping[str, Importance], runs: tuple[str, ...]
 ) -> dict[str, Panel]:
     """By effect that matters: its picture; none of one that moves nothing that can be drawn."""
-    regression = outcome.final.regression
-    seen = rates(regression, outcome.variables)
+    regression = outcome.final
+    seen = outcome.rates
     out: dict[str, Panel] = {}
     for name in shown.few:
         channel = importance[name].channel if name in importance else ""
@@ -305,7 +303,7 @@ def ceiling_picture(outcome: Outcome, found: Ceiling) -> Figure | None:
     mean, spread = found.functions.force(places, row.port)
     data = np.stack(list(columns.values()), 1)
     eta = distance_from_data(data, np.stack(list(places.values()), 1))
-    of, shape = variable_units(outcome.final.regression.vector.system), mesh[0].shape
+    of, shape = variable_units(outcome.final.vector.system), mesh[0].shape
     surface = Surface(
         row.row,
         row.unit,
@@ -378,12 +376,12 @@ def _course(t: Array, y: Array, rows: NDArray[np.bool_]) -> Cloud:
 
 def _spectrum(outcome: Outcome, channel: str) -> ResidualSpectrum:
     """Amplitude densities [unit/sqrt(Hz)] from mean powers per step: S dt / dt^2, both sides of the band."""
-    regression = outcome.final.regression
+    regression = outcome.final
     number = regression.physics.names.index(channel)
     dt = regression.physics.steps.dt
     curves = {"residual": regression}
     if outcome.found:
-        curves = {"before": outcome.declared.regression, "after": regression}
+        curves = {"before": outcome.declared, "after": regression}
     amplitudes = {}
     for name, r in curves.items():
         frequency, power = spectrum(r, number)

@@ -181,7 +181,7 @@ class Diagnosis:
     @property
     def width(self) -> float:
         """Length of the means over which residuals are reported [s]."""
-        return rates_width(self.outcome.final.regression)
+        return rates_width(self.outcome.final)
 
     @property
     def report(self) -> str:
@@ -489,7 +489,7 @@ def _not_shown(o: Outcome) -> list[NotShown]:
 
 
 def _interval(found: Diagnosis, e: Estimate) -> dict[str, Any]:
-    regression = found.outcome.final.regression
+    regression = found.outcome.final
     if found.explanation.guard.doubts(channels_of(regression, [regression.vector.labels.index(e.name)])):
         return {"interval_90": None, "bound": "rejected"}
     if e.low is None and found.outcome.unsettled:

@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -13,7 +13,6 @@ from nsde_torch.data import Run
 from nsde_torch.diagnosis.candidates import on_coordinates
 from nsde_torch.diagnosis.decisions import BUDGETS, Budgets, Decisions, Options
 from nsde_torch.effects import Effect, Law, effect_class, register
-from nsde_torch.inference import MaximumLikelihood
 from nsde_torch.inference.steps import steps_of
 from nsde_torch.recording.fault import STAGES, level
 from nsde_torch.sysid.noise import Noise
@@ -23,6 +22,7 @@ from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector, own_name
 
 if TYPE_CHECKING:
+    from nsde_torch.diagnosis.joint_selection import FittedPhysics
     from nsde_torch.diagnosis.outcome import Outcome
 
 _AT_BOUND = 2e-6  # typical sizes from a bound; the optimiser keeps values a millionth off it
@@ -120,14 +120,6 @@ _BOX_S = 0.01  # over which steps are summed: what the weak form resolves
 _SHORTEST = 20  # steps of a stretch that is looked at
 
 
-@dataclass(frozen=True)
-class Base:
-    """Physics and its regression."""
-
-    system: System  # the physics
-    regression: Regression  # at its optimum
-
-
 @final
 class Search:
     """Looks for effects that explain what a system leaves of the data, in runs whose recording chain was undone.
@@ -202,16 +194,13 @@ class Search:
         """Steps of the longest stretch of the data."""
         return max(b - a for a, b in self.steps.segments)
 
-    def base(self, system: System) -> Base:
-        """The regression of a system by itself: what first values are."""
-        return Base(system, self.quick(system))
-
-    def at(self, system: System, best: MaximumLikelihood) -> Base:
-        """Physics at the values of largest likelihood: of its regression, the noise models alone are fitted.
+    def at(self, place: "FittedPhysics") -> Regression:
+        """The regression of physics at its values of largest likelihood: the noise models alone are fitted.
 
         Values of its own would be others where a noise model learns the physics: of racing flights whose states were
         smoothed (NeuroBEM), the thrust was a tenth of the likelihood's.
         """
+        system, best = place.system, place.best
         vector = ParameterVector(system)
         physics = Physics(vector, self.steps)
         vector.low, vector.high = best.vector.low, best.vector.high  # those of the rows of the likelihood
@@ -222,7 +211,7 @@ class Search:
         if gained >= self.budgets.noise_nats:  # a nat for each parameter
             for row, law in enumerate(white):
                 out = out.under(row, law)
-        return Base(system, out)
+        return out
 
     def apart(self, seconds: float) -> "Search":
         """The same search, its regressions over means of so long."""

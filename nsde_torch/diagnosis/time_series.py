@@ -83,14 +83,11 @@ def _log(run: Run, most: int) -> tuple[Array, Array]:
 
 def _left(found: Diagnosis, most: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """What the physics leaves of each run, before and after, and its charts; empty where it was not asked."""
-    from nsde_torch.diagnosis.shape import rates  # torch, which a server that asks for the hash does without
-
     outcome, count = found.outcome, len(found.runs)
     if outcome.verdict == "undecided":
         return [{}] * count, []
-    before = rates(outcome.declared.regression, outcome.declared_variables)
-    after = rates(outcome.final.regression, outcome.variables)
-    both = {"before": before} | ({"after": after} if outcome.found else {})
+    before = outcome.declared_rates
+    both = {"before": before} | ({"after": outcome.rates} if outcome.found else {})
     out: list[dict[str, Any]] = []
     for k in range(count):
         rows = {name: seen.run == k for name, seen in both.items()}

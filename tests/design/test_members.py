@@ -65,7 +65,7 @@ def test_gains_of_a_gentle_flight_are_near_the_truth_for_what_is_said_of_them(
     for member in members:
         assert away(member.vector.labels, member.theta, np.sqrt(np.diag(member.covariance))) < 3.0
     # with a law for each channel alone, which is what is left of a diagnosis' means for runs as short, one is wrong
-    base = Search(system, runs, 1.0, Options()).base(members[0].system).regression
+    base = Search(system, runs, 1.0, Options()).quick(members[0].system)
     flat = base.slopes.reshape(-1, len(base.vector))
     errors = np.sqrt(np.diag(np.linalg.pinv(flat.T @ flat)))
     assert away(base.vector.labels, base.theta, errors) > 4.0

@@ -50,7 +50,7 @@ def test_a_law_is_sought_in_the_place_of_a_friction_that_is_none(runs: list[RawR
 def test_a_friction_that_is_dry_has_no_such_shape() -> None:
     found, content = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5, "width": 0.01}})
     assert content["added"] == ["coulomb_friction"]
-    assert bent_shape(found.outcome.final.regression, "coulomb_friction") == ""
+    assert bent_shape(found.outcome.final, "coulomb_friction") == ""
 
 
 @pytest.mark.slow

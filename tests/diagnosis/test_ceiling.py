@@ -67,7 +67,7 @@ def test_an_effect_beside_which_more_is_left_than_it_explains_is_a_lead(
     outcome = friction[0].outcome
     assert not outcome.found[0].provisional
     (channel,) = outcome.found[0].moves
-    brought = nats_by_channel(outcome.declared.regression, outcome.final.regression)[channel]
+    brought = nats_by_channel(outcome.declared, outcome.final)[channel]
 
     def left(nats: float, channel: str) -> Outcome:
         row = RowGain("force", "m/s2", 0, 0.1, nats, 1.0, {"q": nats}, frozenset({channel}))

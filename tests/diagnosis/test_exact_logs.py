@@ -71,7 +71,7 @@ def test_of_a_simulation_without_noise_what_is_missing_is_named_and_nothing_else
 @pytest.mark.slow
 def test_a_simulation_without_noise_that_lacks_nothing_is_told_so() -> None:
     found = nsde_torch.diagnose(chirps(0.0), system="mass_spring_damper")
-    assert found.outcome.declared.regression.arithmetic
+    assert found.outcome.declared.arithmetic
     assert found.verdict == "no_effect"
     assert not found.outcome.structured
 

@@ -15,6 +15,7 @@ from nsde_torch.diagnosis.feedback_bias import (
     chance_beyond,
     lengths_of_parameters,
 )
+from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.sysid.feedback_test import FACTOR, Answer, FeedbackTest, leaning
 from nsde_torch.systems import make_system
@@ -122,7 +123,7 @@ def test_of_effects_that_all_may_be_feedback_the_one_that_brings_least_goes_firs
 
     def base(*names: str) -> Any:
         vector = SimpleNamespace(**dict.fromkeys(("of", "sizes"), lambda name: [names.index(name)]))
-        return SimpleNamespace(names=names, regression=SimpleNamespace(names=names, vector=vector))
+        return SimpleNamespace(names=names, vector=vector)
 
     def joint(*names: str) -> Any:
         look = SimpleNamespace(look=SimpleNamespace(proposals=[None]))
@@ -135,14 +136,13 @@ def test_of_effects_that_all_may_be_feedback_the_one_that_brings_least_goes_firs
 
     def without(names: tuple[str, ...], name: str) -> Any:
         out = base(*(n for n in names if n != name))
-        out.regression.left_out, out.regression.of = name, names
+        out.left_out = name
         return out
 
     def gained(before: Any, after: Any) -> dict[str, float]:
         return {"q_dot": 0.5 * brought[after.names][after.names.index(before.left_out)]}
 
     patches: dict[str, Any] = {
-        "at": lambda search, place: place,
         "nats_by_channel": gained,
         "moved_channels": lambda regression, name: moves if name == "force" else ("q_dot",),
         "lengths_of_parameters": lambda test, r: {"q_dot": np.sqrt(np.array(allowed[r.names]))},
@@ -153,10 +153,8 @@ def test_of_effects_that_all_may_be_feedback_the_one_that_brings_least_goes_firs
         monkeypatch.setattr(decision, name, stub)
     feedback: Any = SimpleNamespace(test=lambda regression: FeedbackTest(), shown=lambda system, name: False)
     both = joint("friction", "force")
-    chosen: Any = decision.Selection(
-        base(), base(*both.names), patches["found_by"](None, both), both, (), FeedbackTest()
-    )
-    search: Any = SimpleNamespace(level=lambda family: 0.01)
+    search: Any = SimpleNamespace(level=lambda family: 0.01, at=lambda place: place)
+    chosen = Outcome("undecided", base(), base(*both.names), patches["found_by"](None, both), both)
     kept = decision.set_aside(search, chosen, feedback)
     assert [f.name for f in kept.found] == ["friction"]
     assert [h.name for h in kept.hidden] == ["force"]

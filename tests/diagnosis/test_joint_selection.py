@@ -136,8 +136,8 @@ def test_a_diagnosis_reports_the_nats_of_the_likelihood() -> None:
     assert high - low < 0.1
     assert low - 0.01 < 0.3 < high + 0.01
     outcome = found.outcome
-    for base, place in ((outcome.declared, outcome.joint.declared), (outcome.final, outcome.joint.final)):
-        np.testing.assert_array_equal(base.regression.theta, place.best.theta)
+    for fit, place in ((outcome.declared, outcome.joint.declared), (outcome.final, outcome.joint.final)):
+        np.testing.assert_array_equal(fit.theta, place.best.theta)
 
 
 @pytest.mark.parametrize("smoothed", [True, False])

@@ -22,7 +22,7 @@ def test_a_law_that_noise_levels_have_learned_is_seen_beside_them(effect: str, v
     runs = small_runs(replace(rubbing(0.0), effects={effect: {"size": 0.5}}), 4, 10.0, seed=5)
     place = fitted_at(LogLikelihood(spring(), runs, run_in=True), spring(), None)
     search = Search(spring(), runs, 1.0, Options())
-    left = PhysicsResiduals(search, place, search.at(place.system, place.best).regression)
+    left = PhysicsResiduals(search, place, search.at(place))
     first = beyond_chance(dependences(left), {}, alpha=0.01)[0]
     assert (first.channel, first.variable, first.run) == ("q_dot", variable, None)
     assert first.p < 1e-6

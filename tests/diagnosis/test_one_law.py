@@ -8,9 +8,10 @@ import pytest
 
 from nsde_torch.diagnosis.candidates import candidate_names, effect_of, starts, values_of
 from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.diagnosis.search import Base, Search
+from nsde_torch.diagnosis.search import Search, fitted_system
 from nsde_torch.effects import effect_class
 from nsde_torch.inference.steps import data_sizes
+from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System, make_system
 from tests.helpers.diagnosed import recorded
 
@@ -36,10 +37,10 @@ def rubbing() -> Search:
 
 
 @pytest.fixture(scope="module")
-def rubbed(rubbing: Search) -> Base:
+def rubbed(rubbing: Search) -> Regression:
     """The physics with dry friction, fitted."""
     found = {"coulomb_friction": {"size": 0.3, "width": 0.002}}
-    return rubbing.base(spring("coulomb_friction", **found))
+    return rubbing.quick(spring("coulomb_friction", **found))
 
 
 def test_what_an_effect_contains_is_not_tried_beside_it() -> None:
@@ -50,8 +51,10 @@ def test_what_an_effect_contains_is_not_tried_beside_it() -> None:
 
 
 @pytest.mark.parametrize("name", ["asymmetric_friction", "stribeck_friction"])
-def test_what_stands_in_for_an_effect_starts_as_that_effect(rubbing: Search, rubbed: Base, name: str) -> None:
-    system = rubbed.system
+def test_what_stands_in_for_an_effect_starts_as_that_effect(
+    rubbing: Search, rubbed: Regression, name: str
+) -> None:
+    system = fitted_system(rubbed)
     scales = data_sizes(system, rubbing.steps)
     begun = starts(system, name, scales, ())
     coulomb = effect_of(system, "coulomb_friction")

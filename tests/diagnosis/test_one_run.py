@@ -96,7 +96,7 @@ def test_runs_of_a_sound_plant_are_alike(system: str) -> None:
         data, declared = recorded(system, seed=seed, durations=(6.0,) * 4), make_system(system)
         place = fitted_at(LogLikelihood(declared, data.runs, run_in=True), declared, None)
         search = Search(declared, data.runs, 1.0, Options())
-        tests = dependences(PhysicsResiduals(search, place, search.at(place.system, place.best).regression))
+        tests = dependences(PhysicsResiduals(search, place, search.at(place)))
         of_runs = [d for d in tests if d.run is not None and d.moment is None]
         assert of_runs
         assert min(d.p for d in of_runs) * len(tests) > 0.01

@@ -52,7 +52,7 @@ class MadeResiduals:
         self.search: Search = Search(system, self.data.runs, 1.0, Options())
         best, at = nearly_maximised(LogLikelihood(system, self.data.runs, 1.0, run_in=True))
         self.place = FittedPhysics(system, best, at)
-        self.regression: Regression = self.search.at(system, best).regression
+        self.regression: Regression = self.search.at(self.place)
         self.measured: Measured = measured(self.regression, inputs=True)
 
     def made(self, push: Push | None = None, seed: int | None = 0, *, loud: float = 1.0) -> PhysicsResiduals:

@@ -7,7 +7,7 @@ there without it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -46,19 +46,9 @@ def argument(number: int) -> Function:
     return lambda original, *args, **kwargs: args[number]
 
 
-def arguments(*numbers: int) -> Function:
-    """A function that returns some of its arguments."""
-    return lambda original, *args, **kwargs: tuple(args[n] for n in numbers)
-
-
 def anything(result: Any, *args: Any, **kwargs: Any) -> bool:
     """Whether there is a result: not None, empty or False."""
     return bool(result)
-
-
-def other_outcome(number: int) -> Function:
-    """Whether a log, a search and an outcome hold another outcome than the arguments do."""
-    return lambda result, *args, **kwargs: result[2] is not args[number]
 
 
 def other_than(number: int) -> Function:
@@ -77,15 +67,15 @@ def marked(number: int) -> Function:
     return fires
 
 
-def _names(found: Sequence[Any]) -> list[str]:
+def _names(found: Iterable[Any]) -> list[str]:
     return [f.name for f in found]
 
 
 # ---- rules whose neutral form takes more than a constant ------------------------------------------------
 
 
-def _nothing_set_aside(original: Function, search: Any, chosen: Any, feedback: Any) -> Any:
-    return replace(chosen, test=feedback.test(chosen.final))
+def _nothing_set_aside(original: Function, search: Any, chosen: Any, log: Any) -> Any:
+    return replace(chosen, test=log.loop(chosen.final))
 
 
 def _no_second_look(original: Function, search: Any, place: Any, *before: Any) -> Any:
@@ -116,15 +106,15 @@ RULES = (
         "late sensor",
         "a sensor that is late as a whole explains what effects were named for",
         ("pipeline._read_again",),
-        arguments(0, 1, 2),
-        other_outcome(2),
+        argument(0),
+        other_than(0),
     ),
     Rule(
         "without_standstill",
         "rows in which friction holds the machine are left out",
         ("pipeline.without_standstill",),
-        arguments(0, 1, 2),
-        other_outcome(2),
+        argument(0),
+        other_than(0),
     ),
     # ---- findings that become leads, and the verdict
     Rule(
@@ -238,8 +228,8 @@ RULES = (
         "order of candidates",
         "simpler candidates come before what is likeliest",
         ("joint_selection._in_order",),
-        lambda original, search, look, *rest: list(look.accepted),
-        lambda result, search, look, *rest: _names(result) != _names(look.accepted),
+        lambda original, search, look, *rest: [p for p in look if p.accepted],
+        lambda result, search, look, *rest: _names(result) != _names(p for p in look if p.accepted),
     ),
     Rule(
         "rows apart",

@@ -28,10 +28,10 @@ from nsde_torch.data import Run
 from nsde_torch.diagnosis.candidates import candidate_names, effect_of, joined, starts
 from nsde_torch.diagnosis.ceiling import silent
 from nsde_torch.diagnosis.decision import feedback_made
-from nsde_torch.diagnosis.evidence import bonferroni
+from nsde_torch.diagnosis.evidence import bonferroni, sum_error
 from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSearch, JointSelection, fitted, sure_nats
 from nsde_torch.diagnosis.outcome import Outcome
-from nsde_torch.diagnosis.reading import Log
+from nsde_torch.diagnosis.reading import Concluded, Log
 from nsde_torch.diagnosis.regressors import MOST_RUNS
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.effects import Effect, Port
@@ -71,12 +71,7 @@ class ExplainedDifference:
     nats: float  # log likelihood that it would bring, less the price of the numbers (Schwarz)
 
     def joined(self, numbers: NDArray[np.int64], names: tuple[str, ...]) -> System:
-        """Physics with it.
-
-        Args:
-            numbers: Number of each run in the column `run` (R,).
-            names: Names of the runs by that number.
-        """
+        """Physics with it; runs have these `numbers` in the column `run` (R,), and `names` by number."""
         each, system, target = self.each[np.argsort(numbers)], self.of.system, self.of.target
         if split_name(target)[0] in BY_RUN:
             cls = system.effect_class(target)
@@ -115,24 +110,23 @@ def _laws(joint: JointSelection | None) -> list[str]:
 
 
 def with_differences(
-    log: Log,
-    search: Search,
-    outcome: Outcome,
+    now: Concluded,
     guard: Guarded,
     conclude: Callable[[Log, Search, JointSearch, JointSelection], Outcome],
-) -> tuple[Log, Search, Outcome]:
+) -> Concluded:
     """The log with the numbers of its runs, and what is concluded of what differs between them; else all as it is."""
+    log, search, outcome = now
     joint = outcome.joint
     # of the published flights, whose inputs know the future, five minutes of differences came to nothing
     if joint is None or silent(log) or not 1 < len(log.runs) <= MOST_RUNS or not asked_for(outcome, guard):
-        return log, search, outcome
+        return now
     log.say("what differs between runs", 0, _MOST)
     # laws come back where they are needed: of zeros of an angle that differ they made four, provisional ones
     laws = _laws(joint)
     begun = joint.final if not laws else fitted(joint.final.system.without_effects(*laws), joint.final)
     first = _best(search, begun)
     if not first:
-        return log, search, outcome
+        return now
     # the run in the middle is the reference: where one run has another load, that one is named
     there = sorted(set(begun.at.of.space.steps.runs))
     middle = there[int(np.argsort(first[0].each[:, 0], kind="stable")[(len(there) - 1) // 2])]
@@ -154,17 +148,17 @@ def with_differences(
         better, alike = _with_one(made, place, _best(again, place), names)
         # of a quadrotor's flights half of the time went into differences of gains that feedback may have made. Beside a
         # law of the time they are no worse than that (cart of seed 203, a force of each run)
-        if better is None or (not timed and feedback_made(again, numbered.feedback, place, better)):
+        if better is None or (not timed and feedback_made(again, numbered, place, better)):
             break
         ties |= dict.fromkeys(_of_runs(better.system) - _of_runs(place.system), alike)
         place = better
     if not _of_runs(place.system):
-        return log, search, outcome
+        return now
     selected = made.concluded(place)
     if not (_of_runs(selected.final.system) and selected.final.value > other.value):
-        return log, search, outcome
+        return now
     named = {n: replace(one, ties=(*one.ties, *ties.get(n, ()))) for n, one in selected.selected.items()}
-    return numbered, again, conclude(numbered, again, made, replace(selected, selected=named))
+    return Concluded(numbered, again, conclude(numbered, again, made, replace(selected, selected=named)))
 
 
 def _of_runs(system: System) -> set[str]:
@@ -209,7 +203,7 @@ def _with_one(
         risen = there.best.likelihood - place.best.likelihood
         p = bonferroni(float(chdtrc(more, max(2.0 * risen, 0.0))), len(tried))
         value = risen - 0.5 * more * log(len(there.at.blocks))
-        sure = risen - more > sure_nats(made.search, there.at.blocks - place.at.blocks)
+        sure = risen - more > sure_nats(made.search, sum_error(there.at.blocks - place.at.blocks))
         if p < made.search.level("effects") and sure:
             needed.append((value, there))
     if not needed:
@@ -217,7 +211,9 @@ def _with_one(
     value, best = max(needed, key=lambda one: one[0])
     others = [(value - other, there) for other, there in needed if there is not best]
     alike = [  # which cannot be told from the best
-        there for worse, there in others if worse < sure_nats(made.search, best.at.blocks - there.at.blocks)
+        there
+        for worse, there in others
+        if worse < sure_nats(made.search, sum_error(best.at.blocks - there.at.blocks))
     ]
     return best, tuple(sorted(set().union(*(_of_runs(t.system) - _of_runs(place.system) for t in alike))))
 

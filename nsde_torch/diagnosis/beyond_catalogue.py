@@ -61,16 +61,12 @@ def with_laws(
     conclude: Callable[[JointSelection], Outcome],
     predicted: Callable[[FittedPhysics], float],
     *,
-    of_functions: bool = True,
+    of_functions: bool,
 ) -> Outcome:
     """The outcome with laws that no catalogue has, where functions explain more and such laws do too.
 
-    Args:
-        search: What effects were selected by.
-        joint: The selection, of which `outcome` is what was concluded.
-        conclude: Concludes from another one.
-        predicted: How much of what some physics leaves inputs surely predict.
-        of_functions: Whether functions of what was measured say anything of such a log.
+    `joint` is the selection that was concluded from, `predicted` how much of what some physics leaves inputs surely
+    predict, and `of_functions` whether functions of what was measured say anything of such a log.
     """
     settings = search.search
     if not search.tries_laws:

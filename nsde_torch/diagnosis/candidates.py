@@ -57,10 +57,7 @@ def _depends(system: System, name: str) -> bool:
 
 
 def check_candidates(system: System, names: Sequence[str], also: Sequence[str] = ()) -> list[str]:
-    """Refuse candidates that a system cannot have whatever is logged, and register those of one's own: needs no data.
-
-    Returns:
-        Own names of `also`.
+    """Refuse candidates that a system cannot have whatever is logged; register those of one's own, and name them.
 
     Raises:
         ConfigError: one is not in the catalogue, is declared, or is for other machines; or there is no such class.

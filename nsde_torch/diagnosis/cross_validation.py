@@ -184,10 +184,7 @@ class Own:
 def own(
     without: Scored, full: Scored, moved: Sequence[str], *, seed: int, decisions: Decisions = DECISIONS
 ) -> Own | None:
-    """What an effect brings to all others, fitted again `without` it, on the channels that it moves; None without any.
-
-    `seed` is that of the resamples.
-    """
+    """What an effect brings to all others, fitted `without` it, on the channels that it moves; None without any."""
     at = [i for i, name in enumerate(full.names) if name in moved]
     if not at:
         return None
@@ -313,17 +310,10 @@ def held_out(
     moved: Mapping[str, Sequence[str]] | None = None,
     decisions: Decisions = DECISIONS,
 ) -> HeldOut:
-    """Measure two physics on runs left out.
+    """Measure two physics, without and with effects, on runs left out, and what each effect brings.
 
-    Args:
-        systems: Without and with the effects, their values near the optimum.
-        spec: What models of the system are made of.
-        runs: All runs, of which `steps` are.
-        fitted: How physics is fitted to the others.
-        clock: Physical seconds per logged second.
-        seed: Of the resamples.
-        without: By effect: the physics with all others.
-        moved: By effect: names of the channels that it moves.
+    `without` is by effect the physics with all others, `moved` the names of the channels that it moves; `seed` is that
+    of the resamples.
     """
     before, after = systems
     folds, tests = split(runs, decisions)

@@ -14,7 +14,6 @@ from nsde_torch.diagnosis.cross_validation import HeldOut
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.evidence import nats_by_channel
 from nsde_torch.diagnosis.feedback_bias import (
-    Feedback,
     FeedbackBiased,
     allowances,
     allowances_of_tests,
@@ -53,17 +52,17 @@ def selection(search: Search, joint: JointSelection | None, system: System) -> O
     return undecided(search, declared, final, found_by(search, joint), joint)
 
 
-def set_aside(search: Search, chosen: Outcome, feedback: Feedback) -> Outcome:
+def set_aside(search: Search, chosen: Outcome, log: Log) -> Outcome:
     """Effects that explain more than feedback may hide; the others are dropped, the weakest first.
 
     What one brought beside all others it brings at least beside fewer: physics without it are fitted again only where
     that is not enough any more (of six racing flights, NeuroBEM, each takes 6 to 10 s).
     """
     base, joint, hidden = chosen.final, chosen.joint, list(chosen.hidden)
-    tested = feedback.test(base)
+    tested = log.loop(base)
     if joint is None:
         return replace(chosen, test=tested)
-    among = max(len(joint.rounds[0].look.proposals), 1)
+    among = max(joint.candidates, 1)
     known: dict[str, dict[str, float]] = {}
     while joint.selected:
         lengths = lengths_of_parameters(tested, base)
@@ -85,12 +84,12 @@ def set_aside(search: Search, chosen: Outcome, feedback: Feedback) -> Outcome:
             beyond = sum(brought[c] - allowed.get(c, 0.0) for c in moved)
             if weakest is None or beyond < weakest[0]:
                 weakest = (beyond, name, without, tuple(c for c in moved if c in allowed))
-        if weakest is None or feedback.shown(fitted_system(base), weakest[1]):
+        if weakest is None or log.shown(fitted_system(base), weakest[1]):
             break
         _, name, base, channels = weakest
         hidden.append(FeedbackBiased(name, channels))
         joint = joint.less(name)
-        tested = feedback.test(base)
+        tested = log.loop(base)
     found = found_by(search, joint)
     return replace(chosen, final=base, found=found, joint=joint, hidden=tuple(hidden), test=tested)
 
@@ -110,10 +109,10 @@ def _hidden(
     return moved, allowances(lengths, regression.vector.sizes(name)), len(own)
 
 
-def feedback_made(search: Search, feedback: Feedback, before: FittedPhysics, after: FittedPhysics) -> bool:
+def feedback_made(search: Search, log: Log, before: FittedPhysics, after: FittedPhysics) -> bool:
     """Whether feedback may have made all that some effects brought, by which two physics differ: see `set_aside`."""
     base = search.at(after)
-    tested = feedback.test(base)
+    tested = log.loop(base)
     lengths = lengths_of_parameters(tested, base)
     if not lengths:
         return False
@@ -123,7 +122,7 @@ def feedback_made(search: Search, feedback: Feedback, before: FittedPhysics, aft
     def made(name: str) -> bool:
         moved, allowed, count = _hidden(tested, lengths, base, name)
         beyond = chance_beyond(brought, moved, allowed, count) < search.level("effects")
-        return not (beyond or feedback.shown(fitted_system(base), name))
+        return not (beyond or log.shown(fitted_system(base), name))
 
     return all(map(made, set(after.system.effect_names) - set(before.system.effect_names)))
 

@@ -95,14 +95,8 @@ def chance(
     """p value of scores in directions of unit information: twice the smaller one of two tests.
 
     The one is the larger of that under the noise that is known and of that by their scatter over blocks of time, the
-    other that of folds left out.
-
-    Args:
-        pulls: Scores by block of time (B, q).
-        grams: Their information (B, q, q), 1 in all.
-        fold: Fold of each block (B,).
-        draws: From how many draws the information is known; 0: exactly.
-        decisions: How many blocks are enough.
+    other that of folds left out. Of scores by block (B, q) with information (B, q, q), 1 in all, known from so many
+    draws (0: exactly).
     """
     q, squares = pulls.shape[1], float(np.square(pulls.sum(0)).sum())
     known = of_draws(squares, q, draws) if draws else float(chdtrc(q, squares))
@@ -192,32 +186,25 @@ def not_shown(
     decisions: Decisions = DECISIONS,
     system: System | None = None,
 ) -> list[NotShown]:
-    """Effects that were not significant and could not have been.
-
-    Args:
-        joint: What was selected.
-        found: Names of the effects that were added.
-        alpha: Chance below which a candidate is significant.
-        system: Declared system, which knows units; None: those of the simplest machine.
-    """
-    significant = {p.name for r in joint.rounds for p in r.look.proposals if p.p < alpha} | set(found)
+    """Effects that were not significant and could not have been, of a declared system or of the simplest machine."""
+    significant = {p.name for r in joint.rounds for p in r.look if p.p < alpha} | set(found)
     contained = {simple for name in significant for simple in effect_class(name).includes}
-    smallest: dict[tuple[str, str], float] = {}
-    for name, errors in joint.errors.items():
-        if name not in significant | contained:
-            smallest |= {(name, label): error for label, error in errors.items()}
     out = []
-    for (name, label), error in smallest.items():
-        cls = effect_class(name) if system is None else system.effect_class(name)
-        key = own_name(label)
-        spec = cls.PARAMETERS[key]
-        usual = cls().scale_of(key)
-        least, never = decisions.detectable_errors * error, decisions.detectable_never * usual
-        level = abs(cls.null.get(key, 0.0)) > never  # does nothing when it is large: no size
-        if level or least <= decisions.detectable_share * usual:
+    for name, errors in joint.errors.items():
+        if name in significant | contained:
             continue
-        size = least if isfinite(error) and least < never else None
-        alone = decisions.detectable_errors * joint.alone.get(name, {}).get(label, inf)
-        declared = size is None and alone <= decisions.detectable_share * usual
-        out.append(NotShown(name, label, size, usual, spec.unit, cls.separate, declared))
+        cls = effect_class(name) if system is None else system.effect_class(name)
+        for label, (error, alone) in errors.items():
+            key = own_name(label)
+            usual = cls().scale_of(key)
+            least, never = decisions.detectable_errors * error, decisions.detectable_never * usual
+            level = abs(cls.null.get(key, 0.0)) > never  # does nothing when it is large: no size
+            if level or least <= decisions.detectable_share * usual:
+                continue
+            size = least if isfinite(error) and least < never else None
+            by_declared = (
+                size is None and decisions.detectable_errors * alone <= decisions.detectable_share * usual
+            )
+            unit = cls.PARAMETERS[key].unit
+            out.append(NotShown(name, label, size, usual, unit, cls.separate, by_declared))
     return sorted(out, key=lambda n: -(n.smallest / n.usual if n.smallest is not None else inf))

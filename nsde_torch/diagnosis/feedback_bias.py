@@ -25,7 +25,7 @@ beside what was found, a lag that is there may be what was found in its place, a
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -44,15 +44,6 @@ from nsde_torch.systems import System
 
 if TYPE_CHECKING:
     from nsde_torch.diagnosis.outcome import Outcome
-
-
-@dataclass(frozen=True)
-class Feedback:
-    """What is asked of the loop that the data were recorded in."""
-
-    test: Callable[[Regression], FeedbackTest]  # tests the loop by a regression that has settled
-    shown: Callable[[System, str], bool]
-    """Whether signals from outside the loop show an effect of a system with fitted values."""
 
 
 @dataclass(frozen=True)
@@ -116,10 +107,7 @@ def chance_beyond(
 
 
 def shown_by_instruments(found: Identification, effect: str, alpha: float) -> bool:
-    """Whether estimates by instruments (`identify_in_loop`) show an effect: some parameter is surely not nothing.
-
-    `alpha` is the chance of showing one that is not there.
-    """
+    """Whether instruments show an effect, but for a chance of `alpha`: some parameter is surely not nothing."""
     i = found.instrumented
     if i is None:
         return False
@@ -161,7 +149,7 @@ def with_suspects(found: JointSelection, search: Search, system: System) -> Join
     if not found.selected:
         return found
     some = _among(search, [n for n in candidate_names(system, search.candidates) if _timed(system, n)])
-    return replace(found, suspected=tuple(p.name for p in looked(some, found.final).accepted))
+    return replace(found, suspected=tuple(p.name for p in looked(some, found.final) if p.accepted))
 
 
 def not_sure_behind_smoothers(outcome: Outcome) -> Outcome:

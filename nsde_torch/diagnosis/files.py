@@ -29,14 +29,7 @@ def write_content(content: Content, folder: Path) -> None:
 
 
 def write_effects(found: Diagnosis, folder: Path, *, system: str, note: str) -> None:
-    """Write `effects.yaml`.
-
-    Args:
-        found: The diagnosis.
-        folder: Where to.
-        system: Name of the system that takes the file.
-        note: First line; that the diagnosis is not finished stands before it.
-    """
+    """Write `effects.yaml` for a system; `note` is its first line, after that the diagnosis is not finished."""
     note = f"so far, not finished: {note}" if found.so_far is not None else note
     if found.of_runs:
         note += f"\n# not in this file, as it says nothing of other runs: {', '.join(found.of_runs)}"

@@ -21,10 +21,7 @@ _ROUNDING = 1e-10  # of the largest eigenvalue: directions that columns hardly h
 class GramTable:
     """Gram matrices of one pass with the columns of all candidates, and what these explain of folds left out.
 
-    Args:
-        held: The Gram matrices.
-        base: Columns of the parameters of the physics.
-        fold: Fold of each block.
+    `base` are the columns of the parameters of the physics, `fold` is that of each block.
     """
 
     def __init__(self, held: Grams, base: Labels, fold: Labels) -> None:
@@ -41,9 +38,8 @@ class GramTable:
     def gain(self, columns: tuple[int, ...], dropped: Labels | None = None) -> tuple[Array, float, Array]:
         """Held-out nats of each block (B,), nats of all rows as fitted, and the step of a candidate's parameters.
 
-        Args:
-            columns: That of the shift of its start, 0 where there is none, then those of its parameters.
-            dropped: Columns of parameters of the physics that it takes the place of.
+        `columns` are that of the shift of its start, 0 where there is none, then those of its parameters; `dropped`
+        those of parameters of the physics that it takes the place of.
         """
         base = self._base if dropped is None else np.setdiff1d(self._base, dropped)
         keep = np.concatenate((base, np.array(columns[1:], dtype=np.int64)))

@@ -17,10 +17,10 @@ how inputs are held between samples decides. Left out, it makes other effects lo
 
 import copy
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from math import inf, isfinite, log
-from typing import final
+from typing import TypeAlias, final
 
 import numpy as np
 import torch
@@ -60,11 +60,10 @@ class Explained:
     error: float  # its standard error, from the scatter over blocks [nats]
     rank: float  # `nats` less the price of its parameters
     p: float  # chance of as much if the effect did nothing, corrected for all candidates and their starts
-    columns: tuple[int, ...]  # its columns in the Gram matrices: the shift of its start, then its parameters
+    accepted: bool  # whether it is beyond chance
     blocks: Array  # `nats` by block of time (B,)
-    errors: dict[str, float]
-    """Standard errors of parameters that need it, by label; infinite where no row shows it."""
-    alone: dict[str, float]  # the same if all other parameters were known
+    errors: dict[str, tuple[float, float]]
+    """Standard errors of its sizes, by label, and the same if all other parameters were known; inf: no row shows it."""
 
     @cached_property
     def system(self) -> System:
@@ -74,12 +73,8 @@ class Explained:
         return out
 
 
-@dataclass(frozen=True)
-class Look:
-    """What the catalogue would explain beside some physics."""
-
-    proposals: tuple[Explained, ...]  # every candidate at the best of its starts, the best first
-    accepted: tuple[Explained, ...]  # those of them that are beyond chance
+Look: TypeAlias = Sequence[Explained]
+"""What the catalogue would explain beside some physics: every candidate at the best of its starts, the best first."""
 
 
 @dataclass(frozen=True)
@@ -141,6 +136,27 @@ class Evidence:
     error: float  # its standard error [nats]
     p: float  # chance of as much if it did nothing, corrected for the number of comparisons (`starts_of`)
 
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        place: "FittedPhysics",
+        without: "FittedPhysics",
+        candidates: int,
+        terms: int,
+        longest: int,
+    ) -> "Evidence":
+        """That for an effect of some physics, held against the physics `without` it.
+
+        It was the best of `candidates` and their starts (`longest`: steps of the longest stretch), and of `terms`.
+        """
+        labels = [label for label in place.best.vector.labels if label.startswith(f"{name}.")]
+        risen, count = place.best.likelihood - without.best.likelihood, len(labels)
+        among = max(candidates, 1) * starts_of(name, labels, longest) + terms
+        p = bonferroni(float(chdtrc(count, max(2.0 * risen, 0.0))), among)
+        # less a nat a parameter: of rows left out (Akaike)
+        return cls(risen - count, sum_error(place.at.blocks - without.at.blocks), p)
+
 
 @dataclass(frozen=True)
 class JointSelection:
@@ -150,38 +166,34 @@ class JointSelection:
     final: FittedPhysics  # the physics with the effects
     selected: dict[str, Selected]  # the effects
     rounds: tuple[Round, ...]  # looks at the catalogue, in order
-    errors: dict[str, dict[str, float]]
-    """Smallest standard errors of its sizes over all looks, by candidate and label."""
+    errors: dict[str, dict[str, tuple[float, float]]]
+    """Smallest `Explained.errors` over all looks, by candidate and label."""
     aside: tuple[str, ...] = ()  # effects that joined what is declared because they are shorter than a step
     functions: Functions | None = None
     """Functions that explain more beside the physics, as far as they were looked for."""
     suspected: tuple[str, ...] = ()
     """Effects that were no candidates behind a smoother and would explain more (`feedback_bias`)."""
-    alone: dict[str, dict[str, float]] = field(default_factory=dict)
-    """The same as `errors` if all other parameters were known."""
+
+    @property
+    def candidates(self) -> int:
+        """Number of the candidates of the first look."""
+        return len(self.rounds[0].look)
 
     def evidence(self, search: Search, name: str) -> Evidence:
         """How sure an effect is."""
-        one, best = self.selected[name], self.final.best
-        labels = [label for label in best.vector.labels if label.startswith(f"{name}.")]
-        count = max(len(labels), 1)
-        risen = best.likelihood - one.without.best.likelihood
-        among = max(len(self.rounds[0].look.proposals), 1) * starts_of(name, labels, search.longest)
-        p = bonferroni(float(chdtrc(count, max(2.0 * risen, 0.0))), among + one.tried)
-        error = sum_error(self.final.at.blocks - one.without.at.blocks)
-        return Evidence(risen - count, error, p)  # less a nat a parameter: of rows left out (Akaike)
+        one = self.selected[name]
+        return Evidence.of(name, self.final, one.without, self.candidates, one.tried, search.longest)
 
     def less(self, name: str) -> "JointSelection":
         """The same without one effect."""
         rest = self.selected[name].without
-        others = {}
-        for other, one in self.selected.items():
-            if other != name:
-                system = without_effect(rest.system, self.declared.system, other)
-                alone = len(self.selected) == 2
-                others[other] = replace(
-                    one, fit=(lambda: self.declared) if alone else partial(fitted, system, rest)
-                )
+
+        def without(other: str) -> FittedPhysics:
+            if len(self.selected) == 2:
+                return self.declared
+            return fitted(without_effect(rest.system, self.declared.system, other), rest)
+
+        others = {n: replace(one, fit=partial(without, n)) for n, one in self.selected.items() if n != name}
         return replace(self, final=rest, selected=others, functions=None)
 
 
@@ -189,16 +201,11 @@ class JointSelection:
 class JointSearch:
     """Looks for effects; remembers what was fitted, and what the catalogue would explain beside it.
 
-    Args:
-        search: Candidates and settings.
-        problem: The likelihood of the log, whose rows bring up memory first.
-        system: The declared physics with first values.
-        frequencies: Those of lines in the spectrum, which sinusoids start from [Hz].
-        aside: Effects of the declared physics that joined it because they are shorter than a step.
+    It begins with a system at its first values; sinusoids start from `frequencies` [Hz], and effects `aside` joined
+    what is declared because they are shorter than a step.
 
     Attributes:
-        search: Candidates and settings.
-        declared: The declared physics, with what is shorter than a step.
+        declared: The declared physics, fitted, with what is shorter than a step.
         libraries: By law: all terms that it was chosen from.
     """
 
@@ -235,13 +242,9 @@ class JointSearch:
         brought: Mapping[str, float] | None = None,
         so_far: Callable[[FittedPhysics, FittedPhysics, Mapping[str, float]], None] = lambda *known: None,
     ) -> JointSelection:
-        """Effects selected by the likelihood.
+        """Effects selected by the likelihood, beside those of `begun` that were selected before and `brought` so much.
 
-        Args:
-            begun: The physics with effects that were selected before, which are added to; None: the declared physics.
-            brought: What each of these brought [nats].
-            so_far: Takes the declared physics, those after each effect that is added, and what each of the effects
-                brought [nats].
+        `so_far` takes the declared physics, those after each effect that is added, and what each effect brought [nats].
         """
         brought = dict(brought or {})
         place = self.declared if begun is None else self._declared_if_short(self.fitted(begun, self.declared))
@@ -284,13 +287,13 @@ class JointSearch:
         }
         rounds = tuple(self._rounds) or (Round(self.look(self.declared), ""),)
         # what is missing passes for noise in the first look
-        errors: dict[str, dict[str, float]] = {}
-        alone: dict[str, dict[str, float]] = {}
-        for p in (p for look in self._looks.values() for p in look.proposals):
-            for table, found in ((errors, p.errors), (alone, p.alone)):
-                own = table.setdefault(p.name, {})
-                own |= {label: min(error, own.get(label, error)) for label, error in found.items()}
-        return JointSelection(self.declared, place, selected, rounds, errors, tuple(self._aside), alone=alone)
+        errors: dict[str, dict[str, tuple[float, float]]] = {}
+        for p in (p for look in self._looks.values() for p in look):
+            own = errors.setdefault(p.name, {})
+            for label, found in p.errors.items():
+                before = own.get(label, found)
+                own[label] = min(found[0], before[0]), min(found[1], before[1])
+        return JointSelection(self.declared, place, selected, rounds, errors, tuple(self._aside))
 
     def _extended(
         self, place: FittedPhysics, known: Callable[[FittedPhysics, FittedPhysics], None]
@@ -381,7 +384,7 @@ class JointSearch:
         most = None if few is None or len(tried) < 2 else few.most_here(tried, place, self._problem)
         best = None if most is None else self._best_of([most], place)[0]
         best = best or self._best_of([p for p in tried if p is not most], place)[0]
-        doubtful = [p for p in look.proposals if p.nats > 0 or p.p < self.search.level("effects")]
+        doubtful = [p for p in look if p.nats > 0 or p.p < self.search.level("effects")]
         return best or self._more_once_fitted(place, [p for p in doubtful if p not in tried], few)
 
     def _best_of(
@@ -553,23 +556,19 @@ class JointSearch:
 
     def needed(self, name: str, place: FittedPhysics, without: FittedPhysics) -> bool:
         """Whether an effect brings more likelihood than chance, of all candidates of the look that found it."""
-        labels = [label for label in place.best.vector.labels if label.startswith(f"{name}.")]
-        among = max(len(self.look(self.declared).proposals), 1) * starts_of(name, labels, self.search.longest)
-        among += len(self.libraries.get(name, ()))
-        risen = max(place.best.likelihood - without.best.likelihood, 0.0)
-        p = bonferroni(float(chdtrc(len(labels), 2.0 * risen)), among)
+        terms = len(self.libraries.get(name, ()))
+        candidates = len(self.look(self.declared))
+        own = Evidence.of(name, place, without, candidates, terms, self.search.longest)
         # by the scatter over blocks alone: axes turned by 0.2 deg brought 14 nats beside a steady force (case 6 of
         # `closed_loop.py --seed 77`)
-        return p < self.search.level("effects") and risen - len(labels) > sure_nats(
-            self.search, place.at.blocks - without.at.blocks
-        )
+        return own.p < self.search.level("effects") and own.nats > sure_nats(self.search, own.error)
 
     def _rivals(
         self, name: str, place: FittedPhysics, without: FittedPhysics, only: Collection[str] | None = None
     ) -> tuple[list[str], FittedPhysics | None]:
         """Effects as likely as one that was selected, `only` of these, and physics with a better one in its place."""
         # what contains the effect was a candidate beside it, and was not needed
-        accepted = self.look(without).accepted
+        accepted = (p for p in self.look(without) if p.accepted)
         rivals = [p for p in accepted if name not in {p.name, *effect_class(p.name).includes}]
         alike: list[str] = []
         best: tuple[float, FittedPhysics] | None = None
@@ -599,7 +598,7 @@ class JointSearch:
         """Log likelihood below which nothing in the place of an effect is as likely, also with fewer parameters."""
         difference = place.at.blocks - without.at.blocks
         price = 0.5 * (len(place.best.vector) - len(without.best.vector)) * log(len(difference))
-        return place.best.likelihood - max(price, 0.0) - sure_nats(self.search, difference)
+        return place.best.likelihood - max(price, 0.0) - sure_nats(self.search, sum_error(difference))
 
     def _in_parts(self, name: str, place: FittedPhysics, without: FittedPhysics) -> list[str]:
         """What is as likely as an effect and a sum: a simpler effect that it contains, and another that does the rest.
@@ -607,9 +606,9 @@ class JointSearch:
         Air that moves is drag and a steady push where all flights point the same way (tests/diagnosis/test_in_part.py).
         """
         simpler, out = effect_class(name).includes, []
-        for part in (p for p in self.look(without).proposals if p.name in simpler):
+        for part in (p for p in self.look(without) if p.name in simpler):
             half = self.fitted(part.system, without)
-            others = (p for p in self.look(half).proposals if p.nats > 0 and p.name != name)
+            others = (p for p in self.look(half) if p.nats > 0 and p.name != name)
             rest = next((p for p in others if part.name not in effect_class(p.name).includes), None)
             if rest is not None:
                 there = self.fitted(rest.system, half)
@@ -638,7 +637,7 @@ class JointSearch:
         terms = terms_on(without.system, without.at, port, coordinate_of(place.system, effect))
         folds = folds_of(self.search.decisions, *space.chunks.places())
         # linearised steps with linearised steps: noise without either has learned some of both
-        own = next((p.nats for p in self.look(without).proposals if p.name == name), 0.0)
+        own = next((p.nats for p in self.look(without) if p.name == name), 0.0)
         rivals: list[tuple[float, Term]] = []
         for some, held in tables(without.system, without.at, terms):
             table = GramTable(held, 1 + without.best.free, folds)
@@ -653,19 +652,13 @@ class JointSearch:
             difference = there.at.blocks - place.at.blocks
             fewer = len(place.best.vector) - len(there.best.vector)
             gained = float(difference.sum()) + 0.5 * fewer * log(len(difference))
-            sure = log(len(terms)) + sure_nats(self.search, difference)
+            sure = log(len(terms)) + sure_nats(self.search, sum_error(difference))
             if gained > (0.0 if fewer > 0 else sure):
                 if self.tries_laws and float(difference.sum()) > sure:
                     self.chosen(term.law, [term], terms)
                     return term.law, there
                 return term.law, None
         return "", None
-
-
-def looked(search: Search, place: FittedPhysics, frequencies: Sequence[float] = ()) -> Look:
-    """What the candidates of a search would explain beside some physics."""
-    proposals = tuple(_catalogue(search, place, frequencies))
-    return Look(proposals, tuple(p for p in proposals if p.p < search.level("effects") and p.nats > 0))
 
 
 def fitted_at(
@@ -691,7 +684,7 @@ def coordinate_of(system: System, effect: Law) -> list[str]:
 def _in_order(search: Search, look: Look, added: Collection[str], place: FittedPhysics) -> list[Explained]:
     """Candidates that surely explain something, the best first, and before it what is simpler."""
     # surely: on the EMPS drive a friction by place, 50 +- 28 nats, led to four effects more
-    ranked = [p for p in look.accepted if _surely_more(search, p.blocks, place)]
+    ranked = [p for p in look if p.accepted and _surely_more(search, p.blocks, place)]
     if not ranked:
         return []
     best = ranked[0]
@@ -720,8 +713,8 @@ class _Entry:
 
 
 @torch.no_grad()
-def _catalogue(search: Search, place: FittedPhysics, frequencies: Sequence[float]) -> list[Explained]:
-    """What every candidate would explain, each from the best of its starts, the best first."""
+def looked(search: Search, place: FittedPhysics, frequencies: Sequence[float] = ()) -> Look:
+    """What the candidates of a search would explain beside some physics."""
     space = place.at.of.space
     everything = range(len(place.best.vector))
     about = place.at.about
@@ -753,7 +746,7 @@ def _catalogue(search: Search, place: FittedPhysics, frequencies: Sequence[float
             if step is not None and (entry.name not in best or step.rank > best[entry.name].rank):
                 best[entry.name] = step
     longest = max(b - a for a, b in space.steps.segments)
-    proposals = (_proposed(table, step, len(names), longest) for step in best.values())
+    proposals = (_proposed(search, table, step, len(names), longest) for step in best.values())
     return sorted(proposals, key=lambda p: -p.rank)
 
 
@@ -827,26 +820,26 @@ def _stepped(table: GramTable, entry: _Entry, columns: tuple[int, ...]) -> _Step
     return _Step(entry, free, values, blocks, fitted, error, rank)
 
 
-def _proposed(table: GramTable, step: _Step, among: int, longest: int) -> Explained:
+def _proposed(search: Search, table: GramTable, step: _Step, among: int, longest: int) -> Explained:
     """What a candidate explains by the best of its steps, of which there is one per start and choice."""
     entry, sizes = step.entry, effect_class(step.entry.name).size_names()
     p = float(chdtrc(max(len(step.columns) - 1, 1), max(2.0 * step.fitted, 0.0)))
     labels = [label for label in entry.labels if own_name(label) in sizes]
     own = np.array([entry.columns[1 + entry.labels.index(label)] for label in labels], dtype=np.int64)
-    both = table.errors(own), table.errors_alone(own)
-    errors, errors_alone = (dict(zip(labels, each.tolist(), strict=True)) for each in both)
+    errors = zip(table.errors(own).tolist(), table.errors_alone(own).tolist(), strict=True)
+    p = bonferroni(p, among * starts_of(entry.name, entry.labels, longest))
+    nats = float(step.blocks.sum())
     return Explained(
         entry.name,
         entry.system,
         dict(zip(entry.labels, step.values.tolist(), strict=True)),
-        float(step.blocks.sum()),
+        nats,
         step.error,
         step.rank,
-        bonferroni(p, among * starts_of(entry.name, entry.labels, longest)),
-        step.columns,
+        p,
+        p < search.level("effects") and nats > 0,
         step.blocks,
-        errors,
-        errors_alone,
+        dict(zip(labels, errors, strict=True)),
     )
 
 
@@ -868,7 +861,7 @@ def _compared(search: Search, name: str, rival: str, place: FittedPhysics, there
     difference = there.at.blocks - place.at.blocks
     more = len(there.best.free) - len(place.best.free)
     gained = float(difference.sum()) - 0.5 * more * log(len(difference))
-    sure = sure_nats(search, difference)
+    sure = sure_nats(search, sum_error(difference))
     if name in effect_class(rival).includes:
         chance = chdtrc(max(more, 1), max(2.0 * float(difference.sum()), 0.0))
         return gained if gained > sure and chance < search.decisions.nested_alpha else -1.0
@@ -885,10 +878,10 @@ def _surely_more(search: Search, nats: Array, place: FittedPhysics) -> bool:
     spring, 40 +- 36 nats by the scatter, tests/diagnosis/test_laws_beyond_the_catalogue.py).
     """
     whole = float(nats.sum())
-    return whole > sure_nats(search, nats, (2.0 * max(whole, 0.0) * place.best.inflation) ** 0.5)
+    error = (2.0 * max(whole, 0.0) * place.best.inflation) ** 0.5
+    return whole > sure_nats(search, min(sum_error(nats), error))
 
 
-def sure_nats(search: Search, difference: Array, most: float = inf) -> float:
-    """Nats by which physics are surely better, from their differences by block of time (B,) and a largest error."""
-    error = min(sum_error(difference), most)
+def sure_nats(search: Search, error: float) -> float:
+    """Nats by which physics are surely better, from the standard error of their difference."""
     return max(search.decisions.alike_nats, search.decisions.alike_errors * error)

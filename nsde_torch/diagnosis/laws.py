@@ -49,13 +49,9 @@ class LawTerm:
 def terms_of(
     names: Sequence[str], values: Mapping[str, Array], angles: Sequence[str], speeds: Collection[str] = ()
 ) -> list[LawTerm]:
-    """Terms of some variables.
+    """Terms of some variables, with values (M,), by their names in the grammar.
 
-    Args:
-        names: The variables, as the grammar has them.
-        values: Their values (M,).
-        angles: Those of them that are angles.
-        speeds: Those of them that are velocities: nothing brakes exponentially.
+    Some are angles, and some speeds: nothing brakes exponentially.
     """
     out: list[LawTerm] = []
     for name in names:

@@ -89,12 +89,8 @@ def lines(
 ) -> list[Line]:
     """The highest ordinates over all channels, the surest first, at least a period apart in the longest stretch.
 
-    Args:
-        regression: At its optimum.
-        fewest: Fewest periods in the longest stretch; None takes those of `decisions`. Below `WHOLE` the level is
-            that of one side of the band, and slow gusts stand above it.
-        decisions: Fewest periods, and how far lines are apart.
-        budgets: How many lines.
+    There are `fewest` periods at least in it; None takes those of `decisions`. Below `WHOLE` the level is that of one
+    side of the band, and slow gusts stand above it.
     """
     longest = max(b - a for a, b in regression.series.edges) * regression.dt
     if longest < _SHORTEST_S:
@@ -140,13 +136,9 @@ class Repeat:
 
 
 def best_repeat(forces: ForceScores, port: int, v: Array, periods: Array | None = None) -> Repeat | None:
-    """The best period of a variable, or None where it does not move.
+    """The best of some periods of a variable (M,), in its unit, or None where it does not move.
 
-    Args:
-        forces: Scores of forces on the ports.
-        port: Number of the port.
-        v: The variable (M,).
-        periods: Those that are tried, in its unit; None: `COUNTS` over its range.
+    None tries `COUNTS` over its range.
     """
     low, high = np.quantile(v, [0.005, 0.995])
     span = float(high - low)

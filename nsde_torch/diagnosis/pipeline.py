@@ -58,6 +58,7 @@ from nsde_torch.diagnosis.joint_selection import (
 from nsde_torch.diagnosis.outcome import Found, Outcome, undecided
 from nsde_torch.diagnosis.periodicity import HIGHEST, lines
 from nsde_torch.diagnosis.reading import (
+    Concluded,
     Log,
     at_declared,
     at_found,
@@ -132,7 +133,7 @@ class DiagnosisCourse:
     """What a diagnosis does and knows.
 
     Attributes:
-        seconds: Time that stages took.
+        guard, errors, ceiling, instrumented: What is known beside the outcome, as far as stages are done.
         limit: Of time. It ends nothing before something is known.
     """
 
@@ -147,7 +148,10 @@ class DiagnosisCourse:
         so_far: Callable[[Diagnosis], None],
     ) -> None:
         self.data, self.runs, self.options, self.spec = data, runs, options, spec
-        self.seconds: dict[str, float] = {}
+        self.guard, self.ceiling = Guarded(), Ceiling(NOT_YET)
+        self.errors: HeldOut | None = None
+        self.instrumented: Identification | None = None
+        self._seconds: dict[str, float] = {}
         self._tell, self._so_far = say, so_far
         self._found: Diagnosis | None = None
         self._during = ""
@@ -160,7 +164,7 @@ class DiagnosisCourse:
     def lap(self, name: str) -> None:
         """Note the time since the last call."""
         now = perf_counter()
-        self.seconds[name], self._lapped = now - self._lapped, now
+        self._seconds[name], self._lapped = now - self._lapped, now
 
     def say(self, stage: str, done: int, total: int) -> None:
         """Tell that `done` of `total` pieces of a stage are done."""
@@ -172,17 +176,27 @@ class DiagnosisCourse:
         check_time()
         self._tell(stage, done, total)
 
-    def known(
-        self,
-        stage: str | None,
-        log: Log,
-        outcome: Outcome,
-        *,
-        guard: Guarded | None = None,
-        errors: HeldOut | None = None,
-        most: Ceiling | None = None,
-        instrumented: Identification | None = None,
-    ) -> None:
+    def diagnosis(
+        self, log: Log, outcome: Outcome, left: Explanation, not_done: Sequence[NotDone], so_far: SoFar | None
+    ) -> Diagnosis:
+        """The diagnosis with what is known."""
+        return Diagnosis(
+            log.system,
+            self.data,
+            self.runs,
+            log.recorded,
+            outcome,
+            self.errors or none_held_out(log, None),
+            left,
+            self.options,
+            self.spec,
+            dict(self._seconds),
+            instrumented=self.instrumented,
+            not_done=tuple(not_done),
+            so_far=so_far,
+        )
+
+    def known(self, stage: str | None, log: Log, outcome: Outcome) -> None:
         """Keep what is known after a stage, and give it to whoever listens."""
         done = 0 if stage is None else _ORDER.index(stage) + 1
         if done < self._done:  # a search that is repeated
@@ -191,22 +205,10 @@ class DiagnosisCourse:
 
         def known() -> Diagnosis:
             channels = channel_residuals(outcome.declared, outcome.final)
-            return Diagnosis(
-                log.system,
-                self.data,
-                self.runs,
-                log.recorded,
-                outcome.provisional(lambda _: _UNFINISHED),
-                errors or none_held_out(log, None),
-                Explanation(channels, guard=guard or Guarded(), ceiling=most or Ceiling(NOT_YET)),
-                self.options,
-                self.spec,
-                dict(self.seconds),
-                feedback=outcome.test,
-                instrumented=instrumented,
-                not_done=(*log.stages.not_done, *self._left(NOT_YET)),
-                so_far=SoFar(left_s=self._left_s(stage)),
-            )
+            left = Explanation(channels, guard=self.guard, ceiling=self.ceiling)
+            not_done = (*log.stages.not_done, *self._left(NOT_YET))
+            provisional = outcome.provisional(lambda _: _UNFINISHED)
+            return self.diagnosis(log, provisional, left, not_done, SoFar(left_s=self._left_s(stage)))
 
         found = log.stages.attempt("what was known before the end", known, None)
         if found is not None:
@@ -306,89 +308,73 @@ def _diagnosed(
     begun: Begun | None,
 ) -> Diagnosis:
     """The stages, in order."""
-    stages, say = OptionalStages(too_long=course.too_long), course.say
-    data, names, options, spec = course.data, course.runs, course.options, course.spec
+    stages, say, options = OptionalStages(too_long=course.too_long), course.say, course.options
     read_effects(system, runs, options)
     say("checking the recording chain", 0, 1)
     recorded = stages.attempt(
         "faults of the recording chain",
-        lambda: undone(data, runs, system, options, decisions, budgets),
+        lambda: undone(course.data, runs, system, options, decisions, budgets),
         Recorded(tuple(runs), 1.0, ()),
     )
     log = read_log(system, recorded, options, decisions=decisions, budgets=budgets, say=say)
-    log = replace(log, stages=stages, so_far=course.known)
-    log = at_declared(log)
+    log = at_declared(replace(log, stages=stages, so_far=course.known))
     search = log.search(log.runs)
     course.lap("recording")
     outcome = needed("the search for effects", partial(searched, replace(log, begun=begun), search))
     course.known(LAWS, log, outcome)
-    log, search, outcome = stages.attempt(
-        "rates inferred with what was found",
-        partial(at_found, log, search, outcome, _concluded),
-        (log, search, outcome),
-    )
-    if outcome.structured:
-        say("checking the recording chain", 0, 1)
-        log, search, outcome = stages.attempt(
-            "a sensor that is late as a whole",
-            partial(_read_again, log, search, outcome),
-            (log, search, outcome),
+    now = Concluded(log, search, outcome)
+
+    def again(what: str, stage: Callable[[Concluded], Concluded]) -> Concluded:
+        return stages.attempt(what, lambda: stage(now), now)
+
+    def guarded() -> Guarded:
+        return stages.attempt(
+            "the comparison with simple fits", lambda: guard_of(now.log, now.outcome), Guarded()
         )
-    log, search, outcome = stages.attempt(
-        "the search without rows in which friction holds",
-        partial(without_standstill, log, search, outcome, searched),
-        (log, search, outcome),
+
+    now = again("rates inferred with what was found", lambda now: at_found(now, _concluded))
+    if now.outcome.structured:
+        say("checking the recording chain", 0, 1)
+        now = again("a sensor that is late as a whole", _read_again)
+    now = again(
+        "the search without rows in which friction holds", lambda now: without_standstill(now, searched)
     )
-    search = _of_the_same_rows(search, outcome.joint)
-    guard = stages.attempt("the comparison with simple fits", partial(guard_of, log, outcome), Guarded())
-    before = outcome
-    log, search, outcome = stages.attempt(
-        "what differs between runs",
-        partial(with_differences, log, search, outcome, guard, _concluded_with_laws),
-        (log, search, outcome),
+    now = now._replace(search=_of_the_same_rows(now.search, now.outcome.joint))
+    course.guard, before = guarded(), now.outcome
+    now = again(
+        "what differs between runs", lambda now: with_differences(now, course.guard, _concluded_with_laws)
     )
-    if outcome is not before:
-        guard = stages.attempt("the comparison with simple fits", partial(guard_of, log, outcome), Guarded())
+    if now.outcome is not before:
+        course.guard = guarded()
+    log, search, outcome = now
     course.lap("search")
-    course.known(OTHER_ROWS, log, outcome, guard=guard)
-    outcome = doubted(outcome, guard)
-    outcome = not_sure_behind_smoothers(outcome)
-    outcome, instrumented = stages.attempt(ESTIMATES, partial(_identified, log, outcome), (outcome, None))
+    course.known(OTHER_ROWS, log, outcome)
+    outcome = not_sure_behind_smoothers(doubted(outcome, course.guard))
+    outcome, course.instrumented = stages.attempt(
+        ESTIMATES, partial(_identified, log, outcome), (outcome, None)
+    )
     outcome = sized(outcome)
-    feedback = outcome.test
-    course.known(ESTIMATES, log, outcome, guard=guard, instrumented=instrumented)
+    course.known(ESTIMATES, log, outcome)
     say(ERRORS, 0, 1)
-    closed_loop = feedback.closed_loop if closed_loop is None else closed_loop
-    errors = stages.attempt(
+    closed_loop = outcome.test.closed_loop if closed_loop is None else closed_loop
+    course.errors = stages.attempt(
         ERRORS,
-        partial(cross_validated, log, search, outcome, spec, closed_loop=closed_loop),
+        partial(cross_validated, log, search, outcome, course.spec, closed_loop=closed_loop),
         none_held_out(log, closed_loop),
     )
     course.lap("errors")
-    outcome = not_sure(log, judged_on_runs_left_out(outcome, errors))
-    course.known(ERRORS, log, outcome, guard=guard, errors=errors, instrumented=instrumented)
-    most = stages.attempt(CEILING, partial(ceiling, log, outcome), Ceiling("it could not be computed"))
-    outcome = judged_by_the_ceiling(outcome, most)
-    course.lap("ceiling")
-    course.known(CEILING, log, outcome, guard=guard, errors=errors, most=most, instrumented=instrumented)
-    explanation = explained(log, search, outcome, guard, names, most)
-    no_time = any(s.why == NO_TIME for s in stages.not_done)
-    return Diagnosis(
-        log.system,
-        data,
-        names,
-        log.recorded,
-        outcome,
-        errors,
-        explanation,
-        options,
-        spec,
-        course.seconds,
-        feedback=feedback,
-        instrumented=instrumented,
-        not_done=tuple(stages.not_done),
-        so_far=SoFar(after_min=options.max_minutes) if no_time else None,
+    outcome = not_sure(log, judged_on_runs_left_out(outcome, course.errors))
+    course.known(ERRORS, log, outcome)
+    course.ceiling = stages.attempt(
+        CEILING, partial(ceiling, log, outcome), Ceiling("it could not be computed")
     )
+    outcome = judged_by_the_ceiling(outcome, course.ceiling)
+    course.lap("ceiling")
+    course.known(CEILING, log, outcome)
+    left = explained(log, search, outcome, course.guard, course.runs, course.ceiling)
+    no_time = any(s.why == NO_TIME for s in stages.not_done)
+    so_far = SoFar(after_min=options.max_minutes) if no_time else None
+    return course.diagnosis(log, outcome, left, stages.not_done, so_far)
 
 
 def searched(log: Log, search: Search, before: Outcome | None = None) -> Outcome:
@@ -421,7 +407,7 @@ def _concluded_with_laws(log: Log, search: Search, made: JointSearch, joint: Joi
             joint,
             outcome,
             partial(_concluded, log, search),
-            lambda place: log.feedback.test(_of_the_same_rows(search, joint).at(place)).predicted,
+            lambda place: log.loop(_of_the_same_rows(search, joint).at(place)).predicted,
             of_functions=not silent(log),
         ),
         outcome,
@@ -444,7 +430,7 @@ def _selected(
     system = fitted_system(declared)
     physics, brought = _begun_with(log, search, system, before)
     smoothed, whole = any(run.band for run in log.runs), search
-    if smoothed and log.feedback.test(declared).closed_loop:
+    if smoothed and log.loop(declared).closed_loop:
         search = behind_smoothers(whole, log.system)
     frequencies = [line.frequency for line in lines(declared, decisions=search.decisions)]
     apart, share = search.decisions.apart_s, search.decisions.apart_share
@@ -500,7 +486,7 @@ def _concluded(log: Log, search: Search, joint: JointSelection | None) -> Outcom
     chosen = selection(search, joint, log.system)
     log.so_far(SECOND_LOOK, log, chosen)
     search.say("what feedback may have made", 0, 1)
-    chosen = set_aside(search, chosen, log.feedback)
+    chosen = set_aside(search, chosen, log)
     search.say("testing what is left", 0, 1)
     alone = None
     if joint is None:
@@ -511,14 +497,14 @@ def _concluded(log: Log, search: Search, joint: JointSelection | None) -> Outcom
     return outcome
 
 
-def _read_again(log: Log, search: Search, outcome: Outcome) -> tuple[Log, Search, Outcome]:
+def _read_again(now: Concluded) -> Concluded:
     """The log with a sensor moved that is late as a whole, and the search in it, where that explains more."""
-    moved = with_a_late_sensor(log, outcome)
+    moved = with_a_late_sensor(now.log, now.outcome)
     if moved is None:
-        return log, search, outcome
-    again = log.search(moved.runs)
-    other = searched(log, again)
-    return (moved, again, other) if explains_more(other, outcome) else (log, search, outcome)
+        return now
+    search = moved.search(moved.runs)
+    other = Concluded(moved, search, searched(moved, search))
+    return other if explains_more(other.outcome, now.outcome) else now
 
 
 def _identified(log: Log, outcome: Outcome) -> tuple[Outcome, Identification | None]:

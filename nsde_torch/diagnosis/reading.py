@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import log
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -23,7 +24,7 @@ from nsde_torch.arrays import Array
 from nsde_torch.data import DataSet, Run
 from nsde_torch.diagnosis.candidates import candidate_names, check_candidates, on_coordinates
 from nsde_torch.diagnosis.decisions import Budgets, Decisions, Options
-from nsde_torch.diagnosis.feedback_bias import Feedback, shown_by_instruments
+from nsde_torch.diagnosis.feedback_bias import shown_by_instruments
 from nsde_torch.diagnosis.joint_selection import JointSelection
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.search import Search, at_bounds, fitted_system
@@ -82,18 +83,14 @@ class Log:
             so_far=partial(self.so_far, None, self),
         )
 
-    @property
-    def feedback(self) -> Feedback:
-        """What is asked of the loop that the log was recorded in."""
-        return Feedback(self._feedback_test, self._shown)
-
     def identified(self, physics: System) -> Identification:
         """Physics identified as `nsde sysid` does: with signals from outside the loop where there are any."""
         return identify_in_loop(
             physics, self.runs, clock=self.recorded.clock, instruments=self.options.instruments
         )
 
-    def _feedback_test(self, regression: Regression) -> FeedbackTest:
+    def loop(self, regression: Regression) -> FeedbackTest:
+        """What a regression that has settled says of the loop that the log was recorded in."""
         if self.recorded.inputs_restored:
             return FeedbackTest(why_not="the inputs were logged as an average and know the future")
         return self.stages.attempt(
@@ -102,7 +99,8 @@ class Log:
             FeedbackTest(why_not="it could not be computed"),
         )
 
-    def _shown(self, physics: System, effect: str) -> bool:
+    def shown(self, physics: System, effect: str) -> bool:
+        """Whether signals from outside the loop show an effect of physics with fitted values."""
         return bool(self.options.instruments) and shown_by_instruments(
             self.identified(physics), effect, level("effects", self.decisions.alpha, self.recorded.stages)
         )
@@ -184,6 +182,14 @@ def with_channels(system: System, runs: Sequence[Run]) -> list[Run]:
 # ---- the recording chain -------------------------------------------------------------------------------
 
 
+class Concluded(NamedTuple):
+    """A log, a search in it, and what was concluded."""
+
+    log: Log
+    search: Search
+    outcome: Outcome
+
+
 def undone(
     data: DataSet,
     runs: Sequence[Run],
@@ -240,21 +246,16 @@ def at_declared(log: Log) -> Log:
     return _at(log, system)
 
 
-def at_found(
-    log: Log,
-    search: Search,
-    outcome: Outcome,
-    concluded: Callable[[Log, Search, JointSelection | None], Outcome],
-) -> tuple[Log, Search, Outcome]:
+def at_found(now: Concluded, concluded: Callable[[Log, Search, JointSelection | None], Outcome]) -> Concluded:
     """The log with inferred rates as what was found predicts them, and what is concluded in it.
 
     The likelihood takes these rates for unmeasured: what it selected stays.
     """
-    if not log.runs[0].inferred or not outcome.found:
-        return log, search, outcome
-    log = _at(log, outcome.system)
+    if not now.log.runs[0].inferred or not now.outcome.found:
+        return now
+    log = _at(now.log, now.outcome.system)
     search = log.search(log.runs)
-    return log, search, concluded(log, search, outcome.joint)
+    return Concluded(log, search, concluded(log, search, now.outcome.joint))
 
 
 def not_sure(log: Log, outcome: Outcome) -> Outcome:
@@ -277,9 +278,11 @@ MUCH_STANDSTILL = 0.3
 """Share of the rows in which a coordinate stands or turns round, beyond which friction may hold it."""
 
 
-def without_standstill(
-    log: Log, search: Search, outcome: Outcome, searched: Callable[[Log, Search, Outcome | None], Outcome]
-) -> tuple[Log, Search, Outcome]:
+Searched: TypeAlias = Callable[[Log, Search, Outcome | None], Outcome]
+"""Searches rows of a log, beginning with what was concluded from others."""
+
+
+def without_standstill(now: Concluded, searched: Searched) -> Concluded:
     """The log without the rows in which what has dry friction stands, and the search in it.
 
     It is taken where friction is found there too: what else was found with these rows may be how friction holds. And
@@ -287,44 +290,39 @@ def without_standstill(
     rests for much of the time, or nothing explains the structure that is left, whatever may have friction is looked at
     where it moves.
     """
-    speeds = _dry(outcome, log)
+    log, search, outcome = now
+    speeds = _dry(now)
     if not speeds:
         std = outcome.final.physics.sensor_std
         candidates = [log.system.effect_class(n) for n in candidate_names(log.system, search.candidates)]
         speeds = slowest(log.system, std, log.runs, candidates)
         stands = max((moving(log.runs, {j: v})[1] for j, v in speeds.items()), default=0.0)
         if stands < MUCH_STANDSTILL and (outcome.found or not outcome.structured):
-            return log, search, outcome
+            return now
         there = _where_it_moves(log, None, speeds, searched)
-        if there is None or not _dry(there[2], log):
-            return log, search, outcome
-        log, search, outcome = there
-        speeds = _dry(outcome, log)
-        if speeds.keys() == log.slowest.keys():
-            return log, search, outcome
-    there = _where_it_moves(log, outcome, speeds, searched)
-    if there is None or not _dry(there[2], log).keys() >= speeds.keys():
-        return log, search, outcome
-    return there
+        if there is None or not _dry(there):
+            return now
+        now, speeds = there, _dry(there)
+        if speeds.keys() == now.log.slowest.keys():
+            return now
+    there = _where_it_moves(now.log, now.outcome, speeds, searched)
+    return now if there is None or not _dry(there).keys() >= speeds.keys() else there
 
 
 def _where_it_moves(
-    log: Log,
-    before: Outcome | None,
-    speeds: Mapping[int, float],
-    searched: Callable[[Log, Search, Outcome | None], Outcome],
-) -> tuple[Log, Search, Outcome] | None:
-    """Log, search and outcome without rows that are slower; None where these are too few, or too many."""
+    log: Log, before: Outcome | None, speeds: Mapping[int, float], searched: Searched
+) -> Concluded | None:
+    """What is concluded without rows that are slower; None where these are too few, or too many."""
     if moving(log.runs, speeds)[1] < SHARE:
         return None
     moved = replace(log, slowest=speeds)
     try:
         again = moved.search(log.runs)
-        return moved, again, searched(moved, again, before)
+        return Concluded(moved, again, searched(moved, again, before))
     except (DataError, NonFiniteError):
         return None
 
 
-def _dry(outcome: Outcome, log: Log) -> dict[int, float]:
+def _dry(now: Concluded) -> dict[int, float]:
     """Speeds whose direction is not known, of coordinates in which dry friction was found or declared."""
-    return slowest(outcome.system, outcome.final.physics.sensor_std, log.runs)
+    return slowest(now.outcome.system, now.outcome.final.physics.sensor_std, now.log.runs)

@@ -49,12 +49,9 @@ class Measured:
 
 
 def measured(regression: Regression, *, inputs: bool) -> Measured:
-    """All that was measured.
+    """All that was measured; states are foreseen from earlier steps, so that gusts and sensor noise are not in them.
 
-    Args:
-        regression: Its states are foreseen from earlier steps, so that gusts and sensor noise are not in them.
-        inputs: Whether the inputs are what acted. Those that were restored from an average err, and what a residual
-            holds of such an error depends on them.
+    Inputs that were restored from an average err, and what a residual holds of such an error depends on them.
     """
     physics, system = regression.physics, regression.vector.system
     x = physics.middle(regression.theta)[:, : system.nx]

@@ -72,8 +72,6 @@ class Diagnosis:
     options: Options  # settings
     spec: SysidSpec  # what models of the system are made of
     seconds: dict[str, float] = field(default_factory=dict)  # time that stages took
-    feedback: FeedbackTest = field(default_factory=FeedbackTest)
-    """What the data say of the loop that they were recorded in."""
     instrumented: Identification | None = None
     """Estimates with signals from outside the loop; None without any."""
     not_done: tuple[NotDone, ...] = ()  # stages that could not be computed or were left out
@@ -93,6 +91,11 @@ class Diagnosis:
     def system_name(self) -> str:
         """Name that makes the system, `module:Class` for one of the user's own."""
         return self.spec.system
+
+    @property
+    def feedback(self) -> FeedbackTest:
+        """What the data say of the loop that they were recorded in."""
+        return self.outcome.test
 
     @property
     def verdict(self) -> str:
@@ -535,7 +538,7 @@ def ranking(outcome: Outcome) -> list[dict[str, Any]]:
             "chosen": p.name == round.chosen,
         }
         for number, round in enumerate(outcome.joint.rounds if outcome.joint is not None else ())
-        for p in round.look.proposals
+        for p in round.look
     ]
 
 

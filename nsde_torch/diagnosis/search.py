@@ -125,21 +125,15 @@ class Search:
     """Looks for effects that explain what a system leaves of the data, in runs whose recording chain was undone.
 
     Args:
-        system: Declared system.
-        runs: The runs; columns behind the inputs are logged channels (`with_channels`), which the system reads.
+        runs: Columns behind the inputs are logged channels (`with_channels`), which the system reads.
         clock: Physical seconds per logged second.
-        options: Settings.
         inputs: Whether the inputs are what acted, and not restored from an average.
         channels: With feedback: what the residuals of all channels predict.
         stages: Stages of the recording chain that found something (`recording.fault`).
         moved: Whether channels that were late have been moved.
-        decisions: What it decides by, but for alpha; None takes the options'.
-        budgets: How much it tries.
-        say: Told what is going on: stage, number done, number in all.
-        so_far: Takes what is known after each round.
+        decisions: But for alpha; None takes the options'.
 
     Attributes:
-        steps: The data.
         box: Steps per box.
         candidates: Names to choose from; None takes all that the system may have.
         feedback: Take out what kinematic residuals predict, where inputs react to sensors (`sysid.noise`).
@@ -228,13 +222,7 @@ class Search:
     def regression(
         self, system: System, before: Regression | None = None, held: Collection[str] = ()
     ) -> Regression:
-        """A regression that has not run yet.
-
-        Args:
-            system: Physics.
-            before: A regression that lends it its values and noise models; None for neither.
-            held: Labels of parameters that stay at the values that they have in the physics.
-        """
+        """A regression that has not run yet, with values and noise models of one `before`, some parameters `held`."""
         physics = Physics(ParameterVector(system), self.steps)
         if before is None:
             return self._of(system, physics, held=held)

@@ -24,8 +24,7 @@ def _regression(roll_gain: float) -> Any:
 
 
 def _outcome(roll_gain: float, *, closed_loop: bool) -> Any:
-    final = SimpleNamespace(regression=_regression(roll_gain))
-    return SimpleNamespace(final=final, test=SimpleNamespace(closed_loop=closed_loop))
+    return SimpleNamespace(final=_regression(roll_gain), test=SimpleNamespace(closed_loop=closed_loop))
 
 
 def test_only_own_parameters_at_the_bound_of_nothing_count() -> None:

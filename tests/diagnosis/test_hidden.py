@@ -126,10 +126,9 @@ def test_of_effects_that_all_may_be_feedback_the_one_that_brings_least_goes_firs
         return SimpleNamespace(names=names, vector=vector)
 
     def joint(*names: str) -> Any:
-        look = SimpleNamespace(look=SimpleNamespace(proposals=[None]))
         return SimpleNamespace(
             names=names,
-            rounds=[look],
+            candidates=1,
             less=lambda name: joint(*(n for n in names if n != name)),
             selected={name: SimpleNamespace(without=without(names, name)) for name in names},
         )
@@ -151,11 +150,11 @@ def test_of_effects_that_all_may_be_feedback_the_one_that_brings_least_goes_firs
     }
     for name, stub in patches.items():
         monkeypatch.setattr(decision, name, stub)
-    feedback: Any = SimpleNamespace(test=lambda regression: FeedbackTest(), shown=lambda system, name: False)
+    log: Any = SimpleNamespace(loop=lambda regression: FeedbackTest(), shown=lambda system, name: False)
     both = joint("friction", "force")
     search: Any = SimpleNamespace(level=lambda family: 0.01, at=lambda place: place)
     chosen = Outcome("undecided", base(), base(*both.names), patches["found_by"](None, both), both)
-    kept = decision.set_aside(search, chosen, feedback)
+    kept = decision.set_aside(search, chosen, log)
     assert [f.name for f in kept.found] == ["friction"]
     assert [h.name for h in kept.hidden] == ["force"]
 

@@ -42,7 +42,7 @@ def two_frictions(seed: int, seconds: float = 8.0) -> list[Run]:
 def test_nothing_is_selected_where_nothing_is_missing() -> None:
     found = selected(small_runs(rubbing(0.0), 3, 8.0, seed=4))
     assert not found.selected
-    assert max(p.nats for p in found.rounds[0].look.proposals) < 3.0
+    assert max(p.nats for p in found.rounds[0].look) < 3.0
 
 
 def test_two_frictions_of_one_speed_are_both_selected_with_their_sizes() -> None:
@@ -210,7 +210,7 @@ def test_a_flight_with_drag_is_selected_by_the_likelihood() -> None:
 def test_a_steady_push_is_no_gust_that_never_ends() -> None:
     found = selected(linear_runs(1, 30.0, gust=0.05, lasts=1e9, white=0.005, seed=2))
     assert set(found.selected) == {"constant_force"}
-    first = found.rounds[0].look.proposals[0]
+    first = found.rounds[0].look[0]
     assert first.name == "constant_force"
     assert first.nats > 10.0  # 1.2 beside a gust of 81 s
 

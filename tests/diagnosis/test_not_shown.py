@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from nsde_torch.diagnosis.evidence import not_shown
-from nsde_torch.diagnosis.joint_selection import JointSelection, Look, Round
+from nsde_torch.diagnosis.joint_selection import JointSelection, Round
 
 
 def _selected(*errors: float, alone: float = np.inf) -> JointSelection:
     """A selection whose looks gave a constant force these standard errors, and `alone` if all else were known."""
-    look, label = Look((), ()), "constant_force.acceleration"
-    smallest, known = ({"constant_force": {label: error}} for error in (min(errors), alone))
-    return JointSelection(cast(Any, None), cast(Any, None), {}, (Round(look, ""),), smallest, alone=known)
+    smallest = {"constant_force": {"constant_force.acceleration": (min(errors), alone)}}
+    return JointSelection(cast(Any, None), cast(Any, None), {}, (Round((), ""),), smallest)
 
 
 def test_an_effect_is_listed_when_four_standard_errors_exceed_a_quarter_of_its_usual_size() -> None:

@@ -151,13 +151,12 @@ def test_behind_a_smoother_the_declared_physics_decides_which_rows_are_looked_at
         runs.append(replace(one, x=one.x + noise, band={"q_dot": 0.5 / one.dt}))
     system, said = make_system("mass_spring_damper"), list[str]()
     search = Search(system, runs, 1.0, Options(), say=lambda stage, done, total: said.append(stage))
-    feedback = SimpleNamespace(test=lambda regression: SimpleNamespace(closed_loop=False))
     log: Any = SimpleNamespace(
         runs=runs,
         slowest={},
         system=system,
         begun=None,
-        feedback=feedback,
+        loop=lambda regression: SimpleNamespace(closed_loop=False),
         recorded=SimpleNamespace(clock=1.0),
     )
     _, found = pipeline._selected(log, search)

@@ -43,7 +43,7 @@ from nsde_torch.effects.by_run import ByRun
 from nsde_torch.errors import DataError
 from nsde_torch.evaluation.bootstrap import Blocks, Difference, make_blocks, mean_bootstrap, paired_bootstrap
 from nsde_torch.evaluation.metrics import horizons_of, start_grid, thinned
-from nsde_torch.evaluation.scores import squares_by_fold
+from nsde_torch.evaluation.scores import squares_of, states_by_fold
 from nsde_torch.inference.left_out import Folds, LeftOut, left_out
 from nsde_torch.inference.steps import Steps
 from nsde_torch.models.identified import IdentifiedModel, SysidSpec
@@ -247,8 +247,24 @@ _NOTHING: dict[str, Any] = {
     **{"horizons_s": [], "before": {}, "after": {}, "ratio": {}},
     **{"inputs": "replayed", "closed_loop": None, "one_step": None, "residual": {}},
 }
+_SHOWN_S = 1.0  # longest of the predictions that are shown over time, one after another
+_SHOWN = 20  # steps of each that are kept
 Fitted = Callable[[System, Folds], LeftOut]
 """Physics, its values near the optimum, fitted without each fold and scored on it."""
+
+
+@dataclass(frozen=True)
+class Predictions:
+    """Predictions of runs left out, each from a state that was measured until the next one begins."""
+
+    horizon: float  # [s]
+    run: Labels  # number of the run (S,)
+    t: Array  # times [s], of the start and of steps after it (S, k)
+    measured: Array  # states (S, k, nx)
+    predicted: dict[
+        str, Array
+    ]  # by the physics `before`, and with effects `after` where any was found (S, k, nx)
+    width: Array  # what 90 % of the errors of the last of these stay below, by time since the start (k, nx)
 
 
 @dataclass(frozen=True)
@@ -264,6 +280,7 @@ class HeldOut:
     # whether the inputs are what acted, and not restored from an average. Those know the future, and the density of
     # a step given them says nothing of causes: the residual alone judges.
     inputs: bool = True
+    predictions: Predictions | None = None  # None where nothing could be predicted
 
     def against(self, effect: str) -> str:
         """What runs left out say against an effect that was found, in words; empty if nothing."""
@@ -322,7 +339,10 @@ def held_out(
         return HeldOut(content, False, (), brought)
     full = fitted(after, folds)
     rest = full if before is after else fitted(before, folds)
-    content |= _replayed(rest, full, spec, tests, folds, clock, seed, decisions)
+    replayed = _Replayed(spec, tests, folds, clock)
+    errors = replayed.errors(rest, full, seed, decisions)
+    content |= errors
+    predictions = replayed.predictions(rest, full, errors["horizons_s"]) if errors else None
     if len(full.density):
         score = partial(scored, steps=steps, folds=folds)
         one, other = score(rest), score(full)
@@ -332,7 +352,8 @@ def held_out(
             others = one if system is before else score(fitted(system, folds))
             mine = own(others, other, (moved or {}).get(effect, ()), seed=seed, decisions=decisions)
             brought |= {} if mine is None else {effect: mine}
-    return HeldOut(content, len(runs) > 1, tuple(run.name for run in tests), brought)
+    names = tuple(run.name for run in tests)
+    return HeldOut(content, len(runs) > 1, names, brought, predictions=predictions)
 
 
 def cross_validated(
@@ -367,64 +388,108 @@ def none_held_out(log: Log, closed_loop: bool | None) -> HeldOut:
     return HeldOut(content, len(log.runs) > 1, (), {}, inputs)
 
 
-def _replayed(
-    rest: LeftOut,
-    full: LeftOut,
-    spec: SysidSpec,
-    runs: Sequence[Run],
-    folds: Folds,
-    clock: float,
-    seed: int,
-    decisions: Decisions,
-) -> dict[str, Any]:
-    """Errors of open-loop predictions of runs left out by quantity and horizon, as `diagnosis.json` has them."""
-    of_fold = [[r for r, k in zip(runs, folds.number, strict=True) if k == f] for f in range(folds.count)]
-    horizons = min((horizons_of(part, spec.dt) for part in of_fold), key=len)
-    counts = [max(1, round(h / spec.dt)) for h in horizons]
-    windows = Windows(runs, spec.dt, max(counts, default=1), dtype=torch.float64)
-    starts = thinned(start_grid(windows))
-    if not horizons or not len(starts):
-        return {}
-    row, lengths = windows.rows(starts), [len(run) for run in runs]
-    owner, t = np.repeat(np.arange(len(runs)), lengths)[row], np.concatenate([run.t for run in runs])[row]
+@dataclass(frozen=True)
+class _Replayed:
+    """Open-loop predictions of runs left out, under the inputs of the log."""
 
-    def squared(left: LeftOut) -> Tensor:
-        model, fold = as_model(spec, left.vector.at_first(), clock), folds.number[owner]
-        return squares_by_fold(model, windows, starts, counts, values=left.theta, fold=fold)
+    spec: SysidSpec
+    runs: Sequence[Run]
+    folds: Folds
+    clock: float
 
-    squares = torch.stack([squared(left) for left in ([full] if rest is full else [rest, full])])
-    squares = squares.expand(2, *squares.shape[1:])
-    finished = squares.isfinite().all(3)
-    # horizons at which nearly all predictions are still numbers
-    far = int((finished.all(0).double().mean(0) >= decisions.replay_finite_share).sum())
-    if far == 0:
-        return {}
-    rows = finished[:, :, far - 1].all(0)
-    groups = full.vector.system.error_groups
-    factor = torch.tensor([g.factor for g in groups], dtype=torch.float64)
-    scaled = squares[:, rows, :far] * factor**2
-    first, second = scaled.flatten(2)
-    blocks = make_blocks(owner[rows.numpy()], t[rows.numpy()], length=decisions.replay_block)
-    generator = torch.Generator().manual_seed(seed)
-    found = paired_bootstrap(first, second, blocks, generator=generator, level=INTERVAL_LEVEL)
-    before, after = scaled.mean(1).sqrt()
+    def states(self, left: LeftOut, windows: Windows, starts: Tensor, steps: Sequence[int]) -> Tensor:
+        """Predicted states (S, steps, nx), by physics that was fitted without the run."""
+        model = as_model(self.spec, left.vector.at_first(), self.clock)
+        fold = self.folds.number[self.owner(windows.rows(starts))]
+        return states_by_fold(model, windows, starts, steps, values=left.theta, fold=fold)
 
-    def table(values: Tensor) -> dict[str, dict[str, float | None]]:
-        by = zip(groups, values.reshape(far, -1).T, strict=True)
+    def owner(self, row: Labels) -> Labels:
+        """Numbers of the runs that rows are of."""
+        return np.repeat(np.arange(len(self.runs)), [len(run) for run in self.runs])[row]
+
+    def errors(self, rest: LeftOut, full: LeftOut, seed: int, decisions: Decisions) -> dict[str, Any]:
+        """Errors by quantity and horizon, as `diagnosis.json` has them."""
+        dt, folds = self.spec.dt, self.folds
+        of_fold = [
+            [r for r, k in zip(self.runs, folds.number, strict=True) if k == f] for f in range(folds.count)
+        ]
+        horizons = min((horizons_of(part, dt) for part in of_fold), key=len)
+        counts = [max(1, round(h / dt)) for h in horizons]
+        windows = Windows(self.runs, dt, max(counts, default=1), dtype=torch.float64)
+        starts = thinned(start_grid(windows))
+        if not horizons or not len(starts):
+            return {}
+        row, system = windows.rows(starts), full.vector.system
+        owner, t = self.owner(row), np.concatenate([run.t for run in self.runs])[row]
+        squares = torch.stack(
+            [
+                squares_of(system, self.states(left, windows, starts, counts), windows, starts, counts)
+                for left in ([full] if rest is full else [rest, full])
+            ]
+        )
+        squares = squares.expand(2, *squares.shape[1:])
+        finished = squares.isfinite().all(3)
+        # horizons at which nearly all predictions are still numbers
+        far = int((finished.all(0).double().mean(0) >= decisions.replay_finite_share).sum())
+        if far == 0:
+            return {}
+        rows = finished[:, :, far - 1].all(0)
+        groups = system.error_groups
+        factor = torch.tensor([g.factor for g in groups], dtype=torch.float64)
+        scaled = squares[:, rows, :far] * factor**2
+        first, second = scaled.flatten(2)
+        blocks = make_blocks(owner[rows.numpy()], t[rows.numpy()], length=decisions.replay_block)
+        generator = torch.Generator().manual_seed(seed)
+        found = paired_bootstrap(first, second, blocks, generator=generator, level=INTERVAL_LEVEL)
+        before, after = scaled.mean(1).sqrt()
+
+        def table(values: Tensor) -> dict[str, dict[str, float | None]]:
+            by = zip(groups, values.reshape(far, -1).T, strict=True)
+            return {
+                g.name: {f"{h:g}": finite(v) for h, v in zip(horizons, column, strict=False)}
+                for g, column in by
+            }
+
         return {
-            g.name: {f"{h:g}": finite(v) for h, v in zip(horizons, column, strict=False)} for g, column in by
+            "horizons_s": list(horizons[:far]),
+            "units": {g.name: g.unit for g in groups},
+            "starts": len(first),
+            "diverged": dict(
+                zip(("before", "after"), (~finished[:, :, far - 1]).sum(1).tolist(), strict=True)
+            ),
+            "before": table(before),
+            "after": table(after),
+            "ratio": table(after / before.clamp_min(1e-12)),
+            "difference": {
+                "value": table(found.value),
+                "low_90": table(found.low),
+                "high_90": table(found.high),
+            },
         }
 
-    return {
-        "horizons_s": list(horizons[:far]),
-        "units": {g.name: g.unit for g in groups},
-        "starts": len(first),
-        "diverged": dict(zip(("before", "after"), (~finished[:, :, far - 1]).sum(1).tolist(), strict=True)),
-        "before": table(before),
-        "after": table(after),
-        "ratio": table(after / before.clamp_min(1e-12)),
-        "difference": {"value": table(found.value), "low_90": table(found.low), "high_90": table(found.high)},
-    }
+    def predictions(self, rest: LeftOut, full: LeftOut, horizons: Sequence[float]) -> Predictions | None:
+        """One after another, over the longest of the horizons (s) that is not above `_SHOWN_S`."""
+        dt = self.spec.dt
+        last = max(1, round(max((h for h in horizons if h <= _SHOWN_S), default=horizons[0]) / dt))
+        windows = Windows(self.runs, dt, last, dtype=torch.float64)
+        starts = thinned(windows.starts(last * windows.dt_model))
+        if not len(starts):
+            return None
+        steps = np.unique(np.linspace(1, last, min(last, _SHOWN)).round().astype(int))
+        measured = windows.batch(starts)[0]
+        out = {
+            name: torch.cat((measured[:, :1], self.states(left, windows, starts, steps.tolist())), 1).numpy()
+            for name, left in (("before", rest), ("after", full))
+            if name == "before" or rest is not full
+        }
+        at, row = np.append(0, steps), windows.rows(starts)
+        begun = np.concatenate([run.t for run in self.runs])[row]
+        seen = measured[:, at].numpy()
+        errors = np.abs(list(out.values())[-1] - seen)
+        finished = np.where(np.isfinite(errors), errors, np.inf)
+        width = np.quantile(finished, INTERVAL_LEVEL, axis=0, method="higher")
+        times = begun[:, None] + at * windows.dt_model
+        return Predictions(last * windows.dt_model, self.owner(row), times, seen, out, width)
 
 
 def as_model(spec: SysidSpec, system: System, clock: float) -> IdentifiedModel:

@@ -434,12 +434,25 @@ def write_report(path: Path, found: Diagnosis, content: Content, *, over_time: b
     figures = pictures(found, content)
     for name, figure in figures.items():
         save(figure, path.parent / "plots" / picture_file(name))
-    series = time_series(found) if over_time else ""
-    write_whole(path, page(content, figures, width=found.width, series=series))
+    series, made = time_series(found) if over_time else "", found.errors.predictions
+    horizon = made.horizon if made else None
+    write_whole(path, page(content, figures, width=found.width, series=series, horizon=horizon))
 
 
-def page(content: Content, figures: Mapping[str, Figure], *, width: float, series: str = "") -> str:
-    """The page as HTML, with the figures that `pictures` makes of means over `width` [s], and `time_series` as JSON."""
+def page(
+    content: Content,
+    figures: Mapping[str, Figure],
+    *,
+    width: float,
+    series: str = "",
+    horizon: float | None = None,
+) -> str:
+    """The page as HTML.
+
+    Args:
+        figures: What `pictures` makes, of means over `width` [s].
+        series: `time_series`, with predictions over `horizon` [s]; None where it has none.
+    """
     shown = {}
     for name, figure in figures.items():
         buffer = io.BytesIO()
@@ -453,5 +466,6 @@ def page(content: Content, figures: Mapping[str, Figure], *, width: float, serie
         figures=shown,
         width=width,
         series=series,
+        horizon=horizon,
         script=script,
     )

@@ -1,4 +1,4 @@
-"""The log over time for `report.html`: states, inputs, and what the physics leaves before and after, by run.
+"""The log over time for `report.html`, by run: states, inputs, what the physics leaves before and after, predictions.
 
 Runs are thinned to what a screen shows: of each stretch of rows the smallest and the largest value, so that no spike is
 lost. Values are 16-bit numbers between the ends of their channel; `templates/series.js` draws them with plotly.js, as
@@ -18,6 +18,7 @@ import numpy as np
 
 from nsde_torch.arrays import Array
 from nsde_torch.data.system_info import derivative_columns
+from nsde_torch.diagnosis.search import dynamic_rows
 
 if TYPE_CHECKING:
     from nsde_torch.data import Run
@@ -60,12 +61,18 @@ def time_series(found: Diagnosis) -> str:
     most = max(_FEWEST, _ROWS // len(runs))
     logs = [_encoded(columns, *_log(run, most)) for run in runs]
     left, charts = _left(found, most)
+    ahead, predicted = _ahead(found)
     paths = (
         i for i, _ in derivative_columns(system).values() if system.quaternion is not None and len(i) == 3
     )
     content = {
-        "runs": [{"name": r.name, "log": a, "left": b} for r, a, b in zip(runs, logs, left, strict=True)],
-        "charts": [{"of": "log", "names": names, "unit": unit} for unit, names in groups] + charts,
+        "runs": [
+            {"name": r.name, "log": a, "left": b, "ahead": c}
+            for r, a, b, c in zip(runs, logs, left, ahead, strict=True)
+        ],
+        "charts": [{"of": "log", "names": names, "unit": unit} for unit, names in groups]
+        + charts
+        + predicted,
         "path": [system.state_names[k] for k in next(paths, ())],
     }
     return json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
@@ -105,6 +112,33 @@ def _left(found: Diagnosis, most: int) -> tuple[list[dict[str, Any]], list[dict[
     pairs = zip(before.names, before.units, strict=True)
     charts = [{"of": "left", "names": [f"{c} {name}" for name in both], "unit": unit} for c, unit in pairs]
     return out, charts
+
+
+def _ahead(found: Diagnosis) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Predictions of each run by physics that was fitted to other runs, and their charts; empty without any."""
+    made, system = found.errors.predictions, found.system
+    out: list[dict[str, Any]] = [{} for _ in found.runs]
+    if made is None:
+        return out, []
+    *_, last = made.predicted.values()
+    every = (
+        {"measured": made.measured} | made.predicted | {"low": last - made.width, "high": last + made.width}
+    )
+    rows = dynamic_rows(system)
+    columns = [f"{system.state_names[c]} {name}" for c in rows for name in every]
+    values = np.stack(list(every.values()), -1)[:, :, rows].reshape(*made.t.shape, -1)
+    gap = np.full((len(values), 1, len(columns)), np.nan)  # after each
+    values, t = np.concatenate((values, gap), 1), np.concatenate((made.t, made.t[:, -1:]), 1)
+    for number, name in enumerate(found.errors.runs):
+        own = np.flatnonzero(made.run == number)[: _ROWS // t.shape[1]]
+        if len(own):
+            part = _encoded(columns, t[own].ravel(), values[own].reshape(-1, len(columns)))
+            out[found.runs.index(name)] = part
+    count = len(every)
+    return out, [
+        {"of": "ahead", "names": columns[count * k :][:count], "unit": system.state_units[c]}
+        for k, c in enumerate(rows)
+    ]
 
 
 def thinned(t: Array, y: Array, most: int) -> tuple[Array, Array]:

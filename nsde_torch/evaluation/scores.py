@@ -111,8 +111,8 @@ def baselines(system: System, x0: Tensor, elapsed: float) -> dict[str, Tensor]:
 
 
 def group_squares(system: System, errors: Tensor) -> Tensor:
-    """Squared norm of each error group (B, n_groups) of errors (B, n_error), in the unit of the channels."""
-    return torch.stack([errors[:, list(g.channels)].square().sum(1) for g in system.error_groups], 1)
+    """Squared norm of each error group (..., n_groups) of errors (..., n_error), in the unit of the channels."""
+    return torch.stack([errors[..., list(g.channels)].square().sum(-1) for g in system.error_groups], -1)
 
 
 def rms_by_group(system: System, squares: Tensor, horizons: Sequence[str]) -> dict[str, dict[str, float]]:
@@ -257,11 +257,19 @@ def rollout_squares(model: IdentifiedModel, windows: Windows, starts: Tensor, st
     Args:
         starts: Window numbers (S,).
     """
-    return _advanced(model, windows.dt_model, steps, *_begun(model, windows, starts))
+    states = _advanced(model, windows.dt_model, steps, *_begun(model, windows, starts))
+    return squares_of(model.system, states, windows, starts, steps)
+
+
+def squares_of(
+    system: System, states: Tensor, windows: Windows, starts: Tensor, steps: Sequence[int]
+) -> Tensor:
+    """Squared errors (S, horizons, groups) of predicted states (S, horizons, nx)."""
+    return group_squares(system, system.error(states, windows.batch(starts)[0][:, list(steps)]))
 
 
 @torch.no_grad()
-def squares_by_fold(
+def states_by_fold(
     model: IdentifiedModel,
     windows: Windows,
     starts: Tensor,
@@ -270,7 +278,7 @@ def squares_by_fold(
     values: NDArray[np.float64],
     fold: NDArray[np.int64],
 ) -> Tensor:
-    """As `rollout_squares`, with values of the parameters for each fold of the starts; all folds at once.
+    """Predicted states (S, horizons, nx) as `rollout_squares` has them, with values for each fold of the starts.
 
     Args:
         windows, starts, steps: See `rollout_squares`.
@@ -291,29 +299,29 @@ def squares_by_fold(
 
     try:
         with few_operations():
-            squares = torch.func.vmap(one)(thetas, *map(torch.stack, zip(*begun, strict=True)))
+            states = torch.func.vmap(one)(thetas, *map(torch.stack, zip(*begun, strict=True)))
     except RuntimeError:  # an effect of the user's own that branches on its values
-        squares = torch.stack([one(theta, *parts) for theta, parts in zip(thetas, begun, strict=True)])
-    out = squares.new_empty(len(starts), *squares.shape[2:])
-    for own, part in zip(rows, squares, strict=True):
+        states = torch.stack([one(theta, *parts) for theta, parts in zip(thetas, begun, strict=True)])
+    out = states.new_empty(len(starts), *states.shape[2:])
+    for own, part in zip(rows, states, strict=True):
         out[own] = part[: len(own)]
     return out
 
 
 def _begun(model: IdentifiedModel, windows: Windows, starts: Tensor) -> tuple[Tensor, ...]:
-    """States with their memory, measured states, inputs and times of the starts of predictions."""
+    """States with their memory, inputs and times of the starts of predictions."""
     x, u, t0 = windows.batch(starts)
     before, dt = inputs_before(model.system, windows, starts), windows.dt_model
     model.set_step(dt)
-    return model.remembered(x[:, 0], u[:, 0], before, dt=dt), x, u, t0
+    return model.remembered(x[:, 0], u[:, 0], before, dt=dt), u, t0
 
 
 def _advanced(
-    model: IdentifiedModel, dt: float, steps: Sequence[int], z: Tensor, x: Tensor, u: Tensor, t0: Tensor
+    model: IdentifiedModel, dt: float, steps: Sequence[int], z: Tensor, u: Tensor, t0: Tensor
 ) -> Tensor:
     system, solver, out = model.system, make_step("rk4"), {}
     for k in range(max(steps)):
         z = system.project(solver.advance(model, t0[:, None] + k * dt, z, u[:, k], dt, None))
         if k + 1 in steps:
-            out[k + 1] = group_squares(system, system.error(z[:, : system.nx], x[:, k + 1]))
+            out[k + 1] = z[:, : system.nx]
     return torch.stack([out[k] for k in steps], 1)

@@ -49,6 +49,7 @@ def test_states_inputs_and_residuals_of_every_run_are_there(found: Diagnosis) ->
         ["q_dot"],
         ["force"],
         ["q_dot before", "q_dot after"],
+        ["q_dot measured", "q_dot before", "q_dot after", "q_dot low", "q_dot high"],
     ]
     for run, shown in zip(found.data.runs, content["runs"], strict=True):
         q = values(shown["log"]["y"]["q"])
@@ -58,6 +59,30 @@ def test_states_inputs_and_residuals_of_every_run_are_there(found: Diagnosis) ->
         before, after = (values(shown["left"]["y"][f"q_dot {name}"]) for name in ("before", "after"))
         assert before.mean() == pytest.approx(0.2, abs=0.05)
         assert after.mean() == pytest.approx(0.0, abs=0.05)
+
+
+def test_predictions_have_a_band_that_holds_nine_in_ten_of_what_was_measured(found: Diagnosis) -> None:
+    made = found.errors.predictions
+    assert made is not None
+    assert made.horizon == 1.0
+    content = json.loads(time_series(found))
+    errors, inside = {"before": [], "after": []}, []
+    for run, shown in zip(found.data.runs, content["runs"], strict=True):
+        ahead = {name.removeprefix("q_dot "): values(y) for name, y in shown["ahead"]["y"].items()}
+        t = np.array(shown["ahead"]["t"])
+        begun = np.flatnonzero(np.isnan(np.append(np.nan, ahead["after"][:-1])))  # after each gap
+        kept = ~np.isnan(ahead["measured"])
+        assert np.allclose(np.diff(t[begun]), 1.0)
+        assert np.allclose(ahead["measured"][kept], np.interp(t[kept], run.t, run.x[:, 1]), atol=1e-3)
+        assert np.allclose(
+            ahead["after"][begun], ahead["measured"][begun], atol=1e-3
+        )  # from what was measured
+        kept[begun] = False
+        for name, own in errors.items():
+            own.extend(ahead[name][kept] - ahead["measured"][kept])
+        inside.extend((ahead["low"] <= ahead["measured"])[kept] & (ahead["measured"] <= ahead["high"])[kept])
+    assert np.mean(inside) == pytest.approx(0.9, abs=0.06)
+    assert np.std(errors["after"]) < 0.6 * np.std(errors["before"])
 
 
 def test_of_a_long_log_no_spike_is_lost() -> None:
@@ -94,15 +119,17 @@ def test_the_page_draws_them_in_a_browser(found: Diagnosis, tmp_path: Path) -> N
         driver.get((tmp_path / "report.html").as_uri())
         left = "what the physics leaves of q_dot, before, after [m/s2]"
         titles = driver.execute_script(TEXTS, "#charts .annotation-text")
-        assert titles == ["q [m]", "q_dot [m/s]", "force [N]", left]
+        ahead = "predictions of q_dot, measured, before, after [m/s]"
+        assert titles == ["q [m]", "q_dot [m/s]", "force [N]", left, ahead]
         chart = driver.find_element("css selector", "#charts .nsewdrag")
         ActionChains(driver).move_to_element(chart).perform()
         time, *values = until(TEXTS, bool, "#charts .hoverlayer text")
         assert float(time.removesuffix(" s")) == pytest.approx(4.0, abs=0.1)  # the middle of 8 s
-        names = ["q", "q_dot", "force", "q_dot before", "q_dot after"]
+        left_over, predictions = ["q_dot before", "q_dot after"], ["q_dot measured", "q_dot before", "q_dot after"]
+        names = ["q", "q_dot", "force", *left_over, *predictions]
         assert [text.partition(" : ")[0] for text in values] == names  # of all charts
         whole = driver.execute_script(LINES)
-        assert len(whole) == 5
+        assert len(whole) == 5 + 8 * 4  # eight predictions of 1 s: three lines and a band
         across = ActionChains(driver).move_to_element(chart).click_and_hold()
         across.move_by_offset(round(chart.rect["width"] / 4), 0).release().perform()
         until(SHOWN, lambda ends: ends == pytest.approx([4.0, 6.0], abs=0.1))

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from nsde_torch.data import Run, Windows
-from nsde_torch.evaluation.scores import rollout_squares, squares_by_fold
+from nsde_torch.evaluation.scores import rollout_squares, squares_of, states_by_fold
 from nsde_torch.models import IdentifiedModel, SysidSpec
 from nsde_torch.systems.parameters import ParameterVector
 from tests.models.test_inputs_before import DT, VALUES, flight
@@ -41,8 +41,10 @@ def test_folds_predict_together_as_they_do_alone(branches: bool, monkeypatch: py
     fold = np.arange(len(starts)) * 5 // (2 * len(starts))  # of unlike sizes
     vector = ParameterVector(model.system)
     values = np.stack([vector.start, 1.02 * vector.start, 0.97 * vector.start])
-    together = squares_by_fold(physics(), windows, starts, STEPS, values=values, fold=fold)
-    assert together.shape[:2] == (len(starts), 2)
+    model = physics()
+    states = states_by_fold(model, windows, starts, STEPS, values=values, fold=fold)
+    assert states.shape == (len(starts), 2, 13)
+    together = squares_of(model.system, states, windows, starts, STEPS)
     for f, theta in enumerate(values):
         alone = physics()
         vector.write(alone.system, theta)

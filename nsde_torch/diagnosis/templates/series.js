@@ -7,6 +7,15 @@
     const bytes = Uint8Array.from(atob(packed), (c) => c.charCodeAt(0));
     return Array.from(new Int16Array(bytes.buffer), (v) => (v === -32768 ? null : low + (v + 32767) * size));
   };
+  const band = (t, low, high) => { // one polygon for each stretch
+    const x = [], y = [];
+    for (let from = 0, to; from < t.length; from = to + 1) {
+      to = low.indexOf(null, from); if (to < 0) to = t.length;
+      const part = t.slice(from, to);
+      x.push(...part, ...[...part].reverse(), null); y.push(...low.slice(from, to), ...high.slice(from, to).reverse(), null);
+    }
+    return { x, y };
+  };
   const plain = (text) => text.replaceAll("&", "&amp;").replaceAll("<", "&lt;");
   const known = (unit) => (unit && unit !== "1" ? plain(unit) : "");
   const font = { family: "system-ui, sans-serif", size: 12, color: "#555" };
@@ -32,15 +41,20 @@
         showspikes: true, spikemode: "across", spikesnap: "cursor", spikethickness: 1, spikedash: "solid", spikecolor: "#999" },
     };
     shown.forEach(({ of, names, unit }, k) => {
-      const left = of === "left", top = 1 - (k * (ABOVE + HIGH) + ABOVE) / whole, own = run[of];
+      const top = 1 - (k * (ABOVE + HIGH) + ABOVE) / whole, own = run[of], yaxis = `y${k + 1}`;
       layout[`yaxis${k + 1}`] = { ...lines, domain: [Math.max(top - HIGH / whole, 0), top], fixedrange: true, nticks: 5, tickformat: ".4~g" };
-      const coloured = names.map((name, n) => {
-        const color = left && n === 0 ? "#999" : colours[n % colours.length];
+      const shownNames = of === "ahead" ? names.slice(0, -2) : names, palette = { log: colours, left: ["#999", "#D55E00"], ahead: ["#1a1a1a", "#0072B2", "#D55E00"] }[of];
+      const last = palette[shownNames.length - 1]; // the ends of the band of predictions are its last two names
+      if (of === "ahead") data.push({ type: "scatter", mode: "lines", ...band(own.t, ...names.slice(-2).map((name) => values(own.y[name]))), yaxis,
+        line: { width: 0, color: last }, hoverinfo: "skip", fill: "toself", fillcolor: `${last}30` });
+      const coloured = shownNames.map((name, n) => {
+        const color = palette[n % palette.length];
         data.push({ type: "scatter", mode: "lines", x: own.t, y: values(own.y[name]), name: plain(name), line: { color, width: 1 },
-          yaxis: `y${k + 1}`, hovertemplate: `%{y:.4~g} ${known(unit)}` });
-        return `<span style="color:${color}">${plain(left ? name.slice(name.lastIndexOf(" ") + 1) : name)}</span>`;
+          yaxis, hovertemplate: `%{y:.4~g} ${known(unit)}` });
+        return `<span style="color:${color}">${plain(of === "log" ? name : name.slice(name.lastIndexOf(" ") + 1))}</span>`;
       }).join(", ");
-      const text = (left ? `what the physics leaves of ${plain(names[0].replace(/ before$/, ""))}, ${coloured}` : coloured) + (known(unit) && ` [${known(unit)}]`);
+      const channel = plain(names[0].replace(/ \w+$/, "")), words = { log: "", left: `what the physics leaves of ${channel}, `, ahead: `predictions of ${channel}, ` };
+      const text = words[of] + coloured + (known(unit) && ` [${known(unit)}]`);
       titles.push({ text: `<b>${text}</b>`, x: 0, y: top, xref: "paper", yref: "paper", xanchor: "left", yanchor: "bottom", showarrow: false, font: { ...font, size: 13, color: "#1a1a1a" } });
     });
     layout.hoversubplots = data.length > 12 ? "overlaying" : "axis"; // the values of all charts, where they are few

@@ -125,7 +125,10 @@ def test_the_page_draws_them_in_a_browser(found: Diagnosis, tmp_path: Path) -> N
         ActionChains(driver).move_to_element(chart).perform()
         time, *values = until(TEXTS, bool, "#charts .hoverlayer text")
         assert float(time.removesuffix(" s")) == pytest.approx(4.0, abs=0.1)  # the middle of 8 s
-        left_over, predictions = ["q_dot before", "q_dot after"], ["q_dot measured", "q_dot before", "q_dot after"]
+        left_over, predictions = (
+            ["q_dot before", "q_dot after"],
+            ["q_dot measured", "q_dot before", "q_dot after"],
+        )
         names = ["q", "q_dot", "force", *left_over, *predictions]
         assert [text.partition(" : ")[0] for text in values] == names  # of all charts
         whole = driver.execute_script(LINES)

@@ -221,7 +221,7 @@ def closed_loop(model: Any, seconds: float, solver: SolverOptions) -> dict[str, 
 
     controller.solver.solve = watched  # type: ignore[method-assign]
     flight = fly(pilot, plant, reference, duration=seconds)
-    found = summarise([flight])
+    found = summarise([flight], controller.predictor.system)
     keys = ("rmse_m", "altitude_error_max_m", "solve_ms", "command_ms", "iterations_mean", "status")
     return {
         **{k: found[k] for k in keys},

@@ -57,15 +57,15 @@ def shared(library: type[Any], config: DictConfig) -> dict[str, Any]:
     return {f.name: config[f.name] for f in fields(library) if f.name in config}
 
 
-def fence(config: DictConfig, group: str) -> tuple[tuple[float, float], ...]:
-    """The key `fence` of a group: lowest and highest x, y, z [m]; ConfigError where it is none."""
+def fence(config: DictConfig, group: str, walls: int | None = 3) -> tuple[tuple[float, float], ...]:
+    """The key `fence` of a group: lowest and highest x, y, z [m], or as many pairs as wanted; else a ConfigError."""
     rows = options(config)["fence"]
 
     def wall(row: Any) -> bool:
         number = isinstance(row, list) and all(type(end) in (int, float) for end in row)
         return number and len(row) == 2 and row[0] < row[1]
 
-    if not (isinstance(rows, list) and len(rows) == 3 and all(map(wall, rows))):
+    if not (isinstance(rows, list) and walls in (None, len(rows)) and all(map(wall, rows))):
         raise ConfigError(
             f"`{group}.fence` takes [[x_low,x_high],[y_low,y_high],[z_low,z_high]]; got {rows!r}."
         )

@@ -83,8 +83,10 @@ def _wrong_type(error: Exception) -> str:
     found = re.search(r"Value '(.*)' of type '.*' could not be converted to (\w+)", reason)
     if found and found[2] in _TYPES:
         return f"must be {_TYPES[found[2]]}; got {found[1]!r}"
-    if "not a ListConfig" in reason or "merge DictConfig with ListConfig" in reason:
+    if "not a ListConfig" in reason:
         return "must be a list, in brackets"
+    if "merge DictConfig with ListConfig" in reason:  # which of the two was wanted, it does not say
+        return "is of the wrong kind: a list stands in brackets, names with values in braces, {name: value}"
     if "is not Optional" in reason:
         return "must be given; it cannot be null"
     return f"cannot be set: {reason}"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,8 +22,8 @@ from nsde_torch.control.controller import Controller, Planner, SafetyOptions
 from nsde_torch.control.loop import DECLARED, system_of
 from nsde_torch.control.loop import knowledge as knowledge_of
 from nsde_torch.control.predictor import Predictor
-from nsde_torch.control.problem import ProblemOptions
-from nsde_torch.control.reference import FlightPath, Reference
+from nsde_torch.control.problem import ProblemOptions, problem_of
+from nsde_torch.control.reference import FlightPath, Reference, StateReference, course, setpoint
 from nsde_torch.control.shapes import from_csv, waypoints
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.errors import ConfigError
@@ -56,7 +55,28 @@ _PATHS: Mapping[str, Callable[..., FlightPath]] = {
 
 def reference(config: DictConfig) -> Reference:
     """The group `reference`; ConfigError for a size that makes no path."""
+    if config.kind == "setpoint":
+        raise ConfigError(
+            "a multirotor flies paths: take reference=hover, waypoints, csv, circle or lemniscate."
+        )
     return Reference(_PATHS[config.kind](**build.options(config, "kind", "check", "tilt_limit")))
+
+
+def any_reference(config: DictConfig, system: System) -> StateReference:
+    """The group `reference` for a machine; ConfigError for a flight of one that does not fly."""
+    if isinstance(system, Multirotor):
+        return reference(config)
+    if config.kind == "setpoint":
+        states = build.options(config)["states"]
+        if not (isinstance(states, dict) and all(type(v) in (int, float) for v in states.values())):
+            raise ConfigError(f"`reference.states` takes {{state: value}}; got {states!r}.")
+        return setpoint(system, states, duration=config.duration)
+    if config.kind == "csv":
+        return course(system, config.path)
+    raise ConfigError(
+        f"reference={config.kind} is a flight, and the machine is a {system.name}. Take reference=setpoint with "
+        f"reference.states={{{system.state_names[0]}: 0}}, or reference=csv with reference.path=FILE."
+    )
 
 
 _IN_FILES = (
@@ -69,18 +89,29 @@ _MOTOR_LATENCY = 0.02  # measured best on machines whose motors lag 50 ms
 _LAGS = {"motor_lag", "actuator_lag", "input_delay"}
 
 
-def knowledge(name: str, config: DictConfig, *, command: str) -> Model | System:
-    """What `run=` names, a model or the declared physics of the plant; ConfigError for no multirotor, or no machine."""
+def knowledge(
+    name: str,
+    config: DictConfig,
+    *,
+    command: str,
+    flights: bool = True,
+    beside: Model | System | None = None,
+) -> Model | System:
+    """What `run=` names, a model or the declared physics of the plant; ConfigError for no machine.
+
+    Where it is for `flights` alone, no multirotor is an error too. `beside` has the machine where the plant names none.
+    """
     if is_exported(name):
         return exported(name).known
-    if name == DECLARED and config.system is None:
+    machine_name = config.system or (beside.spec.system if isinstance(beside, Model) else None)
+    if name == DECLARED and machine_name is None:
         raise ConfigError("`run=declared` needs the machine: plant=hexacopter or plant.system=NAME.")
     see_own_modules(Path(name))
-    known = knowledge_of(name, config.system or "")
-    if not isinstance(system_of(known), Multirotor):
+    known = knowledge_of(name, machine_name or "")
+    if flights and not isinstance(system_of(known), Multirotor):
         raise ConfigError(
             f"`nsde {command}` is for multirotors (hexacopter, quadrotor); the machine of run={name} is a "
-            f"{system_of(known).name}. What its model predicts: nsde evaluate run=DIR."
+            f"{system_of(known).name}. Others are controlled by nsde track."
         )
     return known
 
@@ -104,9 +135,13 @@ def plant(config: DictConfig, known: Model | System, *, seed: int) -> SteppedMac
             latency=config.latency,
             limits=spec.limits or (0.0, 1.0),
         )
-    name = config.system or own.name
-    if name != own.name:
-        raise ConfigError(f"the model is of a {own.name}, and plant.system={name}. Take plant={own.name}.")
+    mine = (
+        own.name if isinstance(known, System) else known.spec.system
+    )  # `module:Class` of one of the user's own
+    name = config.system or mine
+    if name.rpartition(":")[2] not in (own.name, mine.rpartition(":")[2], type(own).__name__):
+        fits = own.name if isinstance(own, Multirotor) else "own"
+        raise ConfigError(f"the model is of a {own.name}, and plant.system={name}. Take plant={fits}.")
     return make_plant(
         name,
         generator=generator,
@@ -130,12 +165,14 @@ def envelope(config: DictConfig, path: Reference, known: Model | System) -> feas
     return feasible.check(path, predictor, low=options.low, high=options.high, tilt=tilt)
 
 
-def problem(config: DictConfig) -> ProblemOptions:
-    """What a plan pays for."""
-    given = build.shared(ProblemOptions, config)
-    limits = {name: inf if given[name] is None else given[name] for name in ("speed_limit", "tilt_limit")}
-    fence = None if config.fence is None else build.fence(config, "mpc")
-    return ProblemOptions(**{**given, **limits, "state_weights": tuple(config.state_weights), "fence": fence})
+def problem(config: DictConfig, system: System | None = None) -> ProblemOptions:
+    """What a plan pays for, of a machine; of a multirotor without."""
+    given = {name: value for name, value in build.shared(ProblemOptions, config).items() if value is not None}
+    if "state_weights" in given:
+        given["state_weights"] = tuple(given["state_weights"])
+    if "fence" in given:
+        given["fence"] = build.fence(config, "mpc", None if system is not None else 3)
+    return ProblemOptions(**given) if system is None else problem_of(system, **given)
 
 
 def solver(config: DictConfig) -> SolverOptions:
@@ -152,7 +189,7 @@ def autopilot(
     name: str,
     known: Model | System,
     config: DictConfig,
-    path: Reference,
+    path: StateReference,
     *,
     batch: int,
     sample: float,
@@ -161,6 +198,8 @@ def autopilot(
     """A controller by its name: `pid`, or the predictive one with what is known of the machine."""
     mpc, flown = config.mpc, config.plant
     if name == PID:
+        if not isinstance(path, Reference):
+            raise ConfigError("beside=[pid] flies multirotors.")
         return CascadePilot(system_of(known), path, batch=batch, period=sample)
     controller: Planner
     foresight: Model | System | Foresight = known
@@ -172,7 +211,12 @@ def autopilot(
         foresight = file.sample
     else:
         controller = Controller(
-            known, problem=problem(mpc), solver=solver(mpc), safety=safety(mpc), batch=batch, say=say
+            known,
+            problem=problem(mpc, system_of(known)),
+            solver=solver(mpc),
+            safety=safety(mpc),
+            batch=batch,
+            say=say,
         )
     return PredictivePilot(
         controller,
@@ -203,7 +247,8 @@ def _motor_latency(mpc: DictConfig, known: Model | System) -> float:
     """Stands for the lag of motors [s] where the model does not have it."""
     if mpc.motor_latency is not None:
         return float(mpc.motor_latency)
-    return 0.0 if _LAGS & set(system_of(known).effect_names) else _MOTOR_LATENCY
+    system = system_of(known)
+    return _MOTOR_LATENCY if isinstance(system, Multirotor) and not _LAGS & set(system.effect_names) else 0.0
 
 
 def is_exported(name: str) -> bool:

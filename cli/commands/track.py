@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from nsde_torch.control.loop import Flight
-    from nsde_torch.control.reference import Reference
+    from nsde_torch.control.reference import StateReference
     from nsde_torch.models import Model
     from nsde_torch.systems import System
 
@@ -50,14 +51,18 @@ class TrackConfig:
     animation: str | None = key(None, "film of the first flight: gif or mp4", choices=("gif", "mp4"))
     threads: int = key(1, "CPU threads of torch; more make small solves slower", low=1)
     out_dir: str = key("???", "folder to write into", file=True)
-    reference: ReferenceConfig = group(ReferenceConfig, "where to fly")
+    start: Any = key(
+        {},
+        "first values of states, {theta: 3.14}; {}: rest at the origin for reference=setpoint, else the reference's",
+    )
+    reference: ReferenceConfig = group(ReferenceConfig, "where to fly, or which states to reach")
     plant: FlownPlantConfig = group(FlownPlantConfig, "what is flown")
     mpc: MpcConfig = group(MpcConfig, "the controller")
 
 
 COMMAND = HydraCommand(
     name="track",
-    help="Fly a reference with model predictive control on a learned model, and report errors and times",
+    help="Follow a reference with model predictive control on a learned model, and report errors and times",
     schema=TrackConfig,
     module=__name__,
     groups={"reference": "lemniscate", "plant": "hexacopter", "mpc": "default"},
@@ -68,8 +73,13 @@ COMMAND = HydraCommand(
 
 
 def run(config: DictConfig, job: Job) -> float | None:
-    """Fly one reference with one or several controllers; RMSE of the position [m], None if all machines were lost."""
+    """Follow one reference with one or several controllers.
+
+    Returns the RMSE of the position [m] of a multirotor, the largest of the error groups of another machine; None if
+    all machines were lost.
+    """
     from nsde_torch.control.loop import summarise, write_log
+    from nsde_torch.control.reference import Reference
 
     from .. import build, track_build
 
@@ -78,24 +88,30 @@ def run(config: DictConfig, job: Job) -> float | None:
         raise ConfigError(f"`beside` names a controller twice: {names}.")
     if config.run == track_build.PID:
         raise ConfigError("`run` is the model's run directory (or declared); pid can fly beside=[pid].")
-    known = {
-        name: track_build.knowledge(name, config.plant, command="track")
-        for name in names
-        if name != track_build.PID
-    }
-    first = known[config.run]
-    path = track_build.reference(config.reference)
-    asked = track_build.envelope(config, path, first)
-    print(
-        f"{path.name}: {path.duration:g} s, up to {asked.speed:.2f} m/s and {asked.tilt:.0f} deg of tilt, commands "
-        f"{asked.input_low:.2f} to {asked.input_high:.2f}"
-    )
+    first = track_build.knowledge(config.run, config.plant, command="track", flights=False)
+    known = {config.run: first}
+    for name in config.beside:
+        if name != track_build.PID:
+            known[name] = track_build.knowledge(
+                name, config.plant, command="track", flights=False, beside=first
+            )
+    system = track_build.system_of(first)
+    path = track_build.any_reference(config.reference, system)
+    asked = None
+    if isinstance(path, Reference):
+        if config.start:
+            raise ConfigError("`start` is for other machines: a flight starts where its reference does.")
+        asked = track_build.envelope(config, path, first)
+        print(
+            f"{path.name}: {path.duration:g} s, up to {asked.speed:.2f} m/s and {asked.tilt:.0f} deg of tilt, "
+            f"commands {asked.input_low:.2f} to {asked.input_high:.2f}"
+        )
     content: dict[str, Any] = {
         "reference": {
             "name": path.name,
             "duration_s": path.duration,
-            **path.path.about,
-            "envelope": vars(asked),
+            **path.about,
+            "envelope": vars(asked) if asked else None,
         },
         "plant": build.options(config.plant),
         "mpc": build.options(config.mpc),
@@ -106,24 +122,30 @@ def run(config: DictConfig, job: Job) -> float | None:
     for name in names:
         label = track_build.label(name)
         flights[label] = _fly(config, name, known.get(name, first), first, path)
-        content["controllers"][label] = {"run": name, **summarise(flights[label])}
+        content["controllers"][label] = {"run": name, **summarise(flights[label], system)}
         print(_line(label, content["controllers"][label]), flush=True)
     (job.run_dir / RESULT).write_text(json_text(content), encoding="utf-8")
     own = flights[track_build.label(config.run)]
-    write_log(own, track_build.system_of(first), job.run_dir / LOG)
-    wrote = [RESULT, f"{LOG}/", *_pictures(config, job, flights, path)]
+    write_log(own, system, job.run_dir / LOG)
+    wrote = [RESULT, f"{LOG}/", *_pictures(config, job, flights, path, system)]
     print(f"\n{job.took}; wrote {job.run_dir}: {', '.join(wrote)}")
-    rmse: float | None = content["controllers"][track_build.label(config.run)]["rmse_m"]
-    return rmse
+    found = content["controllers"][track_build.label(config.run)]
+    return found.get("rmse_m", max(found.get("rmse", {}).values(), default=None))
 
 
 def _fly(
-    config: DictConfig, name: str, known: Model | System, first: Model | System, path: Reference
+    config: DictConfig, name: str, known: Model | System, first: Model | System, path: StateReference
 ) -> list[Flight]:
     """The flights of one controller; every controller meets the same noise of the plant."""
     from nsde_torch.control.loop import fly
+    from nsde_torch.control.reference import setpoint
 
-    from .. import track_build
+    from .. import build, track_build
+
+    begin = build.options(config)["start"]
+    system = track_build.system_of(first)
+    rest = begin or config.reference.kind == "setpoint"
+    start = setpoint(system, begin, duration=1.0).states[0] if rest else None
 
     together = config.at_once or (1 if config.machines <= _ONE_BY_ONE else config.machines)
     autopilot, size, out = None, 0, []
@@ -147,6 +169,7 @@ def _fly(
                 plant,
                 path,
                 machines=count,
+                start=start,
                 state_latency=config.plant.state_latency,
                 duration=config.duration,
             )
@@ -156,12 +179,16 @@ def _fly(
 
 def _line(label: str, found: dict[str, Any]) -> str:
     """One controller in one line or two."""
-    if found["rmse_m"] is None:
+    if found["lost"] == found["machines"]:
         return f"{label}: all {found['machines']} machines were lost"
-    text = (
-        f"{label}: RMSE {100 * found['rmse_m']:.1f} cm, largest {100 * found['position_error_max_m']:.1f} cm, altitude "
-        f"within {100 * found['altitude_error_max_m']:.1f} cm, {found['lost']} of {found['machines']} lost"
-    )
+    if "rmse_m" not in found:
+        errors = ", ".join(
+            f"{name} {value:.3g} {found['units'][name]} ({found['rmse_last_s'][name]:.3g} in the last second)"
+            for name, value in found["rmse"].items()
+        )
+        text = f"{label}: RMSE {errors}, {found['lost']} of {found['machines']} lost"
+    else:
+        text = _flown(label, found)
     if "solve_ms" in found:
         ms = found["solve_ms"]
         text += f"\n  solves: p50 {ms['p50']:.2f} ms, p99 {ms['p99']:.2f} ms; "
@@ -169,18 +196,33 @@ def _line(label: str, found: dict[str, Any]) -> str:
     return text
 
 
-def _pictures(config: DictConfig, job: Job, flights: dict[str, list[Flight]], path: Reference) -> list[str]:
+def _flown(label: str, found: Mapping[str, Any]) -> str:
+    return (
+        f"{label}: RMSE {100 * found['rmse_m']:.1f} cm, largest {100 * found['position_error_max_m']:.1f} cm, altitude "
+        f"within {100 * found['altitude_error_max_m']:.1f} cm, {found['lost']} of {found['machines']} lost"
+    )
+
+
+def _pictures(
+    config: DictConfig, job: Job, flights: dict[str, list[Flight]], path: StateReference, system: System
+) -> list[str]:
     import numpy as np
 
     from nsde_torch.plots import save
-    from nsde_torch.plots.tracking import film, solve_times, tracking
+    from nsde_torch.plots.tracking import film, solve_times, states_over_time, tracking
+    from nsde_torch.systems import Multirotor
 
     folder = job.run_dir / PLOTS
     folder.mkdir(exist_ok=True)
     first = next(iter(flights.values()))[0]
     t, ref = first.t.numpy(), first.ref.numpy()
     states = {name: np.concatenate([f.x.numpy() for f in fs], 1) for name, fs in flights.items()}
-    save(tracking(t, ref, states, title=f"Tracking of the {path.name}"), folder / "tracking.png")
+    if isinstance(system, Multirotor):
+        figure = tracking(t, ref, states, title=f"Tracking of the {path.name}")
+    else:
+        inputs = {name: np.concatenate([f.u.numpy() for f in fs], 1) for name, fs in flights.items()}
+        figure = states_over_time(t, ref, states, inputs, system, title=f"{system.name}: {path.name}")
+    save(figure, folder / "tracking.png")
     wrote = [f"{PLOTS}/tracking.png"]
     times = {
         name: np.array([d.solve_ms for f in fs for d in f.decisions[1:] if d.cost is not None])
@@ -190,7 +232,9 @@ def _pictures(config: DictConfig, job: Job, flights: dict[str, list[Flight]], pa
     if times:
         save(solve_times(times, title="Times of solves in the closed loop"), folder / "solve_times.png")
         wrote.append(f"{PLOTS}/solve_times.png")
-    if config.animation is not None:
+    if config.animation is not None and not isinstance(system, Multirotor):
+        print("animation= films flights; this machine has none")
+    elif config.animation is not None:
         file = film(t, ref, next(iter(states.values()))[:, 0], folder / f"flight.{config.animation}")
         wrote.append(f"{PLOTS}/{file.name}")
     return wrote

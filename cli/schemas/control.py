@@ -43,9 +43,12 @@ class FlownPlantConfig:
     dt: float | None = key(None, "sample of the plant; null: the machine's", unit="s", above=0)
 
 
+_WEIGHTS = "Q of each error channel; null: the supplement's, and 10 for positions, 0.1 for velocities"
+
+
 @dataclass
 class MpcConfig:
-    """The controller."""
+    """The controller. Where null says two values, the first is a multirotor's."""
 
     solver: str = of(SolverOptions, "name")
     iterations: int = of(SolverOptions, "iterations")
@@ -56,9 +59,22 @@ class MpcConfig:
     horizon: float = of(ProblemOptions, "horizon")
     steps: int = of(ProblemOptions, "steps")
     period: float = key(0.02, "time between plans, a multiple of the plant's sample", unit="s", above=0)
-    state_weights: list[float] = of(ProblemOptions, "state_weights")
-    input_weight: float = of(ProblemOptions, "input_weight")
-    input_centre: float = of(ProblemOptions, "input_centre")
+    state_weights: list[float] | None = of(ProblemOptions, "state_weights", default=None, help=_WEIGHTS)
+    input_weight: float | None = of(
+        ProblemOptions, "input_weight", default=None, help="R, of every input; null: 1, and 0.1 at its end"
+    )
+    input_centre: float | None = of(
+        ProblemOptions,
+        "input_centre",
+        default=None,
+        help="input that R measures from; null: 0, and the middle",
+    )
+    low: float | None = of(
+        ProblemOptions, "low", default=None, help="lowest input; null: 0, and what the machine says"
+    )
+    high: float | None = of(
+        ProblemOptions, "high", default=None, help="highest input; null: 1, and what the machine says"
+    )
     rate_weight: float = of(ProblemOptions, "rate_weight")
     speed_limit: float | None = of(ProblemOptions, "speed_limit", default=None)
     tilt_limit: float | None = of(ProblemOptions, "tilt_limit", default=None)

@@ -5,7 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from nsde_torch.control.options import CircleOptions, HoverOptions, LemniscateOptions, WaypointOptions
+from nsde_torch.control.options import (
+    CircleOptions,
+    HoverOptions,
+    LemniscateOptions,
+    SetpointOptions,
+    WaypointOptions,
+)
 
 from ..keys import key, mirrors, of
 
@@ -44,11 +50,24 @@ class WaypointReference(ReferenceConfig):
 
 
 @dataclass
+class SetpointReference(ReferenceConfig):
+    """A state to reach and to hold, of any machine."""
+
+    kind: str = key("setpoint", "kind of the reference, set by reference=")
+    states: Any = key({}, "values of states, {theta: 0}; others are 0, a quaternion level")
+    duration: float = of(SetpointOptions, "duration")
+
+
+@dataclass
 class CsvReference(ReferenceConfig):
-    """A minimum-snap path through the rows of a file."""
+    """A minimum-snap path through the rows of a file; of another machine than a multirotor, states over time."""
 
     kind: str = key("csv", "kind of the reference, set by reference=")
-    path: str = key("???", "CSV file with p_x p_y p_z [m], and if there are yaw [rad] and t [s]", file=True)
+    path: str = key(
+        "???",
+        "CSV file with p_x p_y p_z [m], and if there are yaw [rad] and t [s]; of other machines with t and states",
+        file=True,
+    )
     speed: float = of(WaypointOptions, "speed", help="largest speed, where the file has no times")
     tilt: float = of(WaypointOptions, "tilt", help="largest tilt, where the file has no times")
 
@@ -57,6 +76,7 @@ REFERENCE_CHOICES: dict[str, type] = {
     "circle": _keys_of("circle", CircleOptions),
     "lemniscate": _keys_of("lemniscate", LemniscateOptions),
     "hover": _keys_of("hover", HoverOptions),
+    "setpoint": SetpointReference,
     "waypoints": WaypointReference,
     "csv": CsvReference,
 }

@@ -17,7 +17,7 @@ from nsde_torch.control.compiled import compiled_estimator
 from nsde_torch.control.controller import Plan, Planner
 from nsde_torch.control.options import EstimatorOptions
 from nsde_torch.control.predictor import Predictor
-from nsde_torch.control.reference import Reference
+from nsde_torch.control.reference import Reference, StateReference
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import Model
@@ -38,7 +38,10 @@ from nsde_torch.systems import Multirotor, System
 #
 #     d' = d + (e_v in body axes, e_omega) / tau,                e = measured - predicted
 #
-# which removes the lasting part of any error of the model (Pannocchia and Rawlings, AIChE J. 49, 2003).
+# which removes the lasting part of any error of the model (Pannocchia and Rawlings, AIChE J. 49, 2003). The ports of
+# other machines reach their rates through an inertia, B = d(rates) / dd:
+#
+#     d' = d + B^+ e / tau,                e = error of the rates
 
 
 class Foresight(Protocol):
@@ -69,6 +72,10 @@ def whole_samples(name: str, time: float, dt: float) -> int:
             f"`{name}` must be a multiple of {dt:g} s, the sample of the plant; got {time:g} s."
         )
     return steps
+
+
+_TINY = 1e-20
+"""Keeps a quotient finite where both sides are 0: nothing is left to learn."""
 
 
 @final
@@ -105,15 +112,18 @@ class Estimator(nn.Module):
         p = self.predictor
         for k in range(self.past):
             z = p(z, commands[:, k], d)
-        d = self._pushes(x, z, d)
+        d = self.learned(x, z, d)
         now = torch.cat((x, z[:, p.nx :]), 1) if p.nz > p.nx else x
         z = now
         for k in range(self.past, self.past + self.ahead):
             z = p(z, commands[:, k], d)
         return now.clone(), d, z.clone()
 
-    def _pushes(self, x: Tensor, z: Tensor, d: Tensor) -> Tensor:
+    def learned(self, x: Tensor, z: Tensor, d: Tensor) -> Tensor:
+        """Pushes (N, nd) by what was measured, x (N, nx), where z (N, nz) was predicted under pushes d (N, nd)."""
         o, parts, start = self.options, [], 0
+        if isinstance(self.predictor, Predictor) and not isinstance(self.predictor.system, Multirotor):
+            return self._along_ports(self.predictor, x, z, d)
         for port, width in self.predictor.ports.items():
             own = d[:, start : start + width]
             start += width
@@ -125,6 +135,30 @@ class Estimator(nn.Module):
                 own = (own + error / o.moment_time).clamp(-o.moment_limit, o.moment_limit)
             parts.append(own)
         return torch.cat(parts, 1) if parts else d
+
+    def _along_ports(self, p: Predictor, x: Tensor, z: Tensor, d: Tensor) -> Tensor:
+        if not p.nd or self.options.force_time <= 0:
+            return d
+        u, one = x.new_zeros(len(x), p.nu), torch.eye(p.nd, dtype=x.dtype)
+
+        def rates(d: Tensor) -> Tensor:
+            found = p.drift(z, u, d)
+            return torch.stack([found[:, k] for k in p.rates], 1)
+
+        e = torch.stack([x[:, k] - z[:, k] for k in p.rates], 1)
+        free = rates(torch.zeros_like(d))
+        slope = torch.stack([rates(row.expand(len(x), -1)) - free for row in one], 2)  # B (N, rates, nd)
+        # the least squares of B c = e, by conjugate gradients, which end after nd turns
+        found, left = torch.zeros_like(d), (slope * e[:, :, None]).sum(1)
+        along, size = left, (left * left).sum(1, keepdim=True)
+        for _ in range(p.nd):
+            moved = (slope * along[:, None]).sum(2)
+            share = size / ((moved * moved).sum(1, keepdim=True) + _TINY)
+            found, left = found + share * along, left - share * (slope * moved[:, :, None]).sum(1)
+            before, size = size, (left * left).sum(1, keepdim=True)
+            along = left + size / (before + _TINY) * along
+        limit = self.options.moment_limit
+        return (d + found / self.options.force_time).clamp(-limit, limit)
 
 
 @dataclass(frozen=True)
@@ -161,7 +195,7 @@ class PredictivePilot(Autopilot):
     Args:
         controller: Plans.
         model: What the estimator predicts with, the controller's own model as a rule; or what predicts a sample.
-        reference: Where to fly.
+        reference: What to track.
         period: Time between commands [s].
         sample: Step on which commands and states are known [s].
         estimator: Latency and pushes.
@@ -176,7 +210,7 @@ class PredictivePilot(Autopilot):
         self,
         controller: Planner,
         model: Model | System | Foresight,
-        reference: Reference,
+        reference: StateReference,
         *,
         period: float,
         sample: float,

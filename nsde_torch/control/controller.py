@@ -1,6 +1,6 @@
 """The controller: measured state in, plan out, whatever happens.
 
-    plan = solve from the last plan, shifted in time;  on trouble the last safe plan, shifted;  then hover
+    plan = solve from the last plan, shifted in time;  on trouble the last safe plan, shifted;  then hover (or rest)
 
 A plan that leaves here is finite and within bounds. Its status says how it came about.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import acos, dist, hypot, isfinite, nan
+from math import acos, dist, hypot, isfinite
 from typing import NamedTuple, Protocol, final
 
 import numpy as np
@@ -20,7 +20,8 @@ from torch import Tensor
 from nsde_torch.control.feasible import hover_input
 from nsde_torch.control.options import SafetyOptions
 from nsde_torch.control.predictor import Predictor
-from nsde_torch.control.problem import Horizon, ProblemOptions
+from nsde_torch.control.problem import Horizon, ProblemOptions, problem_of
+from nsde_torch.control.reference import at_rest
 from nsde_torch.control.solve import Clock, Problem, Solution, Solver, SolverOptions
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError, ShapeError
@@ -29,7 +30,7 @@ from nsde_torch.systems import Multirotor, System
 
 CONVERGED, IMPROVED, LATE = "converged", "improved", "late"
 BAD_STATE, JUMP, DIVERGED, BAD_REFERENCE = "bad_state", "state_jump", "diverged", "bad_reference"
-KEPT, HOVER = "kept", "hover"
+KEPT, HOVER, REST = "kept", "hover", "rest"
 """Words of a status: how good a plan is, what was wrong, and what was done about it (`bad_state:kept`)."""
 
 
@@ -57,36 +58,40 @@ class Plan:
 def hovering_plan(
     hover: Tensor,
     augment: Callable[[Tensor, Tensor], Tensor],
-    nx: int,
+    system: System,
     options: ProblemOptions,
     *,
     batch: int,
 ) -> Plan:
-    """A plan of `batch` rows that hovers, level and at the origin.
+    """A plan of `batch` rows that stays at the origin, at rest and level.
 
     Args:
         hover: Inputs that hover (nu,).
         augment: States with memory (N, nz) of states (N, nx) and inputs (N, nu).
-        nx: States.
+        system: The machine.
         options: Its steps.
     """
     u = hover.expand(batch, options.steps, -1).contiguous()
-    x = u.new_zeros(batch, nx)
-    x[:, 6] = 1.0
+    x = at_rest(system, u.dtype).repeat(batch, 1)
     z = augment(x, u[:, 0])[:, None, None].repeat(1, options.particles, options.steps + 1, 1)
     nothing = u.new_full((batch,), torch.inf)
     return Plan(
         u=u,
-        x=z[:, 0, :, :nx],
+        x=z[:, 0, :, : system.nx],
         cost=nothing,
         gap=nothing,
-        status=(HOVER,) * batch,
+        status=(word_at_rest(system),) * batch,
         solve_ms=0.0,
         iterations=0,
         dt=options.dt,
         age=nothing,
         z=z,
     )
+
+
+def word_at_rest(system: System) -> str:
+    """What the last thing that is done about trouble is called."""
+    return HOVER if isinstance(system, Multirotor) else REST
 
 
 class Planner(Protocol):
@@ -141,11 +146,11 @@ class SolverFace(Protocol):
 
 @final
 class Controller:
-    """Model predictive control of a multirotor.
+    """Model predictive control of a machine.
 
     Args:
         model: What is known of the machine.
-        problem: What a plan pays for.
+        problem: What a plan pays for; None: `problem_of` the machine.
         solver: How it is found.
         safety: When to reject a state or a plan.
         batch: Machines at a time.
@@ -169,7 +174,7 @@ class Controller:
         clock: Clock = time.perf_counter,
         dtype: torch.dtype = torch.float32,
     ) -> None:
-        self.options = problem or ProblemOptions()
+        self.options = problem or problem_of(model if isinstance(model, System) else model.system)
         self.safety = safety or SafetyOptions()
         self.predictor = Predictor(model, dt=self.options.dt, dtype=dtype)
         self.horizon = Horizon(self.predictor, self.options)
@@ -180,11 +185,12 @@ class Controller:
         if not bool(torch.isfinite(self.hover).all()):
             raise ConfigError("the model has no hovering input: its rates are not finite. Train it anew.")
         self._jumped = [0] * batch
+        self._rest, self._quaternion = word_at_rest(self.predictor.system), self.predictor.system.quaternion
 
     def hovering(self) -> Plan:
-        """A plan that hovers, level and where it is: what there is before the first solve."""
-        o = self.options
-        return hovering_plan(self.hover, self.predictor.augment, self.predictor.nx, o, batch=self.batch)
+        """A plan that hovers, level and at the origin: what there is before the first solve."""
+        p = self.predictor
+        return hovering_plan(self.hover, p.augment, p.system, self.options, batch=self.batch)
 
     @torch.no_grad()
     def plan(
@@ -228,8 +234,9 @@ class Controller:
             bad = torch.tensor([word is not None for word in trouble])
             x = torch.where(bad[:, None], start.z[:, 0, 0, :nx], x)
             reference = torch.where(bad[:, None, None], start.z[:, 0, 1:, :nx], reference)
-        p, q, w = x.split((6, 4, nx - 10), 1)
-        x = torch.cat((p, q / torch.linalg.vector_norm(q, dim=1, keepdim=True).clamp_min(1e-12), w), 1)
+        if (at := self._quaternion) is not None:
+            p, q, w = x.split((at.start, 4, nx - at.stop), 1)
+            x = torch.cat((p, q / torch.linalg.vector_norm(q, dim=1, keepdim=True).clamp_min(1e-12), w), 1)
         z0 = self.predictor.augment(x, last) if memory is None else torch.cat((x, memory.to(self.dtype)), 1)
         if all(trouble):  # there is nothing to plan from
             found = self.solver.nothing(start.u, start.z)
@@ -265,13 +272,13 @@ class Controller:
                 out.append(good if found.in_time else f"{good}:{LATE}")
             else:
                 usable = known and float(start.age[row]) <= self.safety.keep
-                out.append(f"{word or DIVERGED}:{KEPT if usable else HOVER}")
+                out.append(f"{word or DIVERGED}:{KEPT if usable else self._rest}")
         return tuple(out)
 
     def _mended(self, made: Plan, start: Plan, z0: Tensor) -> Plan:
         """A plan whose rows in trouble are those of the plan before, or hover where they are."""
         n, still = self.batch, self.hovering()
-        kept, hover = (torch.tensor([w.endswith(done) for w in made.status]) for done in (KEPT, HOVER))
+        kept, hover = (torch.tensor([w.endswith(done) for w in made.status]) for done in (KEPT, self._rest))
         known = torch.isfinite(z0).all(1).view(n, 1, 1, 1)
         stays = z0[:, None, None].expand_as(still.z)
 
@@ -297,13 +304,13 @@ class Controller:
         rows = zip(x.tolist(), start.z[:, 0, 0, :nx].tolist(), start.age.tolist(), strict=True)
         out: list[str | None] = []
         for row, (now, expected, age) in enumerate(rows):
-            finite, turned = all(map(isfinite, now)), nan
-            if finite:
+            finite, far = all(map(isfinite, now)), False
+            if finite and self._quaternion is not None:
                 along = sum(a * b for a, b in zip(now[6:10], expected[6:10], strict=True))
                 turned = 2.0 * acos(min(abs(along), 1.0))
-            far = dist(now[:3], expected[:3]) > s.jump or turned > s.jump_attitude
+                far = dist(now[:3], expected[:3]) > s.jump or turned > s.jump_attitude
             self._jumped[row] = self._jumped[row] + 1 if known and finite and age <= s.keep and far else 0
-            if not finite or abs(hypot(*now[6:10]) - 1.0) > s.quaternion:
+            if not finite or (self._quaternion is not None and abs(hypot(*now[6:10]) - 1.0) > s.quaternion):
                 out.append(BAD_STATE)
             elif not sane[row]:
                 out.append(BAD_REFERENCE)

@@ -13,8 +13,9 @@ import torch
 from torch import Tensor
 
 from nsde_torch.control.predictor import Predictor
-from nsde_torch.control.reference import Reference
+from nsde_torch.control.reference import Reference, at_rest
 from nsde_torch.errors import ConfigError
+from nsde_torch.systems import Multirotor
 
 # Inputs that hold a machine still, and those that fly a path, by the model's own account.
 #
@@ -28,19 +29,18 @@ _RESERVE = 0.05  # share of the range of the inputs that must be left on both si
 
 @torch.no_grad()
 def inputs_for(predictor: Predictor, x: Tensor, wanted: Tensor) -> Tensor:
-    """Inputs (N, nu), not clipped, that give states (N, 13) their wanted rates.
+    """Inputs (N, nu), not clipped, that give states (N, nx) the wanted rates of `predictor.rates` (N, k).
 
-    `wanted` are accelerations in the world and angular accelerations in the body (N, 6) [m/s2, rad/s2].
+    Of a multirotor these are accelerations in the world and angular accelerations in the body [m/s2, rad/s2].
     """
     x, wanted = x.to(predictor.dtype), wanted.to(predictor.dtype)
     n, nu = len(x), predictor.nu
     push = x.new_zeros(n, predictor.nd)
 
     def rates(u: Tensor) -> Tensor:
-        rate = predictor.drift(predictor.augment(x, u), u, push)
-        return torch.cat((rate[:, 3:6], rate[:, 10:13]), 1)
+        return predictor.drift(predictor.augment(x, u), u, push)[:, predictor.rates]
 
-    u = x.new_full((n, nu), 0.4)
+    u = x.new_full((n, nu), 0.4 if isinstance(predictor.system, Multirotor) else 0.0)
     for _ in range(_STEPS):
         # backwards: torch loads its compiler before it differentiates forward, which takes 2 s
         with torch.enable_grad():
@@ -54,10 +54,9 @@ def inputs_for(predictor: Predictor, x: Tensor, wanted: Tensor) -> Tensor:
 
 
 def hover_input(predictor: Predictor) -> Tensor:
-    """Inputs (nu,) that hold the machine level and still."""
-    x = torch.zeros(1, predictor.nx, dtype=predictor.dtype)
-    x[:, 6] = 1.0
-    return inputs_for(predictor, x, torch.zeros(1, 6))[0]
+    """Inputs (nu,) that hold the machine at rest at its origin, as well as they can; they let a multirotor hover."""
+    x = at_rest(predictor.system, predictor.dtype)[None]
+    return inputs_for(predictor, x, torch.zeros(1, len(predictor.rates)))[0]
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,12 @@ import torch
 from torch import Tensor
 
 from nsde_torch.control.autopilots import Autopilot, Decision, whole_samples
-from nsde_torch.control.reference import Reference
+from nsde_torch.control.reference import Reference, StateReference
+from nsde_torch.evaluation.scores import group_squares
 from nsde_torch.models import Model
 from nsde_torch.models.run_directory import load
 from nsde_torch.rotation import rotation_between
-from nsde_torch.systems import System, make_plant_system
+from nsde_torch.systems import Multirotor, System, make_plant_system
 from nsde_torch.systems.machines import Effects
 
 DECLARED = "declared"
@@ -45,7 +46,8 @@ def system_of(known: Model | System) -> System:
 
 
 LOST = 3.0
-"""Distance from the reference at which a machine counts as lost [m]."""
+"""Distance from the reference at which a multirotor counts as lost [m]; others are lost where numbers end."""
+_LAST_S = 1.0  # end of a run, whose errors are those that stay
 
 
 class SteppedMachine(Protocol):
@@ -84,20 +86,22 @@ class Flight:
 def fly(
     autopilot: Autopilot,
     plant: SteppedMachine,
-    reference: Reference,
+    reference: StateReference,
     *,
     machines: int = 1,
+    start: Tensor | None = None,
     state_latency: float = 0.0,
     duration: float | None = None,
     faults: Sequence[Fault] = (),
 ) -> Flight:
-    """Fly machines along a reference, from its first state.
+    """Fly machines along a reference, from its first state or another.
 
     Args:
         autopilot: What flies.
         plant: What is flown; it should not raise when a machine is lost.
         reference: Where to fly.
         machines: Machines at a time.
+        start: First state (nx,); None: that of the reference.
         state_latency: Age of a measured state when the autopilot gets it [s], a multiple of the plant's sample.
         duration: How long [s]; None: as long as the reference.
         faults: What happens to measurements on their way.
@@ -111,7 +115,7 @@ def fly(
     samples = round((reference.duration if duration is None else duration) / dt)
     times = dt * torch.arange(samples + 1, dtype=torch.float64)
     wanted = reference.at(times)
-    x0 = wanted[:1].repeat(machines, 1)
+    x0 = (wanted[0] if start is None else start.to(wanted)).repeat(machines, 1)
     u = autopilot.reset(x0)
     measured = plant.reset(x0, u)
     lost = torch.full((machines,), torch.inf, dtype=torch.float64)
@@ -125,7 +129,8 @@ def fly(
             decisions.append(decision)
             u = decision.u
         commands.append(u.double())
-        away = (plant.state[:, :3] - wanted[k, :3]).norm(dim=1)
+        off = plant.state - wanted[k]
+        away = off[:, :3].norm(dim=1) if isinstance(reference, Reference) else 0.0 * off.sum(1)
         gone = ~(away <= LOST) & torch.isinf(lost)
         lost = torch.where(gone, torch.full_like(lost, k * dt), lost)
         if k < samples:
@@ -143,28 +148,23 @@ def fly(
     )
 
 
-def summarise(flights: Sequence[Flight]) -> dict[str, Any]:
-    """Numbers of flights along one reference, with units in the keys."""
-    rows = [row for flight in flights for row in _machines(flight)]
+def summarise(flights: Sequence[Flight], system: System) -> dict[str, Any]:
+    """Numbers of flights along one reference, with units in the keys; of another machine, of its error groups."""
+    flies = isinstance(system, Multirotor)
+    rows = [row for flight in flights for row in (_machines(flight) if flies else _runs(flight, system))]
     kept = [r for r in rows if r["lost_s"] is None]
-
-    def over(key: str, how: Any) -> float | None:
-        return float(how([r[key] for r in kept])) if kept else None
-
-    out: dict[str, Any] = {
-        "machines": len(rows),
-        "lost": len(rows) - len(kept),
-        "rmse_m": over("rmse_m", np.mean),
-        "rmse_worst_m": over("rmse_m", np.max),
-        "position_error_max_m": over("position_error_max_m", np.max),
-        "altitude_rmse_m": over("altitude_rmse_m", np.mean),
-        "altitude_error_max_m": over("altitude_error_max_m", np.max),
-        "attitude_rmse_deg": over("attitude_rmse_deg", np.mean),
-        "speed_max_m_s": over("speed_max_m_s", np.max),
-        "roll_pitch_max_deg": over("tilt_max_deg", np.max),
-        "status": dict(Counter(s for f in flights for d in f.decisions for s in d.status)),
-        "flights": rows,
-    }
+    out: dict[str, Any] = {"machines": len(rows), "lost": len(rows) - len(kept)}
+    if flies:
+        out |= _flown(kept)
+    else:
+        out |= {
+            key: {g.name: float(np.mean([r[key][g.name] for r in kept])) for g in system.error_groups}
+            for key in ("rmse", "rmse_last_s")
+            if kept
+        }
+        out["units"] = {g.name: g.unit for g in system.error_groups}
+    out["status"] = dict(Counter(s for f in flights for d in f.decisions for s in d.status))
+    out["flights"] = rows
     solves = [d for f in flights for d in f.decisions[1:] if d.cost is not None]
     if solves:
         out["solve_ms"] = _times([d.solve_ms for d in solves])
@@ -173,6 +173,39 @@ def summarise(flights: Sequence[Flight]) -> dict[str, Any]:
         gaps = gaps[torch.isfinite(gaps)]
         out["gap_p99"] = float(gaps.double().quantile(0.99)) if len(gaps) else None
     out["command_ms"] = _times([d.total_ms for f in flights for d in f.decisions[1:]])
+    return out
+
+
+def _flown(kept: Sequence[dict[str, Any]]) -> dict[str, float | None]:
+    """What all flights that were not lost have in common."""
+
+    def over(key: str, how: Any) -> float | None:
+        return float(how([r[key] for r in kept])) if kept else None
+
+    return {
+        "rmse_m": over("rmse_m", np.mean),
+        "rmse_worst_m": over("rmse_m", np.max),
+        "position_error_max_m": over("position_error_max_m", np.max),
+        "altitude_rmse_m": over("altitude_rmse_m", np.mean),
+        "altitude_error_max_m": over("altitude_error_max_m", np.max),
+        "attitude_rmse_deg": over("attitude_rmse_deg", np.mean),
+        "speed_max_m_s": over("speed_max_m_s", np.max),
+        "roll_pitch_max_deg": over("tilt_max_deg", np.max),
+    }
+
+
+def _runs(flight: Flight, system: System) -> list[dict[str, Any]]:
+    """Errors by error group over the whole run and over its last second, in the units of the groups."""
+    squares = group_squares(system, system.error(flight.x, flight.ref[:, None].expand_as(flight.x)))
+    factor = torch.tensor([g.factor for g in system.error_groups])
+    last = flight.t >= flight.t[-1] - _LAST_S
+    out: list[dict[str, Any]] = []
+    for n in range(flight.x.shape[1]):
+        row: dict[str, Any] = {"lost_s": _plain(flight.lost[n])}
+        for key, part in (("rmse", squares[:, n]), ("rmse_last_s", squares[last, n])):
+            rms = factor * part.mean(0).sqrt()
+            row[key] = {g.name: _plain(value) for g, value in zip(system.error_groups, rms, strict=True)}
+        out.append(row)
     return out
 
 

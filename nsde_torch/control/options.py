@@ -23,7 +23,9 @@ class ProblemOptions:
 
     horizon: float = key(1.0, "length of a plan", unit="s", above=0)
     steps: int = key(20, "steps of a plan", low=1)
-    state_weights: tuple[float, ...] = key(STATE_WEIGHTS, "Q: position, velocity, attitude, rates", low=0)
+    state_weights: tuple[float, ...] = key(
+        STATE_WEIGHTS, "Q of each error channel: position, velocity, attitude, rates of a multirotor", low=0
+    )
     input_weight: float = key(1.0, "R, of every input", low=0)
     input_centre: float = key(0.0, "input that R measures from")
     rate_weight: float = key(0.0, "weight of changes of the inputs from step to step", low=0)
@@ -32,7 +34,7 @@ class ProblemOptions:
     speed_limit: float = key(inf, "speed beyond which a plan pays; null: none", unit="m/s", above=0)
     tilt_limit: float = key(inf, "tilt beyond which a plan pays; null: none", unit="deg", above=0, high=89)
     fence: tuple[tuple[float, float], ...] | None = key(
-        None, "lowest and highest p_x, p_y, p_z, [[-5,5],[-5,5],[0,4]]; null: none", unit="m"
+        None, "lowest and highest of each position, as p_x, p_y, p_z in [[-5,5],[-5,5],[0,4]]; null: none"
     )
     limit_weight: float = key(100.0, "weight of these soft limits", low=0)
     uncertainty_weight: float = key(0.0, "weight of the model's distance from its data", low=0)
@@ -155,6 +157,14 @@ class HoverOptions:
     duration: float = key(10.0, "how long", unit="s", above=0)
     height: float = key(1.5, "height", unit="m")
     yaw: float = key(0.0, "heading", unit="deg")
+
+
+@documented
+@dataclass(frozen=True)
+class SetpointOptions:
+    """A state to reach and to hold, of any machine."""
+
+    duration: float = key(10.0, "how long", unit="s", above=0)
 
 
 @documented

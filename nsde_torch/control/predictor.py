@@ -137,6 +137,7 @@ class Predictor(nn.Module):
         system: The machine, parameters frozen.
         nx, nu, nz: States, inputs, states with memory.
         ports: Force ports that d pushes, with their widths; nd is their sum.
+        positions, rates: Columns of the positions, and of what forces move: velocities and rates.
 
     Raises:
         ConfigError: a model of a kind that has no drift, or effects that read further logged channels.
@@ -175,6 +176,10 @@ class Predictor(nn.Module):
             self._residual = JointNetwork(learned).to(dtype)
         self.dt, self.dtype = float(dt), dtype
         self.nx, self.nu, self.nz = self.system.nx, self.system.nu, self.system.nz
+        names, of = list(self.system.state_names), self.system.quaternion or slice(0, 0)
+        self.positions = [names.index(q) for q, _, _ in self.system.position_derivatives]
+        kinematic = {*self.positions, *range(of.start, of.stop)}
+        self.rates = [k for k in range(self.nx) if k not in kinematic]
         knows_ports = learned is None or learned.black_box is None
         self.ports = {p: s.width for p, s in self.system.residual_ports.items()} if knows_ports else {}
         self.nd = sum(self.ports.values())

@@ -5,17 +5,18 @@
 r stacks the roots of the cost terms at a state:
 
     sqrt(Q) (p - p_ref, v - v_ref, vec(q q_ref^-1), omega - omega_ref)       tracking, Q of the supplement
-    sqrt(c) max(0, |v| - v_max), (tilt), (each wall of the geofence)         soft limits
+    sqrt(c) max(0, |v| - v_max), (tilt), (each wall of the fence)            soft limits
     sqrt(c) eta(x)                                                           where the model is ignorant
 
 The supplement's expectation is the mean over paths; u_0 is 0 there and D is 0. Of q and -q the nearer is meant: the
-vector part is that of the short way round.
+vector part is that of the short way round. The first line is a multirotor's; that of another machine is sqrt(Q) times
+the error of its state in its error channels, angles the short way round.
 """
 
 from __future__ import annotations
 
 from math import cos, inf, radians
-from typing import final
+from typing import Any, final
 
 import torch
 from torch import Tensor, nn
@@ -24,32 +25,62 @@ from nsde_torch.columns import columns, few, join_columns, split_columns, stack_
 from nsde_torch.control.options import ProblemOptions
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.errors import ConfigError
-from nsde_torch.systems import Multirotor
+from nsde_torch.systems import Multirotor, System
+from nsde_torch.systems.machines import MACHINES
 
 _PARTS = (3, 3, 4, 3)
 
 
-@final
-class Residual(nn.Module):
-    """Roots of the cost of a state of a multirotor.
+def problem_of(system: System, **given: Any) -> ProblemOptions:
+    """What a plan pays for, with what is not given as the machine has it.
+
+    A multirotor has the supplement's weights. Others have 10 for errors of positions and 0.1 for errors of velocities,
+    in their units, and pay 0.1 for an input at its end, so that they hurry: swing-ups of a cart and pole hardly depend
+    on it. Inputs end where `Machine.limits` says.
 
     Raises:
-        ConfigError: the machine has no reference to track, or weights of another length than its error channels.
+        ConfigError: nobody says where the inputs end.
+    """
+    if isinstance(system, Multirotor):
+        return ProblemOptions(**given)
+    own = MACHINES.get(system.name) or system.machine
+    limits = (None, None) if own is None or own.limits is None else own.limits
+    low, high = (given.pop(name, end) for name, end in zip(("low", "high"), limits, strict=True))
+    if low is None or high is None:
+        raise ConfigError(
+            f"system {system.name!r} does not say where its inputs end: give mpc.low and mpc.high, or `limits` of its "
+            "`machine`."
+        )
+    velocities = {v for _, v, _ in system.position_derivatives}
+    weights = tuple(0.1 if name in velocities else 10.0 for name in system.error_names)
+    half = 0.5 * (high - low)
+    plain = {"state_weights": weights, "input_weight": 0.1 / half**2, "input_centre": 0.5 * (low + high)}
+    return ProblemOptions(**{**plain, "low": low, "high": high, **given})
+
+
+@final
+class Residual(nn.Module):
+    """Roots of the cost of a state.
+
+    Raises:
+        ConfigError: weights of another length than the machine's error channels, or limits that it does not have.
     """
 
     def __init__(self, predictor: Predictor, options: ProblemOptions) -> None:
         super().__init__()
         system = predictor.system
-        if not isinstance(system, Multirotor):
-            raise ConfigError(
-                f"there is no tracking of system {system.name!r}: references are flights. Use hexacopter or quadrotor."
-            )
         n = len(system.error_names)
         if len(options.state_weights) != n:
             raise ConfigError(
                 f"`state_weights` takes {n} numbers ({', '.join(system.error_names)}); got "
                 f"{len(options.state_weights)}."
             )
+        self._flies, self._positions = isinstance(system, Multirotor), predictor.positions
+        if not self._flies and min(options.speed_limit, options.tilt_limit) < inf:
+            raise ConfigError("`speed_limit` and `tilt_limit` are for multirotors; `fence` limits positions.")
+        if options.fence is not None and len(options.fence) != len(self._positions):
+            names = ", ".join(system.state_names[k] for k in self._positions)
+            raise ConfigError(f"`fence` takes a pair for each of {names}; got {len(options.fence)}.")
         if options.uncertainty_weight > 0 and not predictor.knows_distance:
             raise ConfigError(
                 "`uncertainty_weight` needs a model that knows its distance from the data (model=nsde); this one does "
@@ -62,9 +93,21 @@ class Residual(nn.Module):
     def forward(self, x: Tensor, ref: Tensor) -> Tensor:
         """Roots (N, nr) at states (N, nx) and references (N, nx)."""
         o = self._options
+        c = o.limit_weight**0.5
+        out = self._flight(x, ref, c) if self._flies else [self.root * self._predictor.system.error(x, ref)]
+        if o.fence is not None:
+            walls = torch.tensor(o.fence, dtype=x.dtype, device=x.device)
+            p = torch.stack([x[..., k] for k in self._positions], -1)
+            out += [c * torch.relu(walls[:, 0] - p), c * torch.relu(p - walls[:, 1])]
+        if o.uncertainty_weight > 0:
+            out.append(o.uncertainty_weight**0.5 * self._predictor.eta(x)[..., None])
+        return join_columns(out) if len(out) > 1 else out[0]
+
+    def _flight(self, x: Tensor, ref: Tensor, c: float) -> list[Tensor]:
+        """Roots of a multirotor's errors, and of its excess of speed and tilt."""
+        o = self._options
         (p, v, q, w), (p_ref, v_ref, q_ref, w_ref) = split_columns(x, *_PARTS), split_columns(ref, *_PARTS)
         out = [self.root * join_columns((p - p_ref, v - v_ref, attitude_error(q, q_ref), w - w_ref))]
-        c = o.limit_weight**0.5
         if o.speed_limit < inf:
             speed = torch.sqrt((v * v).sum(-1, keepdim=True) + 1e-6)
             out.append(c * torch.relu(speed - o.speed_limit))
@@ -73,12 +116,7 @@ class Residual(nn.Module):
             out.append(
                 10.0 * c * torch.relu(cos(radians(o.tilt_limit)) - (1 - 2 * (a * a + b * b)))[..., None]
             )
-        if o.fence is not None:
-            walls = torch.tensor(o.fence, dtype=x.dtype, device=x.device)
-            out += [c * torch.relu(walls[:, 0] - p), c * torch.relu(p - walls[:, 1])]
-        if o.uncertainty_weight > 0:
-            out.append(o.uncertainty_weight**0.5 * self._predictor.eta(x)[..., None])
-        return join_columns(out) if len(out) > 1 else out[0]
+        return out
 
 
 def attitude_error(q: Tensor, q_ref: Tensor) -> Tensor:

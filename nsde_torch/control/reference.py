@@ -1,4 +1,4 @@
-"""References: where a flight should be, as states on a fine grid of time.
+"""References: where a machine should be, as states on a fine grid of time.
 
 A path gives positions and heading with their derivatives; the state that flies it follows from flatness (Mellinger and
 Kumar, ICRA 2011), of which this knows no more than gravity, as the supplement's references do:
@@ -8,17 +8,33 @@ Kumar, ICRA 2011), of which this knows no more than gravity, as the supplement's
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import final
 
 import numpy as np
 import torch
+from scipy.interpolate import PchipInterpolator
 from torch import Tensor
 
 from nsde_torch.arrays import Array
-from nsde_torch.errors import ConfigError
+from nsde_torch.data.csv_folder import csv_rows
+from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.rotation import rotation_between
+from nsde_torch.systems import System
 from nsde_torch.systems.multirotor import GRAVITY
+
+GRID = 0.01
+"""Step of the grid of a reference [s]."""
+
+
+def at_rest(system: System, dtype: torch.dtype) -> Tensor:
+    """The state (nx,) of a machine at its origin, at rest; of a multirotor, level."""
+    x = torch.zeros(system.nx, dtype=dtype)
+    if system.quaternion is not None:
+        x[system.quaternion.start] = 1.0
+    return x
 
 
 @dataclass(frozen=True)
@@ -68,21 +84,42 @@ def states_of(path: FlightPath) -> Tensor:
     return torch.cat((torch.from_numpy(np.hstack((path.p, path.v))), q, omega), 1)
 
 
-@final
-class Reference:
-    """States to track, looked up by time; before the start and after the end the first and last are held, at rest.
+class StateReference:
+    """States to track, looked up by time; before the start and after the end the first and last are held.
 
     Args:
-        path: The path.
-
-    Attributes:
-        name, dt, duration: See `FlightPath`.
-        states: States on the grid (n, 13).
+        name: What it is called in messages and figures.
+        dt: Step of the grid of time [s].
+        states: States on the grid (n, nx).
+        about: What it was made of, for the record.
     """
 
+    def __init__(
+        self, name: str, dt: float, states: Tensor, about: Mapping[str, object] | None = None
+    ) -> None:
+        self.name, self.dt, self.states, self.about = name, dt, states, dict(about or {})
+        self.duration = (len(states) - 1) * dt
+
+    def at(self, t: Tensor) -> Tensor:
+        """States (..., nx) at times (...) [s], by interpolation."""
+        table = self.states.numpy()
+        s = np.clip(t.numpy()[..., None].astype(np.float64) / self.dt, 0.0, len(table) - 1.0)
+        low = np.minimum(s.astype(np.int64), len(table) - 2)
+        share, low = s - low, low[..., 0]
+        return torch.from_numpy((1.0 - share) * table[low] + share * table[low + 1])
+
+    def window(self, t: float, *, dt: float, steps: int) -> Tensor:
+        """States (steps, nx) at t + dt, ..., t + steps dt: what a plan made at t is to track."""
+        return self.at(t + dt * torch.arange(1, steps + 1, dtype=torch.float64))
+
+
+@final
+class Reference(StateReference):
+    """States of a flight along a path, at rest before the start and after the end."""
+
     def __init__(self, path: FlightPath) -> None:
-        self.path, self.name, self.dt, self.duration = path, path.name, path.dt, path.duration
-        self.states = states_of(path)
+        super().__init__(path.name, path.dt, states_of(path), path.about)
+        self.path, self.duration = path, path.duration
         self._rest = self.states[[0, -1]].clone()
         for row, yaw in zip(self._rest, path.yaw[[0, -1]], strict=True):
             row[3:6], row[7:9], row[10:] = 0.0, 0.0, 0.0
@@ -90,16 +127,56 @@ class Reference:
 
     def at(self, t: Tensor) -> Tensor:
         """States (..., 13) at times (...) [s], by interpolation."""
-        when, table = t.numpy()[..., None], self.states.numpy()
-        s = np.clip(when.astype(np.float64) / self.dt, 0.0, len(table) - 1.0)
-        low = np.minimum(s.astype(np.int64), len(table) - 2)
-        share, low = s - low, low[..., 0]
-        x = (1.0 - share) * table[low] + share * table[low + 1]
+        when, x = t.numpy()[..., None], super().at(t).numpy()
         q = x[..., 6:10]
         q /= np.sqrt((q * q).sum(-1, keepdims=True))
         x = np.where(when < 0.0, self._rest[0].numpy(), x)
         return torch.from_numpy(np.where(when > self.duration, self._rest[1].numpy(), x))
 
-    def window(self, t: float, *, dt: float, steps: int) -> Tensor:
-        """States (steps, 13) at t + dt, ..., t + steps dt: what a plan made at t is to track."""
-        return self.at(t + dt * torch.arange(1, steps + 1, dtype=torch.float64))
+
+def setpoint(system: System, states: Mapping[str, float], *, duration: float) -> StateReference:
+    """A state to reach and to hold: that of the origin, at rest, but for the `states` that are given by name.
+
+    Raises:
+        ConfigError: a name that is no state.
+    """
+    unknown = sorted(set(states) - set(system.state_names))
+    if unknown:
+        raise ConfigError(f"system {system.name!r} has no state {unknown[0]!r}; {_named(system)}")
+    row = at_rest(system, torch.float64)
+    for name, value in states.items():
+        row[system.state_names.index(name)] = float(value)
+    return StateReference("setpoint", duration, row.repeat(2, 1), {"states": dict(states)})
+
+
+def course(system: System, file: str | Path) -> StateReference:
+    """States over time of a CSV file: `t` [s] and columns of states; velocities that it lacks are those of positions.
+
+    Raises:
+        DataError: the file or a column is missing, a number is none, or times do not increase.
+    """
+    path = Path(file)
+    rows = csv_rows(path, ("t",), what="reference", remedy="Name a CSV file.")
+    names = [name for name in system.state_names if name in rows[0]]
+    if not names:
+        raise DataError(f"reference {path} has no column of a state; {_named(system)}")
+    try:
+        table = np.array([[float(row[name]) for name in ("t", *names)] for row in rows])
+    except (TypeError, ValueError) as error:
+        raise DataError(f"reference {path} holds something that is no number ({error}).") from error
+    t = table[:, 0] - table[0, 0]
+    if len(t) < 2 or not np.isfinite(table).all() or (np.diff(t) <= 0).any():
+        raise DataError(f"reference {path}: `t` must increase over two rows or more, and all be finite.")
+    grid = np.arange(0.0, t[-1] + 0.5 * GRID, GRID)
+    x = np.zeros((len(grid), system.nx))
+    through = PchipInterpolator(t, table[:, 1:])  # monotone between rows: a step does not ring
+    x[:, [system.state_names.index(name) for name in names]] = through(np.minimum(grid, t[-1]))
+    rates = through.derivative()(np.minimum(grid, t[-1]))
+    for position, velocity, _ in system.position_derivatives:
+        if position in names and velocity not in names:
+            x[:, system.state_names.index(velocity)] = rates[:, names.index(position)]
+    return StateReference(path.stem, GRID, torch.from_numpy(x), {"file": str(path), "columns": names})
+
+
+def _named(system: System) -> str:
+    return f"it has {', '.join(system.state_names)}."

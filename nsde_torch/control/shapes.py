@@ -19,13 +19,10 @@ from scipy.interpolate import make_interp_spline
 
 from nsde_torch.arrays import Array
 from nsde_torch.control.options import CircleOptions, HoverOptions, LemniscateOptions, WaypointOptions
-from nsde_torch.control.reference import FlightPath
+from nsde_torch.control.reference import GRID, FlightPath
 from nsde_torch.data.csv_folder import csv_rows
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.systems.multirotor import GRAVITY
-
-GRID = 0.01
-"""Step of references [s]."""
 
 _CIRCLE, _LEMNISCATE, _HOVER = CircleOptions(), LemniscateOptions(), HoverOptions()
 

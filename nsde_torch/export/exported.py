@@ -115,7 +115,7 @@ class ExportedController:
 
     def hovering(self) -> Plan:
         """A plan that hovers, level and where it is: what there is before the first solve."""
-        return hovering_plan(self.hover, self.predictor.augment, self.sizes.nx, self.options, batch=1)
+        return hovering_plan(self.hover, self.predictor.augment, self.known, self.options, batch=1)
 
     @torch.no_grad()
     def plan(

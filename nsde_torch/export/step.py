@@ -66,7 +66,8 @@ class ExportedStep(nn.Module):
         if not isinstance(method, GaussNewton):
             raise ConfigError("only the solver gauss_newton is exported; got apg. Take mpc=default.")
         system = controller.predictor.system
-        assert isinstance(system, Multirotor)  # the horizon's residual has seen to it
+        if not isinstance(system, Multirotor):
+            raise ConfigError(f"controllers of multirotors are exported; the machine is a {system.name}.")
         self.method, self.horizon, self.sample = method, controller.horizon, sample
         self.predictor, self.safety, self.options = (
             controller.predictor,

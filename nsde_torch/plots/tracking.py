@@ -16,6 +16,8 @@ from nsde_torch.plots.style import BLACK, BLUE, GREY, VERMILLION, key, model_loo
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from nsde_torch.systems import System
+
 
 @styled
 def tracking(t: Array, reference: Array, flights: Mapping[str, Array], *, title: str) -> Figure:
@@ -73,6 +75,49 @@ def tracking(t: Array, reference: Array, flights: Mapping[str, Array], *, title:
     for ax in (left[3], error):
         ax.set_xlabel("time [s]")
     key(figure, left[0])
+    return figure
+
+
+@styled
+def states_over_time(
+    t: Array,
+    reference: Array,
+    runs: Mapping[str, Array],
+    inputs: Mapping[str, Array],
+    machine: System,
+    *,
+    title: str,
+) -> Figure:
+    """States and inputs of any machine over time, beside the reference.
+
+    Args:
+        t: Times (T,) [s].
+        reference: States (T, nx).
+        runs, inputs: Name of a controller -> states (T, N, nx) and inputs (T, N, nu) of its machines.
+        machine: Names and units.
+    """
+    nx, count = machine.nx, machine.nx + machine.nu
+    rows = -(-count // 2)
+    figure, axes = panels(rows, 2, height=1.8 * rows + 1.0, title=title)
+    axes = axes.T.reshape(-1)
+    names = (*machine.state_names, *machine.input_names)
+    units = (*machine.state_units, *machine.input_units)
+    for k, (ax, name, unit) in enumerate(zip(axes, names, units, strict=False)):
+        ax.set_ylabel(f"{name} [{unit}]")
+        if k < nx:
+            ax.plot(t, reference[:, k], color=BLACK, linestyle="--", label="reference")
+        for number, label in enumerate(runs):
+            y = runs[label][:, :, k] if k < nx else inputs[label][:, :, k - nx]
+            for n in range(min(y.shape[1], 20)):
+                faint = {"alpha": 1.0 if n == 0 else 0.15, "linewidth": 1.2 if n == 0 else 0.7}
+                ax.plot(
+                    t, y[:, n], label=label if n == 0 else None, color=model_look(number)["color"], **faint
+                )
+    for ax in axes[count:]:
+        ax.set_axis_off()
+    for ax in (axes[rows - 1], axes[count - 1]):
+        ax.set_xlabel("time [s]")
+    key(figure, axes[0])
     return figure
 
 

@@ -39,16 +39,54 @@ def spring(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-@pytest.mark.parametrize("command", ["track", "export"])
 def test_what_is_for_multirotors_says_so_in_one_sentence(
-    command: str, spring: Path, capsys: pytest.CaptureFixture[str]
+    spring: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([command, f"run={spring}", "out=c.ts" if command == "export" else "threads=1"]) == 2
+    assert main(["export", f"run={spring}", "out=c.ts"]) == 2
     error = capsys.readouterr().err
-    assert f"`nsde {command}` is for multirotors" in error
+    assert "`nsde export` is for multirotors" in error
     assert "mass_spring_damper" in error
-    assert "nsde evaluate" in error
+    assert "nsde track" in error
     assert "Traceback" not in error
+
+
+def test_a_model_of_a_spring_holds_it_beside_its_declared_physics(
+    spring: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["reference=setpoint", "reference.states={q: 0.2}", "reference.duration=3", "mpc.compile=off"]
+    beside = ["beside=[declared]", "plant=own", "mpc.low=-1", "mpc.high=1", "machines=2", "mpc.steps=8"]
+    assert main(["track", f"run={spring}", *words, *beside, "out_dir=out"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("RMSE position") == 2
+    content = json.loads(Path("out/tracking.json").read_text(encoding="utf-8"))
+    for own in content["controllers"].values():
+        assert own["lost"] == 0
+        assert own["rmse_last_s"]["position"] < 0.03  # m, of 0.2
+    assert Path("out/plots/tracking.png").stat().st_size > 1000
+    assert Path("out/log/flight_1.csv").read_text(encoding="utf-8").startswith("t,q,q_dot,force")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["plant=own"], "reference=lemniscate is a flight, and the machine is a mass_spring_damper"),
+        (["plant=own", "reference=setpoint"], "give mpc.low and mpc.high"),
+        (["reference=setpoint"], "Take plant=own"),
+        (["plant=own", "reference=setpoint", "reference.states={x: 1}"], "no state 'x'; it has q, q_dot"),
+        (["plant=own", "reference=setpoint", "start={x: 1}"], "no state 'x'"),
+        (["plant=own", "reference=setpoint", "reference.states=[1]"], "{name: value}"),
+        (
+            ["plant=own", "reference=setpoint", "beside=[pid]", "mpc.low=-1", "mpc.high=1"],
+            "flies multirotors",
+        ),
+        (["plant=own", "reference=csv", "reference.path=none.csv"], "none.csv"),
+    ],
+)
+def test_what_is_wrong_with_a_machine_or_its_reference_is_said(
+    words: list[str], said: str, spring: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["track", f"run={spring}", *words, "mpc.compile=off", "out_dir=out"]) == 2
+    assert said in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["track", "export", "fly"])

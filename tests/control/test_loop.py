@@ -15,7 +15,7 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.models import NeuralSDE
 from nsde_torch.simulation import make_plant
 from nsde_torch.simulation.learned_plant import LearnedPlant
-from nsde_torch.systems import System
+from nsde_torch.systems import System, make_system
 from tests.helpers.control_problems import controller_of
 
 SHORT = Reference(lemniscate(duration=4.0, ramp=2.0, speed=2.0))
@@ -64,7 +64,7 @@ def _flight(
 
 
 def _rmse(flight: Flight) -> float:
-    found = summarise([flight])["rmse_m"]
+    found = summarise([flight], make_system("hexacopter"))["rmse_m"]
     assert isinstance(found, float)
     return found
 
@@ -127,7 +127,7 @@ def test_the_cascade_flies_the_same_references(declared: System) -> None:
     pilot = CascadePilot(declared, SHORT, batch=2, period=machine.dt)
     flight = fly(pilot, machine, SHORT, machines=2, duration=2.0)
     assert _rmse(flight) < 0.2
-    assert summarise([flight])["lost"] == 0
+    assert summarise([flight], make_system("hexacopter"))["lost"] == 0
 
 
 def test_a_learned_model_can_stand_for_the_machine(model: NeuralSDE) -> None:
@@ -145,7 +145,7 @@ def test_a_machine_that_is_lost_is_counted_and_when(declared: System) -> None:
     flight = _flight(
         declared, Reference(lemniscate(duration=6.0, ramp=1.0)), faults=(elsewhere,), duration=5.0
     )
-    found = summarise([flight])
+    found = summarise([flight], make_system("hexacopter"))
     assert found["lost"] == 1
     assert found["rmse_m"] is None
     assert 2.0 < found["flights"][0]["lost_s"] < 5.0

@@ -103,9 +103,14 @@ def test_the_expectation_is_over_paths_with_the_models_noise(model: NeuralSDE, p
     assert torch.allclose(many.cost(z, u, p.ref, p.last), torch.stack(each).mean(0))
 
 
-def test_machines_without_references_are_refused() -> None:
-    with pytest.raises(ConfigError, match="hexacopter or quadrotor"):
-        Residual(Predictor(Cartpole(), dt=0.05), ProblemOptions())
+def test_another_machine_needs_weights_of_its_own_and_has_no_limits_of_a_flight() -> None:
+    predictor = Predictor(Cartpole(), dt=0.05)
+    with pytest.raises(ConfigError, match="takes 4 numbers"):
+        Residual(predictor, ProblemOptions())
+    with pytest.raises(ConfigError, match="for multirotors"):
+        Residual(predictor, ProblemOptions(state_weights=(1.0,) * 4, tilt_limit=30.0))
+    with pytest.raises(ConfigError, match="a pair for each of x, theta"):
+        Residual(predictor, ProblemOptions(state_weights=(1.0,) * 4, fence=((-1.0, 1.0),)))
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,6 @@ from nsde_torch.control.gauss_newton import (
     GaussNewton,
 )
 from nsde_torch.control.predictor import Predictor
-from nsde_torch.effects import Port
 
 if TYPE_CHECKING:
     from nsde_torch.control.autopilots import Estimator
@@ -133,22 +132,19 @@ def estimator(made: Estimator, predictor: Predictor, networks: Networks) -> dict
     Raises:
         ExportError: the model holds an operation that is not known in C.
     """
-    p, starts, at = predictor, {}, 0
-    for port, width in p.ports.items():
-        starts[port], at = at, at + width
-    later = scalars(lambda z, u, d: (p(z, u, d),), {"z": p.nz, "u": p.nu, "d": p.nd}, p.dtype)[1]
-    predict = function(f"void nsde_predict({_ROWS}, real *after)", put("after", later[0]), networks)
+    p, sizes = predictor, {"z": predictor.nz, "u": predictor.nu, "d": predictor.nd}
+    later = scalars(lambda z, u, d: (p(z, u, d),), sizes, p.dtype)[1]
+    known = {"x": p.nx, "z": p.nz, "d": p.nd}
+    learned = scalars(lambda x, z, d: (made.learned(x, z, d),), known, p.dtype)[1]
+    head = "static void learn(const real *x, const real *z, const real *d, real *restrict learned)"
+    parts = [
+        function(f"void nsde_predict({_ROWS}, real *after)", put("after", later[0]), networks),
+        function(head, put("learned", learned[0]), networks),
+    ]
     return {
-        "PREDICTION": "\n".join((*networks.code(), predict)),
+        "PREDICTION": "\n".join((*networks.code(), *parts)),
         **_filled(
-            ("sizes.h", "common.c", "estimator.c"),
-            {
-                **_sizes(p),
-                **{k: number(v) for k, v in vars(made.options).items()},
-                **{"past": made.past, "ahead": made.ahead},
-                "force_at": starts.get(Port.BODY_FORCE, -1),
-                "moment_at": starts.get(Port.BODY_MOMENT, -1),
-            },
+            ("sizes.h", "common.c", "estimator.c"), {**_sizes(p), "past": made.past, "ahead": made.ahead}
         ),
     }
 

@@ -11,7 +11,8 @@ if TYPE_CHECKING:
     from nsde_torch.control.loop import Flight, SteppedMachine, fly
     from nsde_torch.control.options import EstimatorOptions, ProblemOptions, SafetyOptions, SolverOptions
     from nsde_torch.control.predictor import Predictor
-    from nsde_torch.control.reference import FlightPath, Reference
+    from nsde_torch.control.problem import problem_of
+    from nsde_torch.control.reference import FlightPath, Reference, StateReference, course, setpoint
     from nsde_torch.control.shapes import circle, lemniscate
     from nsde_torch.control.solve import Solution, Solver
 
@@ -34,10 +35,14 @@ __all__ = [
     "Solution",
     "Solver",
     "SolverOptions",
+    "StateReference",
     "SteppedMachine",
     "circle",
+    "course",
     "fly",
     "lemniscate",
+    "problem_of",
+    "setpoint",
 ]
 
 __getattr__ = resolver(__name__)

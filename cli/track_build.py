@@ -67,16 +67,20 @@ def any_reference(config: DictConfig, system: System) -> StateReference:
     if isinstance(system, Multirotor):
         return reference(config)
     if config.kind == "setpoint":
-        states = build.options(config)["states"]
-        if not (isinstance(states, dict) and all(type(v) in (int, float) for v in states.values())):
-            raise ConfigError(f"`reference.states` takes {{state: value}}; got {states!r}.")
-        return setpoint(system, states, duration=config.duration)
+        return set_to("reference.states", build.options(config)["states"], system, duration=config.duration)
     if config.kind == "csv":
         return course(system, config.path)
     raise ConfigError(
         f"reference={config.kind} is a flight, and the machine is a {system.name}. Take reference=setpoint with "
         f"reference.states={{{system.state_names[0]}: 0}}, or reference=csv with reference.path=FILE."
     )
+
+
+def set_to(key: str, states: Any, system: System, *, duration: float = 1.0) -> StateReference:
+    """The value of a key that takes states with values; ConfigError for any other."""
+    if not (isinstance(states, dict) and all(type(v) in (int, float) for v in states.values())):
+        raise ConfigError(f"`{key}` takes {{state: value}}; got {states!r}.")
+    return setpoint(system, states, duration=duration)
 
 
 _IN_FILES = (
@@ -124,7 +128,11 @@ def plant(config: DictConfig, known: Model | System, *, seed: int) -> SteppedMac
         flown = known if config.run is None else load(config.run)
         if isinstance(flown, System):
             raise ConfigError("`plant=learned` needs a model: name its run directory with plant.run=DIR.")
-        spec = machine(flown.system.name)
+        if build.options(config)["effects"] or config.declared_only:
+            raise ConfigError(
+                "plant=learned is the model itself: plant.effects and declared_only are of machines."
+            )
+        spec = machine(flown.spec.system)
         return LearnedPlant(
             flown,
             dt=config.dt or spec.dt,
@@ -133,7 +141,7 @@ def plant(config: DictConfig, known: Model | System, *, seed: int) -> SteppedMac
             process_noise=config.process_noise,
             sensor_noise=config.sensor_noise,
             latency=config.latency,
-            limits=spec.limits or (0.0, 1.0),
+            limits=(0.0, 1.0) if isinstance(flown.system, Multirotor) else spec.limits,
         )
     mine = (
         own.name if isinstance(known, System) else known.spec.system
@@ -197,9 +205,12 @@ def autopilot(
 ) -> Autopilot:
     """A controller by its name: `pid`, or the predictive one with what is known of the machine."""
     mpc, flown = config.mpc, config.plant
+    if abs(sample * max(1, round(mpc.period / sample)) - mpc.period) > 1e-6:
+        raise ConfigError(
+            f"`mpc.period` must be a multiple of {sample:g} s, the sample of the plant; got {mpc.period:g} s."
+        )
     if name == PID:
-        if not isinstance(path, Reference):
-            raise ConfigError("beside=[pid] flies multirotors.")
+        assert isinstance(path, Reference)  # the command has seen to it
         return CascadePilot(system_of(known), path, batch=batch, period=sample)
     controller: Planner
     foresight: Model | System | Foresight = known

@@ -17,6 +17,7 @@ from ..schemas.reference import ReferenceConfig
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
+    from torch import Tensor
 
     from nsde_torch.control.loop import Flight
     from nsde_torch.control.reference import StateReference
@@ -80,6 +81,7 @@ def run(config: DictConfig, job: Job) -> float | None:
     """
     from nsde_torch.control.loop import summarise, write_log
     from nsde_torch.control.reference import Reference
+    from nsde_torch.systems import Multirotor
 
     from .. import build, track_build
 
@@ -96,7 +98,19 @@ def run(config: DictConfig, job: Job) -> float | None:
                 name, config.plant, command="track", flights=False, beside=first
             )
     system = track_build.system_of(first)
+    for name in config.beside:
+        other = system.name if name == track_build.PID else track_build.system_of(known[name]).name
+        if other != system.name or (name == track_build.PID and not isinstance(system, Multirotor)):
+            flown = "flies multirotors" if name == track_build.PID else f"is of a {other}"
+            raise ConfigError(f"`beside`: {name} {flown}, and the machine is a {system.name}.")
     path = track_build.any_reference(config.reference, system)
+    length = path.duration if config.duration is None else config.duration
+    if length < config.mpc.period:
+        raise ConfigError(f"{length:g} s are shorter than the period of the plans, {config.mpc.period:g} s.")
+    begin = build.options(config)["start"]
+    start = None
+    if not isinstance(path, Reference) and (begin or config.reference.kind == "setpoint"):
+        start = track_build.set_to("start", begin, system).states[0]
     asked = None
     if isinstance(path, Reference):
         if config.start:
@@ -121,7 +135,7 @@ def run(config: DictConfig, job: Job) -> float | None:
     flights: dict[str, list[Flight]] = {}
     for name in names:
         label = track_build.label(name)
-        flights[label] = _fly(config, name, known.get(name, first), first, path)
+        flights[label] = _fly(config, name, known.get(name, first), first, path, start)
         content["controllers"][label] = {"run": name, **summarise(flights[label], system)}
         print(_line(label, content["controllers"][label]), flush=True)
     (job.run_dir / RESULT).write_text(json_text(content), encoding="utf-8")
@@ -134,18 +148,17 @@ def run(config: DictConfig, job: Job) -> float | None:
 
 
 def _fly(
-    config: DictConfig, name: str, known: Model | System, first: Model | System, path: StateReference
+    config: DictConfig,
+    name: str,
+    known: Model | System,
+    first: Model | System,
+    path: StateReference,
+    start: Tensor | None,
 ) -> list[Flight]:
     """The flights of one controller; every controller meets the same noise of the plant."""
     from nsde_torch.control.loop import fly
-    from nsde_torch.control.reference import setpoint
 
-    from .. import build, track_build
-
-    begin = build.options(config)["start"]
-    system = track_build.system_of(first)
-    rest = begin or config.reference.kind == "setpoint"
-    start = setpoint(system, begin, duration=1.0).states[0] if rest else None
+    from .. import track_build
 
     together = config.at_once or (1 if config.machines <= _ONE_BY_ONE else config.machines)
     autopilot, size, out = None, 0, []
@@ -193,6 +206,11 @@ def _line(label: str, found: dict[str, Any]) -> str:
         ms = found["solve_ms"]
         text += f"\n  solves: p50 {ms['p50']:.2f} ms, p99 {ms['p99']:.2f} ms; "
         text += ", ".join(f"{count} {word}" for word, count in found["status"].items())
+        failed = sum(
+            count for word, count in found["status"].items() if word.endswith(("kept", "hover", "rest"))
+        )
+        if failed > 0.5 * sum(found["status"].values()):
+            text += "\n  most plans failed: the start or the reference is where the model cannot be evaluated"
     return text
 
 

@@ -148,7 +148,9 @@ class Estimator(nn.Module):
         e = torch.stack([x[:, k] - z[:, k] for k in p.rates], 1)
         free = rates(torch.zeros_like(d))
         slope = torch.stack([rates(row.expand(len(x), -1)) - free for row in one], 2)  # B (N, rates, nd)
-        # the least squares of B c = e, by conjugate gradients, which end after nd turns
+        # the least squares of B c = e, columns of one length, by conjugate gradients, which end after nd turns
+        length = torch.sqrt((slope * slope).sum(1)) + _TINY
+        slope = slope / length[:, None]
         found, left = torch.zeros_like(d), (slope * e[:, :, None]).sum(1)
         along, size = left, (left * left).sum(1, keepdim=True)
         for _ in range(p.nd):
@@ -157,8 +159,7 @@ class Estimator(nn.Module):
             found, left = found + share * along, left - share * (slope * moved[:, :, None]).sum(1)
             before, size = size, (left * left).sum(1, keepdim=True)
             along = left + size / (before + _TINY) * along
-        limit = self.options.moment_limit
-        return (d + found / self.options.force_time).clamp(-limit, limit)
+        return d + found / (length * self.options.force_time)
 
 
 @dataclass(frozen=True)

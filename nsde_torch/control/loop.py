@@ -205,6 +205,8 @@ def _runs(flight: Flight, system: System) -> list[dict[str, Any]]:
         for key, part in (("rmse", squares[:, n]), ("rmse_last_s", squares[last, n])):
             rms = factor * part.mean(0).sqrt()
             row[key] = {g.name: _plain(value) for g, value in zip(system.error_groups, rms, strict=True)}
+            if None in row[key].values() and row["lost_s"] is None:  # finite, and its square is not
+                row["lost_s"] = float(flight.t[-1])
         out.append(row)
     return out
 

@@ -51,6 +51,8 @@ def problem_of(system: System, **given: Any) -> ProblemOptions:
             f"system {system.name!r} does not say where its inputs end: give mpc.low and mpc.high, or `limits` of its "
             "`machine`."
         )
+    if not low < high:
+        raise ConfigError(f"`low` must lie below `high`; got {low!r} and {high!r}.")
     velocities = {v for _, v, _ in system.position_derivatives}
     weights = tuple(0.1 if name in velocities else 10.0 for name in system.error_names)
     half = 0.5 * (high - low)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import isfinite
 from pathlib import Path
 from typing import final
 
@@ -27,6 +28,7 @@ from nsde_torch.systems.multirotor import GRAVITY
 
 GRID = 0.01
 """Step of the grid of a reference [s]."""
+_LONGEST_S = 36_000.0  # of a course
 
 
 def at_rest(system: System, dtype: torch.dtype) -> Tensor:
@@ -141,6 +143,11 @@ def setpoint(system: System, states: Mapping[str, float], *, duration: float) ->
         ConfigError: a name that is no state.
     """
     unknown = sorted(set(states) - set(system.state_names))
+    wrong = [name for name, value in states.items() if not isfinite(value)]
+    if wrong or not duration > 0:
+        raise ConfigError(
+            f"a set point needs finite states and a duration above 0; got {dict(states)}, {duration}."
+        )
     if unknown:
         raise ConfigError(f"system {system.name!r} has no state {unknown[0]!r}; {_named(system)}")
     row = at_rest(system, torch.float64)
@@ -167,8 +174,13 @@ def course(system: System, file: str | Path) -> StateReference:
     t = table[:, 0] - table[0, 0]
     if len(t) < 2 or not np.isfinite(table).all() or (np.diff(t) <= 0).any():
         raise DataError(f"reference {path}: `t` must increase over two rows or more, and all be finite.")
+    if t[-1] > _LONGEST_S:
+        raise DataError(f"reference {path} lasts {t[-1]:.3g} s, beyond {_LONGEST_S:g} s: is `t` in seconds?")
+    for k, name in enumerate(names, start=1):  # an angle that was wrapped goes on
+        if system.state_units[system.state_names.index(name)] == "rad":
+            table[:, k] = np.unwrap(table[:, k])
     grid = np.arange(0.0, t[-1] + 0.5 * GRID, GRID)
-    x = np.zeros((len(grid), system.nx))
+    x = at_rest(system, torch.float64).repeat(len(grid), 1).numpy()
     through = PchipInterpolator(t, table[:, 1:])  # monotone between rows: a step does not ring
     x[:, [system.state_names.index(name) for name in names]] = through(np.minimum(grid, t[-1]))
     rates = through.derivative()(np.minimum(grid, t[-1]))

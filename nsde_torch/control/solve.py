@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, final
 
 import torch
@@ -43,6 +43,24 @@ class Solution:
     seconds: float  # time that it took
     in_time: bool  # whether the deadline was kept
     converged: Tensor  # whether the tolerance was reached (N,)
+
+    def or_cheaper(self, other: Solution) -> Solution:
+        """Of each row the cheaper plan of two solves."""
+        better = other.cost < self.cost
+
+        def pick(mine: Tensor, theirs: Tensor) -> Tensor:
+            return torch.where(better.view(-1, *(1,) * (mine.ndim - 1)), theirs, mine)
+
+        return replace(
+            self,
+            u=pick(self.u, other.u),
+            z=pick(self.z, other.z),
+            cost=pick(self.cost, other.cost),
+            gap=pick(self.gap, other.gap),
+            converged=pick(self.converged, other.converged),
+            seconds=self.seconds + other.seconds,
+            in_time=self.in_time and other.in_time,
+        )
 
 
 @final

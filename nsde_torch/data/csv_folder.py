@@ -29,12 +29,12 @@ def csv_rows(path: Path, needed: Sequence[str], *, what: str, remedy: str) -> li
             rows = list(csv.DictReader(opened))
     except OSError as error:
         raise DataError(f"{what} {path}: {error.strerror}. {remedy}") from error
-    have = list(rows[0]) if rows else []
+    if not rows:
+        raise DataError(f"{what} {path} has no rows below a header. {remedy}")
+    have = list(rows[0])
     missing = [name for name in needed if name not in have]
     if missing:
-        raise DataError(
-            f"{what} {path} has no column {', '.join(missing)}; it has: {', '.join(have) or 'none'}."
-        )
+        raise DataError(f"{what} {path} has no column {', '.join(missing)}; it has: {', '.join(have)}.")
     return rows
 
 

@@ -38,7 +38,7 @@ class LearnedPlant:
         process_noise: float = 1.0,
         sensor_noise: float = 1.0,
         latency: float = 0.0,
-        limits: tuple[float, float] = (0.0, 1.0),
+        limits: tuple[float, float] | None = (0.0, 1.0),
     ) -> None:
         if not is_equation(model):
             raise ConfigError(
@@ -71,7 +71,8 @@ class LearnedPlant:
     def step(self, u: Tensor) -> Tensor:
         """See `Plant.step`."""
         m = self.model
-        self._commands = [*self._commands[1:], u.to(m.clock_scale).clamp(*self._limits)]
+        u = u.to(m.clock_scale)
+        self._commands = [*self._commands[1:], u if self._limits is None else u.clamp(*self._limits)]
         # a sample of physical time is 1 / clock_scale samples of the model's clock
         dt = self.dt / float(m.clock_scale)
         m.set_step(dt)

@@ -66,6 +66,9 @@ def test_a_model_of_a_spring_holds_it_beside_its_declared_physics(
     assert Path("out/log/flight_1.csv").read_text(encoding="utf-8").startswith("t,q,q_dot,force")
 
 
+ENDS = ("mpc.low=-1", "mpc.high=1")
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -80,6 +83,15 @@ def test_a_model_of_a_spring_holds_it_beside_its_declared_physics(
             "flies multirotors",
         ),
         (["plant=own", "reference=csv", "reference.path=none.csv"], "none.csv"),
+        (["plant=own", "reference=setpoint", "start={q: true}"], "`start` takes {state: value}"),
+        (["plant=own", "reference=setpoint", "start={q: nan}"], "finite"),
+        (["plant=own", "reference=setpoint", "mpc.low=1", "mpc.high=1"], "must lie below"),
+        (["plant=own", "reference=setpoint", "duration=0.001"], "shorter than"),
+        (["plant=own", "reference=setpoint", *ENDS, "plant.dt=0.1"], "`mpc.period`"),
+        (
+            ["plant=learned", "reference=setpoint", *ENDS, "plant.effects=[coulomb_friction]"],
+            "the model itself",
+        ),
     ],
 )
 def test_what_is_wrong_with_a_machine_or_its_reference_is_said(

@@ -31,6 +31,7 @@ def followed(
     noise: float = 0.0,
     low: float = -10.0,
     compiled: str = "on",
+    latency: float = 0.0,
 ) -> Flight:
     declared = make_plant_system("cartpole", effects=(), declared_only=True)
     plant = make_plant(
@@ -39,6 +40,7 @@ def followed(
         effects=effects,  # type: ignore[arg-type]
         process_noise=noise,
         sensor_noise=noise,
+        latency=latency,
         check=False,
     )
     controller = Controller(
@@ -53,7 +55,7 @@ def followed(
         reference,
         period=0.02,
         sample=plant.dt,
-        estimator=EstimatorOptions(force_time=force_time),
+        estimator=EstimatorOptions(force_time=force_time, latency=latency),
     )
     begin = setpoint(declared, start, duration=1.0).states[0]
     return fly(pilot, plant, reference, machines=machines, start=begin)
@@ -80,6 +82,14 @@ def test_what_pushes_all_the_time_is_learned_on_the_ports_of_the_machine() -> No
     assert off[1] < 0.2 * off[0]
 
 
+def test_a_plan_that_stays_beside_its_optimum_is_left() -> None:
+    """A cart that balances its pole 0.9 m from where it should be, each plan putting the way there off."""
+    still = setpoint(make_system("cartpole"), UP, duration=3.0)
+    late = {"theta": 0.3}
+    flight = followed(still, start=late, low=-25.0, latency=0.02)
+    assert flight.x[-1, 0, 0].abs() < 0.02
+
+
 def test_machine_code_does_what_torch_does() -> None:
     still = setpoint(make_system("cartpole"), {"x": 0.5}, duration=0.2)
     ends = [followed(still, start={"theta": 0.3}, compiled=way).x[-1] for way in ("on", "off")]
@@ -97,6 +107,14 @@ def test_a_course_is_read_from_columns_of_states_with_the_velocities_of_its_posi
     assert now[1].tolist()[0] == pytest.approx(math.sin(3.0), abs=1e-3)  # the end is held
 
 
+def test_an_angle_that_was_wrapped_goes_on(tmp_path: Path) -> None:
+    t = [0.05 * k for k in range(80)]
+    rows = [f"{s:.2f},{math.remainder(2.0 * s, math.tau):.6f}" for s in t]
+    (tmp_path / "turns.csv").write_text("\n".join(("t,theta", *rows)), encoding="utf-8")
+    path = course(make_system("cartpole"), tmp_path / "turns.csv")
+    assert torch.allclose(path.states[5:-5, 3], torch.tensor(2.0, dtype=torch.float64), atol=1e-3)
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -104,7 +122,9 @@ def test_a_course_is_read_from_columns_of_states_with_the_velocities_of_its_posi
         ("t,x\n0,1\n0,2\n", "`t` must increase"),
         ("t,x\n0,one\n1,2\n", "no number"),
         ("t,x\n0,1\n", "over two rows or more"),
-        ("x\n1\n2\n", "t"),
+        ("x\n1\n2\n", "no column t"),
+        ("t,x\n", "no rows"),
+        ("t,x\n0,1\n1e9,2\n", "is `t` in seconds"),
     ],
 )
 def test_a_file_that_is_no_course_is_refused(tmp_path: Path, text: str, says: str) -> None:

@@ -103,7 +103,7 @@ def test_a_file_of_waypoints_is_read_with_its_times(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("a,b\n1,2\n", "no column p_x"), ("p_x,p_y,p_z\n0,0,one\n1,1,1\n", "no number"), ("", "no column")],
+    [("a,b\n1,2\n", "no column p_x"), ("p_x,p_y,p_z\n0,0,one\n1,1,1\n", "no number"), ("", "no rows")],
 )
 def test_files_that_hold_no_waypoints_are_refused(tmp_path: Path, text: str, words: str) -> None:
     file = tmp_path / "way.csv"

@@ -91,8 +91,7 @@ class Rollouts:
         self.vector, self.dt = ParameterVector(system), dt
         self.system = self.vector.system
         self._fine = self._substeps()
-        self.fine_dt = dt / self._fine
-        """Step of the integration [s]."""
+        self.fine_dt = dt / self._fine  # step of the integration [s]
         self._ports: tuple[tuple[Port, int], ...] = ()
         self._rk4 = torch.func.vmap(self._one)
         self._augmented = torch.func.vmap(self._first)

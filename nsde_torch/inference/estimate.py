@@ -46,8 +46,7 @@ from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 from nsde_torch.time_limit import check_time
 
-ARITHMETIC = 1e-5
-"""Of the measured changes: what integrators and the digits of a log leave of exact physics."""
+ARITHMETIC = 1e-5  # of the measured changes: what integrators and the digits of a log leave of exact physics
 _TURNS = 12
 _AHEAD = 10.0  # times what a turn brought, what all that follow may bring
 _FIRST_ROWS = 5000  # enough for noise levels beside a first theta

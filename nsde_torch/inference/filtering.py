@@ -36,8 +36,7 @@ class Linearisation:
     missed: Tensor  # c, by how much that step misses the next row's state (ne)
     seen: Tensor  # what was measured less the state, in measured channels (m)
     first: Tensor  # error of each chunk's start (C, ne)
-    measured: Tensor | None = None
-    """Whether a row measures each of these channels (m); None where all do."""
+    measured: Tensor | None = None  # whether a row measures each of these channels (m); None where all do
 
     def of(self, some: Tensor) -> "Linearisation":
         """That of some chunks."""

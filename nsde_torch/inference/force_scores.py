@@ -30,8 +30,7 @@ from nsde_torch.inference.estimate import Optimum
 from nsde_torch.inference.sensitivity import inverted
 from nsde_torch.time_limit import check_time
 
-DRAWS = 96
-"""Draws of white rows: an information is then known to 15 %, and tests allow for that."""
+DRAWS = 96  # draws of white rows: an information is then known to 15 %, and tests allow for that
 _ROWS = 40_000  # that are enough: the draws of six ports then take 120 MB
 _AT_ONCE = 16  # rows side by side of one pass
 _BLOCKS = 60  # of time that are enough: below, chunks are parted

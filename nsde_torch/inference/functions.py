@@ -49,8 +49,7 @@ _FOLDS = 5
 # without these two a spring of which nothing is missing learns functions (tests/inference/test_functions.py)
 _SURE = 2.0  # standard errors by which a group has to explain blocks left out
 _CHANCE = 3.0  # nats beyond the logarithm of the number of groups
-MOST_GROUPS = 4
-"""Groups of one row of a port."""
+MOST_GROUPS = 4  # groups of one row of a port
 _ROUNDS = 2  # choices, the second under noise levels found beside the first
 _VARIANCES = np.geomspace(1.0, 1e4, 13)  # tau, in units that move the rows by one standard deviation in all
 _ROUNDING = 1e-10

@@ -24,8 +24,7 @@ from nsde_torch.systems import System
 
 _Stretch = tuple[int, int, int]  # run, first row, last row + 1
 
-MOST = 300_000
-"""Steps that are looked at; of longer data, stretches spread evenly."""
+MOST = 300_000  # steps that are looked at; of longer data, stretches spread evenly
 _STRETCH = 5_000
 RUN_IN_S, RUN_IN_SHARE = 0.4, 0.1
 """Time in which memory comes up, eight time constants of a motor [s]; of short segments, a share of their rows."""

@@ -35,8 +35,7 @@ POLICIES = ("rescale", "trust", "refuse")
 MIN_DEPARTURE = 0.01  # departure of the clock from 1 below which it is right for all purposes
 SIGNIFICANT = 3.0  # standard errors by which every group of axes must depart from 1, to the same side
 SURE = 0.02  # largest standard error of a scale that rows are rescaled by without being asked
-IMPLAUSIBLE = (0.5, 2.0)
-"""Slopes outside cannot be a clock: the columns hold other units, signs or frames."""
+IMPLAUSIBLE = (0.5, 2.0)  # slopes outside cannot be a clock: the columns hold other units, signs or frames
 
 # without the test `v_x` times 1.05 in one flight went unnoticed (tests/recording/test_checks.py)
 _CHANCE = 0.001  # of a scale in one run that the others do not have, over all runs and axes

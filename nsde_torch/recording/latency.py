@@ -454,9 +454,8 @@ def whole_sensor_late(
 
 # Streams whose clocks are offset against each other by another time in each run.
 #
-# Each stream of a log (motion capture, gyroscope, motor commands) has a clock of its own, and is set to the
-# others anew in each run. An offset is estimated for each run, with its standard error, and held against one
-# that all runs share,
+# Each stream of a log (motion capture, gyroscope, motor commands) has a clock of its own, and is set to the others anew
+# in each run. An offset is estimated for each run, with its standard error, and held against one that all runs share,
 #
 #     Q = sum_r ((d_r - d) / s_r)^2,        d = sum_r (d_r / s_r^2) / sum_r s_r^-2,
 #

@@ -1,32 +1,27 @@
 """Whether a loop was closed over the data, and whether the controller saw more than the log holds.
 
 With e_k the innovations of the channels that inputs drive (what a step brings that the fitted physics, the law of the
-noise and the past do not predict), and v_k those of the inputs (against their own past):
+noise and the past do not predict), and v_k those of the inputs (against their own past), score tests (`signals`) of
 
-- feedback: v_{k+l} on e_k, l = 1, 2, ..., in six bins: later inputs answer what the physics does not explain, one of
-  them surely or all together (Fisher's sum over the channels that each drives). Then an input is not independent of
-  disturbances, and errors of many open-loop steps under logged inputs do not show what an input does.
-- knowledge: e_k on u_k, u_{k-1}, ..., beyond what the parameters and the noise model took out. Inputs that were
-  made from the logged states know nothing of e_k. Where they do, either the controller saw more than the log holds
-  (a faster rate, other sensors), or the inputs act in a way that is not declared (a lag, a delay): from second
-  moments of inputs and states alone the two cannot be distinguished, because the same spectra are had with a controller
-  that acts on the log and another response (Ljung, System Identification, 1999, section 13.4).
-- other sensors: an input that was made from a logged state answers the noise of its sensor too, which is most of an
-  innovation. Of a loop that is closed, a direction that is a function of the state to a quarter at least, and hardly
-  answers any channel which it drives, was made from something else. On simulated flights the share of the answer was
-  0.27 to 0.77 where the controller had the logged measurement, and at most 0.006 where it had a sensor of its own.
+- feedback: v_{k+l} on e_k, l = 1, 2, ..., in six bins, one of them surely or all together (Fisher's sum).
+- knowledge: e_k on u_k, u_{k-1}, ..., beyond what the parameters and the noise model took out: the controller saw more
+  than the log holds, or the inputs act in a way that is not declared (a lag, a delay). Second moments of inputs and
+  states alone do not distinguish the two (Ljung, System Identification, 1999, section 13.4).
 - made: v_k on states of rows before, which a controller makes inputs from, whatever its sensors.
+
+Beside these
+
+- other sensors: in a closed loop, directions that are a function of the state to a quarter and hardly answer any
+  channel which they drive: those made from a logged state answer the noise of its sensor too.
 - new: the share of the inputs that is no function (of second degree) of the logged state. Where it is small in a closed
   loop, gains rest on what was assumed of the noise (Soderstrom, Gustavsson and Ljung, International Journal of Control
-  21 (1975)): with a share of 8 % a simulated gain of 100 came out as 34.
-
+  21 (1975)).
 - between: a controller with sensors and a clock of its own may move its inputs between rows of the log, by half of
-  their change from row to row, always to the same side of the logged value. Within a row a loop is as good as linear:
-  what it does is a linear function of the states and of the inputs of neighbouring rows, and acts through the machine's
-  own equations. An estimate is biased as far as it lies along these: a gain or a damping does, a product of two states
-  not.
+  their change from row to row, always to the same side. What it does is a linear function of the states and of the
+  inputs of neighbouring rows; an estimate is biased as far as it lies along these.
 
 Assumed, not checked: logged inputs are those that were commanded; the step of the log is the step of the inputs.
+Measurements: docs/content/theory/feedback.md.
 """
 
 from collections.abc import Sequence
@@ -47,8 +42,7 @@ from nsde_torch.sysid.regression import ITERATIONS, Regression, regression_of
 from nsde_torch.sysid.signals import Direction
 from nsde_torch.systems import System
 
-ALPHA = 0.01
-"""Chance of a finding where there is none, for each of the tests."""
+ALPHA = 0.01  # chance of a finding where there is none, for each of the tests
 _ANSWER_S, _ANSWERS = 0.2, 20  # how long after a disturbance an answer is looked for [s], [rows]
 _BINS = (1, 2, 3, 5, 9, 14, 21)  # rows between which it is summed up: an answer to what lasts is smooth
 _KNOWN_S, _KNOWN = 0.08, 8  # how long before a disturbance an input may have known of it

@@ -5,30 +5,17 @@
     the first values     theta_0
     nothing              what was measured
 
-all judged by what they leave of the rates in these means, without the mean over each run, so that a steady push counts
-for none. The two fits err in opposite ways. Least squares lose a gain to noise of the states, and to feedback that
-answers what the physics lacks: both pull it towards nothing. A likelihood fit loses it where its model of the noise has
-learned what a smoother or a lag did to the physics. So
+all judged by what they leave of the rates in these means, without the mean over each run. Noise of the states and
+feedback pull least squares towards nothing, a noise model that learned a smoother or a lag pulls the fit there: that
+decides which of them is accepted (docs/content/theory/identification.md). "Surely" is one test of all parameters,
+d' (V + W)^-1 d for the difference d of two fits with covariances from blocks of time. Before come interpretations of
+the columns (`readings`), streams of another time (`timing`) and runs of another machine (`run_differences`): where the
+log is at fault, fits part for that reason.
 
-- where least squares find less than the fit, the fit is accepted, and nothing is said: a loop does that;
-- where least squares explain surely and much more of the rates than the fit, they are accepted, and the fit is not;
-- where the first values leave less than the fit, and least squares find no less, the fit stopped at another optimum;
-- where the fit leaves more than was measured, it is worse than nothing; but not where least squares find less and
-  explain something: a loop cancels what the physics lacks;
-- where the fit explains nothing of a channel, and is sure that what moves it is a small part of its first value, the
-  parameter has vanished: no noise is so small that a machine surely has no motors.
-
-"Surely" is one test of all parameters, d' (V + W)^-1 d for the difference d of the two fits with covariances from
-blocks of time. Before come interpretations of the columns (`readings`), streams of another time (`timing`) and runs of
-another machine (`run_differences`): where the log is at fault, fits part for that reason.
-
-**Longer boxes.** A noise model learns what a smoother, a differentiated encoder or a friction does within a few rows,
-and with it the physics: the likelihood of many rows a second prefers it so. Sums over longer boxes do not hold that
-band, and both sides of the equation go through the same one. So, where least squares, the first values or a parameter
-that has vanished speak against a fit (and no fault of the log does), it is made again with boxes of `LENGTHS_S`.
-It is taken where the guard accepts it at both lengths. Two things grow with the length of the boxes: what inputs
-answer within one of them (feedback), and what is lost of fast physics. So intervals widen by what parameters change
-from the one to the other, which is no less than a bias that grows as the root of the length or faster.
+**Longer boxes** do not hold the band in which a noise model learns a smoother, a differentiated encoder or a friction.
+Where least squares, the first values or a parameter that has vanished speak against a fit, it is made again with boxes
+of `LENGTHS_S`, and taken where the guard accepts both. Feedback and fast physics bias longer boxes more: intervals
+widen by what parameters change from the one to the other.
 """
 
 from collections.abc import Iterable, Sequence
@@ -50,17 +37,14 @@ from nsde_torch.sysid.run_differences import odd_run, unexplained_runs
 from nsde_torch.sysid.timing import shifted_stream
 from nsde_torch.systems import System
 
-CHANCE = 1e-3
-"""Chance of calling two fits of a sound log different."""
+CHANCE = 1e-3  # chance of calling two fits of a sound log different
 MORE = 0.1
 """Share of a channel's variance that least squares must explain beyond the fit, beside that: what the physics lacks
 biases both, and not alike."""
 TIMES = 2.0
 """Or times what least squares leave that the fit leaves: how much of the rest they explain, where the rest is small."""
-LESS = 0.9
-"""Times what the fit predicts of a channel below which least squares find less of it."""
-WORSE = 1.05
-"""Times what was measured that a fit must leave to be worse than nothing."""
+LESS = 0.9  # times what the fit predicts of a channel below which least squares find less of it
+WORSE = 1.05  # times what was measured that a fit must leave to be worse than nothing
 BEHIND = 0.3
 """By how much the sum over channels of log(left) must be smaller at the first values than at the fit, of channels of
 which least squares find no less."""
@@ -69,8 +53,7 @@ MATTERS = 0.01
 almost wholly, the widths of frictions leave more or less in rough rates."""
 GONE = 10.0
 """Times smaller than its first value that a parameter must surely be (two standard errors) to have vanished."""
-NOTHING = 0.02
-"""Share of a channel's variance up to which a fit explains nothing of it."""
+NOTHING = 0.02  # share of a channel's variance up to which a fit explains nothing of it
 POOR = 0.8
 """Share of the measured that least squares leave of half of the channels, where physics explains nothing."""
 
@@ -357,8 +340,7 @@ def _chance(rough: Regression, theta: Array, covariance: Array | None) -> float:
 
 LENGTHS_S = (0.05, 0.2)
 """Length of the boxes, and of those that they are held against [s]: a bias as the root of the length doubles."""
-LONGER = 2.0
-"""Times the length of the boxes before that the first must have."""
+LONGER = 2.0  # times the length of the boxes before that the first must have
 
 
 def asks_for_longer_boxes(guard: Guarded | None) -> bool:

@@ -1,40 +1,22 @@
 """Identify the declared parameters of a system, in a loop too: which estimate to print, and how far feedback biases it.
 
-Ordinary estimates (`regression`) are right under feedback from the log. Where the test of the loop says that inputs
-know more than the log, or were made from other sensors (`feedback_test`), they are not, and the interval is widened by
-what cannot be known: with X the whitened slopes, e = X b + a part that X predicts and the fit has swallowed. Of
-channel i let that part have length z_i. Then the bias of parameter j is at most (a bound by partial correlations:
-Cinelli and Hazlett, Journal of the Royal Statistical Society B 82 (2020))
+Ordinary estimates (`regression`) are right under feedback from the log. Where inputs know more than the log, or were
+made from other sensors (`feedback_test`), intervals are widened by the largest bias of parameter j (a bound by partial
+correlations: Cinelli and Hazlett, Journal of the Royal Statistical Society B 82 (2020))
 
     sum_i z_i sqrt((M^-1 M_i M^-1)_jj),     M_i = X_i' X_i,   M = sum_i M_i
 
-z_i is the larger one of two (`FeedbackTest.hidden`). Both are assumptions that no data can test:
+with X_i the whitened slopes of channel i, and z_i the length of the part of its residuals that these predict and the
+fit has swallowed (`FeedbackTest.hidden`, by two assumptions that no data can test). With instruments only inputs that
+move between rows of the log count, and what estimates owe to parameters that the instruments do not show. Where inputs
+may have moved so, instruments are used with inputs held and with the mean of each row and the next; the smaller
+statistic of Sargan decides, and what it cannot decide widens the interval (docs/content/theory/feedback.md).
 
-- inputs know `FACTOR` = 3 times as much of a step as inputs of earlier steps may be seen to predict of it, which is
-  the upper 95 % limit of the share: that it is not significant does not say that it is nothing. On simulated loops
-  whose truth is known 3 held nearly always with strong sticks and mostly with weak ones
-  (docs/content/results/feedback.md);
-- inputs that were made from other sensors may have moved between rows of the log, by half of their change from row to
-  row, always to the same side of the logged value. A rate loop at 1 kHz below an attitude loop at 100 Hz does so: each
-  logged command stands at the start of a decay, and a gain seems 5 % too small whatever moves the sticks.
+Values and intervals are those of largest likelihood (`nsde_torch.inference`), unless simple fits speak against it,
+states were smoothed before they were logged, or innovations are not white; then the regression's stay.
 
-With instruments that are strong and exogenous only the second is needed, and what estimates owe to parameters that the
-instruments do not show. Their estimates are printed where they differ, or where inputs know more than the log, unless
-they show that an effect is missing. Where inputs of a faster controller may have moved between rows of the log, they
-are made with inputs held and with the mean of each row and the next; the smaller statistic of Sargan decides, and what
-it cannot decide widens the interval.
-
-**By likelihood.** Values and intervals are those of largest likelihood (`nsde_torch.inference`), where its innovations
-are what they should be. The regression gives the first values, and is an independent check: where simple fits speak
-against it, where states were smoothed before they were logged, or where the innovations of the filter are not white,
-its own values stay.
-
-**Inferred rates.** Rates that no sensor measured are inferred from positions with the physics in the loop. A Kalman
-filter follows the positions. Its estimate of a row knows that row and those before it, and none after: what it lacks of
-the true rate is then independent of the noise that comes, and physics fitted at it, averaged over what it lacks
-(`Physics`), is not biased by noise in its regressors. A smoother, which knows rows on both sides, would be nearer to
-the truth and bias friction. What the physics leaves counts as a gust that lasts, so that wrong physics hardly biases
-rates. These hang a little on the parameters: they are inferred again until these have settled (`in_turn`).
+Rates that no sensor measured are inferred from positions with the physics in the loop, by a filter that knows no later
+row: what it lacks is independent of the noise that comes. Physics and rates settle in turn (`in_turn`).
 """
 
 import copy
@@ -390,10 +372,8 @@ def entries(system: System, runs: Sequence[Run]) -> int:
 
 # ---- inferred rates ------------------------------------------------------------------------------------
 
-TURNS = 4
-"""Times that rates are inferred, at most."""
-SETTLED = 0.2
-"""Standard errors that parameters may still move by."""
+TURNS = 4  # times that rates are inferred, at most
+SETTLED = 0.2  # standard errors that parameters may still move by
 _DIVERGED = 1e3  # times all that a position moves, between two rows
 
 

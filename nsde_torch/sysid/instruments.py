@@ -1,20 +1,17 @@
 """Estimates from signals outside the loop: instrumental variables.
 
-Where inputs know of disturbances, least squares is biased whatever the noise model. A signal z that no disturbance
-moves (a pilot's stick, a setpoint) moves the inputs all the same, and what of them it moves is free of disturbances:
+A signal z that no disturbance moves (a pilot's stick, a setpoint) moves the inputs all the same, and what of them it
+moves is free of disturbances:
 
     sum_i H_i' e_i(theta) = 0,    H_i: slopes of the whitened residuals e_i, predicted from whitened z of now and before
     covariance of theta: the jackknife over blocks of time, theta moves by (A - A_c)^-1 H_c' e_c, A = sum_i H_i' J_i
 
-(two-stage least squares: Soderstrom and Stoica, Instrumental Variable Methods for System Identification, 1983). The
-first stage is fitted on other blocks than it predicts, which takes out the bias of many instruments (Angrist, Imbens
-and Krueger, Journal of Applied Econometrics 14 (1999)). Three things are tested and reported:
-
-- exogeneity: instruments that answer innovations (new in z on e before it) are left out.
-- strength: F of the slope of each parameter on its own part of H, from blocks of time. Below `_WEAK` (Staiger and
-  Stock, Econometrica 65 (1997)) the parameter keeps its own slopes: the ordinary estimate, and so labelled.
-- difference from the ordinary estimate (Hausman, Econometrica 46 (1978)), by the jackknife of the difference; and
-  whether all that instruments do is explained (Sargan, Econometrica 26 (1958)), which a missing lag is not.
+(two-stage least squares: Soderstrom and Stoica, Instrumental Variable Methods for System Identification, 1983), the
+first stage fitted on other blocks than it predicts (Angrist, Imbens and Krueger, Journal of Applied Econometrics 14
+(1999)). Tested and reported (docs/content/theory/feedback.md) are exogeneity; strength, by F of the slope of each
+parameter on its own part of H (Staiger and Stock, Econometrica 65 (1997)), below which it keeps its own slopes: the
+ordinary estimate; the difference from that (Hausman, Econometrica 46 (1978)), by the jackknife of the difference; and
+whether all that instruments do is explained (Sargan, Econometrica 26 (1958)), which a missing lag is not.
 """
 
 from collections.abc import Sequence
@@ -38,8 +35,7 @@ from nsde_torch.sysid.noise import extended
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 
-MISSING = 1e-3
-"""Chance below which instruments show that an effect is missing."""
+MISSING = 1e-3  # chance below which instruments show that an effect is missing
 _SURE = 0.05  # chance below which two estimates differ
 _WEAK = 10.0
 _ROWS = (-1, 0, 1, 2)  # rows before that the first stage knows: sticks move between rows too

@@ -1,19 +1,11 @@
 """The noise of one channel of residuals, the filter that makes it white, and what other channels say of it.
 
-A residual over a step holds the difference of two errors of the sensor, and whatever the physics lacks: gusts, which
-last. Its law is taken as
-
     (1 + a_1 B + ... + a_p B^p) r_k = (1 - c B) e_k,      B r_k = r_{k-1},      e white
 
-(an autoregression for what lasts, a moving average for the sensor). Dividing by 1 - c B sums residuals up: what is
-compared then is the state itself, and not its change. The test function of a whitened row is thus a staircase
-that looks back as far as noise allows. Whitening is causal, so that a whitened row knows no input that reacts to it:
-that is what keeps feedback from bending the estimate (Ljung, System Identification, 1999, section 13.4).
-
-Second differences of a position, which replace a rate that no sensor measured, hold its error three times: their
-moving average is (1 - c B)^2.
-
-How each is found:
+an autoregression for what lasts, a moving average for the difference of two errors of the sensor; second differences of
+a position, which replace a rate that no sensor measured, have (1 - c B)^2. Whitening is causal, so that a whitened row
+knows no input that reacts to it: that keeps feedback from biasing the estimate (Ljung, System Identification, 1999,
+section 13.4).
 
 - c, p: least Akaike score of the exact likelihood of the moving average with the error e before the first row for
   an unknown of its own; c is at most `limit`, which follows from noise that is known to be there.
@@ -21,19 +13,17 @@ How each is found:
   multiplied by exp(-j / m): noise forgets within m rows. What lasts longer, as thrust that falls from take-off to
   landing, must not pass for noise: rows would be weighed as if they knew nothing of it.
 
-**Feedback.** The rate of a gyro reveals its error only slowly; the attitude, which is its integral, knows part of it at
-once, and so does an input that a controller made from the attitude. What a channel's own law calls new is then not new
-to the input, and the estimate is biased (a motor's lag by 3 %). So the part of a whitened residual that the past of
-kinematic residuals predicts is taken out of it (`past`):
+**Feedback.** An input that was made from an attitude knows of the gyro's error before the gyro's channel does, and the
+estimate is biased (a motor's lag by 3 %). So what the past of kinematic residuals predicts is taken out of a whitened
+residual (`past`):
 
     s = measured minus integrated change of the states that no parameter moves,   S_j = sum_i c_j^i s_{k-1-i}
     e_k <- e_k - S_k b,    b by least squares (multivariate prediction errors: Ljung, 1999, section 7.2)
 
-A gentle flight in gusts has little in its inputs but answers to what struck it. There the kinematic residuals are not
-enough: a channel's own law was fitted without them, and beside them its past says something else. With `channels` the
-past of the residuals of the channels themselves is taken out too, all in one regression. What is left is new to inputs
-that were made from the log, and the slopes that it is compared with were known before it: the estimate is right
-whatever the laws are (an instrumental variable; Soderstrom and Stoica, 1983), at the price of wider intervals.
+A gentle flight in gusts has little in its inputs but answers to what struck it. With `channels` the past of the
+residuals of the channels themselves is taken out too: what is left is new to inputs that were made from the log, and
+the estimate is right whatever the laws are (an instrumental variable; Soderstrom and Stoica, 1983), at the price of
+wider intervals (docs/content/theory/identification.md and feedback.md).
 """
 
 from collections.abc import Sequence

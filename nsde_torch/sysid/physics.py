@@ -2,16 +2,11 @@
 
     residual_k = (x_{k+1} - x_k) - int f(x(t), u_k; theta) dt            over the step from t_k to t_{k+1}
 
-is the weak form with boxes for test functions: no data are differentiated, and the input is held over a step as the
-machine held it. The integral is Simpson's; the state in the middle is that of the Hermite cubic through both ends,
-x_m = (x_0 + x_1) / 2 + h / 8 (f_0 - f_1), which is of fourth order.
-
-Two things keep noise from bending the estimate:
-
-- Slopes are those at a state foreseen by the model from some steps earlier, and not at the measured one. They are
-  the instruments of the regression (Soderstrom and Stoica, Instrumental Variable Methods, 1983): the errors of what
-  is measured during a step, and gusts that strike in it, are not in them.
-- White sensor noise s shifts the mean of a curved f by s^2 f'' / 2, which is taken off by second differences.
+is the weak form with boxes for test functions. The integral is Simpson's; the state in the middle is that of the
+Hermite cubic through both ends, x_m = (x_0 + x_1) / 2 + h / 8 (f_0 - f_1), which is of fourth order. Slopes are those
+at a state foreseen by the model from some steps earlier, the instruments of the regression (Soderstrom and Stoica,
+Instrumental Variable Methods, 1983); white sensor noise s shifts the mean of a curved f by s^2 f'' / 2, which is taken
+off by second differences (docs/content/theory/identification.md).
 
 Rates that no sensor measured are inferred from positions that came before (`identify`). Then the residual is that
 of the second difference of the position, whose test function is a hat over two steps,
@@ -19,10 +14,8 @@ of the second difference of the position, whose test function is a hat over two 
     residual_k = (q_{k+1} - 2 q_k + q_{k-1}) / h - (I_{k-1} + I_k) / 2,      I_k = int f dt over step k
 
 (over boxes of several steps, that of as wide a difference), with f at what the past predicts, averaged over what it
-does not know of the rate: the noise of the position is then in no regressor.
-
-Velocities that the system measures in the world are turned into the body, so that thrust along the body's axis is one
-channel and forces sideways are others.
+does not know of the rate: the noise of the position is then in no regressor. Velocities that the system measures in the
+world are turned into the body, so that thrust along the body's axis is one channel and forces sideways are others.
 
 How much of each measured rate the physics explains is said in means over test functions,
 

@@ -1,13 +1,9 @@
 """Other ways to read the columns of a log, and the one in which the declared physics leaves much less.
 
-Kinematics distinguish a velocity in the body from one in the world. They do not reveal a log whose axes are all others,
-or an input that is wired to another motor: only the physics does. Each interpretation changes the runs; the physics is
-fitted to it by plain least squares on means over 0.15 s (`rough`), gains inside their bounds, and
-
-    score = sum over channels of log(left / measured)
-
-says how much is left, whatever the units. Others are tried only where the log as it is leaves much, and one is
-reported only where it leaves `LESS` times less: in a sound log nothing is better than what the columns say.
+Each interpretation changes the runs; the physics is fitted to it by plain least squares on means over 0.15 s (`rough`),
+gains inside their bounds, and score = sum over channels of log(left / measured) says how much is left, whatever the
+units. Others are tried only where the log as it is leaves much, and one is reported only where it leaves `LESS` times
+less: in a sound log nothing is better than what the columns say.
 
 **Motors.** Which motor is which, and which way propellers turn, is found by the moments that the motors make,
 
@@ -39,10 +35,8 @@ from nsde_torch.systems import System
 from nsde_torch.systems.multirotor import Multirotor
 
 Places = tuple[int, ...]
-BANDS_S = ((0.02, 0.3), (0.1, 1.0))
-"""Lengths of means, and of longer ones that are taken off [s]."""
-LATEST_S = 0.06
-"""How late motors may act, by a lag or a delay [s]."""
+BANDS_S = ((0.02, 0.3), (0.1, 1.0))  # lengths of means, and of longer ones that are taken off [s]
+LATEST_S = 0.06  # how late motors may act, by a lag or a delay [s]
 _BLOCK_S = 0.5
 _FEWEST = 8  # blocks
 _SURE, _LEAST = 3.0, 10.0  # standard errors and nats by which an order is surely better
@@ -145,8 +139,7 @@ MUCH = 0.25
 looked at. It saves time and decides nothing: sound logs of machines in motion leave 0.1 to 0.3."""
 LESS = exp(1.0)
 """Factor by which another interpretation must lower the residual of all channels; 30 ms of delay make six times."""
-AS_GOOD = 0.15
-"""Difference of scores within which two interpretations are equally good."""
+AS_GOOD = 0.15  # difference of scores within which two interpretations are equally good
 _ITERATIONS = 4
 _PART_S = 20.0  # of the runs, on which interpretations are compared before the best is tried on all
 _ROUNDS = 3  # exchanges of two inputs, one after another

@@ -48,8 +48,7 @@ class Identification:
     """The fit over shorter boxes that the guard rejected; None where these are the first ones."""
     standstill: float = 0.0
     """Share of the rows that were left out because what has dry friction stands in them."""
-    # the fit of largest likelihood, whose values these are where nothing speaks against it; None where there was
-    # none
+    # the fit of largest likelihood, whose values these are where nothing speaks against it; None where there was none
     likelihood: MaximumLikelihood | None = None
     optimum: Optimum | None = field(default=None, repr=False, compare=False)
     """Where that is, for networks to begin at."""

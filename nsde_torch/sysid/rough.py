@@ -25,8 +25,7 @@ from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
-MEANS_S = 0.15
-"""Length of the boxes [s]."""
+MEANS_S = 0.15  # length of the boxes [s]
 ITERATIONS = 10
 
 

@@ -1,16 +1,13 @@
 """Runs that are not of one machine: parameters of each run alone against those of the others.
 
-With X_r the whitened slopes and e_r the whitened residuals of run r at the optimum of all runs (feedback biases plain
-least squares in each run in its own way), and b_r = (X_r' X_r)^-1 X_r' e_r how far the run alone would move theta,
+With X_r the whitened slopes and e_r the whitened residuals of run r at the optimum of all runs, and b_r = (X_r' X_r)^-1
+X_r' e_r how far the run alone would move theta,
 
     d_r = b_r - mean of the other runs' b, weighed by what each shows,      V_r from blocks of time (`spread`)
 
-Runs of one machine differ too: batteries fall, air moves, and what the physics lacks biases each run in its own way. A
-loop whose inputs cancel a disturbance d beside what is asked for, u = r - d / g, makes least squares find
-
-    g (1 - s^2),      s^2 = var d / (var r + var d),      the share of the measured variance that is left
-
-so that a run in which little is asked for seems weaker. A difference is reported only if surely larger than both.
+A loop whose inputs cancel a disturbance d beside what is asked for, u = r - d / g, makes least squares find
+g (1 - s^2), with s^2 = var d / (var r + var d) the share of the measured variance that is left. A difference is
+reported only if surely larger than that and than what batteries and air make (docs/content/theory/identification.md).
 """
 
 from collections.abc import Mapping, Sequence

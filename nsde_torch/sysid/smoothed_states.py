@@ -1,18 +1,10 @@
 """States that were smoothed before they were logged, by what, and as they were before.
 
-What a smoother took away, the noise model of the identification takes for noise that is not there: it weighs what the
-smoother left near nothing most, there the inputs move nothing, and gains go to nothing, surely.
-
-A spectrum that falls steeply may also be a motion's own; a motion alone ends in the white noise of the sensor, and not
-in the log's digits. That the log was smoothed is concluded where it ends in no such noise, and where
-
-- position and integrated rate do not agree in the band in which S falls: what is left there is noise, of two sensors;
-- or else the declared physics, fitted to means over 0.15 s, predicts the changes of channels that inputs drive better
-  behind S than as they are (in nats), each behind the lag and the delay of actuators that suit it best. It is not asked
-  where the first shows it: in a closed loop inputs answer the noise of the sensors, which looks like the machine's
-  answer to them.
-
-Sensors behind one smoother are fitted together.
+What a smoother took away, a noise model takes for noise that is not there, and gains go to nothing, surely. A motion
+alone ends in the white noise of the sensor, and not in the log's digits. A log was smoothed where it ends in no such
+noise, and where position and integrated rate do not agree in the band in which S falls, or else the declared physics
+predicts changes better behind S, each with the lag and the delay of actuators that suit it best. Physics is not asked
+where kinematics show it: in a closed loop inputs answer the noise of sensors (docs/content/theory/recording.md).
 
 An estimator integrates body rates to an attitude. Its error is an integral too, which falls with the frequency as
 behind a filter of first order; restored, it would put an attitude that was on time 13 ms before its rates (seen in logs
@@ -21,24 +13,17 @@ of a real PX4 at 250 Hz: filters of 40 Hz on the rates, which was so, and of 12 
     d(S) = - d arg S / d(2 pi f) at f = 0
 
 the lateness of positions against rates must be d(S_positions) - d(S_rates). Where it is not, and is without one of the
-two, that one is no smoother.
-
-**Restored** states are
+two, that one is no smoother. **Restored** states are
 
     x = S^-1 x_log below f_r,        white noise above,
 
-where f_r is the frequency at which S has fallen to a hundredth, or to what rounding left, or to which smoothers that
-fit about as well agree. The noise is as large as the sensor's, and much larger than what moves at f_r: what moves above
-it is absent, and must not weigh. Where S fits none of the families (`recording.smoothers`), or only roughly, nothing is
-restored; white noise is added from where S begins to fall. Noise is drawn from a fixed seed.
+with f_r where S has fallen to a hundredth, or to what rounding left, or to which smoothers that fit about as well
+agree, and noise much larger than what moves at f_r: what moves above is absent, and must not weigh. Where S fits none
+of the families (`recording.smoothers`), or only roughly, white noise is added from where S begins to fall, and nothing
+is restored. Noise is of a fixed seed; ends of stretches, where nobody knows how the smoother began, are left out.
 
-Ends of stretches are left out, where nobody knows how the smoother began and ended. In a closed loop the restored log
-still lacks what the controller saw above f_r; the test of the loop says so, and intervals widen by it. They widen too
-by how far estimates depend on f_r (`identify.dependence_on_band`).
-
-A step of 20 ms hides what a log at 1 kHz shows: a rate that is 3 ms late, a filter at 100 Hz. So streams, sensors and
-smoothers are looked for in the rows as they were logged (`undone_at_own_rate`). States are restored on the longer step,
-where the noise that stands in for what a smoother took has no place above half its rate.
+A longer step hides what the log shows: a rate that is 3 ms late, a filter at 100 Hz. So streams, sensors and smoothers
+are looked for in the rows as they were logged, and states restored on the longer step (`undone_at_own_rate`).
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -70,23 +55,19 @@ from nsde_torch.systems import System
 MISFIT, GAIN = 2.0, 3.0
 """Deviance per bin of a spectrum without a smoother, above which one is looked for; and how many times smaller it must
 be behind one. Raw logs have 0.3 to 1.1; logs behind a smoother that cuts at up to a fifth of the rate 4.5 and more."""
-DIGITS = 10.0
-"""How many times the noise of a log's digits may be measured: what is more is a sensor's."""
+DIGITS = 10.0  # how many times the noise of a log's digits may be measured: what is more is a sensor's
 SOUND = 0.4
 """Share by which spectra may differ from the best fit (root mean square, beyond chance) and states be restored."""
 _CHANCE = 0.5  # deviance per bin by chance
 _DROWNED = 0.1  # of the windows: times that a partner is larger, to which what both hold shows (error 0.3)
 _NO_MORE = 2.0  # times what rounding makes, up to which nothing else is seen
-ALIKE = 0.3
-"""Deviance that a sensor may lose by being fitted together with others."""
+ALIKE = 0.3  # deviance that a sensor may lose by being fitted together with others
 APART = 0.5
 """Share of the changes in which position and integrated rate differ, above which they are noise (independent: 1)."""
-NATS = 20.0
-"""By which the declared physics must be likelier behind a smoother."""
+NATS = 20.0  # by which the declared physics must be likelier behind a smoother
 LAGS_S, LATEST_S = (0.0, 0.02, 0.05, 0.1), 0.05
 """Lags of actuators that the declared physics may lack, and the longest delay [s], by halves of a step."""
-DEPTH, BEGINS = 1e-2, 0.9
-"""|S| down to which is restored; and at which noise is added instead."""
+DEPTH, BEGINS = 1e-2, 0.9  # |S| down to which is restored; and at which noise is added instead
 _NEAR, _FAR = 0.5, 1.0
 """Steps of the log by which a lateness may miss what smoothers make, and by which it must to speak against one."""
 _ROUNDED = 0.1  # share of rounding in what is left, up to which it is restored

@@ -1,10 +1,9 @@
 """Rows in which a machine with dry friction moves, and those in which it stands.
 
-Where it stands, friction is whatever holds it, up to its size, and no function of the speed: `-c tanh(v / v0)` of a
-noisy speed is nothing on average there, and what friction really does looks like a deadband, or like a law of the speed
-times the input. And where its speed changes sign within a step, a few values at its ends and in its middle do not show
-how long it went which way. So rows whose speed, averaged over a few of them, is within the noise of the speed and what
-it changes by in a step are left out of the regression, and so is what is too short between them.
+Where it stands, friction is whatever holds it, and no function of the speed; and where its speed changes sign within a
+step, a few values do not show how long it went which way. So rows whose speed, averaged over a few of them, is within
+the noise of the speed and what it changes by in a step are left out of the regression, and so is what is too short
+between them (docs/content/theory/identification.md).
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,10 +19,8 @@ from nsde_torch.effects import Effect
 from nsde_torch.effects.law import Law
 from nsde_torch.systems import System
 
-WITHIN = 3.0
-"""Standard deviations of the noise of a speed, within which its direction is not known."""
-SHARE = 0.02
-"""Share of the rows that must be at a standstill to be left out; fewer turn nothing."""
+WITHIN = 3.0  # standard deviations of the noise of a speed, within which its direction is not known
+SHARE = 0.02  # share of the rows that must be at a standstill to be left out; fewer turn nothing
 _AVERAGED = 5  # rows; their mean at a standstill is within `WITHIN` almost surely
 _SHORTEST = 5  # rows between two standstills; fewer say little and cost the start of a stretch
 

@@ -1,16 +1,11 @@
 """Streams that are shifted where no kinematics can show it: the inputs, an attitude with its rates.
 
 The declared physics is fitted by plain least squares on means over 0.15 s (`rough`) with a stream moved in time. What
-is left,
-
-    L(s) = sum over channels of log(left / measured),
-
-has a sharp minimum in the shift s: a delay of 30 ms makes a multirotor's rates four to ten times as large. What goes
-with a channel's own state does not count: undeclared drag of a machine that oscillates resembles a late attitude, whose
-error is proportional to the rate of the oscillation. A parabola
-through three shifts says where it is; where it is elsewhere, the search follows it. A stream that is truly shifted is
-better in every channel when it is moved. Where one is worse, or where states were smoothed, a lag and a smoother
-together do the same as a shift, and none is advised.
+is left, L(s) = sum over channels of log(left / measured), has a sharp minimum in the shift s. What goes with a
+channel's own state does not count: undeclared drag of a machine that oscillates resembles a late attitude, whose error
+is proportional to the rate of the oscillation. A parabola through three shifts says where it is; where it is elsewhere,
+the search follows it. Where a channel is worse once the stream is moved, or where states were smoothed, a lag and a
+smoother together do the same as a shift, and none is advised.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,16 +20,12 @@ from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.rough import beginnings, left_at, rough_fit
 from nsde_torch.systems import System
 
-STEP_S = 0.03
-"""Distance of the shifts that are compared [s]."""
-MOST_S = 0.2
-"""Longest shift that is looked for [s]."""
-LEAST_S = 0.012
-"""Shortest shift that is reported [s], and at least a row: less may be how a machine steps."""
+STEP_S = 0.03  # distance of the shifts that are compared [s]
+MOST_S = 0.2  # longest shift that is looked for [s]
+LEAST_S = 0.012  # shortest shift that is reported [s], and at least a row: less may be how a machine steps
 ACTUATOR_S = 0.08
 """How late inputs may act by what actuators do, a lag or a delay, which the declared physics may lack [s]."""
-GAIN = 0.4
-"""By how much L must be smaller than without the shift; four channels that each lose a tenth."""
+GAIN = 0.4  # by how much L must be smaller than without the shift; four channels that each lose a tenth
 _WORSE = 0.05  # by how much the logarithm of one channel's residual must grow to speak against a shift
 _ITERATIONS = 3
 _PART_S = 30.0

@@ -1,16 +1,13 @@
 """A diagnosis rehearsed: the machine that was found is simulated, and its logs are diagnosed as the measured ones were.
 
-What is true of a simulated log is known. So it shows of these very data, with their length, noise and motion, whether
-what was found would be found again, how far values scatter and whether their intervals hold them; and, of the declared
-physics alone, whether anything is named of nothing. It shows nothing of a law that neither holds.
-
-Inputs are those of the log, or keep the machine near it by feedback, optimal for small deviations,
+It shows of these very data whether what was found would be found again, how far values scatter and whether their
+intervals hold them; and, of the declared physics alone, whether anything is named of nothing. It shows nothing of a law
+that neither holds. Inputs are those of the log, or keep the machine near it by feedback, optimal for small deviations,
 
     u_k = u_k(log) + K_k (x_k(log) - x_k(measured)),      K by Riccati's recursion backwards along the path
 
 with deviations of states and of inputs weighed by how much they vary in the log (linear quadratic regulation: Anderson
-and Moore, Optimal Control, 1990, chapter 2). A machine that does not stay by itself is simulated this way; so it is in
-a loop, as the measured one was, if not in the same one.
+and Moore, Optimal Control, 1990, chapter 2), where a machine does not stay by itself.
 """
 
 import copy

@@ -2,11 +2,11 @@
 
 All members are fitted at the noise levels of the likeliest, so that they are compared by their physics alone.
 
-A friction develops within a width of speed. Runs that mostly move fast say nothing of it below some bound, as far down
-as it goes, and no quadratic about one optimum says so; an experiment near rest hangs on it. So a member is followed at
-a few widths, each with the other parameters fitted again and weighed by how well it explains the runs (`branches`):
-what is drawn comes from all of them, and an experiment is fitted from each. The bound that a search keeps widths above
-(`ParameterVector.limit`), which is one of the speeds of the runs, is moved down for the slower experiment.
+Runs that mostly move fast say nothing of the width of speed within which a friction develops, below some bound, and no
+quadratic about one optimum says so. So a member is followed at a few widths, each with the other parameters fitted
+again and weighed by how well it explains the runs (`branches`): what is drawn comes from all of them, and an experiment
+is fitted from each. The bound that a search keeps widths above (`ParameterVector.limit`) is moved down for the slower
+experiment (docs/content/theory/experiments.md).
 """
 
 from collections.abc import Callable, Mapping, Sequence

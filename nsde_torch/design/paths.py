@@ -1,12 +1,11 @@
 """Flights of a closed loop: minimum-snap paths through points at even times, at rest at both ends.
 
 The genes of a flight are its points and headings, in [0, 1] of the room that the limits leave. What flies it is a
-cascade of proportional loops (`control.cascade`), as in the flights that the package simulates. The plan that is
-written is the list of the points, which `reference=csv` of `nsde track` and `nsde fly` reads as the same path.
+cascade of proportional loops (`control.cascade`). The plan that is written is the list of the points, which
+`reference=csv` of `nsde track` and `nsde fly` reads as the same path.
 
-What runs leave open of gains that feedback hides is wide, and with some of it the cascade that flies a plan loses the
-machine. The runs there are were flown: such parameters are none of this machine, whatever the quadratic about the
-optimum says. A step of the place is flown with each draw, and draws that do not come near are not taken (`Flyable`).
+With some of what runs leave open of gains that feedback hides, that cascade loses the machine; but the runs there are
+were flown. So a step of the place is flown with each draw, and draws that do not come near are not taken (`Flyable`).
 """
 
 from collections.abc import Callable

@@ -4,17 +4,13 @@ An experiment's value is its evidence in the less favourable draws of the parame
 worst), whichever member is true: for a tie the expected evidence [nats], for parameters the logarithm of how much
 smaller than their usual size the standard errors become. One that leaves a limit under any member and draw is out.
 
-**Expected**, without noise and fits: evidence between members, standard errors.
-
-Member A is true, with parameters a. What B leaves of A's experiment, in units of the noise, is d: innovations of B's
-filter. B's parameters may move, at the price of what the runs there are say of them (information M, about b(a), where
-B's fit goes when A's parameters are a),
+Expected evidence, without noise and fits: member A is true, and d is what B's filter leaves of A's experiment, in units
+of the noise. B's parameters may move, at the price of what the runs there are say of them (information M),
 
     2 nats = min_b |d - J b|^2 + b' M b = d'd - g' (J'J + M)^-1 g,        g = J'd
 
-the likelihood ratio of two regressions with known noise (Atkinson and Fedorov, The design of experiments for
-discriminating between two rival models, Biometrika 62 (1975), with what a refit takes away linearised). A difference
-that a refit takes away carries no evidence. The standard errors of A's own parameters are those of J'J + M.
+(Atkinson and Fedorov, The design of experiments for discriminating between two rival models, Biometrika 62 (1975), with
+what a refit takes away linearised). The standard errors of A's own parameters are those of J'J + M.
 """
 
 from collections.abc import Callable, Mapping, Sequence

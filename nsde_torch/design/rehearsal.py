@@ -1,14 +1,13 @@
 """Experiments rehearsed: simulated with noise for each member in turn, and fitted as a measured one will be.
 
-What a fit says of a tie after an experiment is a random number; rehearsals say of which size. The evidence that an
-experiment brings to a member is the density that it had for the run before it was flown: the likelihood averaged over
-what the runs there are leave open of the parameters theta_0 with information K, by Laplace's rule,
+The evidence that an experiment brings to a member is the density that it had for the run before it was flown: the
+likelihood averaged over what the runs there are leave open of the parameters theta_0 with information K, by Laplace's
+rule,
 
     ln p(run) = max_theta [ln p(run | theta) - d' K d / 2] + ln |K| / 2 - ln |K + J'J| / 2,      d = theta - theta_0
 
-(MacKay, Bayesian interpolation, Neural Computation 4 (1992)), noise models of one kind for all members. What it brings
-beyond another member's is its evidence. The determinants lower the density of a member that fits
-any run; on average over its own simulations no other member has a larger one.
+(MacKay, Bayesian interpolation, Neural Computation 4 (1992)), noise models of one kind for all members. The
+determinants lower the density of a member that fits any run.
 """
 
 from collections.abc import Callable, Sequence

@@ -4,20 +4,16 @@
 
 Functions of one and of two variables (`nsde_torch.inference.functions`) say on which row of a port something is left,
 and of which variables. Every term of the library (`laws`) of these is one more column of the likelihood's Gram
-matrices, under the noise levels that the functions leave: levels found without them have learned the law. The few that
-explain most of folds left out are fitted to the end; the best joins the physics if it is needed after correction for
-the size of the library. In the end each effect and each law is looked at again, as in the selection.
+matrices, under the noise levels that the functions leave. The few that explain most of folds left out are fitted to the
+end; the best joins the physics if it is needed after correction for the size of the library, and explains a good share
+of the functions' evidence: beside much that nobody knows, any term straightens a little. In the end each effect and
+each law is looked at again, as in the selection.
 
 Laws are tried first in the place of effects that may only imitate one: where one term is likelier (`Selected.law`), and
-where two effects are laws of one variable (a friction and a quadratic damping for a cubic one).
-
-A law has to explain a good share of the functions' evidence: several terms that each win a little of a surface of two
-variables are an approximation of it, and no laws; and beside much that nobody knows, any term straightens a little.
-
-A law that is the same function as an effect of the catalogue takes that effect's name: `force = c1 x^3` is a cubic
-stiffness. The law may have been the likelier of the two by its spelling alone, as the same evidence is judged run by
-run there. At the states and inputs of the data both are worked out; where sizes of the effect make it the law, it is
-fitted in its place.
+where two effects are laws of one variable (a friction and a quadratic damping for a cubic one). A law that is the same
+function as an effect of the catalogue, at the states and inputs of the data, takes that effect's name: `force = c1 x^3`
+is a cubic stiffness. Where sizes of the effect make it the law, it is fitted in its place: the law may have been the
+likelier of the two by its spelling alone (docs/content/theory/evidence.md).
 """
 
 from __future__ import annotations

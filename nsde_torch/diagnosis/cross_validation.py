@@ -9,16 +9,14 @@ things are measured, with intervals from resampling blocks of time (evaluation.b
       log p = sum over steps k of  log p(y_k | y_1, ..., y_{k-1}, u_1, ..., u_{k-1})
 
   by the innovations of the filter, or by the whitened residuals of a regression under its ARMA noise models,
-  e_k^2 / 2 + log s (Ljung, System Identification, 1999, section 3.2). Input k is known when step k begins, so that it
-  means the same whether inputs answer disturbances or not: where errors of long predictions under logged inputs reward
-  physics that has learned what a controller does about a gust, this does not. It is still biased where the controller
-  saw more than the log holds;
+  e_k^2 / 2 + log s (Ljung, System Identification, 1999, section 3.2). It is biased where the controller saw more than
+  the log holds;
 - the residual force and moment in the band where they act: root mean square of mean residual rates over a quarter of a
   second (`sysid.physics`). These two judge. Each effect is left out in turn too, so that it is judged by what it
   brings itself, on the channels that it moves;
-- errors of open-loop predictions from every quarter of a second, inputs replayed from the log. In a closed loop these
-  inputs answer the disturbances of the very time that is predicted: physics that is right about causes may err more
-  than physics that has learned the controller. They are reported, and judge nothing.
+- errors of open-loop predictions from every quarter of a second, inputs replayed from the log, which in a closed loop
+  answer the disturbances of the very time that is predicted. They are reported, and judge nothing
+  (docs/content/theory/evidence.md).
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -7,9 +7,8 @@ Everything that was found is fitted to the other runs with the effect and, all p
     g = max(sum_c log(rms_without_c^2 / rms_with_c^2), 0)    where they were restored from an average, and know the
                                                              future: residual force and moment alone
 
-and its share is g over the sum of all g. Both mean the same in a closed loop, where errors of predictions under
-replayed inputs do not. Shares are of what effects bring beside each other: of two that can stand in for each other
-neither brings much. The few that matter are the first, in this order, that together reach `Wording.few_share`.
+and its share is g over the sum of all g. Of two that can stand in for each other neither brings much. The few that
+matter are the first that together reach `Wording.few_share`.
 """
 
 from collections.abc import Mapping, Sequence

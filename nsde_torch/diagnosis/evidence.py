@@ -5,14 +5,13 @@ inside a block of time looks like, these scatter as those of leaving a block out
 
     b_-b = (1 - I_b)^-1 (b - s_b),      T = b' V^-1 b (B - q) / (q (B - 1)) ~ F(q, B - q),      V from their scatter
 
-(jackknife). A finding that is the best of M comparisons (candidates of the catalogue times the starts of each, tests of
-structure, frequencies of a spectrum) has Bonferroni's correction, stage by stage (docs/content/theory/evidence.md):
+(jackknife). A finding that is the best of M comparisons has Bonferroni's correction, stage by stage
+(docs/content/theory/evidence.md):
 
     p_corrected = min(1, p M),      found where p_corrected < level of the stage (`recording.fault`)
 
-Absence of evidence is no evidence of absence: the screening of a candidate gives the standard error s of its size (one
-linearised step, noise model of the round). A size below about 4 s goes unnoticed among tens of candidates at alpha =
-0.01; where that is a good part of the size that such an effect usually has, "not found" says nothing of it.
+The screening of a candidate gives the standard error s of its size (one linearised step, noise model of the round). A
+size below about 4 s goes unnoticed: where that is a good part of its usual size, "not found" says nothing of it.
 """
 
 from __future__ import annotations

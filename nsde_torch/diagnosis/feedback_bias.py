@@ -1,25 +1,22 @@
 """What feedback may hide or make: what counts beyond it, gains that vanish, and effects behind a smoother.
 
-Where a controller saw more than the log holds, its inputs know of a step what the log does not, and any term that
-correlates with inputs explains a part of it: a damping where none is. With z_i as in `sysid.identify` such a
-term can bring at most
+Where a controller saw more than the log holds, any term that correlates with inputs explains a part of a step. With z_i
+as in `sysid.identify` it can bring at most
 
     2 log L = z_i^2
 
 of channel i, and no more of it than the share by which the effect lies along linear functions of inputs and states
-(`lengths_of_parameters`). An effect counts by what it brings beyond that on the channels
-that it moves, and so does the residual. An effect that does not reach it is not named; it is kept apart with its
-reason, unless signals from outside the loop show it (`sysid.instruments`).
+(`lengths_of_parameters`). An effect counts by what it brings beyond that on the channels that it moves, and so does the
+residual. An effect that does not reach it is kept apart with its reason, unless signals from outside the loop show it
+(`sysid.instruments`).
 
-**Vanishing gains.** Where inputs answer the states, they can cancel what the physics lacks so nearly that no gain is
-seen at all. A fit whose gain stands at the bound 0 has not measured that the input does nothing: no interval is given
-for it. In an open loop a gain of nothing is what was measured.
+**Vanishing gains.** Inputs that answer the states can cancel what the physics lacks so nearly that no gain is seen. A
+fit whose gain stands at the bound 0 has not measured it: no interval is given for it. In an open loop it has.
 
-**Behind smoothers.** A smoother spreads the noise of a row over its neighbours. An input that answers the noise of its
-row therefore answers a part of what the rows after it will show, and seems to do less, or later, than it does: on a
-hexacopter that lacked nothing, behind a Gaussian filter at 12.9 Hz, a delay of one row brought 366 nats, and none from
-the raw log. So effects with memory that act on inputs are no candidates there. Where one of them would explain more
-beside what was found, a lag that is there may be what was found in its place, and all of it is a lead.
+**Behind smoothers.** A smoother spreads the noise of a row over its neighbours, so that an input that answers it seems
+to act later than it does: on a hexacopter that lacked nothing, behind a Gaussian filter at 12.9 Hz, a delay of one row
+brought 366 nats. So effects with memory that act on inputs are no candidates there. Where one of them would explain
+more beside what was found, all of that is a lead (docs/content/theory/likelihood.md).
 """
 
 from __future__ import annotations

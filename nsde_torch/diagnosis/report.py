@@ -1,21 +1,20 @@
 """`report.html`, one self-contained page that a field engineer reads in two minutes (`templates/report.html`).
 
 A picture of all effects that were found shows the channel whose residual they reduced most against the variable whose
-dependence they took away most; without an effect, what the residual depends on. A picture of one effect
-shows the residual of one channel with it, and with its own term added back,
+dependence they took away most; without an effect, what the residual depends on. A picture of one effect shows the
+residual of one channel with it, and with its own term added back,
 
     without = residual(theta) + (term of the effect at theta)        all other parameters as they were fitted
 
 (partial residuals; Larsen and McCleary, Technometrics 14, 1972), against the variable of which the term is most nearly
-a function. A term that is a function of no single one, as a lag's, is shown as a course of a few seconds in the run in
-which it is largest. A picture of functions shows how far they may be trusted by
+a function, or as a course of a few seconds in the run in which it is largest (a lag's). A picture of functions shows
+how far they may be trusted by
 
     eta(z) = sqrt(1 - k(z)^T (K + e I)^-1 k(z)),        k(z, z') = exp(-|z - z'|^2 / 2 l^2)
 
 the standard deviation of a Gaussian process at z given its values at the data, over that before (Rasmussen and
 Williams, Gaussian Processes for Machine Learning, 2006, equation 2.26), with variables scaled to [-1, 1] over the range
-of the data: 0 among the data and 1 far from them. It knows distance and nothing of the function, as the eta of a
-trained model does.
+of the data: 0 among the data and 1 far from them.
 """
 
 from __future__ import annotations

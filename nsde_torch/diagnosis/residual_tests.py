@@ -1,18 +1,17 @@
 """Specification tests: what forces the likelihood still asks for, as functions of everything that was measured.
 
 For each port and each group of functions of one variable (`regressors`), the scores of forces that go with these
-(`nsde_torch.inference.force_scores`), orthogonal to the parameters, have mean 0 if nothing is missing. Under the
-filter's own noise their squares are Hotelling's T^2, as their information is that of draws; and whatever the noise
-inside a block of time is like, coefficients scatter over blocks as those of leaving one out do (jackknife), and bring
-likelihood to folds that they were not fitted to. The larger chance of the first two counts, or the third, twice.
+(`nsde_torch.inference.force_scores`), orthogonal to the parameters, have mean 0 if nothing is missing. The larger of
+two chances counts, or that of what they bring to folds that they were not fitted to, twice: of Hotelling's T^2 under
+the filter's own noise, as their information is that of draws, and of the scatter of coefficients over blocks of time
+(jackknife), whatever the noise inside a block is like.
 
 Each variable is tested in all runs and in the one run that stands out, as something that repeats along it
-(`periodicity`), and all ports at their largest moment: of bumps all over every stretch, of which M make the chance of
-the largest M times that of one (Bonferroni); and at the line of the spectrum.
+(`periodicity`), and all ports at their largest moment (of M bumps all over every stretch; Bonferroni) and at the line
+of the spectrum.
 
-**One run.** What broke, or was left on, in one recording: functions of the variable in one run, beyond those of all
-runs and beyond what is constant in a run. With s_r and I_r the scores and their information in run r, and b what all
-runs together say,
+**One run.** Functions of the variable in one run, beyond those of all runs and beyond what is constant in a run. With
+s_r and I_r the scores and their information in run r, and b what all runs together say,
 
     u_r = s_r - I_r b,     cov u_r = I_r - I_r I^-1 I_r,      g_r = u_r' (cov u_r)^-1 u_r
 
@@ -23,8 +22,8 @@ nothing special in a run gives, with g what all R runs differ by in q functions 
 the second whatever the noise has missed in every run (its size s of 1 counts as m differences between runs: Smyth,
 Statistical Applications in Genetics and Molecular Biology 3 (2004)), the first in the unit of the residuals of the
 blocks of time of the run where that is more than their information says. The larger chance counts, times the number of
-runs. With two runs nobody knows which of them is the odd one. Where the chance is small, scores and information are
-those of the Gram matrices, without draws.
+runs (docs/content/theory/evidence.md). Where it is small, scores and information are those of the Gram matrices,
+without draws.
 """
 
 from __future__ import annotations

@@ -1,13 +1,12 @@
 """What is left in a channel: as a rate, against one variable, and in words where no effect accounts for it.
 
-**Rates.** Means over a test function (`sysid.physics`), before and after, and the floor that sensors and gusts leave.
-Over a step the residual is r_k = w_k + e_{k+1} - e_k: what pushes (w) and what the sensor adds (e). At high frequency
-both are white, and the spectrum
+**Rates.** Means over a test function (`sysid.physics`), before and after, and the floor that sensors and gusts leave:
+over a step the residual is r_k = w_k + e_{k+1} - e_k, what pushes (w) and what the sensor adds (e), and the spectrum
 
     S(f) = s_w^2 + 4 sin^2(pi f h) s_e^2
 
 gives their sizes, by non-negative least squares over the upper three quarters of the band, each frequency weighed by
-its own size. The floor is what these two leave of a mean rate.
+its own size.
 
 **Bins.** A mean over a bin of a variable is that of all overlapping test functions whose variable lies in it; its
 standard error is that of a ratio of sums over blocks of time,
@@ -16,16 +15,9 @@ standard error is that of a ratio of sums over blocks of time,
 
 so that noise which lasts inside a block does no harm (Cochran, Sampling Techniques, 1977).
 
-**In words**, how a residual depends on a variable:
-
-- odd, even: from the test of structure.
-- local: more than 70 % of the squared bin means lie within 30 % of the range of the variable.
-- periodic: a sine in the variable brings at least twice the log likelihood that a cubic brings (a tenth more, if it is
-  a whole part of a turn of an angle), and what is fitted in the third of the range where it is strongest is at least
-  half as large in the others.
-- one run only: the test of one run alone says so; of products, periods and courses in time, functions that are
-  fitted to each run by itself bring 80 % of their log likelihood in one, and what is fitted there is less than half as
-  large in the others.
+**In words**, how a residual depends on a variable: odd or even (from the test of structure), local, periodic, in one
+run only; for what each is said, and by which numbers, see `Wording` and docs/content/theory/evidence.md. What is
+periodic is at least half as large in the other thirds of the range as where it is strongest.
 """
 
 import re

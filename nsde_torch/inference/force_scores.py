@@ -6,13 +6,13 @@ American Statistical Association 93 (1998))
 
     r_k = H' L_k^-T z_k + (I - G H)' F' r_{k+1},        d l / d f_k = B' r_{k+1}
 
-A function of anything that was measured, phi, has the score s = sum_k phi_k d l / d f_k: one product of two columns. It
-is orthogonal to what the parameters can do,
+A function phi of anything that was measured has the score s = sum_k phi_k d l / d f_k, orthogonal to what the
+parameters can do once it is
 
     s - I_phi,theta I_theta,theta^-1 s_theta,
 
 whose shared information is the same adjoint of the rows that the parameters move. How a score scatters where nothing is
-missing is that of the adjoints of white rows that are drawn, as many as `DRAWS`: of what is known of the noise alone.
+missing is that of the adjoints of `DRAWS` white rows: of what is known of the noise alone.
 """
 
 from dataclasses import dataclass, replace

@@ -2,23 +2,18 @@
 
     f(x, u; theta) + sum_j B_j g_j(x),      g_j(x) = sum_g Phi_g(x) w_g,      w_g ~ N(0, tau_g^2)
 
-Each function is a column of the likelihood's Gram matrices (`nsde_torch.inference.sensitivity`): what a force on a port
-does to a step, which the filter's linearisation holds, times the function's value. A group of functions (of one
-variable or of two, coarse or fine) is one candidate with one variance, that of largest marginal likelihood. The group
-that explains most of blocks of time that it was not fitted to is added, beside the declared parameters, until none
-explains surely anything. Noise levels that were found without the functions have learned a part of them: they are
-found anew with them, and the choice goes on.
-
-Most groups explain nothing, and the scores of their functions say so at the price of a product
-(`nsde_torch.inference.force_scores`). With s the scores of all weights of a group, the test of tau^2 = 0 that is most
-powerful near 0 (Lin, Biometrika 84 (1997)) is of
+Each function is a column of the likelihood's Gram matrices (`nsde_torch.inference.sensitivity`). A group of functions
+(of one variable or of two, coarse or fine) is one candidate with one variance, that of largest marginal likelihood. The
+group that explains most of blocks of time that it was not fitted to is added, beside the declared parameters, until
+none explains surely anything. Noise levels are then found anew, and the choice goes on: those of the physics alone have
+learned a part of the functions. Groups are not fitted where the scores of their forces (`force_scores`) find no trace:
+with s those of all weights of a group, the test of tau^2 = 0 that is most powerful near 0 (Lin, Biometrika 84 (1997))
+is of
 
     |s|^2  ~  a chi^2_b       where tau is 0,  a and b by its mean and variance over draws (Satterthwaite)
 
-and groups of which it finds no trace are not fitted.
-
 What an input did before is a group of its own: in a closed loop the state follows from past inputs, and a lag that
-nobody declared would else be learned as a function of the state.
+nobody declared would else be learned as a function of the state (docs/content/theory/likelihood.md).
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -2,11 +2,11 @@
 
     x_L = P x,    P a low pass at f_r:      x_L(k+1) - x_L(k) = P [step(x, u) - x](k)
 
-What lies above f_r is removed from the states, and not from the inputs: under an input that jumps, a state jumps in its
-rate, and x_L does not. So what a step does, and what parameters do to a step, goes through P as well (it commutes with
-differences in time; of the state itself what lies above f_r is small beside what the inputs do). And x_L is no new
-measurement in each row: it is one in every 1 / (f_r dt) rows. Taken at f_r and not at twice that, what moves between
-half of f_r and f_r is folded back, which makes the increments of x_L nearly white, as they are of a state itself.
+What lies above f_r is removed from the states, and not from the inputs. So what a step does, and what parameters do to
+a step, goes through P as well (it commutes with differences in time; of the state itself what lies above f_r is small
+beside what the inputs do). And x_L is no new measurement in each row: it is one in every 1 / (f_r dt) rows. Taken at
+f_r and not at twice that, what moves between half of f_r and f_r is folded back, which makes the increments of x_L
+nearly white, as they are of a state itself.
 """
 
 from collections.abc import Mapping, Sequence

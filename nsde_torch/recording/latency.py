@@ -5,19 +5,17 @@ A position that is logged a time d later than its velocity, p_log(t) = p(t - d),
     p_log(t + T) - p_log(t) = s * integral of v dt - d (v(t + T) - v(t)) + b T
 
 to first order in d, with a clock s and a bias b of the velocity beside it. T is where the change of the velocity has
-grown as large as the velocity itself. Noise of the velocity would pull d towards nothing; the central difference of the
-position, whose noise is neither in v(t) nor in p(t), is its instrument (instrumental variables; Durbin, 1954).
-Standard errors are from leaving out a twentieth of the intervals at a time (jackknife); axes of one sensor are joined
-as in `kinematics.pool`. Which of two channels is the late one kinematics cannot say outright, but sensors and filters
+grown as large as the velocity itself. The central difference of the position, whose noise is neither in v(t) nor in
+p(t), is the instrument for the noise of the velocity (Durbin, 1954). Standard errors are from leaving out a twentieth
+of the intervals at a time (jackknife); axes of one sensor are joined as in `kinematics.pool`. Sensors and filters
 delay: a positive d is the position's, a negative one the velocity's.
 
 A filter of first order, d x_log' + x_log = x, is late by d too, at low frequencies. Which of the two it is shows in
 what each leaves of the equation above once it is undone, x(t) = x_log(t + d) or x = x_log + d x_log'. The second makes
 noise larger; therefore both channels are averaged first, which leaves them as late as they are.
 
-A sensor whose position and rate are late alike shows in the declared physics alone (`whole_sensor_late`).
-
-Times are seconds of the log's own clock.
+A sensor whose position and rate are late alike shows in the declared physics alone (`whole_sensor_late`). Times are
+seconds of the log's own clock.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -454,20 +452,17 @@ def whole_sensor_late(
 
 # Streams whose clocks are offset against each other by another time in each run.
 #
-# Each stream of a log (motion capture, gyroscope, motor commands) has a clock of its own, and is set to the others anew
-# in each run. An offset is estimated for each run, with its standard error, and held against one that all runs share,
+# An offset is estimated for each run, with its standard error, and held against one that all runs share,
 #
 #     Q = sum_r ((d_r - d) / s_r)^2,        d = sum_r (d_r / s_r^2) / sum_r s_r^-2,
 #
-# which is chi-square with one degree of freedom less than there are runs. Where it is not by chance, the
-# offset of each run is taken out, drawn towards the mean by how unsure it is (empirical Bayes):
+# which is chi-square with one degree of freedom less than there are runs. Where it is not by chance, the offset of each
+# run is taken out, drawn towards the mean by how unsure it is (empirical Bayes):
 #
 #     d + t^2 / (t^2 + s_r^2) (d_r - d),     t^2 the variance between runs (Paule and Mandel 1982).
 #
-# Kinematics show such offsets between a position and its rate, an attitude and body rates. An offset that all
-# runs share is left to what looks for late sensors. Those of inputs are not looked for: in a closed loop,
-# what answers what hides time (measured with `benchmarks/bench_streams.py`: a regression on the declared
-# physics says -8 to 8 ms +- 2 for flights whose commands are on time).
+# One that all runs share is left to what looks for late sensors. Those of inputs are not looked for: in a closed loop,
+# what answers what hides time (docs/content/theory/recording.md).
 
 POLICIES = ("undo", "keep")
 CHANCE = 1e-4  # chance of telling offsets of runs that share one

@@ -1,7 +1,5 @@
 """The noise of a column from row to row: its size, samples that are no part of it, and lines that have none.
 
-Single samples can leave their neighbours by far.
-
     d[k] = x[k] - (4 (x[k-1] + x[k+1]) - (x[k-2] + x[k+2])) / 6
 
 is what a cubic through the neighbours leaves of a sample. A glitch exceeds 8 robust standard deviations of its column,
@@ -9,20 +7,13 @@ is what a cubic through the neighbours leaves of a sample. A glitch exceeds 8 ro
 its sign, does not); with it taken out its neighbours fit, which rules out a step; and it is no motion: a position
 whose rate goes the same way is kept. What was off is put on the cubic.
 
-A rotor at speed n pulls with k n^2 (momentum theory), so that the share of its thrust at the largest speed is
+A rotor at speed n pulls with k n^2 (momentum theory), so that the share of its thrust is u = (n / n_max)^2. It has
+inertia: where a value leaves what lies on both sides of it for a few rows, by more than a tenth of n_max and by 8 times
+what the column usually changes in that time, the line was noisy, and the value is put between its neighbours.
 
-    u = (n / n_max)^2.
-
-A speed controller reports over a noisy line. A rotor has inertia, and so a value is a glitch where for a few rows it
-leaves what lies on both sides of it, by more than a tenth of n_max and by 8 times what the column usually changes in
-that time: a row of nothing, or of ten times the range. Glitches are put on the line between their neighbours.
-
-Sensors have noise on every row. Where most second differences of a column,
-
-    x_{k+1} - 2 x_k + x_{k-1}        (0 on every row but the knots)
-
-are next to nothing beside those of the other rows, the column was resampled by linear interpolation, and what looks
-like a rate of the log is not that of the sensor.
+Sensors have noise on every row. Where most second differences of a column, x_{k+1} - 2 x_k + x_{k-1}, are next to
+nothing beside those of the other rows, the knots, the column was resampled by linear interpolation, and what looks like
+a rate of the log is not that of the sensor (docs/content/theory/recording.md).
 """
 
 from collections.abc import Sequence

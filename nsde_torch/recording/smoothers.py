@@ -7,19 +7,14 @@ Where the noise is most of the residual, the spectrum of the log is that of S it
 
 with a motion whose spectrum falls by powers of the frequency, a sensor that is white (s), and the rounding behind the
 smoother (q). A rate that is the derivative of a polynomial through positions (Savitzky and Golay, 1964) is a smoothed
-rate too, S = D(f) / (2 pi i f), whose sensor is that of the position: s + s' f^2 instead of s.
-
-For a given S the weights a_m, s, q >= 0 are those of the largest Whittle likelihood of the periodograms
-I(f), the mean of K windows,
-
-    -K sum_f (log P(f) + I(f) / P(f)),
-
-by multiplicative steps (Fevotte, Bertin and Durrieu, Neural Computation 21 (2009)). What the fit lacks is given as its
+rate too, S = D(f) / (2 pi i f), with s + s' f^2 instead of s. For a given S the weights a_m, s, q >= 0 are those of
+the largest Whittle likelihood of the periodograms I(f), the mean of K windows, - K sum_f (log P(f) + I(f) / P(f)), by
+multiplicative steps (Fevotte, Bertin and Durrieu, Neural Computation 21 (2009)). What the fit lacks is given as its
 deviance per bin, K (I / P - 1 - log(I / P)) on average, about 0.5 for a spectrum of this form.
 
-Windows are Kaiser's with sidelobes of -150 dB: behind a steep smoother a spectrum spans ten decades and more. The main
-lobe is twelve bins wide, so that a bin of a short window sees a steep flank from afar: P is fitted as windows see it,
-sum_g L(f, g) P(g). Without this, windows of 128 rows place a cut-off at 6 of 100 Hz a quarter too high.
+Windows are Kaiser's with sidelobes of -150 dB: behind a steep smoother a spectrum spans ten decades and more. Their
+main lobe is twelve bins wide, so P is fitted as windows see it, sum_g L(f, g) P(g): without this, windows of 128 rows
+place a cut-off at 6 of 100 Hz a quarter too high.
 """
 
 from collections.abc import Callable, Sequence

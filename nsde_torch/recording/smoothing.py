@@ -1,13 +1,10 @@
 """Finds a centred moving average in the logged inputs by the nulls that it leaves in their spectrum.
 
-An average over a time T multiplies the spectrum by sinc(f T): nothing is left at f = k / T, k = 1, 2, ...
-Raw commands have no reason to be silent at just these frequencies, so the depth of the spectrum at the first
-nulls, against the middle of the lobes between them, is a test of T.
+An average over a time T multiplies the spectrum by sinc(f T): nothing is left at f = k / T, k = 1, 2, ... The depth of
+the spectrum at the first nulls, against the middle of the lobes between them, is a test of T: raw commands have no
+reason to be silent there. Inputs that were averaged over T = n h are restored by regularised least squares,
 
-Inputs that were averaged over T = n h are restored by regularised least squares: with A the average and D second
-differences,
-
-    u = argmin |A u - u_logged|^2 + c^2 |D u|^2
+    u = argmin |A u - u_logged|^2 + c^2 |D u|^2,      A the average, D second differences
 
 which fills in what lies at the nulls with nothing and what lies elsewhere with itself.
 """

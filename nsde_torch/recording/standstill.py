@@ -7,22 +7,20 @@ A value that repeats exactly over several rows is no measurement where its partn
 
 beyond 8 robust standard deviations of one step of `dp - (v - b) dt`, 6 of the integral of the rate's white noise, a few
 quanta of the columns, and a small share of the usual travel in that time; `b` is the bias of the rate in the run. Where
-all states repeat no partner can speak: that is a log that froze if it is noisy just before and just behind. Rows are
-cut out. A column that holds most of its values, as one that is sampled more slowly, is left alone.
+all states repeat, a log froze if it is noisy just before and just behind. A column that holds most of its values, as
+one that is sampled more slowly, is left alone.
 
-A column of one value throughout a run is a sensor that is not connected, or a column that was filled in. A smooth
-motion of its partner contradicts it and is refused, noise alone does not (a machine at rest before a coarse sensor),
-and is reported where the column stands still in every run.
+A column of one value throughout a run is refused where a smooth motion of its partner contradicts it, and reported
+where it stands still in every run: noise alone does not contradict (a machine at rest before a coarse sensor).
 
 A multirotor on the ground stands still on commands that could not carry it:
 
     mean command  <  0.6 of its median in motion,  |mean v| < 0.15 m/s and |mean omega| < 0.15 rad/s over 0.3 s,
     for half a second and longer
 
-In the air half of the thrust is a fall that gains 2.5 m/s in that time, so that nothing flies like this, and a hover,
-however still, has the commands of flight. The ground's force is no part of any model: such rows are cut out, with those
-next to them in which it still stands as the commands rise or sink, and with those in which it leaves the ground or
-comes down on it and bounces: the last row within 3 s that is less than 5 cm above where it stands, and all before it.
+The ground's force is no part of any model: such rows are cut out, with those next to them in which it still stands as
+the commands rise or sink, and with those in which it leaves the ground or comes down on it and bounces: the last row
+within 3 s that is less than 5 cm above where it stands, and all before it (docs/content/theory/recording.md).
 """
 
 from collections.abc import Iterator, Sequence

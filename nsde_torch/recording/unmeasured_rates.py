@@ -3,16 +3,14 @@
 Rates are inferred from the positions (`nsde_torch.data.kinematics`), and marked (`Run.inferred`): identification and
 diagnosis infer them again, with the physics (`nsde_torch.sysid.identify`), and take equations of the positions.
 
-A rate v that was made of the position q by a linear filter, v = W q, holds the noise of q as W lets it through. The
-rate of a sensor of its own does not: from it, the best filter of q stays away by that noise at least,
+A rate v that was made of the position q by a linear filter, v = W q, holds the noise of q as W lets it through. From
+the rate of a sensor of its own, the best filter of q stays away by that noise at least,
 
     mean (v - W q)^2  >=  s^2 sum_j w_j^2,          s the noise of q, w the weights of W
 
-so that a share far below one is proof. The noise is what q does and the rate does not, at frequencies at which no
-machine moves: s^2 = mean (D^4 d)^2 / 252, d_k = q_{k+1} - q_k - h (v_k + v_{k+1}) / 2. Where there is none (a noiseless
-simulation, positions that were smoothed) nothing is said: what a smoother took is another fault (`smoothers`). Plain
-differences are recognised by their numbers: q and v agree on them far better than on a formula that is nearer to the
-derivative.
+with s^2 = mean (D^4 d)^2 / 252, d_k = q_{k+1} - q_k - h (v_k + v_{k+1}) / 2: what q does and the rate does not. Where
+there is none (a noiseless simulation, positions that were smoothed) nothing is said. Plain differences are recognised
+by their numbers: q and v agree on them far better than on a formula that is nearer to the derivative.
 """
 
 from collections.abc import Collection, Sequence

@@ -3,9 +3,8 @@
     loss_m = mean (v + (c - mean)^2 exp(-v) + log 2 pi) / 2 + w mean(high - low),    v the log-variance
 
 c is the standardised change over one step. Each member has a bootstrap of the pairs, batches and best weights of its
-own, so members are as independent as if they were fitted one after the other; only the loop is shared. Pairs are of
-measured states. As in the other fits, what is validated and kept is a running average of the weights (Polyak and
-Juditsky 1992). There are no last steps on all pairs: without held-out pairs nothing says when a variance gets too sure.
+own; only the loop is shared. There are no last steps on all pairs: without held-out pairs nothing says when a variance
+gets too sure.
 
 The weight decay is the largest of the source (Chua et al., NeurIPS 2018); measured, it costs 0.3 % of the held-out
 score where pairs abound (cartpole, 100 episodes) and gains where they do not (hexacopter, two flights).

@@ -2,24 +2,20 @@
 
 1. Declared parameters, with their covariance, by the identification of `sysid`, and a lag of the inputs where the data
    show one that is not declared (`late_inputs`).
-2. Residual networks, fitted to the functions of the state that the likelihood chooses beside that physics
-   (`fit_functions`).
-3. Where something surely differs between runs (`between_runs`), both again with numbers for each run, so that neither
-   networks nor noise learn it; paths of the model draw such numbers.
+2. Residual networks, fitted to the functions that the likelihood chooses beside that physics (`fit_functions`).
+3. Where something surely differs between runs (`between_runs`), both again with numbers for each run.
 4. The distance eta by its own losses.
 5. Diffusion, lasting disturbances and sensors from the spectrum of the residual (`evaluation.spectra`), and into the
    diffusion the uncertainty of the drift: the covariance of the parameters and of the functions. Their mean over the
    data is as found; far from the data sigma is at least the declared one.
 
 Every stage sees one step of the log at a time, given what came before it, so inputs that answer disturbances do not
-bias it. What it gives up: predictions of the pilot's own flights under the pilot's own inputs, which know what
-disturbed, are not the target; `loss=replay` is better at those. Assumed: the controller saw no more than the log holds.
+bias it; `loss=replay` is better at predictions of the pilot's own flights (docs/content/theory/losses.md). Assumed: the
+controller saw no more than the log holds.
 
-The fits that calibration makes of some of the runs (`Task.near`) begin where that of all runs ended: with its law of
-the inputs, its noise levels, and its functions to choose from. How sure they are is found from their own runs.
-
-A port without declared physics is all network: its disturbance follows what acts there until the functions are known,
-and declared parameters are then fitted again beside the network.
+The fits that calibration makes of some of the runs (`Task.near`) begin where that of all runs ended. A port without
+declared physics is all network: its disturbance follows what acts there until the functions are known, and declared
+parameters are then fitted again beside the network.
 """
 
 import copy

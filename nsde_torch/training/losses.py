@@ -1,37 +1,19 @@
 """Losses over windows of the log's own inputs, and what a good distance is (loss=default: `fit_innovations`).
 
-Data loss, loss=paper: squared error of sampled paths, L = E |x_pred - x|^2 / scale^2 (supplement A). Its
-minimum over sigma is sigma = 0: a spread can only add to it. That is why intervals trained with it hold a
-few per cent of the truth instead of 90. It follows the supplement where the authors' public code departs from it:
-there the scale and offset of h are multiplied by 1e-7, so that h is the same on every channel; positions carry a
-constant diffusion whatever eta; the eta that is regularised is not quite the one that scales sigma; features are
-divided by one number instead of channel by channel; and the noise misses the factor sqrt(dt), so that sigma
-depends on the step. What is ours and not the supplement's, also with loss=paper: the squared error is that of the
-error channels (attitude as a rotation vector), each group divided by its scale; features are body velocity and body
-rates, and the residual networks see the direction of gravity too; the weights that are kept are running averages,
-gradients are clipped; the distance losses look at a random part of the states of a batch; the spring's network has
-widths 8-16 unless model.residual_hidden=[4,16] says otherwise, and it has a declared spring and damper beside it unless
-system.declared=[] takes them out. trainer=paper adds the supplement's 10,000 steps.
+Data loss, loss=paper: squared error of sampled paths, L = E |x_pred - x|^2 / scale^2 (supplement A). Its minimum over
+sigma is sigma = 0: a spread can only add to it, so that intervals hold a few per cent of the truth instead of 90. Where
+the authors' public code departs from the supplement, and where this departs from both, is in
+docs/content/theory/losses.md ("loss=paper").
 
 Data loss, loss=replay: the continuous ranked probability score of P paths X_p, and the error of their centre,
 
     CRPS = mean_p |X_p - x| - E|X_p - X_q| / 2          centre = |(X_p + X_p') / 2 - x|
 
-averaged over channels and steps, early steps weighing more (Gneiting and Raftery, JASA 102 (2007)). The CRPS is
-strictly proper for each channel at each step (for attitude, to second order in the error), it is in the unit of
-the channel, and sampled paths give a gradient: no density is needed, so any integrator and any horizon will do.
-A transition likelihood would see one step only, where sensor noise and errors that are correlated in time look
-like diffusion, and the spread would not hold at 2 s. The energy score is proper for the joint law, but its
-single norm is ruled by the channel of largest error. Marginal intervals are what is read and checked here, so
-each channel is scored.
-
-Paths come in pairs p, p' with mirrored noise (antithetic variates; Hammersley and Morton 1956), which takes
-most of the noise of sampling out of the gradient of the drift. E|X_p - X_q| is estimated from paths of
-different pairs, which are independent, as the fair form of Ferro (QJRMS 140 (2014)); one pair alone represents
-it with |X_p - X_p'| / sqrt 2, which is right for Gaussian laws. The centre of a pair is the path without noise
-to first order: its absolute error is least at the median, does not depend on sigma to that order, and teaches
-the drift at little more than the noise of the data. Without it a spring's stiffness came out 20 % low after 400
-steps, with it 15 %, and the error after 8 s was half. Validation scores independent paths by the CRPS alone.
+averaged over channels and steps, early steps weighing more (Gneiting and Raftery, JASA 102 (2007)). Paths come in pairs
+p, p' with mirrored noise (antithetic variates; Hammersley and Morton 1956). E|X_p - X_q| is estimated from paths of
+different pairs, as the fair form of Ferro (QJRMS 140 (2014)); one pair alone represents it with |X_p - X_p'| / sqrt 2,
+which is right for Gaussian laws. The centre of a pair, the path without noise to first order, teaches the drift at
+little more than the noise of the data. Validation scores independent paths by the CRPS alone.
 
 Distance losses, for features y of the data and points y' in a ball around them:
 
@@ -39,11 +21,10 @@ Distance losses, for features y of the data and points y' in a ball around them:
     convexity   max(0, E(y) + dE/dy (y' - y) + mu(y) |y' - y|^2 / 2 - E(y'))^2
     reward      1 / mu(y)
 
-With loss=paper, E is eta itself and the ball has the supplement's radius r, as the supplement has it: eta rises steeply
-within r and is free beyond. Else E is the argument of eta (which is not bounded, so that it can be
-convex everywhere) and the radius is drawn log-uniform between r and a multiple of the data's own spread: "far" is
-taught as well as "near". There the data loss does not move eta: a distance that also had to explain noise
-inside the data would stop being a distance.
+With loss=paper, E is eta itself and the ball has the supplement's radius r. Else E is the argument of eta (which is not
+bounded, so that it can be convex everywhere) and the radius is drawn log-uniform between r and a multiple of the data's
+own spread. There the data loss does not move eta: a distance that also had to explain noise inside the data would stop
+being a distance.
 """
 
 import torch

@@ -417,7 +417,8 @@ def _knowledge_of(
             i = [*regression.rows].index(channel)
             if i not in fitted:
                 fitted[i] = signals.basis_of(regression.fitted_columns(i)[live])
-            chance, share = signals.score_test(regression.white[i][live], columns, fitted[i])
+            white = regression.white[i][live, None]
+            ((chance, share),) = signals.score_tests(white, columns, fitted[i])
             found.append(Answer(way.name, regression.physics.names[channel], share, chance))
     n, count = max(int(live.sum()), 1), rows + 1
     return tuple(

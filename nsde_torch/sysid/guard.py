@@ -157,32 +157,24 @@ def guarded(
     if rough is None or len(rough.theta) != len(theta):
         return Guarded()
     fit, squares, begun = (left_at(rough, at) for at in (theta, rough.theta, vector.inside(first)))
-    channels = tuple(
-        Compared(
-            c.name,
-            per_second(c.unit),
-            c.measured,
-            c.left,
-            s.left,
-            f.left,
-            s.predicted < LESS * c.predicted,
-            s.noise,
-        )
-        for c, s, f in zip(fit, squares, begun, strict=True)
-    )
+    channels = []
+    for c, s, f in zip(fit, squares, begun, strict=True):
+        smaller = s.predicted < LESS * c.predicted
+        left = c.left, s.left, f.left
+        channels.append(Compared(c.name, per_second(c.unit), c.measured, *left, smaller, s.noise))
     objections, notes = _faults(system, runs, clock, rough, regression)
     chance = _chance(rough, theta, covariance)
     if not objections:
-        objections = _disagreements(channels, chance) or _gone(rough, theta, covariance, fit)
+        apart = _disagreement(channels, chance) or _gone(rough, theta, covariance, fit)
+        objections = [] if apart is None else [apart]
         less = ", ".join(c.name for c in channels if _apart(c) and c.less)
         if less and not objections and chance < CHANCE:
             notes.append(
                 f"least squares on means over 0.15 s find less of {less} than the fit: the fit is kept. Feedback "
                 "that answers what the physics lacks, and noise of the states, pull least squares towards nothing"
             )
-    found = Guarded(
-        tuple(objections), channels, tuple(vector.labels), tuple(rough.theta.tolist()), chance, tuple(notes)
-    )
+    values = tuple(vector.labels), tuple(rough.theta.tolist())
+    found = Guarded(tuple(objections), tuple(channels), *values, chance, tuple(notes))
     return _recommended(found, rough) if "least_squares" in {o.kind for o in objections} else found
 
 
@@ -218,9 +210,8 @@ def _faults(
     return apart or [o for o in (odd,) if o], notes
 
 
-def _disagreements(channels: Sequence[Compared], chance: float) -> list[Objection]:
-    """Where the fit and the simple ones part, the surest first."""
-    out = []
+def _disagreement(channels: Sequence[Compared], chance: float) -> Objection | None:
+    """Where the fit and the simple ones part, the surest one."""
     lost = [c for c in channels if _apart(c) and not c.less]
     # where least squares find less, and explain something, inputs cancel what the physics lacks
     cancelled = [c for c in channels if c.less and c.least_squares < c.measured / WORSE]
@@ -229,53 +220,45 @@ def _disagreements(channels: Sequence[Compared], chance: float) -> list[Objectio
         told = ", ".join(
             f"{c.name} {c.least_squares:.3g} where the fit leaves {c.fit:.3g} {c.unit}" for c in lost
         )
-        out.append(
-            Objection(
-                "least_squares",
-                f"least squares on means over 0.15 s leave much less than the fit ({told}). Noise "
-                "and feedback pull least squares towards nothing, so that what they find more is there, and the noise "
-                "model of the fit has learned it",
-                "the states may have been smoothed or filtered before they were logged, or something that acts is not "
-                "declared: log them raw, or train with model.method=differences; `nsde diagnose` names effects",
-            )
+        return Objection(
+            "least_squares",
+            f"least squares on means over 0.15 s leave much less than the fit ({told}). Noise "
+            "and feedback pull least squares towards nothing, so that what they find more is there, and the noise "
+            "model of the fit has learned it",
+            "the states may have been smoothed or filtered before they were logged, or something that acts is not "
+            "declared: log them raw, or train with model.method=differences; `nsde diagnose` names effects",
         )
-    elif worse:
+    if worse:
         told = ", ".join(
             f"{c.fit:.3g} {c.unit} of {c.name} where {c.measured:.3g} was measured" for c in worse
         )
-        out.append(
-            Objection(
-                "worse",
-                f"the declared physics leaves {told}, steady pushes not counted",
-                "a wrong model, order of inputs, sign or unit, or a controller that cancels what the physics lacks",
-                tuple(c.name for c in worse),
-            )
+        return Objection(
+            "worse",
+            f"the declared physics leaves {told}, steady pushes not counted",
+            "a wrong model, order of inputs, sign or unit, or a controller that cancels what the physics lacks",
+            tuple(c.name for c in worse),
         )
     # smaller gains leave less too where inputs cancel what the physics lacks
     behind = sum(log(max(c.fit, 1e-12) / max(c.first_values, 1e-12)) for c in channels if not c.less)
     matters = any(c.fit**2 - c.first_values**2 > MATTERS * c.measured**2 for c in channels)
-    if not out and behind > BEHIND and matters and chance < CHANCE:
-        out.append(
-            Objection(
-                "first_values",
-                "the first values of the parameters leave less of the rates than the fit",
-                "the fit stopped elsewhere: give first values (system.parameters.NAME=...), or look at the columns",
-            )
+    if behind > BEHIND and matters and chance < CHANCE:
+        return Objection(
+            "first_values",
+            "the first values of the parameters leave less of the rates than the fit",
+            "the fit stopped elsewhere: give first values (system.parameters.NAME=...), or look at the columns",
         )
     poor = [c for c in channels if c.unexplained and c not in cancelled]
-    if not out and channels and 2 * len(poor) > len(channels):
+    if channels and 2 * len(poor) > len(channels):
         told = ", ".join(f"{c.least_squares:.3g} of {c.measured:.3g} {c.unit} of {c.name}" for c in poor)
-        out.append(
-            Objection(
-                "poor",
-                f"the declared physics explains next to nothing of what was measured: it leaves {told}",
-                "record runs in which the machine moves, or look for a column of another run, a wrong model or unit",
-            )
+        return Objection(
+            "poor",
+            f"the declared physics explains next to nothing of what was measured: it leaves {told}",
+            "record runs in which the machine moves, or look for a column of another run, a wrong model or unit",
         )
-    return out
+    return None
 
 
-def _gone(rough: Regression, theta: Array, covariance: Array | None, now: Sequence[Left]) -> list[Objection]:
+def _gone(rough: Regression, theta: Array, covariance: Array | None, now: Sequence[Left]) -> Objection | None:
     """Parameters that have surely vanished, and with them all that is explained of a channel."""
     vector = rough.vector
     error = np.zeros(len(theta)) if covariance is None else np.sqrt(np.diag(covariance).clip(0.0))
@@ -297,18 +280,16 @@ def _gone(rough: Regression, theta: Array, covariance: Array | None, now: Sequen
                 f"{vector.labels[j]} {theta[j]:.2g} {vector.units[j]} (first value {vector.start[j]:.3g})"
             )
     if not gone:
-        return []
+        return None
     told = ", ".join(name for names in gone.values() for name in names)
-    return [
-        Objection(
-            "gone",
-            f"the fit explains nothing of {', '.join(gone)} and is sure that next to nothing moves them: {told}",
-            "the states may have been smoothed, differentiated or filtered before they were logged, inputs and states "
-            "may be of different times, or a lag or a steady push is not declared: log raw sensors, declare it "
-            "(system.effects=[motor_lag]; `nsde diagnose` names effects), or give first values",
-            tuple(gone),
-        )
-    ]
+    return Objection(
+        "gone",
+        f"the fit explains nothing of {', '.join(gone)} and is sure that next to nothing moves them: {told}",
+        "the states may have been smoothed, differentiated or filtered before they were logged, inputs and states "
+        "may be of different times, or a lag or a steady push is not declared: log raw sensors, declare it "
+        "(system.effects=[motor_lag]; `nsde diagnose` names effects), or give first values",
+        tuple(gone),
+    )
 
 
 def _apart(c: Compared) -> bool:

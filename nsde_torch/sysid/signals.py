@@ -86,11 +86,6 @@ def without(values: Array, basis: Array) -> Array:
     return np.asarray(values - basis @ (basis.T @ values))
 
 
-def score_test(innovation: Array, columns: Array, fitted: Array) -> tuple[float, float]:
-    """See `score_tests`, of a single innovation (N,)."""
-    return score_tests(innovation[:, None], columns, fitted)[0]
-
-
 def score_tests(innovations: Array, columns: Array, fitted: Array) -> list[tuple[float, float]]:
     """Chance (p value) of a score as large as this if nothing predicts an innovation, and the share predicted, of each.
 

@@ -10,6 +10,7 @@ smoother together do the same as a shift, and none is advised.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -118,22 +119,19 @@ def _best(
     inputs: bool,
 ) -> Shifted | None:
     dt = runs[0].dt * clock
-    known: dict[float, dict[str, float]] = {}
 
+    @cache
     def shares(seconds: float) -> dict[str, float]:
-        at = round(seconds, 6)
-        if at not in known:
-            read = _mover(system, at / dt, states, inputs)
-            start = rough.theta
-            fitted = rough_fit(system, [read(r) for r in runs], clock, iterations=_ITERATIONS, start=start)
-            if fitted is None or len(fitted.rows) < len(rough.rows):
-                known[at] = {}
-            else:
-                known[at] = {c.name: c.share for c in left_at(fitted, fitted.theta, damped=True)}
-        return known[at]
+        read = _mover(system, seconds / dt, states, inputs)
+        moved = [read(run) for run in runs]
+        fitted = rough_fit(system, moved, clock, iterations=_ITERATIONS, start=rough.theta)
+        if fitted is None or len(fitted.rows) < len(rough.rows):
+            return {}
+        return {c.name: c.share for c in left_at(fitted, fitted.theta, damped=True)}
 
     def score(seconds: float) -> float:
-        return sum(shares(seconds).values()) if shares(seconds) else float("inf")
+        left = shares(round(seconds, 6))
+        return sum(left.values()) if left else float("inf")
 
     middle = 0.0
     while True:
@@ -150,7 +148,7 @@ def _best(
     gain = score(0.0) - min(score(best), here)
     if not gain > GAIN:
         return None
-    there = shares(best if score(best) < here else middle)
+    there = shares(round(best if score(best) < here else middle, 6))
     against = tuple(name for name, left in shares(0.0).items() if there.get(name, left) > left + _WORSE)
     smoothed = tuple(sorted({name for run in runs for name in run.band}))
     return Shifted(stream, best, gain, inputs, against, smoothed)

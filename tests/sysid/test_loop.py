@@ -14,7 +14,7 @@ from nsde_torch.sysid.feedback_test import feedback_summary
 from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.sysid.instruments import adopted
 from nsde_torch.sysid.result import Identification
-from nsde_torch.sysid.signals import basis_of, holm, score_test
+from nsde_torch.sysid.signals import basis_of, holm, score_tests
 from tests.helpers.rate_loops import CONTROLLERS, GAIN, RateLoop, fly
 
 SEEDS = range(4)
@@ -149,11 +149,12 @@ def test_chances_of_the_score_test_are_even_where_nothing_predicts_anything() ->
     for _ in range(400):
         size = np.exp(rng.standard_normal(500))  # uneven noise
         fitted = np.linalg.qr(rng.standard_normal((500, 3)))[0]
-        chances.append(score_test(size * rng.standard_normal(500), rng.standard_normal((500, 4)), fitted)[0])
+        noise = size[:, None] * rng.standard_normal((500, 1))
+        chances.append(score_tests(noise, rng.standard_normal((500, 4)), fitted)[0][0])
     assert np.mean(np.array(chances) < 0.1) == pytest.approx(0.1, abs=0.045)
-    e = rng.standard_normal(500)
-    assert score_test(e + 0.3 * fitted[:, 0] * 500**0.5, fitted[:, :1], np.zeros((500, 0)))[0] < 1e-6
-    assert score_test(e + 0.3 * fitted[:, 0] * 500**0.5, fitted[:, :1], fitted)[0] == 1.0
+    e = rng.standard_normal((500, 1)) + 0.3 * fitted[:, :1] * 500**0.5
+    assert score_tests(e, fitted[:, :1], np.zeros((500, 0)))[0][0] < 1e-6
+    assert score_tests(e, fitted[:, :1], fitted)[0][0] == 1.0
 
 
 def test_holm_multiplies_the_smallest_chance_by_the_number_of_tests() -> None:

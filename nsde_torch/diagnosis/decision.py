@@ -146,22 +146,17 @@ def decide(search: Search, chosen: Outcome, alone: FittedPhysics | None = None) 
     rest = max((d.excess for d in left), default=0.0)
     brought = nats_by_channel(declared, base)
     found = [replace(f, moves=moved_channels(base, f.name)) for f in found]
+    for i, f in enumerate(found):
+        why = _bent(bent_shape(base, f.name)) or provisional_reason(f, left, brought, search.decisions)
+        why = why or _unshown(base, f.name) or _of_many(f, chosen.test)
+        found[i] = replace(f, provisional=why)
     verdict: Verdict = "effect_found" if found else "no_effect"
     if rest > explained if found else left:
         verdict = "unexplained"
     return replace(
         chosen,
         verdict="undecided" if place is None else verdict,
-        found=[
-            replace(
-                f,
-                provisional=_bent(bent_shape(base, f.name))
-                or provisional_reason(f, left, brought, search.decisions)
-                or _unshown(base, f.name)
-                or _of_many(f, chosen.test),
-            )
-            for f in found
-        ],
+        found=found,
         before=after if before is None else before,
         after=after,
         structured=left,

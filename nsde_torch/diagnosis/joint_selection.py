@@ -276,15 +276,10 @@ class JointSearch:
             place, looked = self.looked_at_again(more, looked)
             if self.added(place.system) in been:
                 break
-        selected = {
-            name: Selected(
-                partial(self.without, place, name),
-                tuple(t for t in one.ties if t not in looked),
-                one.law,
-                len(self.libraries.get(name, ())),
-            )
-            for name, one in looked.items()
-        }
+        selected = {}
+        for name, one in looked.items():
+            ties, tried = tuple(t for t in one.ties if t not in looked), len(self.libraries.get(name, ()))
+            selected[name] = Selected(partial(self.without, place, name), ties, one.law, tried)
         rounds = tuple(self._rounds) or (Round(self.look(self.declared), ""),)
         # what is missing passes for noise in the first look
         errors: dict[str, dict[str, tuple[float, float]]] = {}
@@ -772,17 +767,9 @@ def _columns(
     space.use(theta)
     moved = space.columns(about.x, about.slopes, mine, about.after, rates)
     missing = [j for j, label in enumerate(labels) if label not in vector.labels]
-    entry = _Entry(
-        name,
-        system,
-        tuple(range(at, at + 1 + len(mine))),
-        tuple(vector.labels[j] for j in mine),
-        theta[mine],
-        vector.low[mine],
-        vector.high[mine],
-        1 + np.array(missing, dtype=np.int64),
-    )
-    return entry, moved
+    places = tuple(range(at, at + 1 + len(mine))), tuple(vector.labels[j] for j in mine)
+    values = theta[mine], vector.low[mine], vector.high[mine]
+    return _Entry(name, system, *places, *values, 1 + np.array(missing, dtype=np.int64)), moved
 
 
 @dataclass(frozen=True)

@@ -51,12 +51,9 @@ def periodogram(regression: Regression) -> tuple[Array, Array]:
     longest = max(b - a for a, b in edges)
     n = int(2 ** np.ceil(np.log2(_FINER * longest)))
     noises = regression.own_noises(0)
-    white = np.stack(
-        [
-            regression.whitened(noise, regression.residual[:, [channel]])[:, 0]
-            for noise, channel in zip(noises, regression.rows, strict=True)
-        ]
-    )
+    residuals = regression.residual.T[regression.rows]
+    pairs = zip(noises, residuals, strict=True)
+    white = np.stack([regression.whitened(noise, left[:, None])[:, 0] for noise, left in pairs])
     power, weight = np.zeros((len(white), n // 2 + 1)), 0
     for a, b in edges:
         if (b - a) * regression.dt < _SHORTEST_S:

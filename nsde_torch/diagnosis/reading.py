@@ -151,11 +151,8 @@ def read_log(
     if not runs:
         raise DataError("no run to diagnose.")
     some = slice(None, None, max(1, len(runs[0]) // _CHECKED))
-    check_pushes(
-        system.with_effects().double(),
-        torch.from_numpy(runs[0].x[some].copy()),
-        torch.from_numpy(runs[0].u[some].copy()),
-    )
+    x, u = (torch.from_numpy(values[some].copy()) for values in (runs[0].x, runs[0].u))
+    check_pushes(system.with_effects().double(), x, u)
     system = system.reading(*logged_channels(system, runs))
     return Log(system, recorded, runs, options, decisions, budgets, say)
 

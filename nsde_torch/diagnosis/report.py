@@ -303,16 +303,9 @@ def ceiling_picture(outcome: Outcome, found: Ceiling) -> Figure | None:
     data = np.stack(list(columns.values()), 1)
     eta = distance_from_data(data, np.stack(list(places.values()), 1))
     of, shape = variable_units(outcome.final.vector.system), mesh[0].shape
-    surface = Surface(
-        row.row,
-        row.unit,
-        tuple((name, of.get(name, "")) for name in names),
-        tuple(axes),
-        mean.reshape(shape),
-        np.sqrt(spread).reshape(shape),
-        (eta > _FAR).reshape(shape),
-        data,
-    )
+    named = tuple((name, of.get(name, "")) for name in names)
+    force, error, far = mean.reshape(shape), np.sqrt(spread).reshape(shape), (eta > _FAR).reshape(shape)
+    surface = Surface(row.row, row.unit, named, tuple(axes), force, error, far, data)
     beside = "effects" if outcome.found else "the declared physics"
     return flexible_surface(surface, title=f"What functions add to {row.row} beside {beside}")
 

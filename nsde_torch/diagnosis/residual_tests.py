@@ -168,11 +168,8 @@ def beyond_chance(
 
     `allowed` is the likelihood ratio that feedback may hide, by channel (`feedback_bias`).
     """
-    found = (
-        d
-        for d in tests
-        if bonferroni(d.p, len(tests)) < alpha and d.excess > 0.5 * allowed.get(d.channel, 0.0)
-    )
+    sure = (d for d in tests if bonferroni(d.p, len(tests)) < alpha)
+    found = (d for d in sure if d.excess > 0.5 * allowed.get(d.channel, 0.0))
     out: dict[tuple[str, str, int | None, float | None], Dependence] = {}
     for d in sorted(found, key=lambda d: -d.excess):  # several ports move a channel
         out.setdefault((d.channel, d.variable, d.run, d.sinusoid), d)
@@ -212,12 +209,12 @@ def own_of_runs(tests: Sequence[Dependence]) -> list[Dependence]:
         # not what differs between runs: eight slopes of the speed hid a friction in one (test_one_run.py)
         if d.everywhere and not d.variable.endswith((RUN, BY_RUN)):
             best[d.channel] = max(best.get(d.channel, -np.inf), d.excess)
-    return [
-        replace(d, p=1.0)
-        if d.run is not None and d.moment is None and d.excess <= best.get(d.channel, -np.inf)
-        else d
-        for d in tests
-    ]
+
+    def explained(d: Dependence) -> bool:
+        alone = d.run is not None and d.moment is None
+        return alone and d.excess <= best.get(d.channel, -np.inf)
+
+    return [replace(d, p=1.0) if explained(d) else d for d in tests]
 
 
 def _of_variable(left: PhysicsResiduals, name: str, *, alone: bool = True) -> Iterator[Dependence]:

@@ -71,29 +71,16 @@ def linearised_about(space: StateSpace, x: Tensor, start: Start) -> Linearisatio
     """The linearisation about some states (T, C, nx), with the parameters in use."""
     system = space.vector.system
     slopes, after = space.linearised(x)
-    return Linearisation(
-        x,
-        slopes,
-        after,
-        space.missed(x, after),
-        system.error(space.chunks.y, x)[..., space.observed],
-        system.error(start.x, x[0]),
-        space.measured,
-    )
+    seen, first = system.error(space.chunks.y, x)[..., space.observed], system.error(start.x, x[0])
+    return Linearisation(x, slopes, after, space.missed(x, after), seen, first, space.measured)
 
 
 @torch.no_grad()
 def moved_to(space: StateSpace, about: Linearisation, x: Tensor, start: Start) -> Linearisation:
     """The linearisation about other states (T, C, nx), its slopes those that it had."""
     error, after = space.vector.system.error, space.after(x)
-    return replace(
-        about,
-        x=x,
-        after=after,
-        missed=space.missed(x, after),
-        seen=error(space.chunks.y, x)[..., space.observed],
-        first=error(start.x, x[0]),
-    )
+    seen, first = error(space.chunks.y, x)[..., space.observed], error(start.x, x[0])
+    return replace(about, x=x, after=after, missed=space.missed(x, after), seen=seen, first=first)
 
 
 @torch.no_grad()

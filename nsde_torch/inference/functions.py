@@ -573,13 +573,9 @@ class _Choice:
         inner = total[1:, 1:] + np.diag(weights)
         whole = block_diag(*turns)
         covariance = whole @ np.linalg.pinv(inner, rcond=_ROUNDING, hermitian=True)[first:, first:] @ whole.T
-        return Functions(
-            fit.groups,
-            tuple(turn @ step[s.start - 1 : s.stop - 1] for s, turn in zip(slices, turns, strict=True)),
-            covariance,
-            self._scaled,
-            space.vector.inside(start + step[:first]),
-        )
+        own = tuple(turn @ step[s.start - 1 : s.stop - 1] for s, turn in zip(slices, turns, strict=True))
+        theta = space.vector.inside(start + step[:first])
+        return Functions(fit.groups, own, covariance, self._scaled, theta)
 
     def _judged(self, fit: _Fit) -> Functions:
         """The functions, and what they bring under the noise found beside them."""

@@ -76,15 +76,6 @@ def _copy(of: Array, out: Array) -> None:
 
 
 @compiled
-def _scores(w: Array, whitened: Array, v: Array) -> None:
-    """v = S^-1 e = L^-T L^-1 e, from `whitening` w = L^-1 and the whitened innovation."""
-    for j in range(len(v)):
-        v[j] = 0.0
-        for o in range(j, len(v)):
-            v[j] += w[o, j] * whitened[o]
-
-
-@compiled
 def _closed_loop(a: Array, keep: Array, g: Array, observed: Labels, back: Array, closed: Array) -> None:
     """Fills F G (n, m) and the closed loop F (I - G H) (n, n); by elements, as copies of rows take longer."""
     ne, n = a.shape
@@ -471,12 +462,8 @@ def adjoints(
     mean, spread = np.empty((n, WIDTH)), np.empty((n, n, WIDTH))
     a, w, g = np.empty((ne, n, WIDTH)), np.empty((m, m, WIDTH)), np.empty((n, m, WIDTH))
     moved, turned, passed = np.empty((n, WIDTH)), np.empty((n, n, WIDTH)), np.empty((n, m, WIDTH))
-    v, white, pulled, weight = (
-        np.empty((m, WIDTH)),
-        np.empty((m, WIDTH)),
-        np.empty((m, WIDTH)),
-        np.empty(WIDTH),
-    )
+    v, white, pulled = np.empty((m, WIDTH)), np.empty((m, WIDTH)), np.empty((m, WIDTH))
+    weight = np.empty(WIDTH)
     own, of_passed = np.empty((m, m, WIDTH)), np.empty((n, m, WIDTH))
     before, mean_before = np.empty((n, d, WIDTH)), np.empty((n, WIDTH))
     of_sensors, of_ports = np.empty((m, WIDTH)), np.empty((d, WIDTH))
@@ -672,8 +659,10 @@ def slopes_in_levels(
                             last += a[i, o] * left[k, c, o, e]
                     carried[i, e] = kept[e] * last
             v[:] = 0.0
-            if k:  # no innovation where a chunk starts
-                _scores(w, whitened[k, c], v)
+            if k:  # no innovation where a chunk starts; S^-1 e = L^-T L^-1 e
+                for j in range(m):
+                    for o in range(j, m):
+                        v[j] += w[o, j] * whitened[k, c, o]
             for q in range(p):
                 part = spread[q]
                 for i in range(n):

@@ -49,9 +49,5 @@ def first_levels(fourth: Tensor, moved: Tensor, pushed: Tensor, h: float) -> Lev
     push, left = pushed.square().mean(0).sqrt(), moved.square().mean(0).sqrt()[:, None]
     most = torch.where(push > _MOVES * push.amax(0), left / push, torch.inf).amin(0)
     size = most.nan_to_num(0.0, 0.0, 0.0) / _OVER + _LEAST
-    return Levels(
-        torch.log(sensor),
-        torch.log(0.1 * size * h**0.5),
-        torch.log(0.5 * size),
-        torch.full_like(size, _GUST_S).log(),
-    )
+    of_disturbances = 0.1 * size * h**0.5, 0.5 * size, torch.full_like(size, _GUST_S)
+    return Levels(torch.log(sensor), *map(torch.log, of_disturbances))

@@ -70,12 +70,7 @@ def memory_along(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
         start = moved
         if not change > _TOLERANCE * max(1.0, size):
             break
-    order = rows[inside]
-    out = []
-    for part in (before, after):
-        values = torch.stack(part, 1)[inside]
-        out.append(torch.zeros_like(values).index_put((order,), values))
-    return out[0], out[1]
+    return torch.stack(before, 1)[inside], torch.stack(after, 1)[inside]  # pieces are in order
 
 
 def _held(system: System, steps: Steps) -> tuple[Tensor, Tensor]:

@@ -231,15 +231,8 @@ class _Batch:
             cost = 0.5 * float(away @ pull)
             fine = bool(np.isfinite(own) and np.isfinite(gram).all())
             gram = gram if fine else np.zeros_like(gram)
-            out.append(
-                Posterior(
-                    here.copy(),
-                    float(own) - cost if fine else -np.inf,
-                    gram[1:, 0] - pull,
-                    gram[1:, 1:] + q.information,
-                    0.5 * float(gram[0, 0]),
-                    float(gram[0, 0]) / max(float(n), 1.0),
-                    float(np.sqrt(2.0 * cost)),
-                )
-            )
+            density = float(own) - cost if fine else -np.inf
+            slope, information, square = gram[1:, 0] - pull, gram[1:, 1:] + q.information, float(gram[0, 0])
+            sizes = 0.5 * square, square / max(float(n), 1.0), float(np.sqrt(2.0 * cost))
+            out.append(Posterior(here.copy(), density, slope, information, *sizes))
         return out

@@ -239,12 +239,8 @@ def bounded_step(inner: Array, pull: Array, damping: float, low: Array, high: Ar
     values, vectors = np.linalg.eigh(inner * scale * scale[:, None] + damping * np.eye(len(inner)))
     seen = values > _RANK * values[-1]
     root = np.sqrt(values[seen])
-    found = lsq_linear(
-        root[:, None] * vectors[:, seen].T,
-        (vectors[:, seen].T @ (pull * scale)) / root,
-        (low / scale, high / scale),
-        method="bvls",
-    )
+    rows, target = root[:, None] * vectors[:, seen].T, (vectors[:, seen].T @ (pull * scale)) / root
+    found = lsq_linear(rows, target, (low / scale, high / scale), method="bvls")
     return np.asarray(found.x * scale)
 
 

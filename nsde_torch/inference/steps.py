@@ -67,14 +67,9 @@ class Steps:
         rows = torch.cat([torch.arange(*self.segments[i]) for i in stretches])
         ends = np.cumsum([0, *(b - a for a, b in (self.segments[i] for i in stretches))]).tolist()
         parts = {key: getattr(self, key)[rows] for key in ("t", "x0", "x1", "seen0", "seen1", "u")}
-        some = replace(
-            self,
-            **parts,
-            segments=tuple(pairwise(ends)),
-            runs=tuple(self.runs[i] for i in stretches),
-            run_in=None if self.run_in is None else self.run_in.of(stretches)[0],
-        )
-        return some, rows
+        runs = tuple(self.runs[i] for i in stretches)
+        run_in = None if self.run_in is None else self.run_in.of(stretches)[0]
+        return replace(self, **parts, segments=tuple(pairwise(ends)), runs=runs, run_in=run_in), rows
 
 
 def steps_of(
@@ -208,16 +203,8 @@ def _joined(
     joined: dict[str, Any] = {key: torch.from_numpy(np.concatenate(rows)) for key, rows in parts.items()}
     joined |= {key: by_column(joined[key]) for key in names if key != "t"}
     joined |= {key: system.project(joined[key]) for key in names if key not in ("t", "u")}
-    dt = runs[0].dt
-    return Steps(
-        **joined,
-        logged_dt=dt,
-        dt=dt * clock,
-        segments=tuple(segments),
-        runs=tuple(owners),
-        inferred=tuple(inferred.items()),
-        rows=max(rows, 1),
-    )
+    joined |= {"segments": tuple(segments), "runs": tuple(owners), "inferred": tuple(inferred.items())}
+    return Steps(**joined, logged_dt=runs[0].dt, dt=runs[0].dt * clock, rows=max(rows, 1))
 
 
 def _stretches(runs: Sequence[Run]) -> Iterator[_Stretch]:

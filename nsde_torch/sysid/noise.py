@@ -94,7 +94,6 @@ class Series:
 
 _GRID = 1.0 - np.array([1, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.08, 0.05, 0.03, 0.02, 0.012, 0.008, 0.005])
 _AKAIKE = 2.0
-_FADED = 4e-18  # what is nothing
 _ROUNDING = 1e-10  # SI units a step: what double precision leaves of states of everyday size
 
 
@@ -233,33 +232,13 @@ def _carry(c: float, values: Array, series: Series, times: int) -> Array:
     """Columns (N, k) over (1 - c B)^times, with the error before each stretch estimated and put in front."""
     for _ in range(times - 1):
         values = np.delete(_carry(c, values, series, 1), [a + i for i, (a, _) in enumerate(series.edges)], 0)
-    out = np.empty((values.shape[1], len(values) + len(series.edges)))
-    _sum_up(c, np.ascontiguousarray(values.T), np.array(series.edges), out)
-    return out.T
-
-
-@compiled
-def _sum_up(c: float, values: Array, edges: Labels, out: Array) -> None:
-    """`_carry` of rows (k, N), into (k, N + stretches)."""
-    for column in range(len(values)):
-        for i in range(len(edges)):
-            first, count = edges[i, 0], edges[i, 1] - edges[i, 0]
-            row = out[column, first + i : first + i + count + 1]
-            total, before, size, fading = 0.0, 0.0, 1.0, 1.0
-            for k in range(count):
-                total = values[column, first + k] + c * total
-                row[k + 1] = total
-                if fading > _FADED:
-                    fading *= c
-                    before += fading * total
-                    size += fading * fading
-            row[0] = -before / size
-            fading = c
-            for k in range(1, count + 1):
-                if not fading > _FADED:
-                    break
-                row[k] += fading * row[0]
-                fading *= c
+    parts = []
+    for a, b in series.edges:
+        total = lfilter([1.0], [1.0, -c], values[a:b], axis=0)
+        fading = np.cumprod(np.append(1.0, np.full(b - a, c)))
+        before = -(fading[1:] @ total) / np.square(fading).sum()
+        parts.append(np.concatenate((np.zeros((1, values.shape[1])), total)) + fading[:, None] * before)
+    return np.concatenate(parts)
 
 
 def _burg(values: Array, series: Series, orders: int) -> tuple[Array, Array]:
@@ -308,25 +287,12 @@ def _filtered(reflection: Sequence[float] | Array, values: Array, series: Series
         lower[m, : m + 1] = _polynomial(reflection[:m])
     kept = np.cumprod(np.concatenate(([1.0], 1.0 - np.square(reflection))))
     lower *= np.sqrt(kept[-1] / kept)[:, None]
-    out = np.zeros((values.shape[1], len(values)))
-    _convolve(lower, np.ascontiguousarray(values.T), np.array(series.edges), out)
-    return out.T
-
-
-@compiled
-def _convolve(lower: Array, values: Array, edges: Labels, out: Array) -> None:
-    """Rows (k, N) through the last of some polynomials (p + 1, p + 1), those near a start through lower ones."""
-    p = len(lower) - 1
-    for column in range(len(values)):
-        for i in range(len(edges)):
-            first, end = edges[i, 0], edges[i, 1]
-            for k in range(first, min(first + p, end)):
-                for j in range(k - first + 1):
-                    out[column, k] += lower[k - first, j] * values[column, k - j]
-            for j in range(p + 1):
-                share = lower[p, j]
-                for k in range(first + p, end):
-                    out[column, k] += share * values[column, k - j]
+    out = np.empty_like(values)
+    for a, b in series.edges:
+        out[a:b] = lfilter(lower[p], [1.0], values[a:b], axis=0)
+        for k in range(min(p, b - a)):
+            out[a + k] = lower[k, k::-1] @ values[a : a + k + 1]
+    return out
 
 
 # ---- what other channels say ---------------------------------------------------------------------------

@@ -79,11 +79,7 @@ class Shifted:
 def shifted_stream(system: System, runs: Sequence[Run], clock: float, rough: Regression) -> Shifted | None:
     """The stream that is most surely shifted against the others; None where none is."""
     some = beginnings(runs, clock, seconds=_PART_S, fewest=100)
-    found = [
-        shift
-        for stream, states, inputs in _streams(system)
-        if (shift := _best(system, some, clock, rough, stream, states, inputs))
-    ]
+    found = [s for stream in _streams(system) if (s := _best(system, some, clock, rough, stream))]
     return max(found, key=lambda s: s.gain, default=None)
 
 
@@ -110,15 +106,9 @@ def _named(names: list[str]) -> str:
 
 
 def _best(
-    system: System,
-    runs: Sequence[Run],
-    clock: float,
-    rough: Regression,
-    stream: str,
-    states: list[int],
-    inputs: bool,
+    system: System, runs: Sequence[Run], clock: float, rough: Regression, stream: tuple[str, list[int], bool]
 ) -> Shifted | None:
-    dt = runs[0].dt * clock
+    dt, (name, states, inputs) = runs[0].dt * clock, stream
 
     @cache
     def shares(seconds: float) -> dict[str, float]:
@@ -149,9 +139,9 @@ def _best(
     if not gain > GAIN:
         return None
     there = shares(round(best if score(best) < here else middle, 6))
-    against = tuple(name for name, left in shares(0.0).items() if there.get(name, left) > left + _WORSE)
-    smoothed = tuple(sorted({name for run in runs for name in run.band}))
-    return Shifted(stream, best, gain, inputs, against, smoothed)
+    against = tuple(c for c, left in shares(0.0).items() if there.get(c, left) > left + _WORSE)
+    smoothed = tuple(sorted({state for run in runs for state in run.band}))
+    return Shifted(name, best, gain, inputs, against, smoothed)
 
 
 def _mover(system: System, rows: float, states: list[int], inputs: bool) -> Callable[[Run], Run]:

@@ -104,26 +104,17 @@ def fit_innovations(task: Task) -> Fitted:
     about = _from_checkpoint(model, task)
     if about is None:
         about = _Fit(model, task, runs, found).run()
-        state = model.state_dict()
-        write_checkpoint(
-            task.checkpoint,
-            {f"{part}.{k}": v for part in ("model", "kept") for k, v in state.items()},
-            {"identity": task.identity, **about},
-        )
+        state = {f"{part}.{k}": v for part in ("model", "kept") for k, v in model.state_dict().items()}
+        write_checkpoint(task.checkpoint, state, {"identity": task.identity, **about})
     if model.filter is not None:
         fit_filter(model.filter, task.runs, runs, machine.nu)
     progress = Progress(**about["progress"])
     for row in progress.history:
         task.log(int(row["step"]), row)
     parameters: Parameters = about["parameters"]
-    return Fitted(
-        model.to(device=task.device, dtype=task.dtype),
-        progress,
-        lambda: parameters,
-        about["facts"],
-        said=about["said"],
-        begin=about.get("begin", {}),
-    )
+    said, begin = about["said"], about.get("begin", {})
+    model = model.to(device=task.device, dtype=task.dtype)
+    return Fitted(model, progress, lambda: parameters, about["facts"], said=said, begin=begin)
 
 
 def _from_checkpoint(model: NeuralSDE, task: Task) -> dict[str, Any] | None:

@@ -298,14 +298,8 @@ def fit_sde(task: Task) -> Fitted:
     loss = replace(task.loss, kind="replay") if task.loss.kind == "innovations" else task.loss
     model = NeuralSDE(spec, generator=torch.Generator().manual_seed(task.seed), values=task.values)
     model = model.to(device=task.device, dtype=task.dtype)
-    windows = Windows(
-        task.runs,
-        spec.dt,
-        spec.horizon,
-        dtype=task.dtype,
-        device=task.device,
-        denoise=loss.kind == "replay" and (spec.measurement or model.system.sensor_noise),
-    )
+    denoise = loss.kind == "replay" and (spec.measurement or model.system.sensor_noise)
+    windows = Windows(task.runs, spec.dt, spec.horizon, dtype=task.dtype, device=task.device, denoise=denoise)
     train, held = windows.held_out(task.validation, _BLOCK_S, torch.Generator().manual_seed(task.seed))
     prepare(model, task.runs, train, clock_scale=task.clock, start=True, given=task.values)
     scale = error_scale(model, train)

@@ -38,12 +38,8 @@ def fit_sysid(task: Task) -> Fitted:
     model.clock_scale.fill_(task.clock)
     if model.filter is not None:
         fit_filter(model.filter, task.runs, runs, model.system.nu)
-    progress = Progress(
-        step=found.iterations,
-        best_step=found.iterations,
-        best_score=found.unexplained,
-        stopped=found.converged,
-    )
+    steps = found.iterations
+    progress = Progress(steps, steps, found.unexplained, stopped=found.converged)
     facts = {
         "loss": "least squares",
         "validation": {
@@ -54,14 +50,9 @@ def fit_sysid(task: Task) -> Fitted:
     }
     if found.loop is not None:
         facts["feedback"] = found.loop.as_dict()
-    return Fitted(
-        model.to(device=task.device, dtype=task.dtype).requires_grad_(False),
-        progress,
-        found.parameters,
-        facts,
-        said=summary(found),
-        details=rates_table(found),
-    )
+    model = model.to(device=task.device, dtype=task.dtype).requires_grad_(False)
+    said, details = summary(found), rates_table(found)
+    return Fitted(model, progress, found.parameters, facts, said=said, details=details)
 
 
 def summary(found: Identification) -> str:

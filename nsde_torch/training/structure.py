@@ -35,14 +35,8 @@ def model_spec(
     Raises:
         ConfigError: an integrator that does not fit the kind of model.
     """
-    choice = Choice(
-        options=model,
-        system=system,
-        machine=machine,
-        runs=runs,
-        loss=loss,
-        integrator=integrator or IntegratorOptions(),
-    )
+    used = integrator or IntegratorOptions()
+    choice = Choice(options=model, system=system, machine=machine, runs=runs, loss=loss, integrator=used)
     return model_kind(model.kind).make_spec(choice)
 
 

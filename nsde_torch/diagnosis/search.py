@@ -3,7 +3,7 @@
 import copy
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,6 @@ from nsde_torch.diagnosis.decisions import BUDGETS, Budgets, Decisions, Options
 from nsde_torch.effects import Effect, Law, effect_class, register
 from nsde_torch.inference.steps import steps_of
 from nsde_torch.recording.fault import STAGES, level
-from nsde_torch.sysid.noise import Noise
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
@@ -32,12 +31,8 @@ _MOVES = 1e-6  # of the largest slope of a parameter: below that is rounding
 def dynamic_rows(system: System) -> NDArray[np.int64]:
     """Channels that physics moves: not positions, nor a quaternion, which kinematics tie to others."""
     tied = {position for position, _, _ in system.position_derivatives}
-    q = system.quaternion
-    kept = [
-        i
-        for i, name in enumerate(system.state_names)
-        if name not in tied and not (q is not None and q.start <= i < q.stop)
-    ]
+    turned = range(system.nx)[system.quaternion or slice(0)]
+    kept = [i for i, name in enumerate(system.state_names) if name not in tied and i not in turned]
     return np.array(kept, dtype=np.int64)
 
 
@@ -156,15 +151,9 @@ class Search:
         so_far: "Callable[[Outcome], None]" = lambda outcome: None,
     ) -> None:
         self.box = max(1, int(_BOX_S / (runs[0].dt * clock) + 1e-6))
+        noisy, shortest = system.sensor_noise, max(self.box, _SHORTEST)
         self.steps = steps_of(
-            system,
-            runs,
-            clock=clock,
-            smooth=False,
-            denoise=system.sensor_noise,
-            shortest=max(self.box, _SHORTEST),
-            run_in=True,
-            differences=self.box,
+            system, runs, clock=clock, denoise=noisy, shortest=shortest, run_in=True, differences=self.box
         )
         self.candidates: Sequence[str] | None = None
         if options.candidates is not None:
@@ -231,26 +220,8 @@ class Search:
         first = np.where(np.isin(vector.labels, list(held)), vector.start, carried(vector, before))
         return self._of(system, physics, start=first, noises=before.noises, held=held)
 
-    def _of(
-        self,
-        system: System,
-        physics: Physics,
-        *,
-        start: Array | None = None,
-        noises: Sequence[Noise] | None = None,
-        held: Collection[str] = (),
-        warm: bool = False,
-    ) -> Regression:
-        return Regression(
-            physics,
-            box=self.box,
-            rows=dynamic_rows(system),
-            start=start,
-            noises=noises,
-            origin=system,
-            held=held,
-            feedback=self.feedback,
-            channels=self.channels,
-            warm=warm,
-            memory_s=self.decisions.noise_memory,
-        )
+    def _of(self, system: System, physics: Physics, **further: Any) -> Regression:
+        """A regression of a system; `further` arguments are those of `Regression`."""
+        further |= {"feedback": self.feedback, "channels": self.channels}
+        further |= {"rows": dynamic_rows(system), "memory_s": self.decisions.noise_memory}
+        return Regression(physics, box=self.box, origin=system, **further)

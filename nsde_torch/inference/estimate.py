@@ -214,15 +214,9 @@ class LogLikelihood:
         self._floor: Tensor | None = None  # `StateSpace.least_sensor`
         self.passes, self.scores = Latest[tuple[Linearisation, Pass]](), Latest[Any]()
         shortest, fewest = (_SHORTEST_OF_STATES, 1) if states else (_SHORTEST, _FEWEST)
+        rows = int(not states)
         steps = steps_of(
-            system,
-            runs,
-            clock=clock,
-            smooth=False,
-            shortest=shortest,
-            run_in=run_in,
-            differences=int(not states),
-            low_passed=True,
+            system, runs, clock=clock, shortest=shortest, run_in=run_in, differences=rows, low_passed=True
         )
         self._band = band_of(runs)
         self.apart_s = apart

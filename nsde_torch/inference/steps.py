@@ -77,7 +77,7 @@ def steps_of(
     runs: Sequence[Run],
     *,
     clock: float,
-    smooth: bool,
+    smooth: bool = False,
     shortest: int = 1,
     run_in: bool | None = None,
     denoise: bool = False,

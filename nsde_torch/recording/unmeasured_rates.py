@@ -42,12 +42,11 @@ _EVEN = 1e-3  # of the step, within which times are even
 
 @dataclass(frozen=True)
 class Derived:
-    """A rate that was made of a position: how, in words that follow "is", with what share of a sensor's own noise."""
+    """A rate that was made of a position: how, in words that follow "is"."""
 
     rate: str
     position: str
     how: str
-    share: float
 
 
 def derived_rates(system: SystemInfo, runs: Sequence[RawRun]) -> list[Derived]:
@@ -61,7 +60,7 @@ def derived_rates(system: SystemInfo, runs: Sequence[RawRun]) -> list[Derived]:
             continue  # too few, or a rate that stands still, of which `standstill` speaks
         found = (_plain(parts) if _raw(parts) else None) or _filtered(parts)
         if found is not None:
-            out.append(Derived(names[j], names[i], *found))
+            out.append(Derived(names[j], names[i], found))
     return out
 
 
@@ -92,8 +91,8 @@ def _raw(parts: Sequence[tuple[Array, Array, Array]]) -> bool:
     return sixth > _WHITE * fifth > 252.0 * (_ROUNDING * size) ** 2
 
 
-def _plain(parts: Sequence[tuple[Array, Array, Array]]) -> tuple[str, float] | None:
-    """Which plain difference the rates are, and how far they are from it against a better formula."""
+def _plain(parts: Sequence[tuple[Array, Array, Array]]) -> str | None:
+    """Which plain difference the rates are: they are much nearer to it than to a better formula."""
     off, apart = (dict[str, list[Array]](backward=[], forward=[], central=[]) for _ in range(2))
     for t, q, v in parts:
         step = np.diff(q) / np.diff(t)
@@ -108,14 +107,13 @@ def _plain(parts: Sequence[tuple[Array, Array, Array]]) -> tuple[str, float] | N
     for name in off:
         # of both the same quantile: where a machine runs away, a few rows would be all that a mean sees
         mine, size = (float(np.quantile(np.concatenate(part[name]), _KEPT)) for part in (off, apart))
-        share = mine / max(size, 1e-300)
-        if size > 0 and share < PLAIN:
-            return f"the {name} difference of", share**2
+        if size > 0 and mine < PLAIN * size:
+            return f"the {name} difference of"
     return None
 
 
-def _filtered(parts: Sequence[tuple[Array, Array, Array]]) -> tuple[str, float] | None:
-    """A filter of positions that the rates are, and the share of the noise that it should have brought."""
+def _filtered(parts: Sequence[tuple[Array, Array, Array]]) -> str | None:
+    """A filter of positions that the rates are: they lack the noise that it should have brought."""
     even = [p for p in parts if np.ptp(np.diff(p[0])) < 2 * _EVEN * np.diff(p[0]).mean()]
     if not even:
         return None
@@ -139,10 +137,9 @@ def _filtered(parts: Sequence[tuple[Array, Array, Array]]) -> tuple[str, float] 
         b = np.linalg.lstsq(z, y, rcond=None)[0]
         left = float(np.square(y - z @ b).sum() / (len(y) - len(b)))
         weights = np.diff(np.concatenate([[0.0], b, [0.0]])) / dt
-        share = left / max(noise * float(np.square(weights).sum()), 1e-300)
-        if share < SHARE:
+        if left < SHARE * noise * float(np.square(weights).sum()):
             ahead = float(np.abs(b[reach:]).max()) < 0.02 * float(np.abs(b).max())
-            return f"a {'causal ' if ahead else ''}filter of the differences of", share
+            return f"a {'causal ' if ahead else ''}filter of the differences of"
     return None
 
 

@@ -252,7 +252,6 @@ class Regression:
         return self.single.summed(self.physics.residual(theta), self.box)
 
     def _relinearise(self) -> None:
-        self._linear_at = self.theta
         self.jacobian = self.single.summed(self.physics.slopes(self.theta), self.box)
         self.jacobian[..., self.held] = 0.0
         if np.abs(self.jacobian).max(initial=0.0) > _UNBOUNDED:

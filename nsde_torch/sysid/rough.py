@@ -46,7 +46,7 @@ def rough_fit(
     box = max(1, round(MEANS_S / (runs[0].dt * clock)))
     vector = ParameterVector(copy.deepcopy(system))
     try:
-        steps = steps_of(vector.system, runs, clock=clock, smooth=False, shortest=box, differences=0)
+        steps = steps_of(vector.system, runs, clock=clock, shortest=box, differences=0)
         physics = Physics(vector, steps, foresee=False)
         regression = Regression(physics, box=box, plain=True, levels=levels, start=start)
         regression.run(iterations)

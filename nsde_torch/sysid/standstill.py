@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.data.raw import holes
 from nsde_torch.effects import Effect
@@ -26,10 +27,7 @@ _SHORTEST = 5  # rows between two standstills; fewer say little and cost the sta
 
 
 def slowest(
-    system: System,
-    sensor_std: NDArray[np.float64],
-    runs: Sequence[Run],
-    effects: Sequence[type[Effect]] | None = None,
+    system: System, sensor_std: Array, runs: Sequence[Run], effects: Sequence[type[Effect]] | None = None
 ) -> dict[int, float]:
     """Speeds whose direction is not known, of coordinates with dry friction, by column of the state.
 
@@ -66,7 +64,7 @@ def in_words(share: float) -> list[str]:
     return [told + "whatever holds it there."] if share else []
 
 
-def _moves(x: NDArray[np.float64], slowest: Mapping[int, float]) -> NDArray[np.bool_]:
+def _moves(x: Array, slowest: Mapping[int, float]) -> NDArray[np.bool_]:
     """Whether all of the coordinates move, by row (n,)."""
     out = np.ones(len(x), dtype=bool)
     for column, speed in slowest.items():

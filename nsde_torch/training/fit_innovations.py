@@ -147,7 +147,7 @@ class _Fit:
             self.theta = self.known.values
         else:
             vector = ParameterVector(model.system)
-            self.physics = Physics(vector, steps_of(vector.system, runs, clock=task.clock, smooth=False))
+            self.physics = Physics(vector, steps_of(vector.system, runs, clock=task.clock))
             self.theta = vector.inside(vector.start)
         self.declared = self.physics
         self.relied = self.known is not None and self.known.likelihood_used

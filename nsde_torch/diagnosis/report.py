@@ -52,17 +52,7 @@ from nsde_torch.diagnosis.shape import (
 from nsde_torch.diagnosis.text import rendered
 from nsde_torch.diagnosis.time_series import script, time_series
 from nsde_torch.effects import effect_class
-from nsde_torch.plots.diagnosis import (
-    Cloud,
-    Panel,
-    ResidualSpectrum,
-    Surface,
-    before_after,
-    errors_before_after,
-    flexible_surface,
-    residual_spectra,
-    residual_views,
-)
+from nsde_torch.plots import diagnosis as plots
 from nsde_torch.sysid.physics import per_second
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems.parameters import own_name
@@ -100,7 +90,7 @@ def pictures(found: Diagnosis, content: Content) -> dict[str, Figure]:
         return _spectra(found)
     panels = effect_panels(outcome, found.shown, found.importance, found.runs)
     out: dict[str, Figure] = {
-        f"{EFFECT}{name}": residual_views(
+        f"{EFFECT}{name}": plots.residual_views(
             [panel], title=f"{name}: what is left over without and with it, all else as fitted"
         )
         for name, panel in panels.items()
@@ -109,13 +99,13 @@ def pictures(found: Diagnosis, content: Content) -> dict[str, Figure]:
         views = effect_views(outcome, found.explanation.channels)
         if views:
             names = ", ".join(f.name for f in outcome.found)
-            out["residual"] = residual_views(
+            out["residual"] = plots.residual_views(
                 views, title=f"What the physics leaves over, without and with {names}"
             )
     if outcome.structured:
         views = unexplained_views(outcome, notes=[s.note for s in found.explanation.shapes], runs=found.runs)
         if views:
-            out["unexplained"] = residual_views(
+            out["unexplained"] = plots.residual_views(
                 views, title="What the residual depends on and no effect explains"
             )
     elif not outcome.found:
@@ -124,7 +114,7 @@ def pictures(found: Diagnosis, content: Content) -> dict[str, Figure]:
         )
         if views:
             title = "What the physics leaves over, against what it depends on most: no more than chance"
-            out["residual"] = residual_views(views, title=title)
+            out["residual"] = plots.residual_views(views, title=title)
     flexible = ceiling_picture(outcome, found.explanation.ceiling)
     if flexible is not None:
         out["flexible"] = flexible
@@ -141,13 +131,15 @@ def _spectra(found: Diagnosis) -> dict[str, Figure]:
     if not shown:
         return {}
     title = "Spectrum of the physics' residual, and the floor of white noise"
-    return {"spectrum": residual_spectra([_spectrum(found.outcome, c.name) for c in shown], title=title)}
+    return {
+        "spectrum": plots.residual_spectra([_spectrum(found.outcome, c.name) for c in shown], title=title)
+    }
 
 
-def effect_views(outcome: Outcome, channels: Sequence[ChannelResidual]) -> list[Panel]:
+def effect_views(outcome: Outcome, channels: Sequence[ChannelResidual]) -> list[plots.Panel]:
     """The channels that the effects reduced, each against the variable that its residual depended on most surely."""
     before, after = outcome.declared_rates, outcome.rates
-    out: list[Panel] = []
+    out: list[plots.Panel] = []
     if not len(before.residual):  # no stretch is as long as the means
         return out
     for c in _most_reduced(channels)[: 2 * _CHANNELS]:
@@ -163,7 +155,7 @@ def effect_views(outcome: Outcome, channels: Sequence[ChannelResidual]) -> list[
             for name, seen in (("before", before), ("after", after))
             if len(seen.residual) == len(x)
         }
-        out.append(Panel(c.name, before.units[number], variable, unit, clouds))
+        out.append(plots.Panel(c.name, before.units[number], variable, unit, clouds))
     return out
 
 
@@ -173,13 +165,13 @@ def unexplained_views(
     *,
     notes: Sequence[str] = (),
     runs: Sequence[str] = (),
-) -> list[Panel]:
+) -> list[plots.Panel]:
     """What the residual still depends on by some tests, one panel each; None takes those that found something.
 
     `notes` are words for the first of them, `runs` the names of the runs, by number.
     """
     seen = outcome.rates
-    out: list[Panel] = []
+    out: list[plots.Panel] = []
     if not len(seen.residual):
         return out
     done: set[tuple[str, str, int | None, float | None]] = set()
@@ -205,17 +197,17 @@ def unexplained_views(
                 called(runs[d.run]): _cloud(x[there], y[there], seen.block[there]),
                 "other runs": _cloud(x[~there], y[~there], seen.block[~there]),
             }
-        out.append(Panel(d.channel, seen.units[number], variable, unit, clouds, note=note))
+        out.append(plots.Panel(d.channel, seen.units[number], variable, unit, clouds, note=note))
     return out
 
 
 def effect_panels(
     outcome: Outcome, shown: ShownEffects, importance: Mapping[str, Importance], runs: tuple[str, ...]
-) -> dict[str, Panel]:
+) -> dict[str, plots.Panel]:
     """By effect that matters: its picture; none of one that moves nothing that can be drawn."""
     regression = outcome.final
     seen = outcome.rates
-    out: dict[str, Panel] = {}
+    out: dict[str, plots.Panel] = {}
     for name in shown.few:
         channel = importance[name].channel if name in importance else ""
         channel = channel or next(iter(moved_channels(regression, name)), "")
@@ -242,7 +234,7 @@ def _without_term(regression: Regression, effect: str) -> Regression:
     return out
 
 
-def _panel(seen: Rates, without: Array, number: int, runs: tuple[str, ...]) -> Panel:
+def _panel(seen: Rates, without: Array, number: int, runs: tuple[str, ...]) -> plots.Panel:
     """The picture of one effect in one channel."""
     left = seen.residual[:, number]
     term = without - left
@@ -256,9 +248,9 @@ def _panel(seen: Rates, without: Array, number: int, runs: tuple[str, ...]) -> P
     else:
         run, rows = _largest(seen, term)
         t = seen.values["time"][rows]
-        clouds = {key: Cloud(t, y[rows], t, y[rows], np.zeros(len(t))) for key, y in parts.items()}
+        clouds = {key: plots.Cloud(t, y[rows], t, y[rows], np.zeros(len(t))) for key, y in parts.items()}
         variable, unit, note = "time", "s", called(runs[run])
-    return replace(Panel(seen.names[number], seen.units[number], variable, unit, clouds), note=note)
+    return replace(plots.Panel(seen.names[number], seen.units[number], variable, unit, clouds), note=note)
 
 
 def _held(x: Array, term: Array) -> float:
@@ -305,9 +297,9 @@ def ceiling_picture(outcome: Outcome, found: Ceiling) -> Figure | None:
     of, shape = variable_units(outcome.final.vector.system), mesh[0].shape
     named = tuple((name, of.get(name, "")) for name in names)
     force, error, far = mean.reshape(shape), np.sqrt(spread).reshape(shape), (eta > _FAR).reshape(shape)
-    surface = Surface(row.row, row.unit, named, tuple(axes), force, error, far, data)
+    surface = plots.Surface(row.row, row.unit, named, tuple(axes), force, error, far, data)
     beside = "effects" if outcome.found else "the declared physics"
-    return flexible_surface(surface, title=f"What functions add to {row.row} beside {beside}")
+    return plots.flexible_surface(surface, title=f"What functions add to {row.row} beside {beside}")
 
 
 def distance_from_data(data: Array, places: Array) -> Array:
@@ -354,19 +346,19 @@ def _axis(seen: Rates, d: Dependence) -> tuple[str, str, Array]:
     return d.pair, " ".join(u for u in units if u not in ("", "1")), values
 
 
-def _cloud(x: Array, y: Array, block: NDArray[np.int64]) -> Cloud:
+def _cloud(x: Array, y: Array, block: NDArray[np.int64]) -> plots.Cloud:
     b = bins(x, y, block)
-    return Cloud(x, y, b.centre, b.mean, b.error)
+    return plots.Cloud(x, y, b.centre, b.mean, b.error)
 
 
-def _course(t: Array, y: Array, rows: NDArray[np.bool_]) -> Cloud:
+def _course(t: Array, y: Array, rows: NDArray[np.bool_]) -> plots.Cloud:
     """The course in time of one run, without intervals."""
     x, y = t[rows], y[rows]
     some = np.linspace(0, max(len(x) - 1, 0), min(len(x), _COURSE)).round().astype(int)
-    return Cloud(x, y, x[some], y[some], np.zeros(len(some)))
+    return plots.Cloud(x, y, x[some], y[some], np.zeros(len(some)))
 
 
-def _spectrum(outcome: Outcome, channel: str) -> ResidualSpectrum:
+def _spectrum(outcome: Outcome, channel: str) -> plots.ResidualSpectrum:
     """Amplitude densities [unit/sqrt(Hz)] from mean powers per step: S dt / dt^2, both sides of the band."""
     regression = outcome.final
     number = regression.physics.names.index(channel)
@@ -381,7 +373,9 @@ def _spectrum(outcome: Outcome, channel: str) -> ResidualSpectrum:
     push, sensor = white_parts(regression, number)
     floor = push + 4.0 * np.sin(np.pi * frequency[1:] * dt) ** 2 * sensor
     amplitudes["floor"] = np.sqrt(2.0 * floor / dt)
-    return ResidualSpectrum(channel, per_second(regression.physics.units[number]), frequency[1:], amplitudes)
+    return plots.ResidualSpectrum(
+        channel, per_second(regression.physics.units[number]), frequency[1:], amplitudes
+    )
 
 
 def _held_out(errors: Mapping[str, Any]) -> Figure:
@@ -392,7 +386,7 @@ def _held_out(errors: Mapping[str, Any]) -> Figure:
         low, high = (None if c[k] is None else 1.0 + per * c[k] for k in ("low_90", "high_90"))
         ratios[name] = (c["ratio"], low, high)
         nats[name] = (gain[name]["nats"], gain[name]["low_90"], gain[name]["high_90"])
-    return before_after(
+    return plots.before_after(
         ratios, nats, title=f"What was found, on {errors['measured_on']}: residual, and one-step predictions"
     )
 
@@ -403,7 +397,7 @@ def _errors(errors: Mapping[str, Any]) -> Figure:
     def curves(table: Mapping[str, Mapping[str, float | None]]) -> dict[str, list[float | None]]:
         return {name: [row[f"{h:g}"] for h in horizons] for name, row in table.items()}
 
-    return errors_before_after(
+    return plots.errors_before_after(
         horizons,
         curves(errors["before"]),
         curves(errors["after"]),

@@ -39,21 +39,10 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc, stdtr
 
 from nsde_torch.arrays import Array, Labels
+from nsde_torch.diagnosis import regressors
 from nsde_torch.diagnosis.evidence import bonferroni, chance, dispersion, folds_of, of_draws
 from nsde_torch.diagnosis.joint_selection import FittedPhysics
 from nsde_torch.diagnosis.periodicity import COUNTS, WHOLE, Line, best_repeat, lines, waves_of
-from nsde_torch.diagnosis.regressors import (
-    BEFORE,
-    BY_RUN,
-    OTHERS,
-    PRODUCTS,
-    SMOOTH,
-    Functions,
-    functions_of_groups,
-    machine_variables,
-    moved_channels_of,
-    rows_before,
-)
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.effects.by_run import RUN
 from nsde_torch.inference import Optimum
@@ -114,21 +103,25 @@ class PhysicsResiduals:
         self.at: Optimum = self.forces.at
         space, about = place.at.of.space, place.at.about
         self.system: System = place.at.of.vector.system
-        self.channels = tuple(names[0] for names in moved_channels_of(regression, space.disturbances))
+        self.channels = tuple(
+            names[0] for names in regressors.moved_channels_of(regression, space.disturbances)
+        )
         # given what is known at the start of a step, so that gusts and sensor noise are not in it
         row, steps = space.chunks.row.flatten(), space.steps
         first = torch.zeros(len(steps), dtype=torch.int64)
         order = space.chunks.counted.flatten().argsort(stable=True)
         first[row[order]] = order
         x = space.midway(about.x, about.after).flatten(0, 1)[first]
-        table = machine_variables(self.system, x, steps.u, inputs=search.inputs)
+        table = regressors.machine_variables(self.system, x, steps.u, inputs=search.inputs)
         self.columns = {name: np.asarray(v.numpy()) for name, v in table.items() if float(v.std()) > 1e-9}
         self.t = np.asarray(steps.t.numpy())
         self.edges, self.dt = steps.segments, steps.dt
         self.runs = np.repeat(np.array(steps.runs), [b - a for a, b in steps.segments])
-        before = rows_before(self.dt, moved=search.moved)
-        groups = functions_of_groups(self.system, self.columns, self.t, self.runs, self.edges, before=before)
-        self.functions: Mapping[str, Functions] = dict(groups)
+        before = regressors.rows_before(self.dt, moved=search.moved)
+        groups = regressors.functions_of_groups(
+            self.system, self.columns, self.t, self.runs, self.edges, before=before
+        )
+        self.functions: Mapping[str, regressors.Functions] = dict(groups)
 
     def values(self, variable: str) -> Array:
         """A plain variable, or time (N,)."""
@@ -181,7 +174,9 @@ def overview(left: PhysicsResiduals) -> list[Dependence]:
 
     What effects that were found had to explain. It decides nothing.
     """
-    names = [n for n in left.functions if n in left.columns or n in ("time", RUN) or n.endswith(BEFORE)]
+    names = [
+        n for n in left.functions if n in left.columns or n in ("time", RUN) or n.endswith(regressors.BEFORE)
+    ]
     out = [found for name in names for found in _of_variable(left, name, alone=False)]
     return sorted(out, key=lambda d: d.p)
 
@@ -207,7 +202,7 @@ def own_of_runs(tests: Sequence[Dependence]) -> list[Dependence]:
     best: dict[str, float] = {}
     for d in tests:
         # not what differs between runs: eight slopes of the speed hid a friction in one (test_one_run.py)
-        if d.everywhere and not d.variable.endswith((RUN, BY_RUN)):
+        if d.everywhere and not d.variable.endswith((RUN, regressors.BY_RUN)):
             best[d.channel] = max(best.get(d.channel, -np.inf), d.excess)
 
     def explained(d: Dependence) -> bool:
@@ -229,7 +224,7 @@ def _of_variable(left: PhysicsResiduals, name: str, *, alone: bool = True) -> It
         p = chance(own.blocks, own.informations, left.folds, DRAWS, decisions=left.decisions)
         of_odd = _odd(np.square(own.total), odd[kept])
         found = _dependence(left, port, name, p, scores.nats, len(kept), odd=of_odd)
-        yield replace(found, pair=_product(left, name, scores)) if name.endswith(OTHERS) else found
+        yield replace(found, pair=_product(left, name, scores)) if name.endswith(regressors.OTHERS) else found
         if alone and name in left.columns:
             in_run = in_one_run(left, port, name, functions, odd)
             if in_run is not None:
@@ -263,10 +258,10 @@ def _odd(squares: Array, odd: NDArray[np.bool_]) -> float:
 
 def _product(left: PhysicsResiduals, name: str, scores: FunctionScores) -> str:
     """The product with another variable that brings most by itself."""
-    first, names = name.removesuffix(OTHERS), list(left.columns)
+    first, names = name.removesuffix(regressors.OTHERS), list(left.columns)
     pull = np.square(scores.total) / np.maximum(np.diag(scores.information), 1e-300)
-    other, kind = divmod(int(pull.argmax()), len(PRODUCTS))
-    return PRODUCTS[kind].format(first, names[names.index(first) + 1 + other])
+    other, kind = divmod(int(pull.argmax()), len(regressors.PRODUCTS))
+    return regressors.PRODUCTS[kind].format(first, names[names.index(first) + 1 + other])
 
 
 def _repeated(left: PhysicsResiduals, port: int, name: str) -> Dependence | None:
@@ -331,7 +326,7 @@ def in_one_run(
     informations = {run: scores.information for run, scores in parts.items()}
     inverse = np.linalg.pinv(np.sum(list(informations.values()), 0), rcond=1e-6, hermitian=True)
     every = inverse @ np.sum([scores.total for scores in parts.values()], 0)
-    tested = slice(0, min(SMOOTH, functions.shape[1]))
+    tested = slice(0, min(regressors.SMOOTH, functions.shape[1]))
     each: dict[int, tuple[float, Array]] = {}
     in_all = 0.0
     for run, scores in parts.items():
@@ -370,7 +365,7 @@ def _of_run(
     Their scores by block of time in directions of unit information (B, q), the information of these (B, q, q), the
     functions that these begin with (q,), and whether a block is of the run (B,).
     """
-    count = min(SMOOTH, functions.shape[1])
+    count = min(regressors.SMOOTH, functions.shape[1])
     of_runs = left.runs[:, None] == np.unique(left.owners)
     inside = functions[:, :count] * (left.runs == run)[:, None]
     at = left.at

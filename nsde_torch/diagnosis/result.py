@@ -32,20 +32,9 @@ from nsde_torch.diagnosis.shape import Shape, called, rates_width, symmetry
 from nsde_torch.diagnosis.stages import NotDone, SoFar, StoppedError, declared_model
 from nsde_torch.diagnosis.text import lines, rendered, short_lines, small, with_space
 from nsde_torch.effects import effect_class, key_of
+from nsde_torch.effects import expression_grammar as grammar
 from nsde_torch.effects.by_run import ByRun, RunZero
 from nsde_torch.effects.expression import Expression
-from nsde_torch.effects.expression_grammar import (
-    Call,
-    Node,
-    Power,
-    Variable,
-    Written,
-    is_law,
-    latex,
-    nodes,
-    sympy_text,
-    valued,
-)
 from nsde_torch.effects.law import joined_name, split_name
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording.chain import Recorded
@@ -418,7 +407,7 @@ def _findings(found: Diagnosis) -> list[dict[str, Any]]:
     effects = [
         {
             "name": f.name,
-            "kind": "formula" if is_law(f.name) else "effect",
+            "kind": "formula" if grammar.is_law(f.name) else "effect",
             "sentence": sentence(found.outcome, f.name),
             "p": f.evidence.p,
             "evidence_nats": f.evidence.nats,
@@ -613,21 +602,21 @@ def _law(outcome: Outcome, f: Found) -> dict[str, Any]:
     values = {name: float(value) for name, (value, _) in effect.declared_parameters().items()}
     return {
         "verified": not f.provisional,
-        "law": valued(effect.law, values),
+        "law": grammar.valued(effect.law, values),
         "unit": effect.unit,
-        "latex": latex(effect.law, values),
-        "sympy": sympy_text(effect.law, values),
+        "latex": grammar.latex(effect.law, values),
+        "sympy": grammar.sympy_text(effect.law, values),
         "looks_like": looks_like(effect.law, values, outcome.declared_system),
     }
 
 
-def looks_like(written: Written, values: dict[str, float], system: System) -> str | None:
+def looks_like(written: grammar.Written, values: dict[str, float], system: System) -> str | None:
     """What a law of one term may be, by the kinds of its variables; None where nothing can be said."""
     if len(written.right.parts) != 1:
         return None
-    every = list(nodes(written.right))
-    names = {n.name for n in every if isinstance(n, Variable) and not n.logged}
-    if not any(isinstance(n, Variable) for n in every):
+    every = list(grammar.nodes(written.right))
+    names = {n.name for n in every if isinstance(n, grammar.Variable) and not n.logged}
+    if not any(isinstance(n, grammar.Variable) for n in every):
         return "what is always there: a load, a leak, a bias of an actuator"
     if "time" in names:
         return "a drift: what wears, warms up or empties"
@@ -646,13 +635,17 @@ def looks_like(written: Written, values: dict[str, float], system: System) -> st
     if len(names) > 1 and names <= speeds:
         return "a coupling of motions, as Coriolis and gyroscopic forces are, or drag across the motion"
     if len(names & speeds) == 1 and names <= positions | speeds and names & positions:
-        raised = {n.base.name for n in every if isinstance(n, Power) and isinstance(n.base, Variable)}
+        raised = {
+            n.base.name
+            for n in every
+            if isinstance(n, grammar.Power) and isinstance(n.base, grammar.Variable)
+        }
         return None if names & speeds & raised else "friction that depends on the place"
     return None
 
 
 def _of_place(
-    every: list[Node], names: set[str], sizes: tuple[str, ...], values: dict[str, float]
+    every: list[grammar.Node], names: set[str], sizes: tuple[str, ...], values: dict[str, float]
 ) -> str | None:
     """What a force that depends on places alone may be."""
     if len(names) > 1:
@@ -663,12 +656,12 @@ def _of_place(
             return (
                 "a spring that stiffens by the same factor over the same distance, as rubber and tendons do"
             )
-        return None if any(isinstance(n, Call) for n in every) else "a spring that is not straight"
+        return None if any(isinstance(n, grammar.Call) for n in every) else "a spring that is not straight"
     # of a bare hinge: max(q - k, 0) is positive, min(q - k, 0) negative, and a spring pushes against either
     where = "above" if hinge.function == "max" else "below"
     return f"a stop or a spring that is met {where} that place" if values[sizes[0]] < 0 else None
 
 
-def _calls(every: list[Node], *functions: str) -> Call | None:
+def _calls(every: list[grammar.Node], *functions: str) -> grammar.Call | None:
     """The first call of some functions."""
-    return next((n for n in every if isinstance(n, Call) and n.function in functions), None)
+    return next((n for n in every if isinstance(n, grammar.Call) and n.function in functions), None)

@@ -26,14 +26,7 @@ from nsde_torch.data.run import DataSet, Run, fingerprint
 from nsde_torch.data.summary import summarise
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.recording import (
-    clock_and_biases,
-    columns,
-    noise,
-    standstill,
-    times,
-    unmeasured_rates,
-)
+from nsde_torch.recording import clock_and_biases, columns, noise, standstill, times, unmeasured_rates
 from nsde_torch.recording.fault import Fault
 from nsde_torch.recording.faults import in_order, remedies
 from nsde_torch.recording.latency import late_channels, latency_findings, surely_late

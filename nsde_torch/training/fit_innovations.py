@@ -55,15 +55,7 @@ from nsde_torch.sysid.regression import ITERATIONS, Regression
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
-from nsde_torch.training.between_runs import (
-    RunSpread,
-    covariance_of_means,
-    differing,
-    means,
-    numbered,
-    spreads,
-    with_numbers,
-)
+from nsde_torch.training import between_runs
 from nsde_torch.training.distil import Distilled, fit_functions, silence
 from nsde_torch.training.late_inputs import Identified, identified
 from nsde_torch.training.loop import Loop, read_checkpoint, write_checkpoint
@@ -139,7 +131,7 @@ class _Fit:
         self.known: Identification | None = None
         self.near: Mapping[str, Any] = task.near.begin if task.near is not None else {}
         self.begin: dict[str, Any] = {}
-        self.differs: list[RunSpread] = []
+        self.differs: list[between_runs.RunSpread] = []
         model.clock_scale.fill_(task.clock)
         if found is not None:
             self.physics = found.regression.physics
@@ -165,7 +157,7 @@ class _Fit:
         if numbers is not None:
             left = residuals(self.physics, self.theta, model.residual_ports)
             learned = self._networks(numbers, left)
-            self.differs = spreads(self.physics.vector.at(self.theta))
+            self.differs = between_runs.spreads(self.physics.vector.at(self.theta))
             model.spec = replace(model.spec, between_runs={d.target: d.std for d in self.differs})
         self.physics = with_networks(self.physics, model)
         if self.found is None:
@@ -214,7 +206,9 @@ class _Fit:
         self.theta = theta
         if write:
             by_run = self.physics is not self.declared
-            values = means(self.declared.vector, self.physics.vector.at(theta)) if by_run else theta
+            values = (
+                between_runs.means(self.declared.vector, self.physics.vector.at(theta)) if by_run else theta
+            )
             self.declared.vector.write(self.model.system, values)
             if self.known is not None:
                 self.known = replace(self.known, values=values)
@@ -226,11 +220,11 @@ class _Fit:
         if at is None or self.found is None or self.task.near is not None or self.model.spec.filter_reach > 0:
             return None
         try:
-            targets = differing(at, learned.functions if learned else None)
+            targets = between_runs.differing(at, learned.functions if learned else None)
             if not targets:
                 return None
-            runs = numbered(self.runs, self.model.system)
-            machine = with_numbers(self.declared.vector.at(self.theta), targets, len(runs))
+            runs = between_runs.numbered(self.runs, self.model.system)
+            machine = between_runs.with_numbers(self.declared.vector.at(self.theta), targets, len(runs))
             problem = LogLikelihood(machine, _shortened(machine, runs), self.task.clock)
             best, numbers = nearly_maximised(problem)
         except (DataError, NonFiniteError, np.linalg.LinAlgError):
@@ -249,8 +243,8 @@ class _Fit:
             loop = known.loop and feedback_summary(system, runs, self.task.clock)
             self.known = replace(
                 known,
-                values=means(self.declared.vector, system),
-                covariance=covariance_of_means(self.declared.vector, best),
+                values=between_runs.means(self.declared.vector, system),
+                covariance=between_runs.covariance_of_means(self.declared.vector, best),
                 converged=True,
                 guard=None if odd else known.guard,
                 loop=loop,
@@ -427,7 +421,7 @@ def _summary(
     found: Identified | None,
     known: Identification | None,
     networks: Mapping[str, Mapping[str, Any]],
-    differs: Sequence[RunSpread],
+    differs: Sequence[between_runs.RunSpread],
 ) -> str:
     """What a person reads of the fit."""
     lines = []

@@ -14,18 +14,10 @@ from tqdm.auto import tqdm
 
 from nsde_torch.data import DataSet, Run, Split
 from nsde_torch.errors import DataError, NonFiniteError
-from nsde_torch.evaluation import seen
+from nsde_torch.evaluation import report, seen
 from nsde_torch.evaluation.figures import Coverage, extrapolate, widen
 from nsde_torch.evaluation.metrics import evaluate, horizons_of
 from nsde_torch.evaluation.one_step import one_step_table
-from nsde_torch.evaluation.report import (
-    NO_INTERVALS,
-    coverage_table,
-    error_table,
-    lookahead,
-    parameter_table,
-    short_table,
-)
 from nsde_torch.models.capabilities import is_equation, is_stochastic, learns_sensors
 from nsde_torch.models.kind import model_kind
 from nsde_torch.models.model import Model, ModelSpec
@@ -283,7 +275,7 @@ class Training:
 
     def note(self) -> str:
         """What the inputs of a rollout see of the future, in words; empty if nothing."""
-        return lookahead(self.smoothing, self.filter_reach * self.spec.dt)
+        return report.lookahead(self.smoothing, self.filter_reach * self.spec.dt)
 
     # ---- text -----------------------------------------------------------------------------------------
 
@@ -299,7 +291,7 @@ class Training:
 
     def _conclude(self, metrics: Mapping[str, Any]) -> None:
         if metrics["parameters"] and "identification" not in metrics:
-            self._say("\n" + parameter_table(metrics["parameters"]))
+            self._say("\n" + report.parameter_table(metrics["parameters"]))
         test = metrics.get("test")
         if test and test["errors"]:
             noisy = any(value > 0 for by in test["spread"].values() for value in by.values())
@@ -308,9 +300,12 @@ class Training:
                 f"Held-out runs: {starts}",
                 one_step_table(test["one_step"]) if test["one_step"] else "",
             ]
-            tables += [error_table(test), coverage_table(test) if noisy else NO_INTERVALS]
+            tables += [
+                report.error_table(test),
+                report.coverage_table(test) if noisy else report.NO_INTERVALS,
+            ]
             if not self.verbose:
-                tables = [f"held out: {starts}\n{short_table(test, noisy=noisy)}"]
+                tables = [f"held out: {starts}\n{report.short_table(test, noisy=noisy)}"]
             self._say("\n" + "\n\n".join(filter(None, tables)))
         if self.note():
             self._say(f"\nnote: {self.note()}")

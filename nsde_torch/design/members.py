@@ -225,8 +225,6 @@ class LogOfRuns:
 class Member:
     """Physics that may be true."""
 
-    name: str  # its effects, as messages call them
-    effects: tuple[str, ...]  # names of its effects beyond the declared physics
     system: System  # physics with the fitted values
     theta: Array  # fitted parameters (k,)
     information: Array  # of the runs about them (k, k)
@@ -312,7 +310,7 @@ def members_of(
     systems = [fitted_system(fit) for fit in fits]
     log = LogOfRuns(tuple(runs), clock, any(s.nz > s.nx for s in systems))
     noise = noise or _noise(systems, log)
-    return [_member(declared, *each, log, noise) for each in zip(question.names, fits, strict=True)]
+    return [_member(fit, log, noise) for fit in fits]
 
 
 def _physics_with(declared: System, effects: Sequence[str], values: Mapping[str, Any]) -> System:
@@ -397,7 +395,7 @@ def _noise(systems: Sequence[System], log: LogOfRuns) -> ModelNoise:
     return ModelNoise(best.of.space, best.levels)
 
 
-def _member(declared: System, name: str, fit: Regression, log: LogOfRuns, noise: ModelNoise) -> Member:
+def _member(fit: Regression, log: LogOfRuns, noise: ModelNoise) -> Member:
     system, dt = fitted_system(fit), fit.physics.steps.dt
     own = Posteriors(system, noise.levels, clock=log.clock, disturbances=noise.space.disturbances)
     prior = prior_information(own.vector)
@@ -411,8 +409,7 @@ def _member(declared: System, name: str, fit: Regression, log: LogOfRuns, noise:
     each = _branches(own, log, Branch(found.theta, found.information, found.nats), given)
     theta = each[0].theta
     own.vector.write(system, theta)
-    added = tuple(n for n in fit.vector.system.effect_names if n not in declared.effect_names)
-    return Member(name, added, system, theta, each[0].known - prior, each[0].nats, own, noise, log, each)
+    return Member(system, theta, each[0].known - prior, each[0].nats, own, noise, log, each)
 
 
 def prior_information(vector: ParameterVector) -> Array:

@@ -106,13 +106,9 @@ def rehearse(
     """
     member, plans = members[truth], len(tables)
     whole, thetas = np.repeat(tables, count, 0), draw(member, count + 1, rng)[1:]
-    true, seen, inputs = Rollouts(member.system, dt=member.log.dt).run(
-        np.tile(thetas, (plans, 1)),
-        np.tile(start, (len(whole), 1)),
-        drive(whole),
-        tables.shape[1],
-        member.noise.drawn(len(whole), tables.shape[1], rng),
-    )
+    begun, steps = np.tile(start, (len(whole), 1)), tables.shape[1]
+    noise, rollouts = member.noise.drawn(len(whole), steps, rng), Rollouts(member.system, dt=member.log.dt)
+    true, seen, inputs = rollouts.run(np.tile(thetas, (plans, 1)), begun, drive(whole), steps, noise)
     fine = np.isfinite(seen).all((1, 2)) & np.isfinite(inputs).all((1, 2))
     evidence, errors = np.zeros(len(whole)), np.full((len(whole), len(member.theta)), np.nan)
     kept = np.flatnonzero(fine)  # a run that is not finite has no evidence

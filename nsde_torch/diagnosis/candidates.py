@@ -21,13 +21,8 @@ def candidate_names(system: System, among: Collection[str] | None = None) -> lis
     They are chosen from `among`; None for all.
     """
     effects = effects_of(system.name, {*system.ports, Port.INPUT}, system.bound_coordinates())
-    return sorted(
-        name
-        for name, cls in effects.items()
-        if (among is None or name in among)
-        and not why_not(system, name)
-        and set(cls.exogenous) <= set(system.exogenous)
-    )
+    able = (n for n in effects if (among is None or n in among) and not why_not(system, n))
+    return sorted(n for n in able if set(effects[n].exogenous) <= set(system.exogenous))
 
 
 def why_not(system: System, name: str) -> str:

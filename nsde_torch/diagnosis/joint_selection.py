@@ -816,18 +816,10 @@ def _proposed(search: Search, table: GramTable, step: _Step, among: int, longest
     errors = zip(table.errors(own).tolist(), table.errors_alone(own).tolist(), strict=True)
     p = bonferroni(p, among * starts_of(entry.name, entry.labels, longest))
     nats = float(step.blocks.sum())
-    return Explained(
-        entry.name,
-        entry.system,
-        dict(zip(entry.labels, step.values.tolist(), strict=True)),
-        nats,
-        step.error,
-        step.rank,
-        p,
-        p < search.level("effects") and nats > 0,
-        step.blocks,
-        dict(zip(labels, errors, strict=True)),
-    )
+    values = dict(zip(entry.labels, step.values.tolist(), strict=True))
+    sure = nats, step.error, step.rank, p, p < search.level("effects") and nats > 0
+    known = dict(zip(labels, errors, strict=True))
+    return Explained(entry.name, entry.system, values, *sure, step.blocks, known)
 
 
 def _set(system: System, values: Mapping[str, float]) -> None:

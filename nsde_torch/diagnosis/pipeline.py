@@ -180,21 +180,12 @@ class DiagnosisCourse:
         self, log: Log, outcome: Outcome, left: Explanation, not_done: Sequence[NotDone], so_far: SoFar | None
     ) -> Diagnosis:
         """The diagnosis with what is known."""
-        return Diagnosis(
-            log.system,
-            self.data,
-            self.runs,
-            log.recorded,
-            outcome,
+        read, errors = (
+            (log.system, self.data, self.runs, log.recorded),
             self.errors or none_held_out(log, None),
-            left,
-            self.options,
-            self.spec,
-            dict(self._seconds),
-            instrumented=self.instrumented,
-            not_done=tuple(not_done),
-            so_far=so_far,
         )
+        known = Diagnosis(*read, outcome, errors, left, self.options, self.spec, dict(self._seconds))
+        return replace(known, instrumented=self.instrumented, not_done=tuple(not_done), so_far=so_far)
 
     def known(self, stage: str | None, log: Log, outcome: Outcome) -> None:
         """Keep what is known after a stage, and give it to whoever listens."""

@@ -178,26 +178,17 @@ def channel_residuals(before: Regression, after: Regression) -> list[ChannelResi
     bend = np.square(np.diff(window, prepend=0.0, append=0.0)).sum()
     out = []
     for channel in before.rows:
+        left = before.physics.residual(before.theta), after.physics.residual(after.theta)
         measured, first, second = (
             smooth_rate(values[:, [channel]], steps.segments, window, steps.dt)
-            for values in (
-                before.physics.measured,
-                before.physics.residual(before.theta),
-                after.physics.residual(after.theta),
-            )
+            for values in (before.physics.measured, *left)
         )
         push, sensor = white_parts(after, int(channel))
         floor = float(np.sqrt(push * np.square(window).sum() + sensor * bend) / after.physics.steps.dt)
-        out.append(
-            ChannelResidual(
-                name=before.physics.names[channel],
-                unit=per_second(before.physics.units[channel]),
-                measured=float(measured.std()) if len(measured) else 0.0,
-                before=_rms(first),
-                after=_rms(second),
-                floor=min(floor, _rms(second)),
-            )
-        )
+        name, unit = before.physics.names[channel], per_second(before.physics.units[channel])
+        size = float(measured.std()) if len(measured) else 0.0
+        sizes = size, _rms(first), _rms(second), min(floor, _rms(second))
+        out.append(ChannelResidual(name, unit, *sizes))
     return out
 
 

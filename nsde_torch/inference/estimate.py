@@ -546,21 +546,9 @@ def maximised(
     space.use(theta)
     free = np.setdiff1d(_free(vector, theta, final), references)
     square, predictable = _whiteness(at.white, space)
-    best = MaximumLikelihood(
-        vector,
-        theta,
-        free,
-        final.spread(free),
-        levels,
-        at.total,
-        settled,
-        square,
-        predictable,
-        _driven(at, levels, space),
-        final.inflation(free),
-        problem.channels,
-        space.disturbances,
-    )
+    found = vector, theta, free, final.spread(free), levels, at.total, settled
+    innovations = square, predictable, _driven(at, levels, space), final.inflation(free)
+    best = MaximumLikelihood(*found, *innovations, problem.channels, space.disturbances)
     return best, Optimum(problem, levels, about, at, free)
 
 

@@ -213,17 +213,10 @@ def _force_scores(at: Optimum) -> ForceScores:
         scores, parameters = back(parted(drawn_rows))
         of_draws.append(parameters.unflatten(2, (parts, -1)))
         drawn[..., begun : begun + at_once] = scores.unflatten(3, (parts, -1))
-    return ForceScores(
-        at,
-        forces.contiguous().numpy(),
-        shared.contiguous().numpy(),
-        drawn.flatten(3).numpy(),
-        torch.cat([own[..., None], *of_draws], 3).transpose(1, 2).numpy(),
-        inverse,
-        columns,
-        chunks.row.T.numpy(),
-        np.array(space.steps.runs)[chunks.stretch.numpy()],
-    )
+    tables = forces.contiguous().numpy(), shared.contiguous().numpy(), drawn.flatten(3).numpy()
+    of_parameters = torch.cat([own[..., None], *of_draws], 3).transpose(1, 2).numpy()
+    row, runs = chunks.row.T.numpy(), np.array(space.steps.runs)[chunks.stretch.numpy()]
+    return ForceScores(at, *tables, of_parameters, inverse, columns, row, runs)
 
 
 def _parts(at: Optimum) -> int:

@@ -597,14 +597,10 @@ class _Choice:
         share = {port: lost(groups) for port, groups in of_port.items()}
         whole = max(sum(share.values()), 1e-300)
         ports = sorted(share.keys() - {-1})
-        return replace(
-            out,
-            nats={k: nats * share[k] / whole for k in ports},
-            error={k: error * (share[k] / whole) ** 0.5 for k in ports},
-            lost=tuple(lost([g]) for g in chosen),
-            blocks=(before, after),
-            levels=self._levels,
-        )
+        won = {k: nats * share[k] / whole for k in ports}
+        errors = {k: error * (share[k] / whole) ** 0.5 for k in ports}
+        each, blocks = tuple(lost([g]) for g in chosen), (before, after)
+        return replace(out, nats=won, error=errors, lost=each, blocks=blocks, levels=self._levels)
 
     def _sizes(self, levels: Levels) -> Array:
         """Log determinants of the whitening matrices of the innovations of each block (B,)."""

@@ -6,7 +6,7 @@ states (`memory_along`), and no state of the filter.
 """
 
 import copy
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import final
 
@@ -237,7 +237,9 @@ class StateSpace:
         t, memory, u = self._in_the_middle()
         slopes = x.new_empty(len(middle), self.ne, self.n)
         eye = torch.eye(self.ne, dtype=x.dtype)
-        for rows in self._blocks():
+        together = max(1, _AT_ONCE // self.chunks.count) * self.chunks.count
+        for first in range(0, len(middle), together):
+            rows = slice(first, first + together)
             here = t[rows], memory[rows], u[rows]
             pushed = self._pushed_by(middle[rows], *here, range(self.n))  # h A, h B
             a = pushed[..., : self.ne]
@@ -271,12 +273,6 @@ class StateSpace:
                 turns = slice(q.start, q.start + 3)
                 out[i, turns] += torch.linalg.cross(error[:, turns].expand(len(x), 3), base[:, turns]).T
         return out.mul_(self.h / _SMALL).permute(2, 1, 0).contiguous()
-
-    def _blocks(self) -> Iterator[slice]:
-        """Rows (T C,) of which tables stay in the cache, in order; each has all chunks."""
-        count, size = self.chunks.count, self.chunks.size
-        step = max(1, _AT_ONCE // count)
-        return (slice(a * count, min(a + step, size) * count) for a in range(0, size, step))
 
     def rates(self, middle: Tensor) -> Tensor:
         """Undisturbed rates (T C, nx) at states in the middle of the steps (T, C, nx)."""

@@ -407,20 +407,15 @@ def remedies() -> dict[str, Fault]:
 
 
 def _options(name: str, doc: str, fields: Mapping[str, tuple[Any, Any]]) -> type[Any]:
-    made = make_dataclass(
-        name, [(field, hint, value) for field, (hint, value) in fields.items()], frozen=True
-    )
+    made = make_dataclass(name, [(field, *own) for field, own in fields.items()], frozen=True)
     made.__doc__, made.__module__ = doc, __name__
     return documented(made)
 
 
 def recording_options() -> type[Any]:
     """A dataclass with an option for each fault that there is now."""
-    return _options(
-        "RecordingOptions",
-        "Faults of a recording chain; the default has none.",
-        {name: (fault.annotation, fault.option) for name, fault in FAULTS.items()},
-    )
+    fields = {name: (fault.annotation, fault.option) for name, fault in FAULTS.items()}
+    return _options("RecordingOptions", "Faults of a recording chain; the default has none.", fields)
 
 
 RecordingOptions = recording_options()

@@ -99,11 +99,8 @@ def _over_mass(vector: ParameterVector, system: System) -> NDArray[np.int64]:
     out: list[int] = []
     for place in vector.places:
         name, dot, own = place.name.rpartition(".")
-        if (
-            effects[name].port in OVER_MASS and own in effects[name].size_names()
-            if dot
-            else own in system.over_mass
-        ):
+        of_effect = dot and effects[name].port in OVER_MASS and own in effects[name].size_names()
+        if of_effect if dot else own in system.over_mass:
             out += range(place.columns.start, place.columns.stop)
     return np.array(out, dtype=np.int64)
 

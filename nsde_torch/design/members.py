@@ -140,7 +140,6 @@ class Rollouts:
         return self.system.augment(x[None], u[None])[0]
 
     def _one(self, theta: Tensor, t: Tensor, z: Tensor, u: Tensor, d: Tensor) -> Tensor:
-        """Change of one state over a fine step."""
         self.vector.use(theta)
         h, forces = self.fine_dt, forces_on(self.system, self._ports[: len(d)], d[None])
 

@@ -823,7 +823,6 @@ def _proposed(search: Search, table: GramTable, step: _Step, among: int, longest
 
 
 def _set(system: System, values: Mapping[str, float]) -> None:
-    """Give parameters of an effect these values, by label."""
     effects = {str(e.name): e for e in system.effects if isinstance(e, Effect)}
     of: dict[tuple[str, str], list[float]] = {}
     for label, value in values.items():

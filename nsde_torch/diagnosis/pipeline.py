@@ -298,7 +298,6 @@ def _diagnosed(
     budgets: Budgets,
     begun: Begun | None,
 ) -> Diagnosis:
-    """The stages, in order."""
     stages, say, options = OptionalStages(too_long=course.too_long), course.say, course.options
     read_effects(system, runs, options)
     say("checking the recording chain", 0, 1)

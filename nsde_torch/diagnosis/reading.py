@@ -75,7 +75,7 @@ class Log:
             self.options,
             inputs=not r.inputs_restored,
             stages=r.stages,
-            moved=bool(r.delays or r.lags),
+            moved=bool(r.values("sensor_delay") or r.values("sensor_lag")),
             decisions=self.decisions,
             # what a smoother did to states looks like laws (`ceiling`)
             budgets=replace(self.budgets, laws=0) if any(run.band for run in runs) else self.budgets,

@@ -235,7 +235,6 @@ def _without_term(regression: Regression, effect: str) -> Regression:
 
 
 def _panel(seen: Rates, without: Array, number: int, runs: tuple[str, ...]) -> plots.Panel:
-    """The picture of one effect in one channel."""
     left = seen.residual[:, number]
     term = without - left
     plain = {name: x for name, x in seen.values.items() if is_plain(name) and name != "time"}
@@ -352,7 +351,6 @@ def _cloud(x: Array, y: Array, block: NDArray[np.int64]) -> plots.Cloud:
 
 
 def _course(t: Array, y: Array, rows: NDArray[np.bool_]) -> plots.Cloud:
-    """The course in time of one run, without intervals."""
     x, y = t[rows], y[rows]
     some = np.linspace(0, max(len(x) - 1, 0), min(len(x), _COURSE)).round().astype(int)
     return plots.Cloud(x, y, x[some], y[some], np.zeros(len(some)))
@@ -397,15 +395,11 @@ def _errors(errors: Mapping[str, Any]) -> Figure:
     def curves(table: Mapping[str, Mapping[str, float | None]]) -> dict[str, list[float | None]]:
         return {name: [row[f"{h:g}"] for h in horizons] for name, row in table.items()}
 
-    return plots.errors_before_after(
-        horizons,
-        curves(errors["before"]),
-        curves(errors["after"]),
-        curves(errors["difference"]["low_90"]),
-        curves(errors["difference"]["high_90"]),
-        errors["units"],
-        title=f"Open-loop, inputs replayed from the log: error on {errors['measured_on']} (rms)",
-    )
+    apart = errors["difference"]
+    tables = errors["before"], errors["after"], apart["low_90"], apart["high_90"]
+    before, after, low, high = (curves(table) for table in tables)
+    title = f"Open-loop, inputs replayed from the log: error on {errors['measured_on']} (rms)"
+    return plots.errors_before_after(horizons, before, after, low, high, errors["units"], title=title)
 
 
 # ---- the page ------------------------------------------------------------------------------------------
@@ -445,13 +439,5 @@ def page(
         figure.savefig(buffer, format="png", dpi=_DPI)
         png = base64.b64encode(buffer.getvalue()).decode("ascii")
         shown[name] = {"alt": figure.get_suptitle(), "png": png}
-    return rendered(
-        "report.html",
-        content,
-        content=content,
-        figures=shown,
-        width=width,
-        series=series,
-        horizon=horizon,
-        script=script,
-    )
+    more = {"content": content, "figures": shown, "width": width, "series": series, "horizon": horizon}
+    return rendered("report.html", content, **more, script=script)

@@ -663,5 +663,4 @@ def _of_place(
 
 
 def _calls(every: list[grammar.Node], *functions: str) -> grammar.Call | None:
-    """The first call of some functions."""
     return next((n for n in every if isinstance(n, grammar.Call) and n.function in functions), None)

@@ -297,8 +297,6 @@ class _View:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Some groups fitted together."""
-
     groups: tuple[BasisGroup, ...]
     blocks: Array
     slices: list[slice]
@@ -650,12 +648,10 @@ def _on_ports(
 
 
 def _columns(groups: Sequence[slice]) -> Labels:
-    """Numbers of all columns of some groups."""
     return np.concatenate([np.arange(0), *(np.arange(s.start, s.stop) for s in groups)])
 
 
 def _width(group: BasisGroup, view: _View, scaled: Mapping[str, Scale]) -> int:
-    """Number of functions of a group."""
     if group.kind == "past":
         return len(_PAST)
     some = {name: view.values[name][:1] for name in group.variables}

@@ -186,7 +186,6 @@ def _joined(
     inferred: Mapping[int, float],
     rows: int,
 ) -> Steps:
-    """Steps of some stretches, one after another."""
     names = ("t", "x0", "x1", "seen0", "seen1", "u")
     parts: dict[str, list[Array]] = {key: [] for key in names}
     segments, owners, at = [], [], 0

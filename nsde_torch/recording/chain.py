@@ -105,16 +105,6 @@ class Recorded:
         """Whether the inputs were averaged in the log, and are restored."""
         return bool(self.values("input_smoothing"))
 
-    @property
-    def delays(self) -> dict[str, float]:
-        """By how much channels were late, by name of the state or of several [s of the log]."""
-        return self.values("sensor_delay")
-
-    @property
-    def lags(self) -> dict[str, float]:
-        """Time constants of filters that were undone, by name of the state or of several [s of the log]."""
-        return self.values("sensor_lag")
-
     def values(self, name: str) -> dict[str, float]:
         """What was found of a fault, by the names that `Fault.undo` takes."""
         return {k: v for f in self.faults if f.name == name for k, v in f.plain.items()}
@@ -163,5 +153,6 @@ def instead_of_effects(
         rows: Number of these rows.
         other: The misfit of physics with effects, all channels together.
     """
-    late = whole_sensor_late(found.runs, system, misfits, rows=rows, other=other, undone=found.delays)
+    undone = found.values("sensor_delay")
+    late = whole_sensor_late(found.runs, system, misfits, rows=rows, other=other, undone=undone)
     return None if late is None else replace(found, runs=late[1], faults=(*found.faults, late[0]))

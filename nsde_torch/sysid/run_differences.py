@@ -69,8 +69,6 @@ def odd_run(regression: Regression, rough: Regression, runs: Sequence[Run]) -> O
 
 @dataclass(frozen=True)
 class _Difference:
-    """A parameter in one run and in the others."""
-
     chance: float  # of its difference beyond what runs differ by
     own: float
     others: float
@@ -112,7 +110,6 @@ def _answered(rough: Regression) -> dict[int, Array]:
 
 
 def _differences(regression: Regression, answered: Mapping[int, Array]) -> dict[tuple[int, int], _Difference]:
-    """Differences by run and gain."""
     owner, blocks = regression.whitened_rows(regression.owners), regression.whitened_rows(regression.blocks)
     numbers = [int(r) for r in np.unique(owner)]
     alone = {r: _alone(regression, owner == r, blocks[owner == r]) for r in numbers}

@@ -423,7 +423,6 @@ def _summary(
     networks: Mapping[str, Mapping[str, Any]],
     differs: Sequence[between_runs.RunSpread],
 ) -> str:
-    """What a person reads of the fit."""
     lines = []
     if found is not None:
         r = found.regression

@@ -73,7 +73,7 @@ def test_less_than_a_step_is_undone_where_physics_is_better_for_it_and_is_no_fin
     assert (content["verdict"], content["added"]) == ("no_effect", [])
     (aside,) = content["aside"]
     assert aside["effect"] == "sensor_delay"
-    assert there.recorded.delays["theta_dot"] == pytest.approx(0.009, rel=0.1)
+    assert there.recorded.values("sensor_delay")["theta_dot"] == pytest.approx(0.009, rel=0.1)
 
 
 @pytest.mark.slow

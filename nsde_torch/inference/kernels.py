@@ -9,7 +9,7 @@ disturbances that keep a share, has the transition
 
 Arrays are (rows T, chunks C, ...) as in `nsde_torch.inference.filtering`, contiguous and in double precision. Each
 kernel works on the chunks from `first` to `end`: chunks know nothing of one another, and parts of them run side by side
-(`in_parts`).
+(`in_parts`). Further arguments of a kernel are in its docstring, in order.
 """
 
 from collections.abc import Callable
@@ -96,21 +96,7 @@ def _closed_loop(a: Array, keep: Array, g: Array, observed: Labels, back: Array,
 
 
 @compiled
-def covariances(
-    first: int,
-    end: int,
-    slopes: Array,
-    keep: Array,
-    white: Array,
-    gust: Array,
-    sensor: Array,
-    start: Array,
-    observed: Labels,
-    measured: NDArray[np.bool_],
-    whitening: Array,
-    gain: Array,
-    left: Array,
-) -> None:
+def covariances(first: int, end: int, *of: Any) -> None:
     """Kalman gains, and what whitens the innovations.
 
     Args:
@@ -124,6 +110,7 @@ def covariances(
         whitening, gain: Are filled (T, C, m, m) and (T, C, n, m).
         left: Is filled with covariances of all errors with the last ones after each row (T, C, n, q); not if empty.
     """
+    slopes, keep, white, gust, sensor, start, observed, measured, whitening, gain, left = of
     rows, _, ne, n = slopes.shape
     m = len(observed)
     a, moved, p = np.empty((ne, n, WIDTH)), np.empty((ne, n, WIDTH)), np.empty((n, n, WIDTH))
@@ -263,22 +250,7 @@ def _updated(
 
 
 @compiled
-def gated(
-    first: int,
-    end: int,
-    slopes: Array,
-    keep: Array,
-    white: Array,
-    gust: Array,
-    sensor: Array,
-    start: Array,
-    observed: Labels,
-    begun: Array,
-    missed: Array,
-    seen: Array,
-    gate: float,
-    measured: NDArray[np.bool_],
-) -> None:
+def gated(first: int, end: int, *of: Any) -> None:
     """Marks measurements that are further off than `gate` standard deviations as none, and goes on without them.
 
     Args:
@@ -287,6 +259,7 @@ def gated(
         gate: Standard deviations of an innovation.
         measured: Whether a row measures each channel (T, C, m); what is beyond the gate is set to false.
     """
+    slopes, keep, white, gust, sensor, start, observed, begun, missed, seen, gate, measured = of
     rows, _, ne, n = slopes.shape
     m = len(observed)
     a, moved, p = np.empty((ne, n, WIDTH)), np.empty((ne, n, WIDTH)), np.empty((n, n, WIDTH))
@@ -373,23 +346,7 @@ def _inverse_triangle(s: Array, inverse: Array) -> None:
 
 
 @compiled
-def means(
-    first: int,
-    end: int,
-    slopes: Array,
-    keep: Array,
-    begun: Array,
-    missed: Array,
-    seen: Array,
-    observed: Labels,
-    live: NDArray[np.bool_],
-    whitening: Array,
-    gain: Array,
-    errors: Array,
-    white: Array,
-    left: Array,
-    nats: Array,
-) -> None:
+def means(first: int, end: int, *of: Any) -> None:
     """The means of a pass, p_{k+1} = F (p + G e)_k + c_k with e = seen - H p.
 
     Args:
@@ -402,6 +359,7 @@ def means(
         left: Is filled with p + G e (T, C, n).
         nats: Is filled with the log likelihood of each row (T, C).
     """
+    slopes, keep, begun, missed, seen, observed, live, whitening, gain, errors, white, left, nats = of
     rows, _, ne, n = slopes.shape
     m = len(observed)
     p = np.empty(n)
@@ -427,24 +385,7 @@ def means(
 
 
 @compiled
-def adjoints(
-    first: int,
-    end: int,
-    slopes: Array,
-    keep: Array,
-    observed: Labels,
-    whitening: Array,
-    gain: Array,
-    whitened: Array,
-    left_mean: Array,
-    left: Array,
-    live: NDArray[np.bool_],
-    sensors: Array,
-    struck: Array,
-    gusts: Array,
-    begun: Array,
-    kept: Array,
-) -> None:
+def adjoints(first: int, end: int, *of: Any) -> None:
     """One pass backwards: what the log likelihood does with each source of noise (`nsde_torch.inference.level_slopes`).
 
     Args:
@@ -457,6 +398,8 @@ def adjoints(
             disturbance starts with (C, d).
         kept: That in the share that is left of a disturbance after a step (C, d).
     """
+    slopes, keep, observed, whitening, gain, whitened, left_mean, left = of[:8]
+    live, sensors, struck, gusts, begun, kept = of[8:]
     rows, _, ne, n = slopes.shape
     m, d = len(observed), n - ne
     mean, spread = np.empty((n, WIDTH)), np.empty((n, n, WIDTH))
@@ -527,21 +470,7 @@ def adjoints(
 
 
 @compiled
-def _row_adjoints(
-    w: Array,
-    g: Array,
-    observed: Labels,
-    white: Array,
-    weight: Array,
-    mean: Array,
-    spread: Array,
-    v: Array,
-    own: Array,
-    pulled: Array,
-    passed: Array,
-    of_passed: Array,
-    of_sensors: Array,
-) -> None:
+def _row_adjoints(*of: Any) -> None:
     """The adjoints of the mean (n, WIDTH) and covariance (n, n, WIDTH) before a row's update, from those after it.
 
     In place: (I - G H)' a and (I - G H)' A (I - G H), and what the row itself says of both.
@@ -552,6 +481,7 @@ def _row_adjoints(
         v, own, pulled, passed, of_passed: To work in.
         of_sensors: Slopes in the variance of each sensor (m, WIDTH), which are added to.
     """
+    w, g, observed, white, weight, mean, spread, v, own, pulled, passed, of_passed, of_sensors = of
     n, m = len(mean), len(v)
     for j in range(m):  # S^-1 e
         total = lanes(0.0)
@@ -602,24 +532,7 @@ def _row_adjoints(
 
 
 @compiled
-def slopes_in_levels(
-    first: int,
-    end: int,
-    slopes: Array,
-    keep: Array,
-    observed: Labels,
-    whitening: Array,
-    gain: Array,
-    whitened: Array,
-    left_mean: Array,
-    left: Array,
-    kept: Array,
-    white: Array,
-    gust: Array,
-    sensor: Array,
-    z: Array,
-    turned: Array,
-) -> None:
+def slopes_in_levels(first: int, end: int, *of: Any) -> None:
     """One pass forwards: slopes of the whitened innovations in each level (`nsde_torch.inference.level_slopes`).
 
     Args:
@@ -630,6 +543,8 @@ def slopes_in_levels(
         z: Is filled with the slopes of the whitened innovations (T, C, m, p).
         turned: Is filled with those of their covariances (T, C, p, m, m); not if empty.
     """
+    slopes, keep, observed, whitening, gain, whitened, left_mean, left = of[:8]
+    kept, white, gust, sensor, z, turned = of[8:]
     rows, _, ne, n = slopes.shape
     m, d = len(observed), n - ne
     p = m + 3 * d
@@ -715,22 +630,7 @@ def slopes_in_levels(
 
 
 @compiled
-def sensitivities(
-    first: int,
-    end: int,
-    slopes: Array,
-    keep: Array,
-    observed: Labels,
-    gain: Array,
-    whitening: Array,
-    place: Labels,
-    columns: Array,
-    forces: Array,
-    acts: Labels,
-    moved: Array,
-    begun: int,
-    table: Array,
-) -> None:
+def sensitivities(first: int, end: int, *of: Any) -> None:
     """What unknowns do to the whitened innovations of some rows (`nsde_torch.inference.sensitivity`).
 
     Args:
@@ -745,6 +645,7 @@ def sensitivities(
         begun: The first column of the table that is filled.
         table: Rows that stand there are filled (C, rows, m, begun + k + q and more).
     """
+    slopes, keep, observed, gain, whitening, place, columns, forces, acts, moved, begun, table = of
     rows, _, ne, n = slopes.shape
     m, k, more = len(observed), columns.shape[3], len(acts)
     closed, back, after = np.empty((n, n)), np.empty((n, m)), np.empty((n, k + more))
@@ -772,18 +673,7 @@ def sensitivities(
 
 
 @compiled
-def step_adjoints(
-    first: int,
-    end: int,
-    slopes: Array,
-    keep: Array,
-    observed: Labels,
-    whitening: Array,
-    gain: Array,
-    counted: NDArray[np.bool_],
-    white: Array,
-    steps: Array,
-) -> None:
+def step_adjoints(first: int, end: int, *of: Any) -> None:
     """Slopes of sums of whitened rows in what is done to each step (`nsde_torch.inference.force_scores`).
 
     Args:
@@ -792,6 +682,7 @@ def step_adjoints(
         white: Rows of the whitened innovations, q of them side by side (T, C, m, q).
         steps: Is filled (T, C, ne, q); nothing follows from the last row.
     """
+    slopes, keep, observed, whitening, gain, counted, white, steps = of
     rows, _, ne, n = slopes.shape
     m, q = len(observed), white.shape[3]
     each, ahead, pulled = np.zeros((end - first, n, q)), np.empty((n, q)), np.empty((m, q))

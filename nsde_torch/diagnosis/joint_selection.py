@@ -138,21 +138,15 @@ class Evidence:
 
     @classmethod
     def of(
-        cls,
-        name: str,
-        place: "FittedPhysics",
-        without: "FittedPhysics",
-        candidates: int,
-        terms: int,
-        longest: int,
+        cls, name: str, place: FittedPhysics, without: FittedPhysics, candidates: int, terms: int, steps: int
     ) -> "Evidence":
         """That for an effect of some physics, held against the physics `without` it.
 
-        It was the best of `candidates` and their starts (`longest`: steps of the longest stretch), and of `terms`.
+        It was the best of `candidates` and their starts (`steps` of the longest stretch), and of `terms`.
         """
         labels = [label for label in place.best.vector.labels if label.startswith(f"{name}.")]
         risen, count = place.best.likelihood - without.best.likelihood, len(labels)
-        among = max(candidates, 1) * starts_of(name, labels, longest) + terms
+        among = max(candidates, 1) * starts_of(name, labels, steps) + terms
         p = bonferroni(float(chdtrc(count, max(2.0 * risen, 0.0))), among)
         # less a nat a parameter: of rows left out (Akaike)
         return cls(risen - count, sum_error(place.at.blocks - without.at.blocks), p)
@@ -518,7 +512,7 @@ class JointSearch:
     def instead_here(self, name: str, whole: FittedPhysics) -> Instead:
         """What comes near in the place of an effect in these few rows; see `needed_here`."""
         place = self._here(whole)
-        return self._instead_of(name, place, self.without(place, name), True)
+        return self._instead_of(name, place, self.without(place, name), True, None)
 
     def _here(self, whole: FittedPhysics) -> FittedPhysics:
         """Physics that were fitted to all rows, fitted to these."""
@@ -527,12 +521,7 @@ class JointSearch:
         return known or self.fitted(whole.system, replace(whole, at=whole.at.some(self._some)))
 
     def _instead_of(
-        self,
-        name: str,
-        place: FittedPhysics,
-        without: FittedPhysics,
-        exchanges: bool,
-        near: Instead | None = None,
+        self, name: str, place: FittedPhysics, without: FittedPhysics, exchanges: bool, near: Instead | None
     ) -> Instead:
         """What is likelier in the place of an effect where that may be exchanged, or else as likely.
 

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations, groupby, pairwise
 from math import log
+from typing import TypeAlias
 
 import numpy as np
 import torch
@@ -75,6 +76,9 @@ class BasisGroup:
     variables: tuple[str, ...]  # what they are functions of: one or two
     kind: Kind
     """See `nsde_torch.inference.smooth.functions`; `past`: an input some rows before, less what it is now."""
+
+
+_Gains: TypeAlias = dict[BasisGroup, tuple[float, float]]  # nats of each, and their standard errors
 
 
 @dataclass(frozen=True)
@@ -365,7 +369,7 @@ class _Choice:
             singles = [g for g in self._among if g.port == port and {*g.variables} <= known]
         nothing = {g for g in singles if not self._shows(g)}
         likely = sorted(singles, key=lambda g: self._chances.get(g, 0.0))
-        gains: dict[BasisGroup, tuple[float, float]] = {}
+        gains: _Gains = {}
         while sum(g.port == port for g in chosen) < self._most:
             tried = [g for g in singles if g not in chosen and g not in nothing]
             before, gains = gains, self._gains_again(tried, chosen, gains)
@@ -434,11 +438,8 @@ class _Choice:
         return [g for g in out if g not in chosen]
 
     def _gains_again(
-        self,
-        groups: Sequence[BasisGroup],
-        chosen: Sequence[BasisGroup],
-        before: Mapping[BasisGroup, tuple[float, float]],
-    ) -> dict[BasisGroup, tuple[float, float]]:
+        self, groups: Sequence[BasisGroup], chosen: Sequence[BasisGroup], before: _Gains
+    ) -> _Gains:
         """Held-out nats of each group, exact of the best: what a group brings falls where others are chosen.
 
         So those that brought less before than the best bring now are left as they were.
@@ -455,11 +456,9 @@ class _Choice:
             rest = rest[len(some) :]
         return out | {g: before[g] for g in rest}
 
-    def _gains(
-        self, view: _View, groups: Sequence[BasisGroup], chosen: Sequence[BasisGroup]
-    ) -> dict[BasisGroup, tuple[float, float]]:
+    def _gains(self, view: _View, groups: Sequence[BasisGroup], chosen: Sequence[BasisGroup]) -> _Gains:
         """Held-out nats of each group beside those chosen, and their standard errors."""
-        out: dict[BasisGroup, tuple[float, float]] = {}
+        out: _Gains = {}
         rest, before, ridge = groups, np.zeros(0), list[float]()
         while rest:
             check_time()

@@ -10,6 +10,7 @@ so that parameters, effects of a catalogue and nuisances are columns of one line
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 import torch
@@ -108,7 +109,7 @@ def grams(
     size = 1 + k + (0 if nuisances is None else nuisances.shape[-1])
     head = apart[0].start if apart else size
     sums = at.gain.new_zeros(len(space.chunks.parts), space.chunks.count, size, size)
-    for p, some, table in _tables(space, levels, about, at, columns, forces, nuisances):
+    for p, some, table in _tables((space, levels, about, at), columns, forces, nuisances):
         own = table.transpose(1, 2)
         sums[p, some, :head] = own[:, :head] @ table
         sums[p, some, head:, :head] = sums[p, some, :head, head:].transpose(1, 2)
@@ -117,11 +118,14 @@ def grams(
     return Grams(space.chunks.blocks(sums), space.measurements, k)
 
 
+_OfPass: TypeAlias = tuple[StateSpace, Levels, Linearisation, Pass]
+
+
 @dataclass(frozen=True)
 class WhitenedRows:
     """Whitened rows of e and of some columns of a pass, which others are held against."""
 
-    of: tuple[StateSpace, Levels, Linearisation, Pass]
+    of: _OfPass
     tables: list[Tensor]  # of each block of time (C, rows, 1 + k), in single precision
     sums: Tensor  # their Gram matrices (parts, C, 1 + k, 1 + k)
 
@@ -133,7 +137,7 @@ class WhitenedRows:
         size = head + sum(force.shape[-1] for _, force in forces)
         sums = self.sums.new_zeros(*self.sums.shape[:2], size, size)
         sums[..., :head, :head] = self.sums
-        for p, some, table in _tables(*self.of, about.slopes[..., :0], forces):
+        for p, some, table in _tables(self.of, about.slopes[..., :0], forces):
             further = table[..., 1:]
             across = self.tables[p][some].double().transpose(1, 2) @ further
             sums[p, some, :head, head:], sums[p, some, head:, :head] = across, across.transpose(1, 2)
@@ -144,16 +148,14 @@ class WhitenedRows:
 
 
 @torch.no_grad()
-def rows_of(
-    of: tuple[StateSpace, Levels, Linearisation, Pass], columns: Tensor, forces: Sequence[tuple[int, Tensor]]
-) -> WhitenedRows:
+def rows_of(of: _OfPass, columns: Tensor, forces: Sequence[tuple[int, Tensor]]) -> WhitenedRows:
     """Whitened rows of a pass, which are kept; columns and forces are those of `grams`."""
     space, _, about, at = of
     count, size = space.chunks.count, 1 + columns.shape[-1] + sum(force.shape[-1] for _, force in forces)
     lengths = [len(space.observed) * length for length in _lengths(space, _shown(space, about))]
     tables = [torch.empty(count, length, size) for length in lengths]
     sums = at.gain.new_zeros(len(lengths), count, size, size)
-    for p, some, table in _tables(*of, columns, forces):
+    for p, some, table in _tables(of, columns, forces):
         tables[p][some] = table.float()
         sums[p, some] = table.transpose(1, 2) @ table
     return WhitenedRows(of, tables, sums)
@@ -171,19 +173,14 @@ def _lengths(space: StateSpace, shown: Tensor) -> list[int]:
 
 
 def _tables(
-    space: StateSpace,
-    levels: Levels,
-    about: Linearisation,
-    at: Pass,
-    columns: Tensor,
-    forces: Sequence[tuple[int, Tensor]],
-    nuisances: Tensor | None = None,
+    of: _OfPass, columns: Tensor, forces: Sequence[tuple[int, Tensor]], nuisances: Tensor | None = None
 ) -> Iterator[tuple[int, Tensor, Tensor]]:
     """Whitened rows [e, J, nuisances] that are shown, of each block of time in turn of some chunks at once.
 
     Number of the block, those of the chunks, and rows of all channels (chunks, rows * m, 1 + k + p), which the next
     overwrites.
     """
+    space, levels, about, at = of
     k = columns.shape[-1] + sum(force.shape[-1] for _, force in forces)
     acts = np.array([j for j, force in forces for _ in range(force.shape[-1])], dtype=np.int64)
     m, size = len(space.observed), 1 + k + (0 if nuisances is None else nuisances.shape[-1])

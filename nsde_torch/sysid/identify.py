@@ -122,7 +122,7 @@ def _over_boxes(
     loop = tested(regression, runs)
     doubt, by = hidden_bias(regression, loop), None
     if instruments:
-        by, apart = _by_instruments(regression, runs, instruments, bool(loop.hidden), clock, width)
+        by, apart = _by_instruments(at, instruments, bool(loop.hidden), clock, width)
         if adopted(by, loop):
             # instruments are solved for at once; the others need what had settled
             own = {key: getattr(by, key) for key in ("values", "covariance", "degrees")}
@@ -140,14 +140,10 @@ def _over_boxes(
 
 
 def _by_instruments(
-    regression: Regression,
-    runs: Sequence[Run],
-    names: Sequence[str],
-    hidden: bool,
-    clock: float,
-    width: float | None,
+    at: Settled, names: Sequence[str], hidden: bool, clock: float, width: float | None
 ) -> tuple[Instrumented, Array]:
     """Estimates by instruments, and by how much (k,) they hang on what inputs do between rows of the log."""
+    regression, runs = at.regression, at.runs
     held = instrumental(regression, names)
     sure = np.zeros(len(held.values))
     if not hidden:  # then the log has the inputs as they were

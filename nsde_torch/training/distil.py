@@ -79,9 +79,7 @@ def fit_functions(
             "kept": bool(rows),
             "variables": list(variables),
         }
-        network = model.residuals[port.value]
-        assert isinstance(network, MLP)
-        steps += _distil(model, port, network, found, rows, seen, names, variables)
+        steps += _distil(model, port, found, rows, seen, variables)
         for j, k in rows.items():
             doubt = np.sqrt(found.force(values, k)[1])
             variance += np.square(left.response[:, :, column + j].numpy() * doubt[:, None]).mean(0)
@@ -109,14 +107,14 @@ def _groups(
 def _distil(
     model: NeuralSDE,
     port: Port,
-    network: MLP,
     found: Functions,
     rows: Mapping[int, int],
     seen: Array,
-    names: Sequence[str],
     variables: Sequence[str],
 ) -> int:
     """Fit one network to the functions on the rows of its port, which only their variables reach; steps taken."""
+    network, names = model.residuals[port.value], model.system.network_names
+    assert isinstance(network, MLP)
     first, last = network.layers[0], network.layers[-1]
     assert isinstance(first, nn.Linear)
     assert isinstance(last, nn.Linear)

@@ -346,11 +346,36 @@ class _Fit:
                 for one in self.differs
             },
         }
-        said = _summary(found, known, networks, self.differs)
+        said = self._said(networks)
         progress = Progress(steps, steps, score, [{"step": float(steps), "validation": score}], stopped=True)
         out = {"progress": asdict(progress), "parameters": parameters, "facts": facts}
         between = {one.target: list(one.std) for one in self.differs}
         return {**out, "said": said, "begin": self.begin, "between_runs": between}
+
+    def _said(self, networks: Mapping[str, Mapping[str, Any]]) -> str:
+        """What a person reads of the fit."""
+        found, known, lines = self.found, self.known, list[str]()
+        if found is not None:
+            r = found.regression
+            lines.append(
+                f"fitted: declared physics by prediction errors ({r.iterations} iterations, "
+                f"{'settled' if r.converged else 'not settled'})"
+            )
+            if found.learned:
+                lines.append(
+                    f"learned: inputs act late, as by {found.learned} ({number(found.evidence)} nats); it is not "
+                    "declared, model.learn_lag=false leaves it out"
+                )
+        for port, n in networks.items():
+            of = f"of {', '.join(n['variables'])}" if n["kept"] else "none"
+            nats = f"{n['nats']:+.1f} +- {n['standard_error']:.1f} nats on blocks left out"
+            lines.append(f"network on {port}: {nats}: {of}")
+        for one in self.differs:
+            std = f"{', '.join(number(v) for v in one.std)} {one.unit}"
+            lines.append(f"between runs: {one.target} differs ({std}, standard deviation)")
+        lines += [f"warning: {sentence}" for sentence in (known.warnings if known else ())]
+        lines += [f"feedback: {sentence}" for sentence in (known.of_the_loop if known else ())]
+        return "\n".join(lines)
 
 
 def _channel_laws(physics: Physics, found: Residuals, model: NeuralSDE) -> dict[str, Disturbance]:
@@ -415,34 +440,3 @@ def _shortened(system: System, runs: Sequence[Run]) -> list[Run]:
     return [
         replace(run, segments=tuple((a, a + int(share * (b - a))) for a, b in run.segments)) for run in runs
     ]
-
-
-def _summary(
-    found: Identified | None,
-    known: Identification | None,
-    networks: Mapping[str, Mapping[str, Any]],
-    differs: Sequence[between_runs.RunSpread],
-) -> str:
-    lines = []
-    if found is not None:
-        r = found.regression
-        lines.append(
-            f"fitted: declared physics by prediction errors ({r.iterations} iterations, "
-            f"{'settled' if r.converged else 'not settled'})"
-        )
-        if found.learned:
-            lines.append(
-                f"learned: inputs act late, as by {found.learned} ({number(found.evidence)} nats); it is not declared, "
-                "model.learn_lag=false leaves it out"
-            )
-    for port, n in networks.items():
-        of = f"of {', '.join(n['variables'])}" if n["kept"] else "none"
-        nats = f"{n['nats']:+.1f} +- {n['standard_error']:.1f} nats on blocks left out"
-        lines.append(f"network on {port}: {nats}: {of}")
-    lines += [
-        f"between runs: {one.target} differs ({', '.join(number(v) for v in one.std)} {one.unit}, standard deviation)"
-        for one in differs
-    ]
-    lines += [f"warning: {sentence}" for sentence in (known.warnings if known else ())]
-    lines += [f"feedback: {sentence}" for sentence in (known.of_the_loop if known else ())]
-    return "\n".join(lines)

@@ -19,9 +19,8 @@ from itertools import pairwise
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Mask
 from nsde_torch.design.experiment import PlannedRun
 from nsde_torch.design.limits import MARGIN, ExperimentLimits
 from nsde_torch.design.members import Branch, Drive, Member, Rollouts, as_run, width_columns
@@ -380,7 +379,7 @@ class Judge:
         inside = np.nan_to_num(use, nan=np.inf).max(1) <= 1.0 - MARGIN
         return Judged(np.where(inside, worth, -np.inf), worth, use)
 
-    def _told(self, i: int, states: Array, inputs: Array, fine: NDArray[np.bool_]) -> list[Array]:
+    def _told(self, i: int, states: Array, inputs: Array, fine: Mask) -> list[Array]:
         """Evidence of experiments where a member is true, one table (S, C) for each other member."""
         draws = self.draws[i]
         tables = 1 if self.precision is not None else len(self.members) - 1

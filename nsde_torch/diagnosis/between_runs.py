@@ -20,10 +20,9 @@ from math import log
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Labels
 from nsde_torch.data import Run
 from nsde_torch.diagnosis.candidates import candidate_names, effect_of, joined, starts
 from nsde_torch.diagnosis.ceiling import silent
@@ -70,7 +69,7 @@ class ExplainedDifference:
     each: Array  # numbers of each run (R, k), those of the first 0 where it is the reference
     nats: float  # log likelihood that it would bring, less the price of the numbers (Schwarz)
 
-    def joined(self, numbers: NDArray[np.int64], names: tuple[str, ...]) -> System:
+    def joined(self, numbers: Labels, names: tuple[str, ...]) -> System:
         """Physics with it; runs have these `numbers` in the column `run` (R,), and `names` by number."""
         each, system, target = self.each[np.argsort(numbers)], self.of.system, self.of.target
         if split_name(target)[0] in BY_RUN:

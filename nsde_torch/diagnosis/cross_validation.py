@@ -210,9 +210,6 @@ def finite(value: Tensor | float) -> float | None:
     return float(value) if np.isfinite(float(value)) else None
 
 
-# ---- pieces -------------------------------------------------------------------------------------------
-
-
 def _blocks(run: Labels, t: Array, decisions: Decisions) -> Blocks:
     """Blocks of time: innovations are nearly white, so that short data can be cut finer than predictions."""
     total = sum(float(np.ptp(t[run == r])) for r in np.unique(run))

@@ -12,10 +12,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from nsde_torch.arrays import Array, Labels
+from nsde_torch.arrays import Array, Labels, Mask
 from nsde_torch.effects import Port
 from nsde_torch.effects.by_run import RUN
 from nsde_torch.sysid.regression import Regression
@@ -23,7 +22,7 @@ from nsde_torch.systems import System
 from nsde_torch.systems.names import MIXED
 from nsde_torch.systems.vocabulary import named_inputs
 
-Functions: TypeAlias = Callable[[], tuple[Array, NDArray[np.bool_]]]
+Functions: TypeAlias = Callable[[], tuple[Array, Mask]]
 """Makes the functions of a group (M, q), and which of them are odd (q,): all of them at once take 100 MB."""
 
 _HATS = 7  # bumps over the range of a variable
@@ -83,7 +82,7 @@ def machine_variables(system: System, x: Tensor, u: Tensor, *, inputs: bool) -> 
     return out | {name: column for name, column in columns if name != RUN}
 
 
-def functions_of(v: Array) -> tuple[Array, NDArray[np.bool_]]:
+def functions_of(v: Array) -> tuple[Array, Mask]:
     """Odd and even functions and bumps of one standardised variable (M, q), and which of them are odd."""
     centre, spread = np.median(v), max(float(np.quantile(v, 0.95) - np.quantile(v, 0.05)) / 2, 1e-12)
     about_zero = v / spread if abs(centre) < spread else (v - centre) / spread
@@ -147,7 +146,7 @@ def _products(a: Array, b: Array) -> list[Array]:
 def _even(made: Callable[..., Sequence[Array]], *given: Any) -> Functions:
     """What makes functions side by side, none of which is odd."""
 
-    def both() -> tuple[Array, NDArray[np.bool_]]:
+    def both() -> tuple[Array, Mask]:
         functions = np.stack(made(*given), 1)
         return functions, np.zeros(functions.shape[1], dtype=bool)
 

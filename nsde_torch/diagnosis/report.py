@@ -29,9 +29,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Labels, Mask
 from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.effect_importance import Importance, ShownEffects
 from nsde_torch.diagnosis.files import picture_file
@@ -266,7 +265,7 @@ def _held(x: Array, term: Array) -> float:
     return float(((mean - term.mean()) ** 2 * count).sum() / len(term)) / whole
 
 
-def _largest(seen: Rates, term: Array) -> tuple[int, NDArray[np.int64]]:
+def _largest(seen: Rates, term: Array) -> tuple[int, Labels]:
     """Number of a run, and the rows of the few seconds of it in which a term is largest."""
     power = {int(run): float(np.square(term[seen.run == run]).mean()) for run in np.unique(seen.run)}
     run = max(power, key=lambda r: power[r])
@@ -345,12 +344,12 @@ def _axis(seen: Rates, d: Dependence) -> tuple[str, str, Array]:
     return d.pair, " ".join(u for u in units if u not in ("", "1")), values
 
 
-def _cloud(x: Array, y: Array, block: NDArray[np.int64]) -> plots.Cloud:
+def _cloud(x: Array, y: Array, block: Labels) -> plots.Cloud:
     b = bins(x, y, block)
     return plots.Cloud(x, y, b.centre, b.mean, b.error)
 
 
-def _course(t: Array, y: Array, rows: NDArray[np.bool_]) -> plots.Cloud:
+def _course(t: Array, y: Array, rows: Mask) -> plots.Cloud:
     x, y = t[rows], y[rows]
     some = np.linspace(0, max(len(x) - 1, 0), min(len(x), _COURSE)).round().astype(int)
     return plots.Cloud(x, y, x[some], y[some], np.zeros(len(some)))

@@ -35,10 +35,9 @@ from typing import final
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc, stdtr
 
-from nsde_torch.arrays import Array, Labels
+from nsde_torch.arrays import Array, Labels, Mask
 from nsde_torch.diagnosis import regressors
 from nsde_torch.diagnosis.evidence import bonferroni, chance, dispersion, folds_of, of_draws
 from nsde_torch.diagnosis.joint_selection import FittedPhysics
@@ -251,7 +250,7 @@ def _dependence(
     )
 
 
-def _odd(squares: Array, odd: NDArray[np.bool_]) -> float:
+def _odd(squares: Array, odd: Mask) -> float:
     """Share of squares that odd functions have."""
     return float(squares[odd].sum()) / max(float(squares.sum()), 1e-300)
 
@@ -314,7 +313,7 @@ _NEW = 1e-3  # of what a function does in a run that those of all runs and a con
 
 
 def in_one_run(
-    left: PhysicsResiduals, port: int, name: str, functions: Array, odd: NDArray[np.bool_]
+    left: PhysicsResiduals, port: int, name: str, functions: Array, odd: Mask
 ) -> Dependence | None:
     """A variable in the run that stands out; None where no run can be odd."""
     decisions, runs = left.decisions, np.unique(left.owners)
@@ -359,7 +358,7 @@ def in_one_run(
 
 def _of_run(
     left: PhysicsResiduals, port: int, functions: Array, run: int
-) -> tuple[Array, Array, NDArray[np.int64], NDArray[np.bool_]]:
+) -> tuple[Array, Array, Labels, Mask]:
     """The first functions in one run, orthogonal to all in all runs and to constants in a run.
 
     Their scores by block of time in directions of unit information (B, q), the information of these (B, q, q), the

@@ -6,9 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Labels, Mask
 from nsde_torch.data import Run
 from nsde_torch.diagnosis.candidates import on_coordinates
 from nsde_torch.diagnosis.decisions import BUDGETS, Budgets, Decisions, Options
@@ -28,7 +27,7 @@ _AT_BOUND = 2e-6  # typical sizes from a bound; the optimiser keeps values a mil
 _MOVES = 1e-6  # of the largest slope of a parameter: below that is rounding
 
 
-def dynamic_rows(system: System) -> NDArray[np.int64]:
+def dynamic_rows(system: System) -> Labels:
     """Channels that physics moves: not positions, nor a quaternion, which kinematics tie to others."""
     tied = {position for position, _, _ in system.position_derivatives}
     turned = range(system.nx)[system.quaternion or slice(0)]
@@ -58,7 +57,7 @@ def fitted_system(regression: Regression) -> System:
     return out
 
 
-def nonlinear(vector: ParameterVector) -> NDArray[np.bool_]:
+def nonlinear(vector: ParameterVector) -> Mask:
     """Parameters that say where or how fast an effect sets in, not how strong it is, nor smooth ones (k,)."""
     out = np.zeros(len(vector), dtype=bool)
     effects = {e.name: type(e) for e in vector.system.effects if isinstance(e, Effect)}
@@ -69,7 +68,7 @@ def nonlinear(vector: ParameterVector) -> NDArray[np.bool_]:
     return out
 
 
-def at_bounds(regression: Regression) -> NDArray[np.bool_]:
+def at_bounds(regression: Regression) -> Mask:
     """Parameters that stand at a bound (k,)."""
     v = regression.vector
     margin = _AT_BOUND * v.scale

@@ -25,7 +25,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.signal import welch
 
@@ -356,7 +355,7 @@ def _of_phase(regression: Regression, channel: int, frequency: float, wording: W
 
 
 def _extent(
-    value: Array, residual: Array, block: NDArray[np.int64], wording: Wording
+    value: Array, residual: Array, block: Labels, wording: Wording
 ) -> tuple[str, tuple[float, float] | None]:
     b = bins(value, residual, block, count=_EXTENT_BINS)
     if len(b.mean) < _FEWEST_BINS:

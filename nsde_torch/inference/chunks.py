@@ -9,9 +9,9 @@ from typing import final
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array, Labels
 from nsde_torch.inference.steps import Steps
 
 # what is not counted of a chunk, and what is, where that is as many rows as below
@@ -93,12 +93,12 @@ class Chunks:
         """Values of steps (N, k) at the rows of the chunks (T, C, k)."""
         return values[self.row]
 
-    def blocks(self, values: Tensor) -> NDArray[np.float64]:
+    def blocks(self, values: Tensor) -> Array:
         """Those blocks of (parts, C, ...) in which any row counts (B, ...)."""
         live = torch.stack([self.counted[a:b].any(0) for a, b in self.parts])
         return np.asarray(values[live].numpy())
 
-    def places(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def places(self) -> tuple[Labels, Labels]:
         """Number of the run of each block, and of the step that it begins with (B,), in the order of `blocks`."""
         count = len(self.parts)
         begun = self.row[[a for a, _ in self.parts]]  # of a block with the last row alone: the last step

@@ -24,7 +24,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nsde_torch.arrays import Array, Labels
+from nsde_torch.arrays import Array, Labels, Mask
 from nsde_torch.inference import kernels
 from nsde_torch.inference.estimate import Optimum
 from nsde_torch.inference.sensitivity import inverted
@@ -65,7 +65,7 @@ class FunctionScores:
         """The same by block (B, q, q)."""
         return np.asarray(self.drawn @ self.drawn.transpose(0, 2, 1) / self.drawn.shape[2])
 
-    def of(self, blocks: NDArray[np.bool_] | Labels) -> "FunctionScores":
+    def of(self, blocks: Mask | Labels) -> "FunctionScores":
         """Those of some blocks of time."""
         return replace(self, blocks=self.blocks[blocks], drawn=self.drawn[blocks])
 
@@ -75,7 +75,7 @@ class FunctionScores:
             self.blocks @ turn.T, turn @ self.drawn, np.square(turn) @ self.least, self.draws
         )
 
-    def independent(self) -> tuple["FunctionScores", NDArray[np.int64]]:
+    def independent(self) -> tuple["FunctionScores", Labels]:
         """The same in directions of unit information, in order, and which functions these begin with (q',)."""
         turn, kept = directions(self.information, self.least)
         return self.turned(turn), kept
@@ -88,7 +88,7 @@ class FunctionScores:
         return 0.5 * float(np.square(own.total).sum()) * max(self.draws - q - 1, 1) / self.drawn.shape[2]
 
 
-def directions(information: Array, least: Array) -> tuple[Array, NDArray[np.int64]]:
+def directions(information: Array, least: Array) -> tuple[Array, Labels]:
     """Sums of functions (q', q) whose scores are independent and of unit information, and with which each begins (q',).
 
     Args:

@@ -15,10 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from nsde_torch.arrays import Array, Labels
+from nsde_torch.arrays import Array, Labels, Mask
 from nsde_torch.data.system_info import rate_columns, rate_pairs
 from nsde_torch.inference.estimate import Optimum, bounded_change
 from nsde_torch.inference.filtering import Linearisation, Pass, with_gains, with_parameters
@@ -62,7 +61,7 @@ class LeftOut:
 
 
 @torch.no_grad()
-def left_out(optimum: Optimum, folds: Folds, still: NDArray[np.bool_] | None = None) -> LeftOut:
+def left_out(optimum: Optimum, folds: Folds, still: Mask | None = None) -> LeftOut:
     """What the filter predicts of each fold by the other ones.
 
     All folds take the parameters `still` (k,) from all rows: shapes, in which steps are far from linear.

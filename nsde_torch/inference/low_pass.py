@@ -13,9 +13,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.systems import System
 
@@ -44,7 +44,7 @@ def rows_apart(runs: Sequence[Run], band: Mapping[str, float], dt: float) -> dic
     return out
 
 
-def low_passed_states(system: System, run: Run, clock: float) -> NDArray[np.float64]:
+def low_passed_states(system: System, run: Run, clock: float) -> Array:
     """States (n, nx) of a run without what stands above the bands of those that were smoothed."""
     x = torch.from_numpy(np.array(run.x))
     for name, hz in band_of([run]).items():

@@ -14,11 +14,10 @@ from typing import TypeAlias
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 from torch import Tensor
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Labels
 from nsde_torch.inference import kernels
 from nsde_torch.inference.filtering import Linearisation, Pass
 from nsde_torch.inference.levels import Levels
@@ -43,13 +42,13 @@ class Grams:
         """Their sum."""
         return np.asarray(self.blocks.sum(0))
 
-    def step(self, free: NDArray[np.int64], damping: float, low: Array, high: Array) -> Array:
+    def step(self, free: Labels, damping: float, low: Array, high: Array) -> Array:
         """Step of Gauss and Newton (damped: Marquardt) of some parameters, numbered from 0, between bounds (q,)."""
         return bounded_step(
             self.total[np.ix_(1 + free, 1 + free)], self.total[1 + free, 0], damping, low, high
         )
 
-    def inflation(self, free: NDArray[np.int64]) -> float:
+    def inflation(self, free: Labels) -> float:
         """How many times the variance of scores over blocks is what white innovations give it, at least 1.
 
         A parameter that does nothing brings half a nat where innovations are as predicted, and so many times as much
@@ -62,7 +61,7 @@ class Grams:
         inverse = inverted(self.total[np.ix_(at, at)])
         return max(float(np.einsum("br,rs,bs->", score, inverse, score)) / len(at), 1.0)
 
-    def spread(self, free: NDArray[np.int64]) -> Spread:
+    def spread(self, free: Labels) -> Spread:
         """Jackknife over blocks (`nsde_torch.inference.spread`) of some parameters at the optimum, nuisances free."""
         size = self.total.shape[0]
         at = np.concatenate((1 + free, np.arange(1 + self.parameters, size)))

@@ -11,9 +11,8 @@ X takes for known, uses up. A parameter that a few blocks decide has few degrees
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Labels
 
 
 @dataclass(frozen=True)
@@ -30,7 +29,7 @@ class Spread:
         return np.asarray(w.sum(0) ** 2 / np.maximum(np.square(w).sum(0), 1e-300))
 
 
-def spread(slopes: Array, residual: Array, blocks: NDArray[np.int64], used: int) -> Spread:
+def spread(slopes: Array, residual: Array, blocks: Labels, used: int) -> Spread:
     """Covariance of the least-squares estimate at its optimum.
 
     Args:

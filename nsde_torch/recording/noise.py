@@ -20,15 +20,12 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import percentile_filter
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Mask
 from nsde_torch.data.raw import Finding, RawRun, Report
 from nsde_torch.data.system_info import SystemInfo, rate_pairs
 from nsde_torch.errors import DataError
-
-Mask = NDArray[np.bool_]
 
 _CURVE = 1.39  # what a cubic leaves of white noise, over its standard deviation
 _DIGITS, _SOME = 8, 2000  # most significant digits that are few, and values that are looked at

@@ -26,10 +26,9 @@ within 3 s that is less than 5 cm above where it stands, and all before it (docs
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Mask
 from nsde_torch.data.quaternion import increments
 from nsde_torch.data.raw import Finding, RawRun, Report, holes
 from nsde_torch.data.run import Run
@@ -37,8 +36,6 @@ from nsde_torch.data.system_info import RATE_NAMES, SystemInfo, rate_columns, ra
 from nsde_torch.errors import DataError
 from nsde_torch.recording.noise import quantum, white
 from nsde_torch.recording.times import GAP_STEPS
-
-Mask = NDArray[np.bool_]
 
 FEWEST = 5  # rows of one value that are looked at
 _SIGMAS, _NOISE, _QUANTA, _SHARE = 8.0, 6.0, 5.0, 0.05

@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Labels
 from nsde_torch.data.quaternion import slerp
 from nsde_torch.data.raw import Finding, RawRun, Report, holes
 from nsde_torch.data.run import DataSet, Run, fingerprint
@@ -126,7 +125,7 @@ def fill_missing(run: RawRun, system: SystemInfo, *, gap: float, report: Report)
         )
 
 
-def cuts_at_gaps(run: RawRun, *, gap: float, report: Report) -> NDArray[np.int64]:
+def cuts_at_gaps(run: RawRun, *, gap: float, report: Report) -> Labels:
     """Rows after which more than `gap` seconds pass without a row."""
     step = np.diff(run.t)
     cuts = np.flatnonzero(step > gap)
@@ -204,7 +203,7 @@ def joined(pieces: Sequence[RawRun]) -> tuple[RawRun, tuple[tuple[int, int], ...
 
 
 def uniform(
-    run: RawRun, cuts: NDArray[np.int64], *, dt: float, quaternion: slice | None, report: Report
+    run: RawRun, cuts: Labels, *, dt: float, quaternion: slice | None, report: Report
 ) -> tuple[RawRun, tuple[tuple[int, int], ...]]:
     """The run on the step `dt` in every segment between cuts, and its segments; those below two rows are left out."""
     bounds = list(itertools.pairwise([0, *(cuts + 1).tolist(), len(run.t)]))

@@ -19,13 +19,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.special import stdtrit
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Labels, Mask
 from nsde_torch.data import Run
 from nsde_torch.errors import DataError
 from nsde_torch.inference.spread import Spread
@@ -57,7 +56,7 @@ class Instrumented:
     covariance: Array  # of `values` (k, k)
     degrees: Array  # degrees of freedom (k,)
     strength: Array  # F of each parameter's first stage (k,); nan where the data do not show it
-    moved: NDArray[np.bool_]  # whether the instruments show a parameter (k,)
+    moved: Mask  # whether the instruments show a parameter (k,)
     ordinary: Array  # ordinary estimates (k,)
     difference: Array
     """Chance of so large a difference from the ordinary estimate (k,), adjusted (Holm); 1 where not moved."""
@@ -276,7 +275,7 @@ def instrumental(
 class _Stage:
     """Both stages where theta stands: slopes J and what instruments predict of them, over all channels."""
 
-    def __init__(self, regression: Regression, features: Array, known: NDArray[np.int64]) -> None:
+    def __init__(self, regression: Regression, features: Array, known: Labels) -> None:
         self.white = regression.white
         self.slopes = regression.slopes[:, :, known]
         self.blocks = regression.whitened_rows(regression.blocks)
@@ -411,7 +410,7 @@ def _features(regression: Regression, names: Sequence[str]) -> Array:
     return np.concatenate(parts, 1)
 
 
-def _placed(values: Array, at: NDArray[np.int64], among: Array) -> Array:
+def _placed(values: Array, at: Labels, among: Array) -> Array:
     """Values at these places of every axis, among others."""
     out = among.copy()
     out[np.ix_(*[at] * out.ndim)] = values

@@ -31,7 +31,6 @@ from dataclasses import dataclass
 from math import inf, log
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from nsde_torch.arrays import Array, Labels
@@ -48,7 +47,7 @@ class Series:
         return self.edges[-1][1]
 
     @property
-    def place(self) -> NDArray[np.int64]:
+    def place(self) -> Labels:
         """Row number inside its stretch (N,)."""
         return np.concatenate([np.arange(b - a) for a, b in self.edges])
 
@@ -82,7 +81,7 @@ class Series:
             parts.append(cut.reshape(count, width, *values.shape[1:]).sum(1))
         return np.concatenate(parts)
 
-    def blocks(self, rows: int) -> NDArray[np.int64]:
+    def blocks(self, rows: int) -> Labels:
         """Number of the block of each row (N,): every stretch in equal blocks of about `rows` rows."""
         labels, first = [], 0
         for a, b in self.edges:

@@ -32,11 +32,10 @@ from typing import Any, final
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 from torch import Tensor
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Labels
 from nsde_torch.columns import join_columns, split_columns, take_rows
 from nsde_torch.data.system_info import rate_pairs
 from nsde_torch.effects import Port
@@ -160,7 +159,7 @@ class Physics:
         q = self.vector.system.quaternion
         return change if q is None else self.turn(change, states[:, q])
 
-    def kinematic(self, residual: Array, rows: NDArray[np.int64]) -> Array:
+    def kinematic(self, residual: Array, rows: Labels) -> Array:
         """Residuals (N, m) of the channels beside `rows`; attitude and position of a turned velocity in the body."""
         system, q, parts = self.vector.system, self.vector.system.quaternion, []
         rest = [i for i in range(residual.shape[1]) if i not in {*rows.tolist(), *self.tied}]
@@ -220,8 +219,6 @@ class Physics:
             rates.append(v.system.drift(s.t[some], s.x0[some], s.u[some]))
         bend, change = rates[0] + rates[2] - 2.0 * rates[1], rates[2] - rates[0]
         return bool(bend.abs().max() <= 1e-9 * change.abs().max())
-
-    # ---- pieces ---------------------------------------------------------------------------------------
 
     def _memory(self, theta: Tensor) -> tuple[Tensor, ...]:
         """Memory of the effects at both ends of each step; nothing where none has any."""
@@ -388,7 +385,7 @@ def smooth_rate(change: Array, segments: Sequence[tuple[int, int]], window: Arra
     return np.concatenate(parts) if parts else np.zeros((0, change.shape[1]))
 
 
-def explained(physics: Physics, residual: Array, rows: NDArray[np.int64], window: Array) -> list[Channel]:
+def explained(physics: Physics, residual: Array, rows: Labels, window: Array) -> list[Channel]:
     """Figures of the channels `rows`, of their residual changes over steps (N, len(rows)), in means over a window."""
     s = physics.steps
     measured = smooth_rate(physics.measured[:, rows], s.segments, window, s.dt)

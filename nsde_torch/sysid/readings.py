@@ -22,10 +22,9 @@ from itertools import combinations
 from math import exp, log
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Labels
 from nsde_torch.data import Run
 from nsde_torch.data.quaternion import multiply
 from nsde_torch.data.system_info import derivative_columns, rate_columns
@@ -109,12 +108,12 @@ def _explained(moment: Array, turned: Array) -> tuple[Array, Array]:
 
 def _filtered(
     system: Multirotor, runs: Sequence[Run], dt: float, band: tuple[float, float], late: int
-) -> tuple[Array, Array, NDArray[np.int64], int]:
+) -> tuple[Array, Array, Labels, int]:
     """Inputs so many rows before (N, nu), angular accelerations (N, 3), the block of each row, and their number."""
     rates = range(system.nx)[rate_columns(system) or slice(0)]
     fast = max(1, round(band[0] / dt))
     slow, rows_of_block = max(3 * fast, round(band[1] / dt)), max(1, round(_BLOCK_S / dt))
-    pushed, turned, block, first = list[Array](), list[Array](), list[NDArray[np.int64]](), 0
+    pushed, turned, block, first = list[Array](), list[Array](), list[Labels](), 0
     for run in runs:
         for a, b in run.segments:
             rows = b - a - fast - late

@@ -31,10 +31,9 @@ from math import inf
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Labels, Mask
 from nsde_torch.data import Run
 from nsde_torch.data.inputs import echelon
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
@@ -69,7 +68,7 @@ class Shown:
 
     basis: Array  # directions that are shown (k, r), in the units of theta
     lost: Array  # directions that are not (k, k - r), each with a largest part of one typical size
-    known: NDArray[np.bool_]  # whether each parameter alone is shown (k,)
+    known: Mask  # whether each parameter alone is shown (k,)
     condition: float  # largest over smallest singular value of the scaled slopes among the directions shown
 
     @property
@@ -185,7 +184,7 @@ class Regression:
         physics: Physics,
         *,
         box: int = 1,
-        rows: NDArray[np.int64] | None = None,
+        rows: Labels | None = None,
         start: Array | None = None,
         noises: Sequence[Noise] | None = None,
         origin: System | None = None,
@@ -245,8 +244,6 @@ class Regression:
             if settled and (self._kept or self._rough or self._plain or self._refined > 4):
                 self.converged = True
                 break
-
-    # ---- pieces ---------------------------------------------------------------------------------------
 
     def _residual(self, theta: Array) -> Array:
         return self.single.summed(self.physics.residual(theta), self.box)
@@ -377,13 +374,13 @@ class Regression:
     # ---- results --------------------------------------------------------------------------------------
 
     @property
-    def owners(self) -> NDArray[np.int64]:
+    def owners(self) -> Labels:
         """Number of the run of each row of `series` (M,)."""
         counts = [b - a for a, b in self.series.edges]
         return np.repeat(np.array(self.physics.steps.runs, dtype=np.int64), counts)
 
     @property
-    def blocks(self) -> NDArray[np.int64]:
+    def blocks(self) -> Labels:
         """Block of time of each row of `series` (M,)."""
         total = len(self.series) * self.dt
         length = float(np.clip(total / _BLOCKS, *_BLOCK_S))
@@ -442,7 +439,7 @@ class Regression:
         out.slopes[row] = self.whitened(law, self.jacobian[:, channel])
         return out
 
-    def whitened_rows(self, labels: NDArray[np.int64]) -> NDArray[np.int64]:
+    def whitened_rows(self, labels: Labels) -> Labels:
         """Labels of the rows of `white` from those of the rows of `series`."""
         longer = extended(self.series)
         out = np.empty(len(longer), dtype=np.int64)
@@ -450,7 +447,7 @@ class Regression:
             out[c], out[c + 1 : d] = labels[a], labels[a:b]
         return out
 
-    def shift(self, parts: Array, blocks: NDArray[np.int64]) -> Array:
+    def shift(self, parts: Array, blocks: Labels) -> Array:
         """Change of the residuals over steps (N, channels) when each block is predicted from the others alone.
 
         `parts` is what each block contributes to theta (C, k), `blocks` the block of each row of `series`.

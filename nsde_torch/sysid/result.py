@@ -4,10 +4,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Mask
 from nsde_torch.inference import MaximumLikelihood, Optimum
 from nsde_torch.sysid.feedback_test import FACTOR, FeedbackTest
 from nsde_torch.sysid.guard import Guarded, of_longer_boxes
@@ -87,7 +86,7 @@ class Identification:
             return out
         return [*out, *self._widened(moved)]
 
-    def _widened(self, moved: NDArray[np.bool_] | None) -> list[str]:
+    def _widened(self, moved: Mask | None) -> list[str]:
         """Which intervals are widened by what the data cannot show, and why; `moved` are those by instruments."""
         labels, doubt, errors = self.vector.labels, self.doubt, self.standard_errors
         if doubt is None:

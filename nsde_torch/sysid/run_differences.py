@@ -14,10 +14,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc, stdtr
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Labels, Mask
 from nsde_torch.data import Run
 from nsde_torch.errors import NsdeError
 from nsde_torch.inference.spread import spread
@@ -177,16 +176,14 @@ def unexplained_runs(rough: Regression, runs: Sequence[Run]) -> list[Objection]:
     return out
 
 
-def _left_alone(rough: Regression, rows: NDArray[np.bool_]) -> Array:
+def _left_alone(rough: Regression, rows: Mask) -> Array:
     """Whitened residuals (channels, n) of some rows at parameters of their own."""
     slopes, white = rough.slopes[:, rows] @ rough.shown.basis, rough.white[:, rows]
     flat = slopes.reshape(white.size, -1)
     return np.asarray(white - slopes @ np.linalg.lstsq(flat, white.reshape(-1), rcond=None)[0])
 
 
-def _alone(
-    regression: Regression, rows: NDArray[np.bool_], blocks: NDArray[np.int64]
-) -> tuple[Array, Array, Array] | None:
+def _alone(regression: Regression, rows: Mask, blocks: Labels) -> tuple[Array, Array, Array] | None:
     """How far one run moves the parameters, the covariance of that, and X' X; None where it shows too little."""
     slopes = regression.slopes[:, rows] @ regression.shown.basis
     white = regression.white[:, rows]

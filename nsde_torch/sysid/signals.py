@@ -15,10 +15,9 @@ from itertools import pairwise
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Mask
 from nsde_torch.sysid.noise import Series, extended
 from nsde_torch.sysid.regression import Regression
 
@@ -63,7 +62,7 @@ def foreknown(new: Array, values: Array, share: float) -> bool:
     return not len(values) or bool(np.square(new).mean() <= share * values.var())
 
 
-def late(series: Series, rows: int) -> NDArray[np.bool_]:
+def late(series: Series, rows: int) -> Mask:
     """Rows that have so many before them in their stretch."""
     return np.asarray(series.place >= rows)
 

@@ -198,9 +198,6 @@ def on_time(found: Sequence[Smoothed], runs: Sequence[Run], system: System, cloc
     return out
 
 
-# ---- pieces --------------------------------------------------------------------------------------------
-
-
 def sensors_of(system: System) -> list[SensorGroup]:
     """The sensors of a system: positions, velocities, body rates, states of no pair one by one, and the attitude."""
 

@@ -10,10 +10,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Mask
 from nsde_torch.data import Run
 from nsde_torch.data.raw import holes
 from nsde_torch.effects import Effect
@@ -64,7 +63,7 @@ def in_words(share: float) -> list[str]:
     return [told + "whatever holds it there."] if share else []
 
 
-def _moves(x: Array, slowest: Mapping[int, float]) -> NDArray[np.bool_]:
+def _moves(x: Array, slowest: Mapping[int, float]) -> Mask:
     """Whether all of the coordinates move, by row (n,)."""
     out = np.ones(len(x), dtype=bool)
     for column, speed in slowest.items():

@@ -21,10 +21,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.stats import chi2, norm, t
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Labels
 from nsde_torch.data import Run
 from nsde_torch.effects import Effect, Port, effects_of
 from nsde_torch.effects.by_run import BY_RUN, MASS, OF_EACH_RUN, RUN, ByRun, target_of
@@ -50,7 +49,7 @@ class DifferenceCandidate:
     """Something that may differ between runs."""
 
     target: str  # name of an effect with a size for each run, or of the parameter (`RunDifference.target`)
-    columns: NDArray[np.int64]  # of the Gram matrices
+    columns: Labels  # of the Gram matrices
 
 
 @torch.no_grad()
@@ -93,7 +92,7 @@ def differing(at: Optimum, beside: Functions | None) -> list[str]:
     return _chosen(of_runs / inflation, shared, candidates)
 
 
-def _over_mass(vector: ParameterVector, system: System) -> NDArray[np.int64]:
+def _over_mass(vector: ParameterVector, system: System) -> Labels:
     """Columns of the parameters that go with 1 / mass: the machine's own, and sizes of forces over the mass."""
     effects = {str(e.name): e for e in system.effects if isinstance(e, Effect)}
     out: list[int] = []
@@ -148,9 +147,7 @@ def _forces(at: Optimum, system: System, beside: Functions | None) -> list[tuple
     ]
 
 
-def _chosen(
-    of_runs: Array, shared: NDArray[np.int64], candidates: Sequence[DifferenceCandidate]
-) -> list[str]:
+def _chosen(of_runs: Array, shared: Labels, candidates: Sequence[DifferenceCandidate]) -> list[str]:
     """Targets that raise the likelihood beyond chance."""
     enough = 0.5 * float(chi2.isf(2.0 * _CHANCE / max(len(candidates), 1), 1))
     chosen: dict[str, tuple[DifferenceCandidate, float]] = {}
@@ -178,9 +175,7 @@ def _chosen(
     return list(chosen)
 
 
-def _log_likelihood(
-    of_runs: Array, shared: NDArray[np.int64], columns: NDArray[np.int64], variance: Array
-) -> float:
+def _log_likelihood(of_runs: Array, shared: Labels, columns: Labels, variance: Array) -> float:
     """Restricted log likelihood, up to a constant; see the module docstring.
 
     Of Gram matrices of each run (R, n, n), columns of e and of what all runs share, and columns (k,) of what differs

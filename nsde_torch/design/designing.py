@@ -26,6 +26,7 @@ from nsde_torch.design.proposals import Family, Judge, Precision, Signals, best_
 from nsde_torch.design.questions import SURE, Question
 from nsde_torch.design.rehearsal import Rehearsed, rehearse
 from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.progress import Say
 from nsde_torch.systems import Multirotor, System
 from nsde_torch.threads import one_thread
 
@@ -48,7 +49,7 @@ def design(
     clock: float = 1.0,
     values: Mapping[str, Any] | None = None,
     baselines: bool = True,
-    say: Callable[[str, int, int], None] = lambda stage, done, total: None,
+    say: Say = lambda stage, done, total: None,
 ) -> Experiment:
     """Plan the most informative experiment.
 

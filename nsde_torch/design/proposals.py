@@ -27,6 +27,7 @@ from nsde_torch.design.members import Branch, Drive, Member, Rollouts, as_run, w
 from nsde_torch.design.paths import Paths
 from nsde_torch.errors import ConfigError
 from nsde_torch.inference.posterior import LogWithPrior
+from nsde_torch.progress import Say
 
 # Inputs of an open loop: pieces of equal length, each a hold, ramp, sine, chirp, square wave or two sines.
 #
@@ -419,7 +420,7 @@ def search(
     generations: int,
     keep: int,
     rng: np.random.Generator,
-    say: Callable[[str, int, int], None],
+    say: Say,
 ) -> tuple[list[PlannedRun], float, Array]:
     """The best experiments.
 

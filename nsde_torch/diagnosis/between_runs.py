@@ -109,9 +109,7 @@ def _laws(joint: JointSelection | None) -> list[str]:
 
 
 def with_differences(
-    now: Concluded,
-    guard: Guarded,
-    conclude: Callable[[Log, Search, JointSearch, JointSelection], Outcome],
+    now: Concluded, guard: Guarded, conclude: Callable[[Log, Search, JointSearch, JointSelection], Outcome]
 ) -> Concluded:
     """The log with the numbers of its runs, and what is concluded of what differs between them; else all as it is."""
     log, search, outcome = now

@@ -249,7 +249,7 @@ def diagnose(
     decisions: Decisions = DECISIONS,
     budgets: Budgets = BUDGETS,
     begun: Begun | None = None,
-    say: Callable[[str, int, int], None] = lambda stage, done, total: None,
+    say: Say = lambda stage, done, total: None,
     so_far: Callable[[Diagnosis], None] = lambda found: None,
 ) -> Diagnosis:
     """Diagnose a declared model.

@@ -31,6 +31,7 @@ from nsde_torch.diagnosis.search import Search, at_bounds, fitted_system
 from nsde_torch.diagnosis.stages import Begun, OptionalStages
 from nsde_torch.effects import effect_class, effects_of
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
+from nsde_torch.progress import Say
 from nsde_torch.recording.chain import Recorded, instead_of_effects, undo
 from nsde_torch.recording.fault import level
 from nsde_torch.recording.unmeasured_rates import measured_part
@@ -56,7 +57,7 @@ class Log:
     options: Options  # settings
     decisions: Decisions  # what is decided by
     budgets: Budgets  # how much is tried
-    say: Callable[[str, int, int], None]  # called with stage, number done and number in all
+    say: Say  # called with stage, number done and number in all
     # speeds below which coordinates with dry friction stand, by column; rows in which one does are left out
     slowest: Mapping[int, float] = field(default_factory=dict)
     stages: OptionalStages = field(default_factory=OptionalStages)  # stages that may fail, and those that did
@@ -134,13 +135,7 @@ def read_effects(system: System, runs: Sequence[Run], options: Options) -> None:
 
 
 def read_log(
-    system: System,
-    recorded: Recorded,
-    options: Options,
-    *,
-    decisions: Decisions,
-    budgets: Budgets,
-    say: Callable[[str, int, int], None],
+    system: System, recorded: Recorded, options: Options, *, decisions: Decisions, budgets: Budgets, say: Say
 ) -> Log:
     """The log with its channels.
 

@@ -13,6 +13,7 @@ from nsde_torch.diagnosis.candidates import on_coordinates
 from nsde_torch.diagnosis.decisions import BUDGETS, Budgets, Decisions, Options
 from nsde_torch.effects import Effect, Law, effect_class, register
 from nsde_torch.inference.steps import steps_of
+from nsde_torch.progress import Say
 from nsde_torch.recording.fault import STAGES, level
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import Regression
@@ -146,7 +147,7 @@ class Search:
         moved: bool = False,
         decisions: Decisions | None = None,
         budgets: Budgets = BUDGETS,
-        say: Callable[[str, int, int], None] = lambda stage, done, total: None,
+        say: Say = lambda stage, done, total: None,
         so_far: "Callable[[Outcome], None]" = lambda outcome: None,
     ) -> None:
         self.box = max(1, int(_BOX_S / (runs[0].dt * clock) + 1e-6))

@@ -62,7 +62,7 @@ def summary(found: Identification) -> str:
     lines = [
         f"identified by {how}, {'linear' if found.linear else 'nonlinear'} in the parameters: {found.iterations} "
         f"iterations, {'settled' if found.converged else 'not settled'}; rank {found.shown.rank} of {len(v)}, "
-        f"condition number {number(found.shown.condition)}; {found.unexplained:.0%} of the rates left unexplained",
+        f"condition number {number(found.shown.condition)}; {found.unexplained:.0%} of the rates left unexplained"
     ]
     lines += [f"not shown by the data: {finding}" for finding in found.findings]
     lines += [f"warning: {finding}" for finding in found.warnings]

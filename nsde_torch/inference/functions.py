@@ -660,10 +660,8 @@ def _width(group: BasisGroup, view: _View, scaled: Mapping[str, Scale]) -> int:
 def _past(space: StateSpace, variables: Variables) -> dict[str, Array]:
     """What inputs were some rows before, less what they are (N, lags), in units of their root mean square."""
     steps, row = space.steps, space.chunks.row.flatten()
-    begun = torch.empty(len(steps.u), dtype=torch.int64)
-    for a, b in steps.segments:
-        begun[a:b] = a
-    before = [torch.maximum(row - lag, begun[row]) for lag in _PAST]
+    begun = steps.starts[row]
+    before = [torch.maximum(row - lag, begun) for lag in _PAST]
     return {
         name: (torch.stack([u[at] - u[row] for at in before], 1) / u.square().mean().sqrt()).numpy()
         for name, u in variables.inputs(steps.u).items()

@@ -51,10 +51,8 @@ def spread(slopes: Array, residual: Array, blocks: Labels, used: int) -> Spread:
     x = slopes @ back
     score, share = np.zeros((count, r)), np.zeros((count, r, r))
     np.add.at(score, blocks, np.einsum("cnr,cn->nr", x, residual))
-    order = np.argsort(blocks, kind="stable")
-    edges = np.searchsorted(blocks[order], np.arange(count + 1))
     for c in range(count):
-        part = x[:, order[edges[c] : edges[c + 1]]].reshape(-1, r)
+        part = x[:, blocks == c].reshape(-1, r)
         share[c] = part.T @ part
     values, vectors = np.linalg.eigh(share)
     values = np.clip(values, 0.0, 0.999)

@@ -355,10 +355,8 @@ class _Stage:
         h = self.used(chosen)
         count, k = int(self.blocks.max()) + 1, h.shape[2]
         a, s, w = np.zeros((count, k, k)), np.zeros((count, k)), np.zeros((count, k, k))
-        order = np.argsort(self.blocks, kind="stable")
-        edges = np.searchsorted(self.blocks[order], np.arange(count + 1))
         for c in range(count):
-            rows = order[edges[c] : edges[c + 1]]
+            rows = self.blocks == c
             part = h[:, rows].reshape(-1, k)
             a[c] = part.T @ self.slopes[:, rows].reshape(-1, k)
             s[c] = part.T @ self.white[:, rows].reshape(-1)

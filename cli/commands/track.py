@@ -239,7 +239,9 @@ def _pictures(
         figure = tracking(t, ref, states, title=f"Tracking of the {path.name}")
     else:
         inputs = {name: np.concatenate([f.u.numpy() for f in fs], 1) for name, fs in flights.items()}
-        figure = states_over_time(t, ref, states, inputs, system, title=f"{system.name}: {path.name}")
+        names, units = (*system.state_names, *system.input_names), (*system.state_units, *system.input_units)
+        columns = dict(zip(names, units, strict=True))
+        figure = states_over_time(t, ref, states, inputs, columns, title=f"{system.name}: {path.name}")
     save(figure, folder / "tracking.png")
     wrote = [f"{PLOTS}/tracking.png"]
     times = {

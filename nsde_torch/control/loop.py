@@ -15,7 +15,6 @@ from torch import Tensor
 
 from nsde_torch.control.autopilots import Autopilot, Decision, whole_samples
 from nsde_torch.control.reference import Reference, StateReference
-from nsde_torch.evaluation.scores import group_squares
 from nsde_torch.models import Model
 from nsde_torch.models.run_directory import load
 from nsde_torch.rotation import rotation_between
@@ -196,7 +195,8 @@ def _flown(kept: Sequence[dict[str, Any]]) -> dict[str, float | None]:
 
 def _runs(flight: Flight, system: System) -> list[dict[str, Any]]:
     """Errors by error group over the whole run and over its last second, in the units of the groups."""
-    squares = group_squares(system, system.error(flight.x, flight.ref[:, None].expand_as(flight.x)))
+    e = system.error(flight.x, flight.ref[:, None].expand_as(flight.x))
+    squares = torch.stack([e[..., list(g.channels)].square().sum(-1) for g in system.error_groups], -1)
     factor = torch.tensor([g.factor for g in system.error_groups])
     last = flight.t >= flight.t[-1] - _LAST_S
     out: list[dict[str, Any]] = []

@@ -16,8 +16,6 @@ from nsde_torch.plots.style import BLACK, BLUE, GREY, VERMILLION, key, model_loo
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from nsde_torch.systems import System
-
 
 @styled
 def tracking(t: Array, reference: Array, flights: Mapping[str, Array], *, title: str) -> Figure:
@@ -84,7 +82,7 @@ def states_over_time(
     reference: Array,
     runs: Mapping[str, Array],
     inputs: Mapping[str, Array],
-    machine: System,
+    columns: Mapping[str, str],
     *,
     title: str,
 ) -> Figure:
@@ -94,15 +92,13 @@ def states_over_time(
         t: Times (T,) [s].
         reference: States (T, nx).
         runs, inputs: Name of a controller -> states (T, N, nx) and inputs (T, N, nu) of its machines.
-        machine: Names and units.
+        columns: Units of the states and inputs, by name.
     """
-    nx, count = machine.nx, machine.nx + machine.nu
+    nx, count = reference.shape[1], len(columns)
     rows = -(-count // 2)
     figure, axes = panels(rows, 2, height=1.8 * rows + 1.0, title=title)
     axes = axes.T.reshape(-1)
-    names = (*machine.state_names, *machine.input_names)
-    units = (*machine.state_units, *machine.input_units)
-    for k, (ax, name, unit) in enumerate(zip(axes, names, units, strict=False)):
+    for k, (ax, (name, unit)) in enumerate(zip(axes, columns.items(), strict=False)):
         ax.set_ylabel(f"{name} [{unit}]")
         if k < nx:
             ax.plot(t, reference[:, k], color=BLACK, linestyle="--", label="reference")

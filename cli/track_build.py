@@ -143,9 +143,8 @@ def plant(config: DictConfig, known: Model | System, *, seed: int) -> SteppedMac
             latency=config.latency,
             limits=(0.0, 1.0) if isinstance(flown.system, Multirotor) else spec.limits,
         )
-    mine = (
-        own.name if isinstance(known, System) else known.spec.system
-    )  # `module:Class` of one of the user's own
+    # a model names a class of the user's own as `module:Class`
+    mine = own.name if isinstance(known, System) else known.spec.system
     name = config.system or mine
     if name.rpartition(":")[2] not in (own.name, mine.rpartition(":")[2], type(own).__name__):
         fits = own.name if isinstance(own, Multirotor) else "own"

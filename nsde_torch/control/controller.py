@@ -250,9 +250,8 @@ class Controller:
             found = self.solver.solve(problem, start.u.contiguous(), guess.contiguous())
             self._solves += 1
             if self._rest == REST and before is not None and self._solves % _ANEW == 0:
-                at_rest = self.hovering().u
                 here = z0[:, None, None].expand_as(guess).contiguous()
-                found = found.or_cheaper(self.solver.solve(problem, at_rest, here))
+                found = found.or_cheaper(self.solver.solve(problem, self.hovering().u, here))
         finite = np.isfinite(found.cost.numpy()) & np.isfinite(found.u.numpy()).all((1, 2))
         safe = [word is None and bool(good) for word, good in zip(trouble, finite, strict=True)]
         status = self._status(trouble, safe, found, start, known=before is not None)

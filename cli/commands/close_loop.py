@@ -116,8 +116,11 @@ def run(config: DictConfig, job: Job) -> float | None:
 def _check(config: DictConfig) -> None:
     """Refuse what no loop flies."""
     from nsde_torch.errors import ConfigError
+    from nsde_torch.systems import Multirotor
+    from nsde_torch.systems.registry import system_class
 
-    if config.plant.kind != "simulated" or config.plant.system is None:
+    name, simulated = config.plant.system, config.plant.kind == "simulated"
+    if not simulated or name is None or not issubclass(system_class(name), Multirotor):
         raise ConfigError("`nsde close-loop` flies plant=hexacopter or plant=quadrotor.")
     if config.truth and config.by not in ("vehicle", "plant"):
         raise ConfigError(

@@ -196,7 +196,7 @@ def _flown(kept: Sequence[dict[str, Any]]) -> dict[str, float | None]:
 def _runs(flight: Flight, system: System) -> list[dict[str, Any]]:
     """Errors by error group over the whole run and over its last second, in the units of the groups."""
     e = system.error(flight.x, flight.ref[:, None].expand_as(flight.x))
-    squares = torch.stack([e[..., list(g.channels)].square().sum(-1) for g in system.error_groups], -1)
+    squares = torch.stack([g.squares(e) for g in system.error_groups], -1)
     factor = torch.tensor([g.factor for g in system.error_groups])
     last = flight.t >= flight.t[-1] - _LAST_S
     out: list[dict[str, Any]] = []

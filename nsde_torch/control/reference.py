@@ -140,7 +140,7 @@ def setpoint(system: System, states: Mapping[str, float], *, duration: float) ->
     """A state to reach and to hold: that of the origin, at rest, but for the `states` that are given by name.
 
     Raises:
-        ConfigError: a name that is no state.
+        ConfigError: a name that is no state, a value that is not finite, or no duration.
     """
     unknown = sorted(set(states) - set(system.state_names))
     wrong = [name for name, value in states.items() if not isfinite(value)]

@@ -256,9 +256,8 @@ class Predictions:
     run: Labels  # number of the run (S,)
     t: Array  # times [s], of the start and of steps after it (S, k)
     measured: Array  # states (S, k, nx)
-    predicted: dict[
-        str, Array
-    ]  # by the physics `before`, and with effects `after` where any was found (S, k, nx)
+    # by the physics `before`, and with effects `after` where any was found (S, k, nx)
+    predicted: dict[str, Array]
     width: Array  # what 90 % of the errors of the last of these stay below, by time since the start (k, nx)
 
 

@@ -112,7 +112,7 @@ def baselines(system: System, x0: Tensor, elapsed: float) -> dict[str, Tensor]:
 
 def group_squares(system: System, errors: Tensor) -> Tensor:
     """Squared norm of each error group (..., n_groups) of errors (..., n_error), in the unit of the channels."""
-    return torch.stack([errors[..., list(g.channels)].square().sum(-1) for g in system.error_groups], -1)
+    return torch.stack([g.squares(errors) for g in system.error_groups], -1)
 
 
 def rms_by_group(system: System, squares: Tensor, horizons: Sequence[str]) -> dict[str, dict[str, float]]:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 Numbers = dict[str, float | list[float]]
 
@@ -55,6 +58,10 @@ class ErrorGroup:
     channels: tuple[int, ...]  # indices into the error channels
     unit: str  # unit of the report
     factor: float = 1.0  # from the channel's unit to that of the report (180/pi for degrees)
+
+    def squares(self, errors: Tensor) -> Tensor:
+        """Squared norm (...) of the group in errors (..., n_error), in the unit of the channels."""
+        return errors[..., list(self.channels)].square().sum(-1)
 
 
 @dataclass(frozen=True)

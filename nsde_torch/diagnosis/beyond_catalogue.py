@@ -192,7 +192,7 @@ class _LawSearch:
             place = better
         if not laws or known:
             return None
-        found = self.named_by_the_catalogue(search.concluded(place))
+        found = self.named_by_the_catalogue(search.concluded(place, before=joint.selected))
         if found.selected.keys() == joint.selected.keys():
             return None
         return replace(found, functions=self.functions(found.final))
@@ -266,7 +266,7 @@ class _LawSearch:
                 continue
             effect, shapes = same
             there = search.fitted(joined(search.without(place, name).system, effect, shapes), place)
-            again = search.concluded(there)
+            again = search.concluded(there, before=found.selected)
             if effect in again.selected:
                 found = again
         return found

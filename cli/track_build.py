@@ -84,7 +84,17 @@ def set_to(key: str, states: Any, system: System, *, duration: float = 1.0) -> S
 
 
 _IN_FILES = (
-    *("horizon", "steps", "state_weights", "input_weight", "input_centre", "rate_weight", "speed_limit"),
+    *(
+        "low",
+        "high",
+        "horizon",
+        "steps",
+        "state_weights",
+        "input_weight",
+        "input_centre",
+        "rate_weight",
+        "speed_limit",
+    ),
     *("tilt_limit", "fence", "limit_weight", "uncertainty_weight", "particles", "iterations", "tolerance"),
     *("deadline", "keep", "jump"),
 )
@@ -93,17 +103,10 @@ _MOTOR_LATENCY = 0.02  # measured best on machines whose motors lag 50 ms
 _LAGS = {"motor_lag", "actuator_lag", "input_delay"}
 
 
-def knowledge(
-    name: str,
-    config: DictConfig,
-    *,
-    command: str,
-    flights: bool = True,
-    beside: Model | System | None = None,
-) -> Model | System:
+def knowledge(name: str, config: DictConfig, beside: Model | System | None = None) -> Model | System:
     """What `run=` names, a model or the declared physics of the plant; ConfigError for no machine.
 
-    Where it is for `flights` alone, no multirotor is an error too. `beside` has the machine where the plant names none.
+    `beside` has the machine where the plant names none.
     """
     if is_exported(name):
         return exported(name).known
@@ -111,19 +114,24 @@ def knowledge(
     if name == DECLARED and machine_name is None:
         raise ConfigError("`run=declared` needs the machine: plant=hexacopter or plant.system=NAME.")
     see_own_modules(Path(name))
-    known = knowledge_of(name, machine_name or "")
-    if flights and not isinstance(system_of(known), Multirotor):
-        raise ConfigError(
-            f"`nsde {command}` is for multirotors (hexacopter, quadrotor); the machine of run={name} is a "
-            f"{system_of(known).name}. Others are controlled by nsde track."
-        )
-    return known
+    return knowledge_of(name, machine_name or "")
+
+
+def machine_name(config: DictConfig, known: Model | System) -> str:
+    """Name of the machine of the group `plant`; ConfigError for another machine than the model's."""
+    own = system_of(known)
+    # a model names a class of the user's own as `module:Class`
+    mine = own.name if isinstance(known, System) else known.spec.system
+    name = str(config.system or mine)
+    if name.rpartition(":")[2] not in (own.name, mine.rpartition(":")[2], type(own).__name__):
+        fits = own.name if isinstance(own, Multirotor) else "own"
+        raise ConfigError(f"the model is of a {own.name}, and plant.system={name}. Take plant={fits}.")
+    return name
 
 
 def plant(config: DictConfig, known: Model | System, *, seed: int) -> SteppedMachine:
     """The group `plant`; ConfigError for another machine than the model's, or an option that it does not have."""
     generator = torch.Generator().manual_seed(seed)
-    own = system_of(known)
     if config.kind == "learned":
         flown = known if config.run is None else load(config.run)
         if isinstance(flown, System):
@@ -143,14 +151,8 @@ def plant(config: DictConfig, known: Model | System, *, seed: int) -> SteppedMac
             latency=config.latency,
             limits=(0.0, 1.0) if isinstance(flown.system, Multirotor) else spec.limits,
         )
-    # a model names a class of the user's own as `module:Class`
-    mine = own.name if isinstance(known, System) else known.spec.system
-    name = config.system or mine
-    if name.rpartition(":")[2] not in (own.name, mine.rpartition(":")[2], type(own).__name__):
-        fits = own.name if isinstance(own, Multirotor) else "own"
-        raise ConfigError(f"the model is of a {own.name}, and plant.system={name}. Take plant={fits}.")
     return make_plant(
-        name,
+        machine_name(config, known),
         generator=generator,
         effects=build.options(config)["effects"],
         declared_only=config.declared_only,
@@ -164,7 +166,7 @@ def plant(config: DictConfig, known: Model | System, *, seed: int) -> SteppedMac
 
 def envelope(config: DictConfig, path: Reference, known: Model | System) -> feasible.Envelope:
     """What a reference asks for; ConfigError where the machine cannot do it, unless that is not to be checked."""
-    options = problem(config.mpc)
+    options = problem(config.mpc, system_of(known))
     predictor = Predictor(known, dt=options.dt)
     if not config.reference.check:
         return feasible.envelope(path, predictor)
@@ -173,12 +175,12 @@ def envelope(config: DictConfig, path: Reference, known: Model | System) -> feas
 
 
 def problem(config: DictConfig, system: System | None = None) -> ProblemOptions:
-    """What a plan pays for, of a machine; of a multirotor without."""
+    """What a plan pays for, of a machine; None: with what is not given as a multirotor has it."""
     given = {name: value for name, value in build.shared(ProblemOptions, config).items() if value is not None}
     if "state_weights" in given:
         given["state_weights"] = tuple(given["state_weights"])
     if "fence" in given:
-        given["fence"] = build.fence(config, "mpc", None if system is not None else 3)
+        given["fence"] = build.fence(config, "mpc", 3 if isinstance(system, Multirotor) else None)
     return ProblemOptions(**given) if system is None else problem_of(system, **given)
 
 

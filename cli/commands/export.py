@@ -61,6 +61,7 @@ def run(config: DictConfig, job: Job) -> None:
     from nsde_torch.control.loop import DECLARED, system_of
     from nsde_torch.export.record import C
     from nsde_torch.export.write import export
+    from nsde_torch.systems import Multirotor
     from nsde_torch.systems.machines import machine
 
     from .. import track_build
@@ -69,14 +70,15 @@ def run(config: DictConfig, job: Job) -> None:
     for file in (path, path.with_suffix(".h")) if config.format == C else (path,):
         if file.exists() and not config.overwrite:
             raise ConfigError(f"`out={file}` is there already; name another file, or say overwrite=true.")
-    known = track_build.knowledge(config.run, config.plant, command="export")
-    mpc = config.mpc
-    sample = config.sample or config.plant.dt or machine(system_of(known).name).dt
+    known = track_build.knowledge(config.run, config.plant)
+    mpc, name = config.mpc, track_build.machine_name(config.plant, known)
+    sample = config.sample or config.plant.dt or machine(name).dt
     latency = track_build.latency(config, known)
     digest = export(
         known,
         path,
-        problem=track_build.problem(mpc),
+        name=name,
+        problem=track_build.problem(mpc, system_of(known)),
         solver=track_build.solver(mpc),
         safety=track_build.safety(mpc),
         kind=config.format,
@@ -88,8 +90,9 @@ def run(config: DictConfig, job: Job) -> None:
         dtype=getattr(torch, config.precision),
         say=lambda line: print(line, flush=True),
     )
+    where = () if isinstance(system_of(known), Multirotor) else ("reference=setpoint",)
     print(
         f"{job.took}; wrote {path} ({path.stat().st_size / 1024:.0f} kB, "
         f"{config.format}, sha256 {digest[:16]}...); check it with: "
-        + as_typed("nsde", "verify", paths={"controller": path, "run": config.run})
+        + as_typed("nsde", "verify", *where, paths={"controller": path, "run": config.run})
     )

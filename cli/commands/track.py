@@ -90,13 +90,11 @@ def run(config: DictConfig, job: Job) -> float | None:
         raise ConfigError(f"`beside` names a controller twice: {names}.")
     if config.run == track_build.PID:
         raise ConfigError("`run` is the model's run directory (or declared); pid can fly beside=[pid].")
-    first = track_build.knowledge(config.run, config.plant, command="track", flights=False)
+    first = track_build.knowledge(config.run, config.plant)
     known = {config.run: first}
     for name in config.beside:
         if name != track_build.PID:
-            known[name] = track_build.knowledge(
-                name, config.plant, command="track", flights=False, beside=first
-            )
+            known[name] = track_build.knowledge(name, config.plant, beside=first)
     system = track_build.system_of(first)
     for name in config.beside:
         other = system.name if name == track_build.PID else track_build.system_of(known[name]).name

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
     from torch import Tensor
 
-    from nsde_torch.control.reference import Reference
+    from nsde_torch.control.reference import StateReference
     from nsde_torch.export.exported import ExportedController
 
     from ..jobs import Job
@@ -74,7 +74,9 @@ def run(config: DictConfig, job: Job) -> None:
     from nsde_torch.export.write import controller_of
 
     from .. import track_build
+    from ..own_modules import see_own_modules
 
+    see_own_modules(Path(config.run))
     out = verify.Verification()
     memory = verify.resident_mb()
     exported = ExportedController(config.controller)
@@ -91,7 +93,7 @@ def run(config: DictConfig, job: Job) -> None:
                 f"{config.controller} was not made of {config.run}: its {name} is {about['model'].get(name)}, and "
                 f"that of the run is {value}. Name the run that it was made of, or export anew."
             )
-    reference = track_build.reference(config.reference)
+    reference = track_build.any_reference(config.reference, exported.known)
     with torch.no_grad():
         verify.warm(exported)
         out.memory_mb = (memory, verify.resident_mb())
@@ -117,8 +119,8 @@ def run(config: DictConfig, job: Job) -> None:
             sample=about["sample_s"],
             estimator=EstimatorOptions(**about["estimator"]),
         )
-        o, count = exported.options, min(config.states, _ESTIMATED)
-        drawn = verify.along(reference, count, dt=o.dt, steps=o.steps, period=pilot.period, seed=config.seed)
+        count = min(config.states, _ESTIMATED)
+        drawn = verify.along(exported, reference, count, period=pilot.period, seed=config.seed)
         verify.compare_estimators(exported, pilot, [x for x, _ in drawn], out)
         print(
             f"{out.estimated} states with estimators and plans of their own: inputs differ by "
@@ -142,23 +144,15 @@ def run(config: DictConfig, job: Job) -> None:
 
 
 def _samples(
-    config: DictConfig, exported: ExportedController, reference: Reference
+    config: DictConfig, exported: ExportedController, reference: StateReference
 ) -> list[tuple[Tensor, Tensor]]:
     """States and the references ahead, of a flight or drawn."""
     from nsde_torch.export import verify
 
-    o, period = exported.options, exported.record["period_s"]
+    period = exported.record["period_s"]
     if config.log is None:
-        return verify.along(reference, config.states, dt=o.dt, steps=o.steps, period=period, seed=config.seed)
-    return verify.logged(
-        Path(config.log),
-        reference,
-        config.states,
-        dt=o.dt,
-        steps=o.steps,
-        period=period,
-        names=exported.record["state_names"],
-    )
+        return verify.along(exported, reference, config.states, period=period, seed=config.seed)
+    return verify.logged(Path(config.log), exported, reference, config.states, period=period)
 
 
 def _row(times: dict[str, float]) -> str:

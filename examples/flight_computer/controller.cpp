@@ -158,7 +158,8 @@ Controller::Controller(const std::string& file) : loaded_(std::make_unique<Loade
     const Json& s = record.at("sizes");
     auto size = [&](const char* name) { return static_cast<int>(s.at(name).number); };
     sizes = {size("nx"), size("nu"), size("nz"), size("nd"), size("steps"), 0};
-    sizes.n_plan = 5 + sizes.steps * sizes.nu + size("particles") * (sizes.steps + 1) * sizes.nz;
+    sizes.n_plan = static_cast<int>(record.at("step").at("inputs").items.back().at("shape").items.at(0).number);
+    if (record.at("loops").at("anew").number > 0) throw std::runtime_error(file + " is of no multirotor: this program flies them alone");
     period = record.at("period_s").number;
     sample = record.at("sample_s").number;
     dt = record.at("step_s").number;

@@ -33,7 +33,7 @@ BAD_STATE, JUMP, DIVERGED, BAD_REFERENCE = "bad_state", "state_jump", "diverged"
 KEPT, HOVER, REST = "kept", "hover", "rest"
 """Words of a status: how good a plan is, what was wrong, and what was done about it (`bad_state:kept`)."""
 
-_ANEW = 10
+ANEW = 10
 """Solves between two that start at rest too, for machines that swing: a plan may stay beside an optimum and put off
 what it would have to begin (a cart that balanced its pole 0.9 m from the set point)."""
 
@@ -161,6 +161,9 @@ class Controller:
         say: Called with one line when something takes long.
         clock: Time [s].
 
+    Attributes:
+        anew: Solves between two that start at rest too; 0: none does.
+
     Example:
         >>> controller = Controller(nsde_torch.load("runs/first"))  # doctest: +SKIP
         >>> plan = controller.plan(x, reference.window(t, dt=0.05, steps=20)[None])  # doctest: +SKIP
@@ -190,6 +193,7 @@ class Controller:
             raise ConfigError("the model has no hovering input: its rates are not finite. Train it anew.")
         self._jumped, self._solves = [0] * batch, 0
         self._rest, self._quaternion = word_at_rest(self.predictor.system), self.predictor.system.quaternion
+        self.anew = ANEW if self._rest == REST else 0
 
     def hovering(self) -> Plan:
         """A plan that hovers, level and at the origin: what there is before the first solve."""
@@ -234,6 +238,8 @@ class Controller:
         last = start.u[:, 0] if last is None else last.to(self.dtype)
         push = x.new_zeros(n, self.predictor.nd) if push is None else push.to(self.dtype)
         trouble = self._trouble(x, reference, start, known=before is not None)
+        if before is None:
+            self._solves = 0
         if any(trouble):
             bad = torch.tensor([word is not None for word in trouble])
             x = torch.where(bad[:, None], start.z[:, 0, 0, :nx], x)
@@ -249,7 +255,7 @@ class Controller:
             problem = Problem(z0.contiguous(), reference.contiguous(), last.contiguous(), push.contiguous())
             found = self.solver.solve(problem, start.u.contiguous(), guess.contiguous())
             self._solves += 1
-            if self._rest == REST and before is not None and self._solves % _ANEW == 0:
+            if self.anew and before is not None and self._solves % self.anew == 0:
                 here = z0[:, None, None].expand_as(guess).contiguous()
                 found = found.or_cheaper(self.solver.solve(problem, self.hovering().u, here))
         finite = np.isfinite(found.cost.numpy()) & np.isfinite(found.u.numpy()).all((1, 2))

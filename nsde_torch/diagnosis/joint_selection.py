@@ -283,8 +283,8 @@ class JointSearch:
         for p in (p for look in self._looks.values() for p in look):
             own = errors.setdefault(p.name, {})
             for label, found in p.errors.items():
-                before = own.get(label, found)
-                own[label] = min(found[0], before[0]), min(found[1], before[1])
+                least = own.get(label, found)
+                own[label] = min(found[0], least[0]), min(found[1], least[1])
         return JointSelection(self.declared, place, selected, rounds, errors, tuple(self._aside))
 
     def _extended(

@@ -17,11 +17,16 @@ from nsde_torch.control.codegen import scalar
 from nsde_torch.control.codegen.code import Networks, function, number
 from nsde_torch.control.codegen.sources import estimator, put, scalars, solver, template
 from nsde_torch.control.options import EstimatorOptions
+from nsde_torch.control.reference import at_rest
 from nsde_torch.errors import ConfigError, ExportError
-from nsde_torch.export.layout import STATUS
 from nsde_torch.export.step import ExportedStep
 
 _TEMPLATES = Path(__file__).parent / "templates"
+_FLIGHT = """\
+    nsde_real rates[3];                    /* body rates that the plan expects one step ahead [rad/s] */
+    nsde_real thrust;                      /* mean of the first commands */
+    nsde_real lift[NSDE_STEPS];            /* thrust over mass along the body's z axis, by step [m/s2] */
+"""
 
 
 def sources(
@@ -50,12 +55,19 @@ def sources(
     except ExportError as error:
         raise ExportError(f"{error} Take format=torchscript.") from error
     s, system = step.sizes, step.predictor.system
-    status = [f"   {k:2d}  {word.replace(':', ', ')}" for k, word in enumerate(STATUS)]
+    status = [f"   {k:2d}  {word.replace(':', ', ')}" for k, word in enumerate(about["status"])]
     values: dict[str, Any] = {
         **about,
         **parts,
         **vars(s),
         **{k: number(float(v)) for k, v in vars(step.safety).items()},
+        "unit": number(float(step.safety.quaternion)),
+        "quaternion": -1 if step.quaternion is None else step.quaternion.start,
+        "flies": int(s.flies),
+        "flight": _FLIGHT if s.flies else "",
+        "origin": ", ".join(map(number, at_rest(system, step.dtype).tolist())),
+        "at_rest": about["status"][-1].partition(":")[2],
+        "anew": step.loops.anew,
         **{k: number(getattr(step.options, k)) for k in ("low", "high")},
         "tolerance": number(step.loops.tolerance),
         "PREDICTION": "\n".join((*for_step, parts["PREDICTION"])),
@@ -71,8 +83,8 @@ def sources(
         "ahead": times.ahead,
         "state_doc": _listed(f"{n} [{unit}]" for n, unit in zip(system.state_names, system.state_units, strict=True)),
         "input_doc": _listed(system.input_names),
-        "push_doc": _listed(f"{port.value}, {width} axes" for port, width in step.predictor.ports.items())
-        + " [m/s2, rad/s2]",
+        "push_doc": _listed(f"{port.value}, {width} {'axis' if width == 1 else 'axes'}" for port, width in step.predictor.ports.items())
+        + f" [{about['step']['inputs'][5]['unit']}]",
         "status_doc": "\n".join(status),
     }  # fmt: skip
     source, header = (template(_TEMPLATES / f"controller.{end}", values) for end in "ch")
@@ -83,12 +95,11 @@ def _functions(step: ExportedStep, networks: Networks) -> list[str]:
     """What the step asks of the model beside the solver."""
     p, sizes = step.predictor, {"x": step.sizes.nx, "u": step.sizes.nu}
     (augmented,) = scalars(lambda x, u: (p.augment(x, u),), sizes, step.dtype)[1]
-    (lift,) = scalars(lambda x, u: (step._system.quantity("thrust", x, u),), sizes, step.dtype)[1]
     augment = "static void augment(const real *x, const real *u, real *out)"
-    made = [
-        function(augment, put("out", augmented), networks),
-        function("static real lift(const real *x, const real *u)", [("", lift[0])], networks),
-    ]
+    made = [function(augment, put("out", augmented), networks)]
+    if (flown := step.multirotor) is not None:
+        (lift,) = scalars(lambda x, u: (flown.quantity("thrust", x, u),), sizes, step.dtype)[1]
+        made.append(function("static real lift(const real *x, const real *u)", [("", lift[0])], networks))
     return [*networks.code(), *made]
 
 

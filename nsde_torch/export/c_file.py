@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import tempfile
 from collections.abc import Mapping
+from math import prod
 from pathlib import Path
 from typing import Any, final
 
@@ -82,16 +83,15 @@ class CController:
     """A controller in C behind the face of the exported step: `step` and `predict` of plain tensors, see `layout`."""
 
     def __init__(self, built: ctypes.CDLL, about: Mapping[str, Any]) -> None:
-        s = self._sizes = Sizes(**about["sizes"])
+        self._sizes = Sizes(**about["sizes"])
         self._dtype = getattr(torch, about["dtype"])
         number = ctypes.c_float if self._dtype == torch.float32 else ctypes.c_double
-        widths = (s.steps * s.nu, 3, 1, s.steps, (s.steps + 1) * s.nx, 1, 1)
-        shapes = ((s.steps, s.nu), (3,), (), (s.steps,), (s.steps + 1, s.nx), (), ())
-        self._parts = list(zip(widths, shapes, strict=True))
+        tables = [tuple(entry["shape"]) for entry in about["step"]["outputs"][:-3]]
+        self._parts = [(prod(shape), shape) for shape in tables]
 
         class Command(ctypes.Structure):
             _fields_ = (
-                *(("numbers", number * sum(widths)),),
+                *(("numbers", number * sum(width for width, _ in self._parts)),),
                 *(("iterations", ctypes.c_int), ("status", ctypes.c_int)),
             )
 

@@ -19,7 +19,7 @@ from nsde_torch.control.solve import SolverOptions
 from nsde_torch.effects import Port
 from nsde_torch.errors import ExportError, ShapeError
 from nsde_torch.export import c_file, container, jit, record
-from nsde_torch.export.layout import JUMPED, N_HEAD, STATUS, Sizes
+from nsde_torch.export.layout import JUMPED, N_HEAD, SOLVES, Sizes
 from nsde_torch.export.step import packed
 from nsde_torch.systems import System
 from nsde_torch.systems.frozen import frozen
@@ -111,10 +111,10 @@ class ExportedController:
         self.dtype = self.hover.dtype
         self.predictor = Prediction(predict, self.record, self.known, self.options.dt)
         self.sample = Prediction(predict, self.record, self.known, sample)
-        self._jumped = 0.0
+        self._jumped = self._solves = 0.0
 
     def hovering(self) -> Plan:
-        """A plan that hovers, level and where it is: what there is before the first solve."""
+        """A plan that hovers, or stays at rest, at the origin: what there is before the first solve."""
         return hovering_plan(self.hover, self.predictor.augment, self.known, self.options, batch=1)
 
     @torch.no_grad()
@@ -136,7 +136,8 @@ class ExportedController:
                 f"`x` must be (batch=1, nx={s.nx}) and `reference` (batch=1, steps={s.steps}, nx={s.nx}); got "
                 f"{tuple(x.shape)} and {tuple(reference.shape)}."
             )
-        old = torch.zeros(s.n_plan, dtype=torch.float64) if before is None else packed(before, self._jumped)
+        counts = self._jumped, self._solves
+        old = torch.zeros(s.n_plan, dtype=torch.float64) if before is None else packed(before, *counts)
         old[JUMPED] = self._jumped
 
         def given(table: Tensor | None, width: int, otherwise: float) -> Tensor:
@@ -155,10 +156,10 @@ class ExportedController:
             old,
         )
         started = time.perf_counter()
-        u, _, _, _, states, cost, gap, status, iterations, after = self.step(*arguments)
+        u, *_, states, cost, gap, status, iterations, after = self.step(*arguments)
         seconds = time.perf_counter() - started
-        self._jumped = float(after[JUMPED])
-        word, dtype = STATUS[int(status)], self.hover.dtype
+        self._jumped, self._solves = float(after[JUMPED]), float(after[SOLVES])
+        word, dtype = self.record["status"][int(status)], self.hover.dtype
         deadline = self.solver.options.deadline
         if ":" not in word and deadline is not None and seconds > deadline:
             word += f":{LATE}"

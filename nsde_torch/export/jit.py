@@ -32,22 +32,36 @@ def step(self, state: Tensor, valid: Tensor, elapsed: Tensor, reference: Tensor,
     if bool(trouble < 0.5):
         if bool(head[0] < 0.5):
             _, z, _, _ = self.finish(z0, u, ref, now, d, self.no_step, self.nothing)
-        going = True
-        while going:
-            hessian, gradient, low, high, value, best, least = self.prepare(z0, u, z, ref, now, d)
-            step = self.no_step
-            slope = gradient
-            change = 0
-            changing = True
-            while changing:
-                step, slope, best, least, left = self.active_set(
-                    hessian, gradient, low, high, value, step, slope, best, least)
-                change += 1
-                changing = change < {changes} and not bool(left <= {left!r})
-            u, z, cost, gap = self.finish(z0, u, ref, now, d, best, least)
-            iterations += 1
-            going = iterations < {iterations} and not bool(gap <= {tolerance!r})
+        u, z, cost, gap, iterations = self.solved(z0, u, z, ref, now, d)
+        if self.anew > 0 and bool(head[0] > 0.5) and int(head[5]) % max(self.anew, 1) == 0:
+            here = z0[:, None, None].expand_as(z).contiguous()
+            other_u, other_z, other_cost, other_gap, _ = self.solved(z0, self.rest, here, ref, now, d)
+            if bool(other_cost < cost):
+                u, z, cost, gap = other_u, other_z, other_cost, other_gap
     return self.end(u, z, cost, gap, self.counts[iterations], z0, start_u, start_z, head, trouble)
+"""
+_SOLVED = """
+def solved(self, z0: Tensor, u: Tensor, z: Tensor, ref: Tensor, now: Tensor,
+           d: Tensor) -> Tuple[Tensor, Tensor, Tensor, Tensor, int]:
+    cost = self.infinite
+    gap = self.infinite
+    iterations = 0
+    going = True
+    while going:
+        hessian, gradient, low, high, value, best, least = self.prepare(z0, u, z, ref, now, d)
+        step = self.no_step
+        slope = gradient
+        change = 0
+        changing = True
+        while changing:
+            step, slope, best, least, left = self.active_set(
+                hessian, gradient, low, high, value, step, slope, best, least)
+            change += 1
+            changing = change < {changes} and not bool(left <= {left!r})
+        u, z, cost, gap = self.finish(z0, u, ref, now, d, best, least)
+        iterations += 1
+        going = iterations < {iterations} and not bool(gap <= {tolerance!r})
+    return u, z, cost, gap, iterations
 """
 _FINISH = """
 def finish(self, z0: Tensor, u: Tensor, ref: Tensor, now: Tensor, d: Tensor, step: Tensor,
@@ -88,6 +102,7 @@ def scripted(step: ExportedStep) -> bytes:
         "no_step": torch.zeros(1, s.steps * s.nu, dtype=step.dtype),
         "nothing": torch.zeros(1, dtype=step.dtype),
         "counts": torch.arange(step.loops.iterations + 1, dtype=torch.float64),
+        "rest": torch.tensor(step.loops.rest, dtype=step.dtype).expand(1, s.steps, s.nu).contiguous(),
     }
     with _quiet(), torch.no_grad():
 
@@ -104,7 +119,9 @@ def scripted(step: ExportedStep) -> bytes:
                     setattr(self, "foresee" if name == "predict" else name, part)
                 for name, tensor in tensors.items():
                     self.register_buffer(name, tensor)
-                for text in (_FINISH, _STEP.format(**asdict(step.loops), results=results), _PREDICT):
+                self.anew = step.loops.anew
+                solved = _SOLVED.format(**asdict(step.loops))
+                for text in (_FINISH, solved, _STEP.format(results=results), _PREDICT):
                     self.define(text)
 
         made = torch.jit.freeze(Assembly().eval(), preserved_attrs=["step", "predict"])

@@ -3,7 +3,8 @@
     step(state, valid, elapsed, reference, last, push, memory, before) -> inputs, rates, thrust, ..., status, after
 
 All tensors are of double precision, on the CPU, without a batch axis. World ENU, body FLU, quaternion w x y z from body
-to world. `after` is what the next step takes as `before`; the first step takes zeros.
+to world. `after` is what the next step takes as `before`; the first step takes zeros. Rates, thrust and lift are
+outputs of multirotors alone.
 """
 
 from __future__ import annotations
@@ -25,11 +26,18 @@ from nsde_torch.control.controller import (
 )
 
 TROUBLES = (BAD_STATE, BAD_REFERENCE, JUMP, DIVERGED)
-STATUS = (CONVERGED, IMPROVED, *(f"{t}:{done}" for t in TROUBLES for done in (KEPT, HOVER)))
-"""Words of the numbers that `status` takes."""
 
-KNOWN, AGE, JUMPED, COST, GAP = range(5)
-N_HEAD = 5
+
+def status_words(at_rest: str) -> tuple[str, ...]:
+    """Words of the numbers that `status` takes, for a machine whose last thing to do is called so."""
+    return CONVERGED, IMPROVED, *(f"{t}:{done}" for t in TROUBLES for done in (KEPT, at_rest))
+
+
+STATUS = status_words(HOVER)
+"""Those of a multirotor."""
+
+KNOWN, AGE, JUMPED, COST, GAP, SOLVES = range(6)
+N_HEAD = 6
 """Places at the head of `before` and `after`; inputs (steps, nu) and states (particles, steps + 1, nz) follow."""
 
 
@@ -43,6 +51,7 @@ class Sizes:
     nd: int  # pushes
     steps: int  # of a plan
     particles: int  # paths of a plan
+    flies: bool  # whether it is a multirotor's
 
     @property
     def n_plan(self) -> int:
@@ -60,18 +69,18 @@ class Entry:
     help: str  # what it is
 
 
-_STATE = "m, m/s, 1, rad/s"
+_STATE, _PUSH = "m, m/s, 1, rad/s", "m/s2, rad/s2"
 
 
-def step_inputs(s: Sizes) -> tuple[Entry, ...]:
-    """Arguments of `step`, in order."""
+def step_inputs(s: Sizes, units: str = _STATE) -> tuple[Entry, ...]:
+    """Arguments of `step`, in order; `units` are those of the states."""
     return (
-        Entry("state", (s.nx,), _STATE, "measured state at the time from which the plan holds"),
+        Entry("state", (s.nx,), units, "measured state at the time from which the plan holds"),
         Entry("valid", (), "1", "0: the state is not reliable, whatever it says"),
         Entry("elapsed", (), "s", "time since the step that `before` comes from"),
-        Entry("reference", (s.steps, s.nx), _STATE, "states to track at the ends of the steps"),
+        Entry("reference", (s.steps, s.nx), units, "states to track at the ends of the steps"),
         Entry("last", (s.nu,), "1", "inputs that act now; nan: those of the plan before"),
-        Entry("push", (s.nd,), "m/s2, rad/s2", "disturbance on the force ports; 0: none"),
+        Entry("push", (s.nd,), _push(s), "disturbance on the force ports; 0: none"),
         Entry(
             "memory", (s.nz - s.nx,), "1", "memory of the model's effects now; nan: stationary under `last`"
         ),
@@ -87,8 +96,13 @@ def first_inputs(s: Sizes, x: Tensor) -> dict[str, Tensor]:
     return {**made, **unknown, "state": x.clone(), "reference": x.repeat(s.steps, 1), "valid": valid}
 
 
-def step_outputs(s: Sizes) -> tuple[Entry, ...]:
-    """What `step` returns, in order."""
+def step_outputs(s: Sizes, units: str = _STATE) -> tuple[Entry, ...]:
+    """What `step` returns, in order; `units` are those of the states."""
+    flight = (
+        Entry("rates", (3,), "rad/s", "desired body rates: those that the plan expects one step ahead"),
+        Entry("thrust", (), "1", "mean of the first commands"),
+        Entry("lift", (s.steps,), "m/s2", "collective thrust over mass along the body's z axis, by step"),
+    )
     return (
         Entry(
             "inputs",
@@ -96,11 +110,9 @@ def step_outputs(s: Sizes) -> tuple[Entry, ...]:
             "1",
             "commands, finite and within bounds; row k holds for the k-th step",
         ),
-        Entry("rates", (3,), "rad/s", "desired body rates: those that the plan expects one step ahead"),
-        Entry("thrust", (), "1", "mean of the first commands"),
-        Entry("lift", (s.steps,), "m/s2", "collective thrust over mass along the body's z axis, by step"),
-        Entry("states", (s.steps + 1, s.nx), _STATE, "states that the plan expects"),
-        Entry("cost", (), "1", "what the plan costs; infinite for hovering"),
+        *(flight if s.flies else ()),
+        Entry("states", (s.steps + 1, s.nx), units, "states that the plan expects"),
+        Entry("cost", (), "1", "what the plan costs; infinite for one that stays at rest"),
         Entry("gap", (), "1", "estimated share of the cost that a better plan would save"),
         Entry("status", (), "1", "number of the word in `status`"),
         Entry("iterations", (), "1", "iterations of the solver"),
@@ -108,15 +120,19 @@ def step_outputs(s: Sizes) -> tuple[Entry, ...]:
     )
 
 
-def predict_inputs(s: Sizes) -> tuple[Entry, ...]:
+def predict_inputs(s: Sizes, units: str = _STATE) -> tuple[Entry, ...]:
     """Arguments of `predict`, in order."""
     return (
-        Entry("z", (s.nz,), _STATE, "state with the memory of the model's effects"),
+        Entry("z", (s.nz,), units, "state with the memory of the model's effects"),
         Entry("u", (s.nu,), "1", "inputs that act, held"),
-        Entry("push", (s.nd,), "m/s2, rad/s2", "disturbance on the force ports"),
+        Entry("push", (s.nd,), _push(s), "disturbance on the force ports"),
     )
 
 
-def predict_outputs(s: Sizes) -> tuple[Entry, ...]:
+def predict_outputs(s: Sizes, units: str = _STATE) -> tuple[Entry, ...]:
     """What `predict` returns."""
-    return (Entry("z", (s.nz,), _STATE, "the same one sample later"),)
+    return (Entry("z", (s.nz,), units, "the same one sample later"),)
+
+
+def _push(s: Sizes) -> str:
+    return _PUSH if s.flies else "those of the rates that it is added to"

@@ -15,7 +15,7 @@ from typing import Any
 
 import torch
 
-from nsde_torch.control.controller import SafetyOptions
+from nsde_torch.control.controller import REST, SafetyOptions, word_at_rest
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.errors import ExportError
@@ -24,6 +24,7 @@ from nsde_torch.export.layout import (
     Entry,
     predict_inputs,
     predict_outputs,
+    status_words,
     step_inputs,
     step_outputs,
 )
@@ -45,7 +46,7 @@ def record_of(
     from it, `latency` [s]. The run directory of a model gives its hashes; None for declared physics.
     """
     system = known if isinstance(known, System) else known.system
-    s = step.sizes
+    s, units = step.sizes, ", ".join(dict.fromkeys(system.state_units))
     stamp = os.environ.get("SOURCE_DATE_EPOCH")
     return {
         "kind": kind,
@@ -53,15 +54,18 @@ def record_of(
         "versions": {"nsde_torch": version(), "torch": torch.__version__},
         "processor": _processor() if kind == AOTI else None,
         "dtype": str(step.dtype).removeprefix("torch."),
-        "frames": FRAMES,
+        "frames": FRAMES if system.quaternion is not None else "SI units, radians",
         "period_s": period,
         "sample_s": step.sample.dt,
         "step_s": step.options.dt,
         "latency_s": latency,
         "sizes": asdict(s),
-        "step": {"inputs": _listed(step_inputs(s)), "outputs": _listed(step_outputs(s))},
-        "predict": {"inputs": _listed(predict_inputs(s)), "outputs": _listed(predict_outputs(s))},
-        "status": list(STATUS),
+        "step": {"inputs": _listed(step_inputs(s, units)), "outputs": _listed(step_outputs(s, units))},
+        "predict": {
+            "inputs": _listed(predict_inputs(s, units)),
+            "outputs": _listed(predict_outputs(s, units)),
+        },
+        "status": list(status_words(word_at_rest(system))),
         "loops": asdict(step.loops),
         "hover": step.hover_u[0, 0].double().tolist(),
         "ports": {port.value: width for port, width in step.predictor.ports.items()},
@@ -115,7 +119,7 @@ def check(record: Mapping[str, Any]) -> None:
                 f"it was compiled for {record['processor']}, and this is {_processor()}. Export it here with "
                 "format=aoti."
             )
-        if tuple(record["status"]) != STATUS:
+        if tuple(record["status"]) not in (STATUS, status_words(REST)):
             raise ExportError("it knows other words of a status than this version. Export anew.")
     except (LookupError, TypeError, AttributeError) as error:
         raise ExportError(f"its record lacks {error}. Export anew.") from error

@@ -11,6 +11,7 @@ are those of `control.controller.Controller`, as arithmetic.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import final
@@ -23,7 +24,18 @@ from nsde_torch.control.gauss_newton import CHANGES, LEFT, GaussNewton
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import _repeat
 from nsde_torch.errors import ConfigError
-from nsde_torch.export.layout import AGE, COST, GAP, JUMPED, KNOWN, N_HEAD, TROUBLES, Sizes, first_inputs
+from nsde_torch.export.layout import (
+    AGE,
+    COST,
+    GAP,
+    JUMPED,
+    KNOWN,
+    N_HEAD,
+    SOLVES,
+    TROUBLES,
+    Sizes,
+    first_inputs,
+)
 from nsde_torch.systems import Multirotor
 
 Stage = Callable[..., Sequence[Tensor]]
@@ -41,6 +53,8 @@ class Loops:
     left: float  # share of the quadratic's saving that an iteration may leave
     iterations: int  # most iterations
     tolerance: float  # share of the cost that may be left
+    anew: int  # solves between two that start at rest too; 0: none does
+    rest: Sequence[float]  # inputs at rest (nu,)
 
 
 @final
@@ -53,6 +67,8 @@ class ExportedStep(nn.Module):
 
     Attributes:
         sizes, loops: Sizes, and what the loops between the stages go by.
+        quaternion: Columns of the unit quaternion, or None.
+        multirotor: The machine if it is one, else None.
 
     Raises:
         ConfigError: a controller of several machines, or with a solver that cannot be exported.
@@ -65,19 +81,18 @@ class ExportedStep(nn.Module):
         method = controller.solver._method
         if not isinstance(method, GaussNewton):
             raise ConfigError("only the solver gauss_newton is exported; got apg. Take mpc=default.")
-        system = controller.predictor.system
-        if not isinstance(system, Multirotor):
-            raise ConfigError(f"controllers of multirotors are exported; the machine is a {system.name}.")
         self.method, self.horizon, self.sample = method, controller.horizon, sample
         self.predictor, self.safety, self.options = (
             controller.predictor,
             controller.safety,
             controller.options,
         )
-        self.dtype, self._system = controller.predictor.dtype, system
-        p, o, solver = self.predictor, self.options, controller.solver.options
-        self.sizes = Sizes(p.nx, p.nu, p.nz, p.nd, o.steps, o.particles)
-        self.loops = Loops(CHANGES, LEFT, solver.iterations, solver.tolerance)
+        p, o, solver, system = self.predictor, self.options, controller.solver.options, self.predictor.system
+        self.dtype, self.quaternion = p.dtype, system.quaternion
+        self.multirotor = system if isinstance(system, Multirotor) else None
+        self.sizes = Sizes(p.nx, p.nu, p.nz, p.nd, o.steps, o.particles, self.multirotor is not None)
+        rest = controller.hover.double().tolist()
+        self.loops = Loops(CHANGES, LEFT, solver.iterations, solver.tolerance, controller.anew, rest)
         self.hover_u: Tensor
         self.hover_z: Tensor
         still = controller.hovering()
@@ -101,7 +116,7 @@ class ExportedStep(nn.Module):
 
         Returns:
             z0 (1, nz), start u (1, K, nu), start z (1, P, K + 1, nz), reference (1, K, nx), last (1, nu), push (1, nd),
-            head (5,): whether there is a plan before, its age, cost and gap, samples that jumped; and the trouble, 0-d.
+            head (6,): see `layout.KNOWN` and the places after it; and the trouble, 0-d.
         """
         s, safety, dtype, inf = self.sizes, self.safety, self.dtype, torch.inf
         head, old_u, old_z = self._unpacked(before)
@@ -122,13 +137,16 @@ class ExportedStep(nn.Module):
 
         expected = z[:, 0, 0, : s.nx]
         finite = torch.isfinite(x).all()
-        unit = ((x[:, 6:10] * x[:, 6:10]).sum().sqrt() - 1.0).abs() <= safety.quaternion
         sane = torch.isfinite(ref).all()
-        gone = x[:, :3] - expected[:, :3]
-        away = (gone * gone).sum().sqrt()
-        turned = 2.0 * torch.arccos((x[:, 6:10] * expected[:, 6:10]).sum().abs().clamp_max(1.0))
-        jumped = finite & known & (age <= safety.keep)
-        jumped = jumped & ((away > safety.jump) | (turned > safety.jump_attitude))
+        unit, far = finite, ~finite
+        if (at := self.quaternion) is not None:
+            unit = ((x[:, at] * x[:, at]).sum().sqrt() - 1.0).abs() <= safety.quaternion
+            turned = 2.0 * torch.arccos((x[:, at] * expected[:, at]).sum().abs().clamp_max(1.0))
+            far = turned > safety.jump_attitude
+        if self.multirotor is not None:
+            gone = x[:, :3] - expected[:, :3]
+            far = far | ((gone * gone).sum().sqrt() > safety.jump)
+        jumped = finite & known & (age <= safety.keep) & far
         count = torch.where(jumped, head[JUMPED] + 1.0, torch.zeros_like(head[JUMPED]))
         believed = finite & unit & (valid > 0.5)
         unlikely = jumped & (count < safety.jump_samples)
@@ -139,14 +157,17 @@ class ExportedStep(nn.Module):
 
         x = torch.where(bad, expected, x)
         ref = torch.where(bad, z[:, 0, 1:, : s.nx], ref)
-        q = x[:, 6:10]
-        x = torch.cat((x[:, :6], q / q.norm(dim=1, keepdim=True).clamp_min(1e-12), x[:, 10:]), 1)
+        if at is not None:
+            q = x[:, at]
+            q = q / q.norm(dim=1, keepdim=True).clamp_min(1e-12)
+            x = torch.cat((x[:, : at.start], q, x[:, at.stop :]), 1)
         z0 = self.predictor.augment(x, first)
         if s.nz > s.nx:
             rest = memory.to(dtype)[None]
             rest = torch.where(torch.isfinite(rest).all(), rest, z0[:, s.nx :])
             z0 = torch.cat((x, rest), 1)
-        kept = torch.stack((known.to(count), age.to(count), count, head[COST], head[GAP]))
+        solves = head[SOLVES] + 1.0 - bad.to(count)
+        kept = torch.stack((known.to(count), age.to(count), count, head[COST], head[GAP], solves))
         return z0.clone(), u, z, ref.clone(), first.clone(), d, kept, trouble
 
     def prepare(self, *arguments: Tensor) -> tuple[Tensor, ...]:
@@ -218,15 +239,16 @@ class ExportedStep(nn.Module):
         own_cost = chosen(cost[0].to(dtype), head[COST], infinite)
         own_gap = chosen(gap[0].to(dtype), head[GAP], infinite)
         age = chosen(torch.zeros_like(infinite), head[AGE], infinite)
-        kept = torch.stack((torch.ones_like(age), age, head[JUMPED], own_cost, own_gap))
+        kept = torch.stack((torch.ones_like(age), age, head[JUMPED], own_cost, own_gap, head[SOLVES]))
         x = z[0, 0, :, : s.nx]
-        lift = self._system.quantity("thrust", x[:-1], u[0])[:, 0]
         after = torch.cat((kept, u.flatten().to(dtype), z.flatten().to(dtype)))
+        flight: tuple[Tensor, ...] = ()
+        if self.multirotor is not None:
+            lift = self.multirotor.quantity("thrust", x[:-1], u[0])[:, 0]
+            flight = (x[1, 10:13].to(dtype), u[0, 0].mean().to(dtype), lift.to(dtype))
         return (
             u[0].to(dtype),
-            x[1, 10:13].to(dtype),
-            u[0, 0].mean().to(dtype),
-            lift.to(dtype),
+            *flight,
             x.to(dtype),
             own_cost,
             own_gap,
@@ -300,11 +322,10 @@ def run(stages: Mapping[str, Stage], loops: Loops, *given: Tensor) -> tuple[Tens
     u, z = start_u, start_z
     cost = gap = torch.full((1,), torch.inf, dtype=u.dtype)
     iterations = torch.zeros((), dtype=torch.float64)
-    if float(trouble) < 0.5:
-        no_step = torch.zeros_like(u).flatten(1)
-        if float(head[KNOWN]) < 0.5:  # no step at all is as good as its shares: what is left is the rollout
-            z = finish(z0, u, ref, last, d, no_step, torch.zeros_like(cost))[1]
-        while True:
+    no_step = torch.zeros_like(u).flatten(1)
+
+    def solved(u: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        for count in itertools.count(1):
             quadratic = list(stages["prepare"](z0, u, z, ref, last, d))
             fixed, (best, least) = quadratic[:5], quadratic[5:]
             step, slope = no_step, fixed[1]
@@ -313,9 +334,20 @@ def run(stages: Mapping[str, Stage], loops: Loops, *given: Tensor) -> tuple[Tens
                 if float(left) <= loops.left:
                     break
             u, z, cost, gap = finish(z0, u, ref, last, d, best, least)
-            iterations = iterations + 1.0
-            if float(gap) <= loops.tolerance or float(iterations) > loops.iterations - 0.5:
+            if float(gap) <= loops.tolerance or count >= loops.iterations:
                 break
+        return u, z, cost, gap, torch.tensor(float(count), dtype=torch.float64)
+
+    if float(trouble) < 0.5:
+        known = float(head[KNOWN]) > 0.5
+        if not known:  # no step at all is as good as its shares: what is left is the rollout
+            z = finish(z0, u, ref, last, d, no_step, torch.zeros_like(cost))[1]
+        u, z, cost, gap, iterations = solved(u, z)
+        if known and loops.anew and int(head[SOLVES]) % loops.anew == 0:
+            rest = torch.tensor(loops.rest, dtype=u.dtype).expand_as(u).contiguous()
+            other = solved(rest, z0[:, None, None].expand_as(z).contiguous())
+            if float(other[2]) < float(cost):
+                u, z, cost, gap, _ = other
     return tuple(stages["end"](u, z, cost, gap, iterations, z0, start_u, start_z, head, trouble))
 
 
@@ -335,9 +367,10 @@ def _composed(stages: Mapping[str, Stage]) -> Stage:
     return finish
 
 
-def packed(plan: Plan, jumped: float) -> Tensor:
-    """A plan of one machine as the `before` of a step, with how many samples have jumped."""
-    head = torch.stack((torch.ones(()), plan.age[0], torch.tensor(jumped), plan.cost[0], plan.gap[0]))
+def packed(plan: Plan, jumped: float, solves: float) -> Tensor:
+    """A plan of one machine as the `before` of a step, with how many samples have jumped and plans were solved for."""
+    counts = torch.tensor((jumped, solves))
+    head = torch.stack((torch.ones(()), plan.age[0], counts[0], plan.cost[0], plan.gap[0], counts[1]))
     return torch.cat([part.double().flatten() for part in (head, plan.u, plan.z)])
 
 

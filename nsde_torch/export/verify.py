@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import resource
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from torch import Tensor
 from nsde_torch.control.autopilots import PredictivePilot
 from nsde_torch.control.controller import Controller, Plan
 from nsde_torch.control.loop import percentiles
-from nsde_torch.control.reference import Reference
+from nsde_torch.control.reference import StateReference, at_rest
 from nsde_torch.errors import DataError
 from nsde_torch.export.exported import ExportedController
 from nsde_torch.export.layout import STATUS, first_inputs
@@ -31,6 +31,7 @@ TOLERANCE = 1e-4
 SINGLE_TOLERANCE = 5e-3
 """The same for a controller in C of single precision, which solves its equations in another order than Python."""
 _START = 2.0  # time of the first state along a reference [s]
+_OFF = 0.3  # errors of states that are drawn along a reference of a machine that does not fly, in their units
 _EVERY = 50
 """Samples between cold starts, and between samples that are in trouble, of the states that both are given."""
 
@@ -110,8 +111,8 @@ def compare(
         if k % _EVERY == 0:
             before = None
         if k % _EVERY == _EVERY - 1:  # troubles in turn, each in the middle of a flight
-            x, ref = _troubled(k // _EVERY, x, ref)
-        exported._jumped = float(controller._jumped[0])
+            x, ref = _troubled(k // _EVERY, x, ref, exported)
+        exported._jumped, exported._solves = float(controller._jumped[0]), float(controller._solves)
         started, cpu = time.perf_counter(), time.thread_time()
         ours = exported.plan(x, ref, before, elapsed=elapsed)
         out.cpu_ms.append(1e3 * (time.thread_time() - cpu))
@@ -146,63 +147,64 @@ def compare_estimators(
         u, *_, status, _ = inside.command(state, pilot.reference.window(t + ahead, dt=o.dt, steps=o.steps))
         out.estimated += 1
         out.estimated_worst = max(out.estimated_worst, float((u[0] - theirs.u[0]).abs().max()))
-        word = STATUS[int(status)]
+        word = exported.record["status"][int(status)]
         if word != theirs.status[0]:
             out.differing.append(f"estimator, sample {k}: {word} in the file, {theirs.status[0]} in Python")
 
 
-def _troubled(kind: int, x: Tensor, ref: Tensor) -> tuple[Tensor, Tensor]:
-    x, ref = x.clone(), ref.clone()
-    if kind % 4 == 0:
-        x[0, kind % x.shape[1]] = torch.nan
-    elif kind % 4 == 1:
-        x[0, 6:10] *= 1.4
+def _troubled(kind: int, x: Tensor, ref: Tensor, exported: ExportedController) -> tuple[Tensor, Tensor]:
+    x, ref, attitude = x.clone(), ref.clone(), exported.known.quaternion
+    if kind % 4 == 1 and attitude is not None:
+        x[0, attitude] *= 1.4
+    elif kind % 4 == 3 and exported.sizes.flies:
+        x[0, :3] += 5.0
     elif kind % 4 == 2:
         ref[0, -1, 0] = torch.inf
     else:
-        x[0, :3] += 5.0
+        x[0, kind % x.shape[1]] = torch.nan
     return x, ref
 
 
 def along(
-    reference: Reference, count: int, *, dt: float, steps: int, period: float, seed: int = 0
+    exported: ExportedController, reference: StateReference, count: int, *, period: float, seed: int = 0
 ) -> list[tuple[Tensor, Tensor]]:
-    """States along a reference, off it by the errors of a flight, which last for a while, and the references ahead.
+    """States (nx,) along a reference, off it by errors that last for a while, and the references (K, nx) ahead of them.
 
-    `dt` [s] and `steps` are the grid of the plans, and `period` is the time between states [s].
+    The errors are those of a flight; of other machines `_OFF` in the units of each state. `period` is the time between
+    states [s].
     """
-    g = torch.Generator().manual_seed(seed)
-    size = torch.tensor([*(0.06,) * 3, *(0.15,) * 3, *(0.05,) * 3, *(0.3,) * 3], dtype=torch.float64)
+    g, o, system = torch.Generator().manual_seed(seed), exported.options, exported.known
+    size = torch.full((len(system.error_names),), _OFF, dtype=torch.float64)
+    if exported.sizes.flies:
+        size = torch.tensor([*(0.06,) * 3, *(0.15,) * 3, *(0.05,) * 3, *(0.3,) * 3], dtype=torch.float64)
     stay = float(np.exp(-period / 0.3))
-    off = torch.randn(12, generator=g, dtype=torch.float64)
+    off = torch.randn(len(size), generator=g, dtype=torch.float64)
     out = []
     for k in range(count):
-        t = (_START + k * period) % max(reference.duration - dt * steps, period)
-        new = torch.randn(12, generator=g, dtype=torch.float64)
+        t = (_START + k * period) % max(reference.duration - o.horizon, period)
+        new = torch.randn(len(size), generator=g, dtype=torch.float64)
         off = stay * off + (1.0 - stay**2) ** 0.5 * new
         x, e = reference.at(torch.tensor(t, dtype=torch.float64)), off * size
-        x = torch.cat((x[:6] + e[:6], turned(x[6:10], e[6:9]), x[10:] + e[9:]))
-        out.append((x, reference.window(t, dt=dt, steps=steps)))
+        if (at := system.quaternion) is None:
+            x = x + e
+        else:
+            a, b = at.start, at.start + 3
+            x = torch.cat((x[:a] + e[:a], turned(x[at], e[a:b]), x[at.stop :] + e[b:]))
+        out.append((x, reference.window(t, dt=o.dt, steps=o.steps)))
     return out
 
 
 def logged(
-    file: Path,
-    reference: Reference,
-    count: int,
-    *,
-    dt: float,
-    steps: int,
-    period: float,
-    names: Sequence[str],
+    file: Path, exported: ExportedController, reference: StateReference, count: int, *, period: float
 ) -> list[tuple[Tensor, Tensor]]:
     """States of a flight that `nsde track` logged, `count` at most, and the references ahead; see `along`.
 
-    The CSV file has the time `t` in the reference, and the states in columns of these names.
+    The CSV file has the time `t` in the reference, and the states in columns of their names.
 
     Raises:
         DataError: no such file, or columns that are not there.
     """
+    names, o = exported.record["state_names"], exported.options
     if not file.is_file():
         raise DataError(f"no log {file}; `nsde track` writes log/flight_0.csv into its folder.")
     with file.open(encoding="utf-8") as opened:
@@ -217,16 +219,15 @@ def logged(
     due = t[0]
     for row, time_ in enumerate(t):
         if time_ >= due - 1e-9 and len(out) < count:
-            out.append((x[row], reference.window(float(time_), dt=dt, steps=steps)))
+            out.append((x[row], reference.window(float(time_), dt=o.dt, steps=o.steps)))
             due += period
     return out
 
 
 def warm(exported: ExportedController) -> None:
-    """Some steps from hovering, so that what is timed later is none of a cold start."""
+    """Some steps from rest, so that what is timed later is none of a cold start."""
     s, before = exported.sizes, None
-    x = torch.zeros(1, s.nx, dtype=torch.float64)
-    x[:, 6] = 1.0
+    x = at_rest(exported.known, torch.float64)[None]
     for _ in range(5):
         before = exported.plan(x, x[:, None].repeat(1, s.steps, 1), before, elapsed=exported.options.dt)
         exported.predictor(before.z[0, 0, :1], before.u[0, :1], torch.zeros(1, s.nd))
@@ -234,10 +235,11 @@ def warm(exported: ExportedController) -> None:
 
 @torch.no_grad()
 def attack(
-    exported: ExportedController, reference: Reference, count: int, out: Verification, *, seed: int = 1
+    exported: ExportedController, reference: StateReference, count: int, out: Verification, *, seed: int = 1
 ) -> None:
     """Give a file numbers that no sensor should send, near sound ones along a reference, and look at every answer."""
     g, s, o = torch.Generator().manual_seed(seed), exported.sizes, exported.options
+    at, names = exported.known.quaternion, [e["name"] for e in exported.record["step"]["outputs"]]
 
     def draw(*shape: int) -> Tensor:
         return torch.randn(*shape, generator=g, dtype=torch.float64)
@@ -252,7 +254,8 @@ def attack(
     for k in range(count):
         t = reference.duration * float(torch.rand((), generator=g))
         x = reference.at(torch.tensor(t, dtype=torch.float64)) + 0.05 * draw(s.nx)
-        x[6:10] = torch.nn.functional.normalize(x[6:10], dim=0)
+        if at is not None:
+            x[at] = torch.nn.functional.normalize(x[at], dim=0)
         ref = reference.window(t, dt=o.dt, steps=o.steps).clone()
         elapsed = torch.tensor(0.02, dtype=torch.float64)
         now = {"state": x, "elapsed": elapsed, "reference": ref, "before": before.clone()}
@@ -261,13 +264,14 @@ def attack(
             kind = pick(10)
             if kind == 0:
                 x[pick(s.nx)] = odd[pick(len(odd))]
-            elif kind == 1:
-                x[6:10] = odd[pick(len(odd))] * torch.ones(4) if pick(2) else draw(4) * 10.0 ** pick(4)
-            elif kind == 2:
+            elif kind == 1 and at is not None:
+                x[at] = odd[pick(len(odd))] * torch.ones(4) if pick(2) else draw(4) * 10.0 ** pick(4)
+            elif kind in (1, 2):
                 x[:] = draw(s.nx) * 10.0 ** (pick(60) - 10)
             elif kind == 3:
                 ref[:] = ref[0].clone()
-                ref[:, 3:6] = 0.0
+                if s.flies:
+                    ref[:, 3:6] = 0.0
             elif kind == 4:
                 ref[pick(o.steps), pick(s.nx)] = odd[pick(len(odd))]
             elif kind == 5:
@@ -284,26 +288,25 @@ def attack(
                 given["valid"] = odd[pick(len(odd))].clone()
         answer = exported.step(*given.values())
         before = answer[-1]
-        wrong = unsafe(answer, o.low, o.high)
+        wrong = unsafe(dict(zip(names, answer, strict=True)), o.low, o.high)
         if wrong is not None:
             out.unsafe.append(f"sample {k}: {wrong}")
             before = torch.zeros_like(before)
         out.adversarial += 1
 
 
-def unsafe(answer: Sequence[Tensor], low: float, high: float) -> str | None:
-    """What is wrong with what a step returned, if anything."""
-    u, rates, thrust, lift, states, cost, gap, status, _, _ = answer
-    named = {"inputs": u, "rates": rates, "thrust": thrust, "lift": lift, "states": states}
-    for name, value in named.items():
-        if not bool(torch.isfinite(value).all()):
+def unsafe(answer: Mapping[str, Tensor], low: float, high: float) -> str | None:
+    """What is wrong with what a step returned, by name (`layout.step_outputs`), if anything."""
+    u, status = answer["inputs"], float(answer["status"])
+    for name, value in answer.items():
+        if name not in ("cost", "gap", "after") and not bool(torch.isfinite(value).all()):
             return f"{name} are not finite"
     if bool((u < low).any()) or bool((u > high).any()):
         return f"inputs of {float(u.min()):.3g} to {float(u.max()):.3g} are out of bounds"
-    if bool(torch.isnan(cost)) or bool(torch.isnan(gap)):
+    if bool(torch.isnan(answer["cost"])) or bool(torch.isnan(answer["gap"])):
         return "the cost is no number"
-    if not 0 <= float(status) < len(STATUS):
-        return f"a status of {float(status)}"
+    if not 0 <= status < len(STATUS):
+        return f"a status of {status}"
     return None
 
 

@@ -45,6 +45,7 @@ def export(
     known: Model | System,
     path: Path,
     *,
+    name: str | None = None,
     problem: ProblemOptions,
     solver: SolverOptions,
     safety: SafetyOptions,
@@ -62,6 +63,7 @@ def export(
     Args:
         known: What it knows of the machine.
         path: The file.
+        name: Name of the machine, of which declared physics is made anew when the file is loaded; None: its own.
         problem, solver, safety: What a plan pays for, how it is found, and when to reject a state or a plan.
         kind: "torchscript", "aoti" or "c" (`path` is then the source file, and its header lies beside it).
         run: Run directory of the model, for its hashes; None: declared physics.
@@ -85,6 +87,7 @@ def export(
     controller = controller_of(known, problem=problem, solver=solver, safety=safety, dtype=dtype)
     step = ExportedStep(controller, Predictor(known, dt=sample, dtype=dtype))
     about = record_of(step, known, kind=kind, run=run, period=period, latency=latency)
+    about["model"]["system"] = name or about["model"]["system"]
     if kind == C:
         from nsde_torch.export.c_code import sources
 

@@ -39,15 +39,23 @@ def spring(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_what_is_for_multirotors_says_so_in_one_sentence(
+def test_a_controller_of_a_spring_is_exported_verified_and_holds_it(
     spring: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["export", f"run={spring}", "out=c.ts"]) == 2
-    error = capsys.readouterr().err
-    assert "`nsde export` is for multirotors" in error
-    assert "mass_spring_damper" in error
-    assert "nsde track" in error
-    assert "Traceback" not in error
+    assert main(["export", f"run={spring}", "out=c.c"]) == 2
+    assert "Take plant=own" in capsys.readouterr().err
+    limits = ["plant=own", "mpc.low=-1", "mpc.high=1", "mpc.steps=8", "mpc.horizon=0.4"]
+    assert main(["export", f"run={spring}", *limits, "format=c", "out=spring.c"]) == 0
+    assert "reference=setpoint" in capsys.readouterr().out
+    given = ["controller=spring.c", f"run={spring}", "states=60", "adversarial=100"]
+    assert main(["verify", *given]) == 2
+    assert "reference=setpoint" in capsys.readouterr().err
+    assert main(["verify", *given, "reference=setpoint", "reference.states={q: 0.2}"]) == 0
+    assert "passed" in capsys.readouterr().out
+    held = ["reference=setpoint", "reference.states={q: 0.2}", "reference.duration=2", "plant=own"]
+    assert main(["track", "controller=spring.c", *held, "out_dir=held"]) == 0
+    assert main(["track", "controller=spring.c", *held, "mpc.low=-2", "out_dir=no"]) == 2
+    assert "`mpc.low` is -2" in capsys.readouterr().err
 
 
 def test_a_model_of_a_spring_holds_it_beside_its_declared_physics(

@@ -70,10 +70,8 @@ def _compared(
     """What C and Python make of states along a path."""
     file, out = folder / "controller.c", verify.Verification()
     given = _written(known, file, **options)  # type: ignore[arg-type]
-    o: ProblemOptions = given["problem"]  # type: ignore[assignment]
-    controller = controller_of(known, **given)  # type: ignore[arg-type]
-    samples = verify.along(path, states, dt=o.dt, steps=o.steps, period=0.02)
-    verify.compare(ExportedController(file), controller, samples, out, elapsed=0.02)
+    controller, exported = controller_of(known, **given), ExportedController(file)  # type: ignore[arg-type]
+    verify.compare(exported, controller, verify.along(exported, path, states, period=0.02), out, elapsed=0.02)
     return out
 
 
@@ -356,7 +354,7 @@ def test_the_estimator_in_c_flies_as_the_one_in_python(file: Path, declared: Sys
     exported, out = ExportedController(file), verify.Verification()
     controller = controller_of(declared, **MADE_WITH)
     pilot = PredictivePilot(controller, declared, path, period=0.02, sample=0.01, estimator=ESTIMATOR)
-    states = [x for x, _ in verify.along(path, 20, dt=0.05, steps=6, period=0.02)]
+    states = [x for x, _ in verify.along(exported, path, 20, period=0.02)]
     states[7] = states[7] * torch.nan
     states[12] = states[12] + torch.tensor([5.0, *(0.0,) * 12])
     verify.compare_estimators(exported, pilot, states, out)
@@ -392,7 +390,7 @@ def test_the_process_around_it_is_small(
     declared: System, path: Reference, tmp_path: Path, root: Path
 ) -> None:
     _written(declared, tmp_path / "controller.c", horizon=1.0, steps=20)
-    samples = verify.along(path, 50, dt=0.05, steps=20, period=0.02)
+    samples = verify.along(ExportedController(tmp_path / "controller.c"), path, 50, period=0.02)
     torch.cat([torch.cat((x[None], ref)).flatten() for x, ref in samples]).numpy().tofile(
         tmp_path / "samples.bin"
     )

@@ -58,7 +58,7 @@ def test_a_file_plans_as_its_controller_and_stands_whatever_it_is_given(
 ) -> None:
     exported, out = ExportedController(file), verify.Verification()
     controller = controller_of(model, **OPTIONS, dtype=torch.float32)  # type: ignore[arg-type]
-    samples = verify.along(path, 100, dt=0.05, steps=6, period=0.02)
+    samples = verify.along(exported, path, 100, period=0.02)
     verify.compare(exported, controller, samples, out, elapsed=0.02)
     verify.attack(exported, path, 300, out)
     assert out.passed, (out.worst, out.differing, out.unsafe)

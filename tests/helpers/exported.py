@@ -13,7 +13,7 @@ from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.solve import SolverOptions
-from nsde_torch.export.layout import STATUS
+from nsde_torch.export.layout import N_HEAD, STATUS
 from nsde_torch.export.step import ExportedStep, packed
 from nsde_torch.models import NeuralSDE
 from nsde_torch.systems import System
@@ -54,7 +54,7 @@ def flight(controller: Controller, path: Reference) -> Iterator[tuple[list[Tenso
         None,
     )
     before: Plan | None = None
-    n = 5 + o.steps * p.nu + o.particles * (o.steps + 1) * p.nz
+    n = N_HEAD + o.steps * p.nu + o.particles * (o.steps + 1) * p.nz
     for k, trouble in enumerate(troubles):
         t, elapsed = 8.0 + 0.02 * k, 0.02
         x = path.at(torch.tensor([t]))
@@ -83,7 +83,7 @@ def flight(controller: Controller, path: Reference) -> Iterator[tuple[list[Tenso
         old = (
             torch.zeros(n, dtype=torch.float64)
             if before is None
-            else packed(before, float(controller._jumped[0]))
+            else packed(before, float(controller._jumped[0]), float(controller._solves))
         )
         if before is None:
             old[2] = float(controller._jumped[0])

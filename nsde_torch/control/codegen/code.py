@@ -192,9 +192,13 @@ def function(
         text = body.text(x)
         ends.append(f"    {place} = {text};\n" if place else f"    return {text};\n")
     code = "".join((*body.lines, *ends))
-    given = re.findall(r"const real \*(?:restrict )?(\w+)", head)
-    unused = "".join(f"    (void){name};\n" for name in given if not re.search(rf"\b{name}\[", code))
-    return f"{head}\n{{\n{unused}{code}}}\n"
+    return f"{head}\n{{\n{_unused(head, code)}{code}}}\n"
+
+
+def _unused(head: str, code: str) -> str:
+    """Mention of the arrays of a head that its code does not read: compilers warn of them."""
+    given = re.findall(r"\*(?:restrict )?(\w+)", head)
+    return "".join(f"    (void){name};\n" for name in given if not re.search(rf"\b{name}\[", code))
 
 
 class Matrix:
@@ -224,7 +228,8 @@ class Matrix:
 
 
 def _void(head: str, lines: Iterable[str]) -> str:
-    return f"static void {head}\n{{\n" + "".join(f"    {line}\n" for line in lines) + "}\n\n"
+    code = "".join(f"    {line}\n" for line in lines)
+    return f"static void {head}\n{{\n{_unused(head, code)}{code}}}\n\n"
 
 
 def products(a: Matrix, b: Matrix, q: Matrix, nz: int) -> str:

@@ -15,7 +15,7 @@
    Status: what a call returns, and `status` of the command. A command that leaves is finite and within bounds, always.
 @status_doc@
 
-   kept: the plan before, shifted by its age, for @keep_s@ s at most. hover: the model's hovering inputs.
+   kept: the plan before, shifted by its age, for @keep_s@ s at most. @at_rest@: the model's inputs at rest.
    The record at the end of this file says what model this is, and with which settings it was made. */
 
 #ifndef NSDE_CONTROLLER_H
@@ -39,15 +39,13 @@ extern "C" {
 /* A plan, to start the next from and to fall back on; {0}: there is none. */
 typedef struct {
     nsde_real known, age, jumped, cost, gap; /* whether there is one; s; samples that jumped; see nsde_command */
+    nsde_real solves;                        /* plans that were solved for since there was none */
     nsde_real u[NSDE_STEPS][NSDE_NU], z[NSDE_STEPS + 1][NSDE_NZ];
 } nsde_plan;
 
 typedef struct {
     nsde_real inputs[NSDE_STEPS][NSDE_NU]; /* commands; row 0 is for now, row k holds for the k-th step */
-    nsde_real rates[3];                    /* body rates that the plan expects one step ahead [rad/s] */
-    nsde_real thrust;                      /* mean of the first commands */
-    nsde_real lift[NSDE_STEPS];            /* thrust over mass along the body's z axis, by step [m/s2] */
-    nsde_real states[NSDE_STEPS + 1][NSDE_NX]; /* that the plan expects */
+@flight@    nsde_real states[NSDE_STEPS + 1][NSDE_NX]; /* that the plan expects */
     nsde_real cost, gap; /* what the plan costs; estimated share of that which a better plan would save */
     int iterations, status;
 } nsde_command;
@@ -75,7 +73,7 @@ typedef struct {
     nsde_real z[NSDE_NZ], push[NSDE_ND + 1], commands[NSDE_PAST + NSDE_AHEAD][NSDE_NU];
 } nsde_pilot;
 
-/* Starts from a measured state, hovering. */
+/* Starts from a measured state, with the inputs of rest. */
 void nsde_reset(nsde_pilot *pilot, const nsde_real state[NSDE_NX]);
 
 /* The command of a period from the newest measured state; returns its status. The reference is that from the time on at

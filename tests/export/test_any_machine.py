@@ -1,0 +1,101 @@
+"""Controllers of machines that do not fly, as files: what they do is what the controller in Python does."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import pytest
+import torch
+
+from nsde_torch.control.codegen.library import compiler
+from nsde_torch.control.controller import ANEW, Controller, SafetyOptions
+from nsde_torch.control.problem import problem_of
+from nsde_torch.control.reference import setpoint
+from nsde_torch.control.solve import SolverOptions
+from nsde_torch.export import verify
+from nsde_torch.export.exported import ExportedController
+from nsde_torch.export.write import controller_of, export
+from nsde_torch.systems import System, make_plant_system
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
+HANGING, UP = {"theta": 3.1}, {"theta": 0.0}
+
+
+@pytest.fixture(scope="module")
+def cart() -> System:
+    return make_plant_system("cartpole", declared_only=True)
+
+
+def exported(cart: System, path: Path, kind: str) -> tuple[ExportedController, Controller]:
+    options = {
+        "problem": problem_of(cart, low=-10.0, high=10.0),
+        "solver": SolverOptions(iterations=4),
+        "safety": SafetyOptions(),
+        "dtype": torch.float64,
+    }
+    export(cart, path, kind=kind, sample=0.01, period=0.02, latency=0.0, **options)  # type: ignore[arg-type]
+    return ExportedController(path), controller_of(cart, **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("name", "kind"), [("cart.c", "c"), ("cart.ts", "torchscript")])
+def test_a_swing_up_is_planned_as_in_python_also_anew_from_rest_and_in_trouble(
+    cart: System, tmp_path: Path, name: str, kind: str
+) -> None:
+    file, controller = exported(cart, tmp_path / name, kind)
+    o, noise = file.options, torch.Generator().manual_seed(0)
+    ahead = setpoint(cart, UP, duration=1.0).window(0.0, dt=o.dt, steps=o.steps)[None]
+    x = setpoint(cart, HANGING, duration=1.0).states[:1]
+    before, words = None, set()
+    for k in range(3 * ANEW):
+        x = x + 0.02 * torch.randn(x.shape, generator=noise, dtype=torch.float64)
+        if k == 17:
+            x[0, 1] = torch.nan
+        ours = file.plan(x, ahead, before, elapsed=0.02)
+        before = controller.plan(x, ahead, before, elapsed=0.02)
+        assert ours.status == before.status
+        assert torch.allclose(ours.u, before.u, atol=1e-9)
+        assert torch.allclose(ours.x, before.x, atol=1e-9)
+        words |= set(ours.status)
+        z = before.z[:, 0, 0]
+        for _ in range(2):
+            z = file.sample(z, before.u[:, 0], torch.zeros(1, file.sizes.nd))
+        x = z[:, : cart.nx]
+    assert "bad_state:kept" in words
+    assert controller._solves == file._solves == 3 * ANEW - 1
+    names = [entry["name"] for entry in file.record["step"]["outputs"]]
+    assert names == ["inputs", "states", "cost", "gap", "status", "iterations", "after"]
+
+
+def test_every_tenth_solve_of_a_file_starts_at_rest_too(cart: System, tmp_path: Path) -> None:
+    file, controller = exported(cart, tmp_path / "cart.c", "c")
+    o = file.options
+    ahead = setpoint(cart, UP, duration=1.0).window(0.0, dt=o.dt, steps=o.steps)[None]
+    x = setpoint(cart, {"x": 0.9}, duration=1.0).states[:1]
+    worse = controller.plan(setpoint(cart, HANGING, duration=1.0).states[:1], ahead)
+    # from a plan that is far from any for this state: nine solves of it go on with it
+    file._solves = controller._solves = ANEW - 1
+    ours, theirs = file.plan(x, ahead, worse), controller.plan(x, ahead, worse)
+    controller.anew, controller._solves = 0, ANEW - 1
+    alone = controller.plan(x, ahead, worse)
+    assert float(ours.cost) == pytest.approx(float(theirs.cost))
+    assert float(ours.cost) < 0.95 * float(alone.cost)
+
+
+@pytest.mark.parametrize("precision", ["NSDE_DOUBLE", "NSDE_FLOAT"])
+def test_the_file_in_c_compiles_without_a_warning(cart: System, tmp_path: Path, precision: str) -> None:
+    exported(cart, tmp_path / "cart.c", "c")
+    flags = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-D{precision}")
+    subprocess.run([str(compiler()), *flags, "-c", "cart.c", "-o", "cart.o"], cwd=tmp_path, check=True)
+    header = (tmp_path / "cart.h").read_text()
+    for part in ("within [(-10), 10]", " 9  diverged, rest", "force, 1 axis, torque, 1 axis"):
+        assert part in header
+    assert "rates[3]" not in header
+
+
+def test_a_file_stands_numbers_that_no_sensor_should_send(cart: System, tmp_path: Path) -> None:
+    file, _ = exported(cart, tmp_path / "cart.c", "c")
+    out = verify.Verification()
+    verify.attack(file, setpoint(cart, UP, duration=2.0), 400, out)
+    assert out.adversarial == 400
+    assert not out.unsafe

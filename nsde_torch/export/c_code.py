@@ -83,7 +83,9 @@ def sources(
         "ahead": times.ahead,
         "state_doc": _listed(f"{n} [{unit}]" for n, unit in zip(system.state_names, system.state_units, strict=True)),
         "input_doc": _listed(system.input_names),
-        "push_doc": _listed(f"{port.value}, {width} {'axis' if width == 1 else 'axes'}" for port, width in step.predictor.ports.items())
+        "push_doc": _listed(
+            f"{port.value}, {width} {'axis' if width == 1 else 'axes'}" for port, width in step.predictor.ports.items()
+        )
         + f" [{about['step']['inputs'][5]['unit']}]",
         "status_doc": "\n".join(status),
     }  # fmt: skip

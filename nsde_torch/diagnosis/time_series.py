@@ -129,7 +129,9 @@ def _ahead(found: Diagnosis) -> tuple[list[dict[str, Any]], list[dict[str, Any]]
     values = np.stack(list(every.values()), -1)[:, :, rows].reshape(*made.t.shape, -1)
     gap = np.full((len(values), 1, len(columns)), np.nan)  # after each
     values, t = np.concatenate((values, gap), 1), np.concatenate((made.t, made.t[:, -1:]), 1)
-    for number, name in enumerate(found.errors.runs):
+    # of a single run its last part was left out, under a name of its own
+    names = found.errors.runs if found.errors.whole_runs else found.runs
+    for number, name in enumerate(names):
         own = np.flatnonzero(made.run == number)[: _ROWS // t.shape[1]]
         if len(own):
             part = _encoded(columns, t[own].ravel(), values[own].reshape(-1, len(columns)))

@@ -85,6 +85,13 @@ def test_predictions_have_a_band_that_holds_nine_in_ten_of_what_was_measured(fou
     assert np.std(errors["after"]) < 0.6 * np.std(errors["before"])
 
 
+def test_of_a_single_run_its_end_is_predicted() -> None:
+    one = diagnosed("mass_spring_damper", {"constant_force": {"acceleration": 0.2}}, durations=(30.0,))[0]
+    (shown,) = json.loads(time_series(one))["runs"]
+    assert shown["name"] == one.runs[0]
+    assert shown["ahead"]["t"][0] == pytest.approx(0.7 * 30.0, abs=0.2)
+
+
 def test_of_a_long_log_no_spike_is_lost() -> None:
     t, y = 0.01 * np.arange(50_000), np.zeros((50_000, 2))
     y[12_345, 0], y[40_001, 1] = 9.0, -7.0

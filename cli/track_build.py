@@ -100,7 +100,7 @@ _IN_FILES = (
 )
 """Keys of `mpc` that are fixed when a controller is exported."""
 _MOTOR_LATENCY = 0.02  # measured best on machines whose motors lag 50 ms
-_LAGS = {"motor_lag", "actuator_lag", "input_delay"}
+_LAGS = {"motor_lag", "actuator_lag", "asymmetric_lag", "input_delay"}
 
 
 def knowledge(name: str, config: DictConfig, beside: Model | System | None = None) -> Model | System:

@@ -65,7 +65,11 @@ DURATIONS: dict[str, list[float]] = {
 }
 _TURNED = ("frame_misalignment",)
 _OF_THE_LOG = (*_TURNED, "position_bias[pole]")
-_LATER = ("rotor_drag", "translational_lift")  # than the committed seeds, whose draws stay what they were
+_LATER = (
+    "rotor_drag",
+    "translational_lift",
+    "asymmetric_lag",
+)  # than the committed seeds, whose draws stay what they were
 TIES = (
     {"input_delay", "actuator_lag", "motor_lag"},
     {"thrust_sag", "battery_voltage"},

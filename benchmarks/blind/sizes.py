@@ -104,7 +104,7 @@ def shapes(cls: type[Effect], system: str, rng: np.random.Generator) -> Values:
         "width": lambda: between(0.01, 0.05) * (base.size(3) if "pole" in cls.name else speed),
         "speed": lambda: between(0.1, 0.4) * speed,
         "frequency": lambda: between(0.4, 5.0),
-        "time_constant": lambda: between(*times),
+        **dict.fromkeys(("time_constant", "rising", "falling"), lambda: between(*times)),
         "delay": lambda: between(*times),
         **dict.fromkeys(
             ("level", "level_forward", "level_backward"), lambda: command * rng.uniform(0.45, 0.97)

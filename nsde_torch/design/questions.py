@@ -189,7 +189,7 @@ def _known(system: System, name: str) -> str:
     return key
 
 
-LATE = ("input_delay", "motor_lag", "actuator_lag")  # effects that make inputs act late
+LATE = ("input_delay", "motor_lag", "actuator_lag", "asymmetric_lag")  # effects that make inputs act late
 
 
 @dataclass(frozen=True)

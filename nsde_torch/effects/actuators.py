@@ -4,6 +4,8 @@
 saturation.)
 """
 
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
 from math import exp, floor
 from typing import final
 
@@ -319,17 +321,12 @@ def _solved(steps: Tensor, a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
 # m' = m + (u - m) (1 - e),   mean = u + (m - u) (1 - e) tau / h,   e = exp(-h / tau)
 
 
-class _Lag(Effect):
-    """A first-order lag on every input."""
+class _AnyLag(Effect):
+    """A first-order lag on every input, whose time constant may depend on where the input is from the memory."""
 
     port = Port.INPUT
     stage = 2
     whole_steps = True
-    formula = "u_eff = m, dm/dt = (u - m) / tau"
-    PARAMETERS = {"time_constant": Parameter(0.05, "s", low=0.002, help="time to reach 63 %")}
-    null = {"time_constant": 0.0}
-    shapes = {"time_constant": (0.02, 0.06, 0.2)}
-    resolved = {"time_constant": 0.5}  # Runge-Kutta 4 is stable up to 2.8 time constants a step
     separate = "give steps of the input: a lag rounds their corner, a delay moves it"
 
     @property
@@ -339,15 +336,39 @@ class _Lag(Effect):
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         late = memory - u[:, : self.n_inputs]
-        return late * self._goes() * (self.value("time_constant") / self.step) if self.step else late
+        if not self.step:
+            return late
+        time_constant = self._time_constant(-late)
+        return late * self._goes(time_constant) * (time_constant / self.step)
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         late = u[:, : self.n_inputs] - memory
-        return late * (self._goes() / self.step) if self.step else late / self.value("time_constant")
+        time_constant = self._time_constant(late)
+        return late * (self._goes(time_constant) / self.step) if self.step else late / time_constant
 
-    def _goes(self) -> Tensor:
+    @abstractmethod
+    def _time_constant(self, late: Tensor) -> Tensor:
+        """Time constants of inputs that are so far above their memory (N, nu), or of all [s]."""
+
+    def _goes(self, time_constant: Tensor) -> Tensor:
         """Share of the remaining difference that a step closes."""
-        return -torch.expm1(-self.step / self.value("time_constant"))
+        return -torch.expm1(-self.step / time_constant)
+
+    def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
+        return u[:, : self.n_inputs]
+
+
+class _Lag(_AnyLag):
+    """A first-order lag on every input."""
+
+    formula = "u_eff = m, dm/dt = (u - m) / tau"
+    PARAMETERS = {"time_constant": Parameter(0.05, "s", low=0.002, help="time to reach 63 %")}
+    null = {"time_constant": 0.0}
+    shapes = {"time_constant": (0.02, 0.06, 0.2)}
+    resolved = {"time_constant": 0.5}  # Runge-Kutta 4 is stable up to 2.8 time constants a step
+
+    def _time_constant(self, late: Tensor) -> Tensor:
+        return self.value("time_constant")
 
     def held(self, u: Tensor, dt: float) -> Tensor:
         from scipy.signal import lfilter  # half a second to import, and only identification needs it
@@ -358,9 +379,6 @@ class _Lag(Effect):
         above = (own - own[:1]).numpy()  # it starts at rest at the first input
         memory = own[:1] + torch.from_numpy(lfilter([0.0, 1.0 - stays], [1.0, -stays], above, axis=0)).to(own)
         return own + (memory - own) * ((1.0 - stays) * ratio)
-
-    def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
-        return u[:, : self.n_inputs]
 
 
 class MotorLag(_Lag):
@@ -381,3 +399,47 @@ class ActuatorLag(_Lag):
     )
     excludes = (Port.BODY_MOMENT,)  # there it is motor_lag
     sentence = "The actuator follows its command late, with a time constant of {time_constant}."
+
+
+class AsymmetricLag(_AnyLag):
+    """Actuators that follow a command upwards faster or slower than one downwards; each input carries one state.
+
+    Propellers are sped up by a motor and slow down by their drag.
+    """
+
+    name = "asymmetric_lag"
+    formula = "u_eff = m, dm/dt = (u - m) / (tau_rising if u > m else tau_falling)"
+    source = "time constants up and down of motors in simulators (Furrer et al., RotorS, 2016)"
+    PARAMETERS = {
+        "rising": Parameter(0.05, "s", low=0.002, help="time to reach 63 % of a higher input"),
+        "falling": Parameter(0.05, "s", low=0.002, help="time to reach 63 % of a lower input"),
+    }
+    null = {"rising": 0.0, "falling": 0.0}
+    shapes = {"rising": (0.02, 0.06, 0.2), "falling": (0.02, 0.06, 0.2)}
+    resolved = {"rising": 0.5, "falling": 0.5}
+    includes = ("motor_lag", "actuator_lag")
+    same = {"rising": "time_constant", "falling": "time_constant"}
+    sentence = (
+        "The actuators follow higher commands with a time constant of {rising}, lower ones with {falling}."
+    )
+    separate = "give steps of the input up and down: each rounds its own corner"
+
+    @classmethod
+    def starts(
+        cls, sizes: Mapping[str, float], frequencies: Sequence[float] = ()
+    ) -> list[dict[str, float | list[float]]]:
+        """Both alike, which takes a third of the time: a fit tells them apart."""
+        return [one for one in super().starts(sizes, frequencies) if one["rising"] == one["falling"]]
+
+    def _time_constant(self, late: Tensor) -> Tensor:
+        return torch.where(late > 0, self.value("rising"), self.value("falling"))
+
+    def held(self, u: Tensor, dt: float) -> Tensor:
+        from nsde_torch.effects.recursions import two_lags
+
+        own = u[:, : self.n_inputs]
+        ratios = [float(self.value(name)) / dt for name in ("rising", "falling")]
+        stays = [exp(-1.0 / ratio) for ratio in ratios]
+        late = own - torch.from_numpy(two_lags(own.double().contiguous().numpy(), *stays)).to(own)
+        rising, falling = ((1.0 - stay) * ratio for stay, ratio in zip(stays, ratios, strict=True))
+        return own - late * torch.where(late > 0, rising, falling)

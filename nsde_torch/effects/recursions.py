@@ -24,6 +24,22 @@ def play(u: Array, gap: float) -> Array:
 
 
 @compiled
+def two_lags(u: Array, rising: float, falling: float) -> Array:
+    """Memory (n, nu) at the starts of steps that inputs (n, nu) are held over, which begins at the first of them.
+
+    Of the distance to the input, a share stays after each step: `rising` below it, `falling` above it.
+    """
+    out = np.empty_like(u)
+    for k in range(u.shape[1]):
+        m = u[0, k]
+        for i in range(u.shape[0]):
+            out[i, k] = m
+            late = u[i, k] - m
+            m = u[i, k] - late * (rising if late > 0 else falling)
+    return out
+
+
+@compiled
 def bouc_wen(ways: Array, z: float) -> Array:
     """Hysteresis z (n + 1,) along ways (n,), as multiples of its reach, from its value at the start.
 

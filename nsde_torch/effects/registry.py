@@ -36,6 +36,7 @@ EFFECTS: dict[str, type[Effect]] = {
         # the input of any system
         actuators.InputDelay,
         actuators.ActuatorLag,
+        actuators.AsymmetricLag,
         actuators.ActuatorDeadband,
         actuators.AsymmetricDeadband,
         actuators.AsymmetricGain,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 import pytest
 import torch
@@ -67,6 +69,35 @@ class TestActuatorLag(EffectContract):
             make_system("quadrotor", effects=["actuator_lag"])
         with pytest.raises(ConfigError, match="actuator_lag"):
             make_system("cartpole", effects=["motor_lag"])
+
+
+class TestAsymmetricLag(EffectContract):
+    name, system, memory = "asymmetric_lag", "quadrotor", 4
+    values: ClassVar = {"rising": 0.03, "falling": 0.11}
+
+    def test_a_step_up_is_followed_by_one_time_constant_and_one_down_by_the_other(self) -> None:
+        s = self.machine(values={f"asymmetric_lag.{k}": v for k, v in self.values.items()}).double()
+        for before, after, tau in ((0.3, 0.5, 0.03), (0.5, 0.3, 0.11)):
+            z = torch.cat((flying([0.0, 0.0, 1.0])[:1].double(), torch.full((1, 4), before).double()), 1)
+            for _ in range(20):
+                z = _rk4(s, z, torch.full((1, 4), after, dtype=torch.float64), 0.005)
+            expected = after + (before - after) * np.exp(-0.1 / tau)
+            np.testing.assert_allclose(z[:, 13:].numpy(), expected, atol=1e-6)
+
+    @torch.no_grad()
+    def test_with_one_time_constant_it_is_the_lag_of_the_motors(self) -> None:
+        x, u, memory = self.rows(50)
+        both, one = (
+            self.make({"rising": 0.06, "falling": 0.06}),
+            make_system(self.system).make_effect("motor_lag"),
+        )
+        one.set_value("time_constant", 0.06)
+        for effect in (both.double(), one.double()):
+            effect.step = 0.01
+        for name in ("forward", "memory_rate"):
+            ours, theirs = (getattr(e, name)(0.0, x, u, memory) for e in (both, one))
+            torch.testing.assert_close(ours, theirs)
+        torch.testing.assert_close(both.held(u, 0.01), one.held(u, 0.01))
 
 
 def _rk4(s: torch.nn.Module, z: torch.Tensor, u: torch.Tensor, dt: float) -> torch.Tensor:

@@ -185,7 +185,7 @@ SLOWEST, TAIL = 0.1, 0.05
 """Longest time of a plan [s] that no more than this share of the warm-up's may exceed: late plans end flights."""
 
 
-COVERED = ("input_delay", "motor_lag", "actuator_lag")
+COVERED = ("input_delay", "motor_lag", "actuator_lag", "asymmetric_lag")
 """Effects that `delay` makes up for: a controller that knows them too would make up for them twice."""
 
 

@@ -69,6 +69,7 @@ _LATER = (
     "rotor_drag",
     "translational_lift",
     "asymmetric_lag",
+    "tracked_point",
 )  # than the committed seeds, whose draws stay what they were
 TIES = (
     {"input_delay", "actuator_lag", "motor_lag"},

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from nsde_torch.columns import columns, split_columns, stack_columns
 from nsde_torch.effects.base import Effect, Parameter, Port, elapsed
-from nsde_torch.rotation import euler_coupling, matrix, rate_products, rotate_back, turned
+from nsde_torch.rotation import cross, euler_coupling, matrix, rate_products, rotate_back, turned
 
 GRAVITY = 9.81
 TWO_SPEEDS = "fly at two more speeds, in several directions"
@@ -105,6 +105,35 @@ class TranslationalLift(Effect):
         v_x, v_y, _ = columns(body_velocity(x))
         lift = self.value("lift") * (v_x * v_x + v_y * v_y)
         return stack_columns((torch.zeros_like(lift), torch.zeros_like(lift), lift))
+
+
+@final
+class TrackedPoint(Effect):
+    """Position and velocity are those of a point beside the centre of mass: an IMU, a reflector.
+
+    A point at r in the body has the velocity v + R (omega x r), whose derivative is that of v with what turning adds.
+    """
+
+    name = "tracked_point"
+    port = Port.BODY_FORCE
+    quantities = {"angular_acceleration": 3}
+    formula = "domega/dt x r + omega x (omega x r)"
+    source = "acceleration of a point of a rigid body"
+    PARAMETERS = {
+        "offset": Parameter(
+            (0.0, 0.0, 0.0),
+            "m",
+            scale=0.02,
+            help="of the point from the centre of mass, forward, left and up",
+        )
+    }
+    amplitudes = ("offset",)
+    sentence = "Position and velocity are of a point {offset} forward, left and up of the centre of mass."
+    separate = "turn sharply about each axis on the spot"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        r, omega = self.value("offset"), x[:, 10:13]
+        return cross(self.channel("angular_acceleration", u), r) + cross(omega, cross(omega, r))
 
 
 @final

@@ -53,6 +53,7 @@ EFFECTS: dict[str, type[Effect]] = {
         multirotor_forces.QuadraticDrag,
         multirotor_forces.RotorDrag,
         multirotor_forces.TranslationalLift,
+        multirotor_forces.TrackedPoint,
         multirotor_forces.ConstantWind,
         multirotor_forces.ConstantWorldForce,
         multirotor_forces.GroundEffect,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
@@ -66,6 +67,27 @@ class TestTranslationalLift(EffectContract):
         torch.testing.assert_close(
             term(effect, flying([0.0, 0.0, 4.0], Rotation.identity())), torch.zeros(1, 3)
         )
+
+
+class TestTrackedPoint(EffectContract):
+    name, system = "tracked_point", "hexacopter"
+
+    def test_it_is_what_turning_adds_to_the_acceleration_of_a_point(self) -> None:
+        offset, rate, faster = (
+            np.array(v) for v in ([0.03, -0.02, 0.05], [1.0, -2.0, 0.5], [8.0, 3.0, -4.0])
+        )
+
+        def velocity(t: float) -> np.ndarray:
+            """Of the point about the centre, in the axes of the start: to the second order in time."""
+            turned = Rotation.from_rotvec(rate * t + 0.5 * faster * t * t)
+            return turned.apply(np.cross(rate + faster * t, offset))
+
+        expected = (velocity(1e-4) - velocity(-1e-4)) / 2e-4
+        x = flying([0.0, 0.0, 0.0], Rotation.from_euler("xyz", [20, -30, 70], degrees=True))
+        x[0, 10:13] = torch.tensor(rate)
+        u = torch.cat((torch.zeros(1, 6), torch.tensor(faster, dtype=torch.float32)[None]), 1)
+        ours = term(self.make({"offset": offset.tolist()}), x, u)
+        np.testing.assert_allclose(ours.detach().numpy()[0], expected, atol=1e-5)
 
 
 class TestConstantWind(EffectContract):

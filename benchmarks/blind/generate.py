@@ -70,6 +70,7 @@ _LATER = (
     "translational_lift",
     "asymmetric_lag",
     "tracked_point",
+    "supply_sag",
 )  # than the committed seeds, whose draws stay what they were
 TIES = (
     {"input_delay", "actuator_lag", "motor_lag"},

@@ -21,7 +21,7 @@ from nsde_torch.diagnosis.feedback_bias import (
     lengths_of_parameters,
 )
 from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSelection
-from nsde_torch.diagnosis.outcome import Found, Outcome, Verdict, found_by, undecided
+from nsde_torch.diagnosis.outcome import Estimate, Found, Outcome, Verdict, found_by, undecided
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.residual_tests import (
     Dependence,
@@ -148,7 +148,7 @@ def decide(search: Search, chosen: Outcome, alone: FittedPhysics | None = None) 
     found = [replace(f, moves=moved_channels(base, f.name)) for f in found]
     for i, f in enumerate(found):
         why = _bent(bent_shape(base, f.name)) or provisional_reason(f, left, brought, search.decisions)
-        why = why or _unshown(base, f.name) or _of_many(f, chosen.test)
+        why = why or _unshown(base, f.name) or _slow(search, base, f.name) or _of_many(f, chosen.test)
         found[i] = replace(f, provisional=why)
     verdict: Verdict = "effect_found" if found else "no_effect"
     if rest > explained if found else left:
@@ -199,8 +199,13 @@ def judged_by_the_ceiling(outcome: Outcome, found: Ceiling) -> Outcome:
 
 
 def _too_much(rest: float, f: Found, brought: Mapping[str, float], decisions: Decisions) -> bool:
-    """Whether what is left in the channels of an effect is much beside what effects brought there [nats]."""
-    return rest > decisions.provisional_share * sum(brought[name] for name in f.moves)
+    """Whether what is left in the channels of an effect is much beside what effects brought there, or it alone [nats].
+
+    What is little beside a lag may be all that a dead band stands for: of an actuator that is slower downwards, a lag,
+    a dead band and a law were sure, with 101 nats left beside 1350, 159 and 483.
+    """
+    whole = sum(brought[name] for name in f.moves)
+    return rest > decisions.provisional_share * min(whole, max(f.evidence.nats, 0.0))
 
 
 def _of_many(f: Found, tested: FeedbackTest) -> str:
@@ -220,6 +225,14 @@ def _unshown(regression: Regression, name: str) -> str:
     """Why an effect whose sizes are all unknown is provisional: losses of six motors, inputs of four dimensions."""
     sizes = regression.vector.sizes(name)
     return "" if not sizes or regression.shown.known[sizes].any() else "these data show none of its values"
+
+
+def _slow(search: Search, regression: Regression, name: str) -> str:
+    """Why what repeats in time is provisional: too seldom for anybody to know that it does (an encoder that jumps)."""
+    v, fewest, seconds = regression.vector, search.decisions.least_periods, search.longest * search.steps.dt
+    times = [abs(regression.theta[j]) * seconds for j in v.of(name) if v.units[j] == "Hz"]
+    few = min(times, default=fewest) < fewest
+    return f"fewer than {fewest:g} periods of it are in the longest stretch" if few else ""
 
 
 def guard_of(log: Log, outcome: Outcome) -> Guarded:
@@ -277,10 +290,13 @@ def _may_be_nothing(outcome: Outcome, found: Found) -> bool:
         for e in outcome.estimates(found.name)
         if (name := e.name.rpartition(".")[2].partition("[")[0]) in nothing and e.bound != "reference"
     ]
-    return bool(sizes) and all(
-        e.bound == "below" or (e.low is not None and e.high is not None and e.low <= null <= e.high)
-        for e, null in sizes
-    )
+
+    def nothing_shown(e: Estimate, null: float) -> bool:
+        if e.low is None or e.high is None:
+            return e.bound in (None, "below")
+        return e.bound == "below" or e.low <= null <= e.high
+
+    return bool(sizes) and all(nothing_shown(e, null) for e, null in sizes)
 
 
 def judged_on_runs_left_out(outcome: Outcome, errors: HeldOut) -> Outcome:

@@ -130,8 +130,8 @@ class Decisions:
     # ---- verdict ----------------------------------------------------------------------------------------
     provisional_share: float = key(
         0.1,
-        "share of what effects bring to its channels above which structure, or what functions explain, makes one "
-        "provisional",
+        "share of what effects bring to its channels, or it alone brings, above which structure, or what functions "
+        "explain, makes one provisional",
     )
     late_sensor_share: float = key(
         0.1, "share of the structure, in nats, that a late sensor may leave to stand for the effects"

@@ -432,6 +432,31 @@ class ThrustSag(Effect):
         return -(self.value("rate") * elapsed(t, x)).to(u.dtype) * u
 
 
+@final
+class SupplySag(Effect):
+    """All motors give less the more they draw together: the voltage of the battery drops with its current.
+
+    It drops within milliseconds, where a voltage is logged a few times a second.
+    """
+
+    name = "supply_sag"
+    port = Port.INPUT
+    needs = _MULTIROTOR
+    formula = "u_eff = u (1 - k mean(u))"
+    source = "internal resistance of the battery, first order in the current"
+    PARAMETERS = {
+        "drop": Parameter(
+            0.1, "1", low=0.0, scale=0.1, help="share lost where all motors are at full command"
+        )
+    }
+    amplitudes = ("drop",)
+    sentence = "Motors give less the more all of them draw: {drop} at full command."
+    separate = "climb and sink hard, and roll and pitch while climbing"
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return -self.value("drop") * u.mean(1, keepdim=True) * u
+
+
 REFERENCES = ((5.5, 4.0), (8.9, 8.0))
 """Voltages up to which a pack has one cell, and two, and at which thrust per command is then what the gains say [V]."""
 REFERENCE = 16.0

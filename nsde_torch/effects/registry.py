@@ -67,6 +67,7 @@ EFFECTS: dict[str, type[Effect]] = {
         actuators.MotorLag,
         actuators.MotorEfficiencyLoss,
         multirotor_forces.ThrustSag,
+        multirotor_forces.SupplySag,
         multirotor_forces.BatteryVoltage,
         multirotor_forces.ThrustCurve,
     )

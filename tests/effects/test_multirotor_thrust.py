@@ -37,6 +37,14 @@ class TestThrustSag(EffectContract):
         torch.testing.assert_close(u + term(self.make({"rate": 0.002}), X, u, t=50.0), 0.9 * u)
 
 
+class TestSupplySag(EffectContract):
+    name, system = "supply_sag", "hexacopter"
+
+    def test_each_motor_loses_by_what_all_of_them_draw(self) -> None:
+        u = torch.tensor([[0.2, 0.8, 0.5, 0.5, 0.5, 0.5]])
+        torch.testing.assert_close(u + term(self.make({"drop": 0.2}), X, u), 0.9 * u)
+
+
 class TestBatteryVoltage(EffectContract):
     name, system = "battery_voltage", "hexacopter"
 

@@ -11,6 +11,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from nsde_torch.cli.main import main
+from tests.helpers.commands import Said
+
 Nsde = Callable[..., subprocess.CompletedProcess[str]]
 
 
@@ -44,3 +47,27 @@ def _threads_as_before() -> Iterator[None]:
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An empty folder to work in."""
     monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def shown(capsys: pytest.CaptureFixture[str]) -> Said:
+    """Run `nsde WORDS` in this process, which ends well; what it printed."""
+
+    def run(*words: str) -> str:
+        assert main([*words]) == 0
+        return capsys.readouterr().out
+
+    return run
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Said:
+    """Run `nsde WORDS` in this process, which the user's fault ends; what is said of it."""
+
+    def run(*words: str) -> str:
+        assert main([*words]) == 2
+        said = capsys.readouterr().err
+        assert "Traceback" not in said
+        return said
+
+    return run

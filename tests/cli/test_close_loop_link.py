@@ -22,6 +22,7 @@ from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.simulated import VirtualLink
+from tests.helpers.commands import Said
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
@@ -165,7 +166,7 @@ def test_a_vehicle_that_was_taken_or_lost_is_not_flown_on(
 
 
 def test_a_refused_flight_says_why_and_what_to_do(
-    flights: Flights, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    flights: Flights, monkeypatch: pytest.MonkeyPatch, refused: Said
 ) -> None:
     def empty(url: str, **more: Any) -> VirtualLink:
         body = Body("quadrotor", seed=1)
@@ -174,8 +175,7 @@ def test_a_refused_flight_says_why_and_what_to_do(
         return VirtualLink(flights.vehicle)
 
     monkeypatch.setattr(machines, "open_link", empty)
-    assert main(LINKED) == 2
-    said = capsys.readouterr().err
+    said = refused(*LINKED)
     assert "log 1: " in said
     assert "battery" in said
     assert f"with out_dir={Path('out').resolve()}, and it is flown again" in said
@@ -218,12 +218,9 @@ def test_an_experiment_of_which_little_was_flown_does_not_count(
 
 
 @pytest.mark.slow
-def test_a_plan_that_leans_further_than_a_flight_may_is_not_begun(
-    flights: Flights, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plan_that_leans_further_than_a_flight_may_is_not_begun(flights: Flights, refused: Said) -> None:
     _plan()
-    assert main([*LINKED, "limits.tilt=5"]) == 2
-    said = capsys.readouterr().err
+    said = refused(*LINKED, "limits.tilt=5")
     assert "`limits.tilt=5` ends a flight there" in said
     assert flights.paths == ["hover"]
     # the limit may be another at the next start
@@ -254,10 +251,9 @@ def test_planning_that_is_interrupted_says_how_to_go_on(
     ],
 )
 def test_experiments_stay_within_what_a_flight_is_ended_by(
-    word: str, said: str, flights: Flights, capsys: pytest.CaptureFixture[str]
+    word: str, said: str, flights: Flights, refused: Said
 ) -> None:
-    assert main([*LINKED, word]) == 2
-    assert said in capsys.readouterr().err
+    assert said in refused(*LINKED, word)
     assert not flights.paths
 
 

@@ -12,8 +12,8 @@ import pytest
 
 from nsde_torch.cli import groups
 from nsde_torch.cli.commands.completion import SHELLS, query
-from nsde_torch.cli.main import main
 from nsde_torch.cli.registry import all_commands
+from tests.helpers.commands import Said
 
 
 @pytest.mark.parametrize(
@@ -57,9 +57,8 @@ def test_paths_are_completed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.parametrize("shell", SHELLS)
-def test_script_is_printed_and_parses(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["completion", shell]) == 0
-    script = capsys.readouterr().out
+def test_script_is_printed_and_parses(shell: str, shown: Said) -> None:
+    script = shown("completion", shell)
     assert "completion query" in script
     found = shutil.which(shell)
     if found is None:
@@ -67,9 +66,8 @@ def test_script_is_printed_and_parses(shell: str, capsys: pytest.CaptureFixture[
     subprocess.run([found, "-n", "/dev/stdin"], input=script, text=True, check=True)
 
 
-def test_unknown_shell_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["completion", "tcsh"]) == 2
-    assert "bash, zsh, fish" in capsys.readouterr().err
+def test_unknown_shell_is_refused(refused: Said) -> None:
+    assert "bash, zsh, fish" in refused("completion", "tcsh")
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")

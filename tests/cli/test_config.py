@@ -16,6 +16,7 @@ from nsde_torch.cli.main import main
 from nsde_torch.cli.registry import hydra_command
 from nsde_torch.cli.store import store
 from nsde_torch.errors import ConfigError
+from tests.helpers.commands import Said
 
 CHOICES = [(group, choice) for group in groups.defaults("train") for choice in groups.choices(group)]
 
@@ -168,14 +169,13 @@ def test_parameters_of_effects_are_reached_with_dots() -> None:
 def test_a_mistake_is_one_clean_message(
     words: list[str],
     expected: str,
-    capsys: pytest.CaptureFixture[str],
+    refused: Said,
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("NSDE_TRACEBACK", raising=False)
-    assert main(["train", *words]) == 2
-    err = capsys.readouterr().err
+    err = refused("train", *words)
     assert expected in err
     assert err.startswith("nsde train: ")
     assert "Traceback" not in err
@@ -196,55 +196,52 @@ def test_a_mistake_is_one_clean_message(
 )
 @pytest.mark.parametrize("command", ["train", "effects"])
 def test_a_file_of_ones_own_that_is_no_plain_yaml_is_named(
-    command: str, content: bytes, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    command: str, content: bytes, expected: str, tmp_path: Path, refused: Said
 ) -> None:
     (tmp_path / "system").mkdir()
     (tmp_path / "system" / "mine.yaml").write_bytes(content)
-    assert main([command, "--config-dir", str(tmp_path), "system=mine"]) == 2
-    said = capsys.readouterr().err
+    said = refused(command, "--config-dir", str(tmp_path), "system=mine")
     assert expected in said
     assert len(said.splitlines()) == 1
     assert not (tmp_path / "hacked").exists()
 
 
-def test_a_file_of_ones_own_that_includes_itself_is_said(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_of_ones_own_that_includes_itself_is_said(tmp_path: Path, refused: Said) -> None:
     (tmp_path / "system").mkdir()
     (tmp_path / "system" / "mine.yaml").write_text("defaults: [mine, _self_]\n")
-    assert main(["train", "--config-dir", str(tmp_path), "system=mine"]) == 2
-    assert "includes itself (`defaults`)" in capsys.readouterr().err
+    assert "includes itself (`defaults`)" in refused("train", "--config-dir", str(tmp_path), "system=mine")
 
 
 @pytest.mark.parametrize("record", ["a: b", "!!python/object/apply:os.system ['touch hacked']", "[", "3"])
 def test_a_damaged_record_of_the_command_is_said_where_it_is_resumed(
-    record: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    record: str, tmp_path: Path, refused: Said, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "run" / ".hydra").mkdir(parents=True)
     for name in ("overrides.yaml", "hydra.yaml"):
         (tmp_path / "run" / ".hydra" / name).write_text(record)
-    assert main(["train", "resume=run"]) == 2
-    assert "`resume=run`: the record of its command in run/.hydra is damaged" in capsys.readouterr().err
+    assert "`resume=run`: the record of its command in run/.hydra is damaged" in refused(
+        "train", "resume=run"
+    )
     assert not (tmp_path / "hacked").exists()
 
 
 def test_an_effect_of_ones_own_that_is_none_is_refused_before_data_are_read(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    refused: Said, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["diagnose", "system=mass_spring_damper", "data.path=nowhere", "also=[os:system]"]) == 2
-    assert "effect 'os:system' must be a subclass" in capsys.readouterr().err
+    assert "effect 'os:system' must be a subclass" in refused(
+        "diagnose", "system=mass_spring_damper", "data.path=nowhere", "also=[os:system]"
+    )
 
 
 @pytest.mark.parametrize("value", ["abc", "[1, [2]]", "2024-01-01", "{a: 1}", "yes"])
 def test_text_as_a_value_in_an_effects_file_is_refused(
-    value: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    value: str, tmp_path: Path, refused: Said, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "effects.yaml").write_text(f"effects: {{coulomb_friction: {{size: {value}}}}}\n")
-    assert main(["diagnose", "system=mass_spring_damper", "system.effects=effects.yaml"]) == 2
-    said = capsys.readouterr().err
+    said = refused("diagnose", "system=mass_spring_damper", "system.effects=effects.yaml")
     assert "size" in said
     assert "Traceback" not in said
 
@@ -257,11 +254,8 @@ def test_text_as_a_value_in_an_effects_file_is_refused(
         ("design", "The system is that of the model, run=DIR. Its groups: none."),
     ],
 )
-def test_a_system_is_not_chosen_where_a_model_has_one(
-    command: str, expected: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([command, "system=mass_spring_damper"]) == 2
-    err = capsys.readouterr().err
+def test_a_system_is_not_chosen_where_a_model_has_one(command: str, expected: str, refused: Said) -> None:
+    err = refused(command, "system=mass_spring_damper")
     assert f"`system` is not a group of `nsde {command}`. " in err
     assert expected in err
 
@@ -275,47 +269,41 @@ def test_traceback_is_shown_on_request(
     assert "Traceback" in capsys.readouterr().err
 
 
-def test_open_dicts_take_new_keys_without_a_plus(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["train", "--cfg", "job", "system.parameters.mass=2.5"]) == 0
-    assert "mass: 2.5" in capsys.readouterr().out
+def test_open_dicts_take_new_keys_without_a_plus(shown: Said) -> None:
+    assert "mass: 2.5" in shown("train", "--cfg", "job", "system.parameters.mass=2.5")
 
 
 def test_own_config_folder_adds_a_choice_that_is_checked_like_the_others(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, refused: Said, shown: Said
 ) -> None:
     (tmp_path / "system").mkdir()
     (tmp_path / "system" / "mine.yaml").write_text("name: my_module:Pendulum\ndt: 0.02\n")
-    assert main(["train", "--config-dir", str(tmp_path), "--cfg", "job", "system=mine"]) == 0
-    assert "name: my_module:Pendulum" in capsys.readouterr().out
-    assert main(["train", "seed=1", "--config-dir", str(tmp_path), "system=mine", "--cfg", "job"]) == 0
-    assert "name: my_module:Pendulum" in capsys.readouterr().out
+    assert "name: my_module:Pendulum" in shown(
+        "train", "--config-dir", str(tmp_path), "--cfg", "job", "system=mine"
+    )
+    assert "name: my_module:Pendulum" in shown(
+        "train", "seed=1", "--config-dir", str(tmp_path), "system=mine", "--cfg", "job"
+    )
     (tmp_path / "system" / "wrong.yaml").write_text("nme: my_module:Pendulum\n")
-    assert main(["train", "--config-dir", str(tmp_path), "system=wrong"]) == 2
-    assert "In system/wrong.yaml: `system.nme` is not a key" in capsys.readouterr().err
+    assert "In system/wrong.yaml: `system.nme` is not a key" in refused(
+        "train", "--config-dir", str(tmp_path), "system=wrong"
+    )
     (tmp_path / "system" / "typed.yaml").write_text("name: my_module:Pendulum\nhorizon: long\n")
-    assert main(["train", "--config-dir", str(tmp_path), "system=typed"]) == 2
-    assert (
-        "In system/typed.yaml: `system.horizon` must be a whole number; got 'long'" in capsys.readouterr().err
+    assert "In system/typed.yaml: `system.horizon` must be a whole number; got 'long'" in refused(
+        "train", "--config-dir", str(tmp_path), "system=typed"
     )
 
 
-def test_own_data_file_builds_on_one_of_the_packages(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_own_data_file_builds_on_one_of_the_packages(tmp_path: Path, refused: Said, shown: Said) -> None:
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "field.yaml").write_text("defaults: [csv, _self_]\npath: flights\ntest: [0]\n")
-    assert main(["train", "--config-dir", str(tmp_path), "--cfg", "job", "data=field"]) == 0
-    assert "path: flights" in capsys.readouterr().out
+    assert "path: flights" in shown("train", "--config-dir", str(tmp_path), "--cfg", "job", "data=field")
     (tmp_path / "data" / "bare.yaml").write_text("kind: csv\npath: flights\n")
-    assert main(["train", "--config-dir", str(tmp_path), "data=bare"]) == 2
-    assert "defaults: [CHOICE, _self_]" in capsys.readouterr().err
+    assert "defaults: [CHOICE, _self_]" in refused("train", "--config-dir", str(tmp_path), "data=bare")
 
 
-def test_search_path_reaches_a_folder_given_by_hydra(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_search_path_reaches_a_folder_given_by_hydra(tmp_path: Path, shown: Said) -> None:
     (tmp_path / "trainer").mkdir()
     (tmp_path / "trainer" / "long.yaml").write_text("steps: 123456\n")
     words = ["--cfg", "job", f"hydra.searchpath=[file://{tmp_path}]", "trainer=long"]
-    assert main(["train", *words]) == 0
-    assert "steps: 123456" in capsys.readouterr().out
+    assert "steps: 123456" in shown("train", *words)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from nsde_torch.cli.main import main
+from tests.helpers.commands import Said
 
 MEMBERS = "members=[[coulomb_friction,constant_force],[asymmetric_friction]]"
 TRUE = "plant.effects=[{coulomb_friction:{size:0.2,width:0.02}},{constant_force:{acceleration:0.06}}]"
@@ -28,22 +29,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_a_diagnosis_that_was_stopped_is_no_question(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_diagnosis_that_was_stopped_is_no_question(folder: Path, tmp_path: Path, refused: Said) -> None:
     stopped = tmp_path / "stopped"
     shutil.copytree(folder / "diagnosis", stopped)
     content = json.loads((stopped / "diagnosis.json").read_text(encoding="utf-8"))
     content["so_far"] = {"stopped_during": "round 2", "roughly_left_s": None}
     (stopped / "diagnosis.json").write_text(json.dumps(content), encoding="utf-8")
-    assert main(["design", f"run={stopped}", f"out_dir={tmp_path / 'plan'}"]) == 2
-    assert "is not finished" in capsys.readouterr().err
+    assert "is not finished" in refused("design", f"run={stopped}", f"out_dir={tmp_path / 'plan'}")
 
 
-def test_a_tie_is_planned_flown_and_broken(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_tie_is_planned_flown_and_broken(folder: Path, shown: Said) -> None:
     asked = ["design", f"run={folder / 'diagnosis'}"]
-    assert main([*asked, MEMBERS, *FEW, f"out_dir={folder / 'plan'}"]) == 0
-    told = capsys.readouterr().out
+    told = shown(*asked, MEMBERS, *FEW, f"out_dir={folder / 'plan'}")
     assert "which is true: coulomb_friction + constant_force or asymmetric_friction" in told
     assert "expected evidence [nats]" in told
     content = json.loads((folder / "plan" / "design.json").read_text(encoding="utf-8"))
@@ -58,26 +55,21 @@ def test_a_tie_is_planned_flown_and_broken(folder: Path, capsys: pytest.CaptureF
     assert found["expected_nats"] == pytest.approx(content["expected"][0]["nats"]["mean"])
 
 
-def test_what_cannot_be_planned_is_said_before_any_work(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_planned_is_said_before_any_work(folder: Path, refused: Said) -> None:
     asked = ["design", f"run={folder / 'diagnosis'}"]
-    assert main([*asked, MEMBERS, "limits={speed: [0,1]}", f"out_dir={folder / 'a'}"]) == 2
-    assert "names 'speed'" in capsys.readouterr().err
-    assert main([*asked, "members=[coulomb_friction]", f"out_dir={folder / 'b'}"]) == 2
-    assert "takes lists of effects" in capsys.readouterr().err
-    assert main(["design", f"run={folder / 'runs'}", f"out_dir={folder / 'c'}"]) == 2
-    assert "holds no diagnosis.json" in capsys.readouterr().err
+    assert "names 'speed'" in refused(*asked, MEMBERS, "limits={speed: [0,1]}", f"out_dir={folder / 'a'}")
+    assert "takes lists of effects" in refused(
+        *asked, "members=[coulomb_friction]", f"out_dir={folder / 'b'}"
+    )
+    assert "holds no diagnosis.json" in refused("design", f"run={folder / 'runs'}", f"out_dir={folder / 'c'}")
     for key in ("runs", "flown"):
-        assert main([*asked, f"{key}={folder / 'nowhere'}", f"out_dir={folder / 'c'}"]) == 2
-        assert f"`{key}`: {folder / 'nowhere'} does not exist" in capsys.readouterr().err
-    assert main(["simulate", "system=cartpole", "pilot=plan", f"out={folder / 'd'}"]) == 2
-    assert "go together" in capsys.readouterr().err
+        assert f"`{key}`: {folder / 'nowhere'} does not exist" in refused(
+            *asked, f"{key}={folder / 'nowhere'}", f"out_dir={folder / 'c'}"
+        )
+    assert "go together" in refused("simulate", "system=cartpole", "pilot=plan", f"out={folder / 'd'}")
 
 
-def test_other_runs_than_those_of_the_diagnosis_are_refused(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_other_runs_than_those_of_the_diagnosis_are_refused(folder: Path, refused: Said) -> None:
     other = folder / "other"
     assert (
         main(
@@ -85,5 +77,6 @@ def test_other_runs_than_those_of_the_diagnosis_are_refused(
         )
         == 0
     )
-    assert main(["design", f"run={folder / 'diagnosis'}", f"runs={other}", f"out_dir={folder / 'e'}"]) == 2
-    assert "holds other runs" in capsys.readouterr().err
+    assert "holds other runs" in refused(
+        "design", f"run={folder / 'diagnosis'}", f"runs={other}", f"out_dir={folder / 'e'}"
+    )

@@ -20,6 +20,7 @@ from nsde_torch.models import IdentifiedModel
 from nsde_torch.recording import Recording
 from nsde_torch.simulation import simulate
 from nsde_torch.simulation.generate import write
+from tests.helpers.commands import Said
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
@@ -114,36 +115,31 @@ def test_an_effects_file_that_cannot_be_used_says_why(content: str | None, messa
         (["alhpa=0.01"], "alhpa"),
     ],
 )
-def test_a_fault_of_the_user_is_named(
-    words: list[str], message: str, runs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_fault_of_the_user_is_named(words: list[str], message: str, runs: Path, refused: Said) -> None:
     common = [SYSTEM, "data=csv", f"data.path={runs}", "retrain=false", "out_dir=out"]
-    assert main(["diagnose", *common, *words]) == 2
-    assert message in capsys.readouterr().err
+    assert message in refused("diagnose", *common, *words)
     assert not Path("out/diagnosis.json").exists()
 
 
 def test_a_folder_that_holds_a_diagnosis_is_not_written_over(
-    diagnosed: tuple[Path, dict[str, Any]], runs: Path, capsys: pytest.CaptureFixture[str]
+    diagnosed: tuple[Path, dict[str, Any]], runs: Path, refused: Said
 ) -> None:
     out, _ = diagnosed
     before = (out / "diagnosis.json").read_bytes()
     words = [SYSTEM, "data=csv", f"data.path={runs}", "retrain=false", f"out_dir={out}"]
-    assert main(["diagnose", *words]) == 2
-    assert "name another folder" in capsys.readouterr().err
+    assert "name another folder" in refused("diagnose", *words)
     assert (out / "diagnosis.json").read_bytes() == before
 
 
 def test_degrees_where_radians_are_due_are_refused_with_the_remedy(
-    capsys: pytest.CaptureFixture[str],
+    refused: Said,
 ) -> None:
     made = simulate("cartpole", durations=(4.0,) * 3, seed=1)
     for run in made.runs:
         run.x[:, 2:] = [[degrees(v) for v in row] for row in run.x[:, 2:].tolist()]
     write(made, "data")
     words = ["system=cartpole", "data=csv", "data.path=data", "retrain=false", "out_dir=out"]
-    assert main(["diagnose", *words]) == 2
-    assert "pi / 180" in capsys.readouterr().err
+    assert "pi / 180" in refused("diagnose", *words)
 
 
 def test_only_runs_that_are_not_held_back_are_looked_at(runs: Path) -> None:

@@ -8,16 +8,15 @@ import re
 import pytest
 
 from nsde_torch.cli.commands import effects
-from nsde_torch.cli.main import main
 from nsde_torch.diagnosis.candidates import check_candidates
 from nsde_torch.effects import EFFECTS
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import SYSTEMS, make_system
+from tests.helpers.commands import Said
 
 
-def test_every_effect_is_listed_with_what_a_user_needs(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["effects"]) == 0
-    printed = capsys.readouterr().out
+def test_every_effect_is_listed_with_what_a_user_needs(shown: Said) -> None:
+    printed = shown("effects")
     out = " ".join(printed.split())
     for name, cls in EFFECTS.items():
         assert name in out
@@ -38,9 +37,10 @@ def test_the_columns_of_the_table_line_up() -> None:
             assert all(len(line) <= k or line[k - 1] == " " for k in starts)
 
 
-def test_a_system_lists_what_it_can_have(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["effects", "system=quadrotor", "format=json"]) == 0
-    rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)["effects"]}
+def test_a_system_lists_what_it_can_have(shown: Said) -> None:
+    rows = {
+        row["name"]: row for row in json.loads(shown("effects", "system=quadrotor", "format=json"))["effects"]
+    }
     assert "motor_lag" in rows
     assert not {"actuator_lag", "track_tilt", "coulomb_friction"} & set(rows)
     assert rows["input_delay"]["memory_per_input"] == 2
@@ -54,7 +54,7 @@ def test_a_system_lists_what_it_can_have(capsys: pytest.CaptureFixture[str]) -> 
     }
 
 
-def test_what_a_diagnosis_does_not_try_is_said_with_its_reason(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_a_diagnosis_does_not_try_is_said_with_its_reason(shown: Said) -> None:
     for name in SYSTEMS:
         machine, able = make_system(name), []
         for row in effects.catalogue(name):
@@ -64,19 +64,15 @@ def test_what_a_diagnosis_does_not_try_is_said_with_its_reason(capsys: pytest.Ca
             else:
                 able.append(row["name"])
         check_candidates(machine, able)
-    assert main(["effects", "system=quadrotor"]) == 0
-    out = " ".join(capsys.readouterr().out.split())
+    out = " ".join(shown("effects", "system=quadrotor").split())
     assert "no candidate of a diagnosis of this machine: thrust_sag is the same term" in out
     assert "a candidate of a diagnosis where the log has battery_voltage" in out
 
 
-def test_a_typo_is_named_with_what_was_meant(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["effects", "sytem=cartpole"]) == 2
-    assert "Did you mean `system=`" in capsys.readouterr().err
-    assert main(["effects", "system=cartpol"]) == 2
-    assert "Did you mean 'cartpole'" in capsys.readouterr().err
-    assert main(["effects", "format=yaml"]) == 2
-    assert "text, json" in capsys.readouterr().err
+def test_a_typo_is_named_with_what_was_meant(refused: Said) -> None:
+    assert "Did you mean `system=`" in refused("effects", "sytem=cartpole")
+    assert "Did you mean 'cartpole'" in refused("effects", "system=cartpol")
+    assert "text, json" in refused("effects", "format=yaml")
 
 
 def test_words_are_completed() -> None:

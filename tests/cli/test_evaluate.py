@@ -14,6 +14,7 @@ from nsde_torch.cli.commands.completion import query
 from nsde_torch.cli.evaluated import short_names
 from nsde_torch.cli.main import main
 from tests.cli.test_train_end_to_end import FAST, folder_of_runs
+from tests.helpers.commands import Said
 
 SPRING = (
     *FAST,
@@ -60,10 +61,9 @@ def metrics(folder: Path) -> dict[str, Any]:
     return content
 
 
-def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+def refused(capsys: pytest.CaptureFixture[str], refused: Said, *words: str) -> str:
     capsys.readouterr()
-    assert main(["evaluate", *words]) == 2
-    err = capsys.readouterr().err
+    err = refused("evaluate", *words)
     assert err.startswith("nsde evaluate: ")
     assert "Traceback" not in err
     return err

@@ -14,6 +14,7 @@ import torch
 
 from nsde_torch.cli.main import main
 from nsde_torch.control.codegen.library import compiler
+from tests.helpers.commands import Said
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
@@ -29,12 +30,10 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_a_file_is_written_once_and_verified(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["export", "run=declared", f"out={file}", *MPC]) == 2
-    assert "is there already" in capsys.readouterr().err
+def test_a_file_is_written_once_and_verified(file: Path, refused: Said, shown: Said) -> None:
+    assert "is there already" in refused("export", "run=declared", f"out={file}", *MPC)
     words = ["verify", str(file), "run=declared", "states=30", "adversarial=60", "out=found.json"]
-    assert main(words) == 0
-    printed = capsys.readouterr().out
+    printed = shown(*words)
     assert "passed" in printed
     assert "0 answers not finite" in printed
     found = json.loads(Path("found.json").read_text())
@@ -43,28 +42,25 @@ def test_a_file_is_written_once_and_verified(file: Path, capsys: pytest.CaptureF
     assert found["step_ms"]["p99"] > 0.0
 
 
-def test_a_file_of_another_model_is_not_verified(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_of_another_model_is_not_verified(file: Path, refused: Said) -> None:
     quad = file.with_name("quad.ts")
     shutil.copy(file, quad)
     content = quad.read_bytes()
-    assert main(["verify", str(quad), "run=nowhere"]) == 2
-    assert "no run directory" in capsys.readouterr().err
+    assert "no run directory" in refused("verify", str(quad), "run=nowhere")
     quad.write_bytes(content[:5000])
-    assert main(["verify", str(quad), "run=declared"]) == 2
-    assert "truncated" in capsys.readouterr().err
+    assert "truncated" in refused("verify", str(quad), "run=declared")
 
 
-def test_a_file_flies_as_the_controller_that_it_was_made_of(
-    file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_flies_as_the_controller_that_it_was_made_of(file: Path, refused: Said) -> None:
     words = ["duration=0.8", "mpc.compile=off", "mpc.period=0.04", *MPC]
     assert main(["track", f"controller={file}", "beside=[declared]", "out_dir=out", *words]) == 0
     found = json.loads(Path("out/tracking.json").read_text())["controllers"]
     ours, theirs = found["MPC, controller.ts"], found["MPC, declared physics"]
     assert ours["lost"] == 0
     assert ours["rmse_m"] == pytest.approx(theirs["rmse_m"], rel=0.02)
-    assert main(["track", f"controller={file}", "machines=2", "at_once=2", "out_dir=two", *words]) == 2
-    assert "one machine at a time" in capsys.readouterr().err
+    assert "one machine at a time" in refused(
+        "track", f"controller={file}", "machines=2", "at_once=2", "out_dir=two", *words
+    )
     assert (
         main(["verify", str(file), "run=declared", "log=out/log/flight_0.csv", "states=10", "adversarial=0"])
         == 0
@@ -73,23 +69,19 @@ def test_a_file_flies_as_the_controller_that_it_was_made_of(
 
 @pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 def test_a_controller_in_c_is_written_and_verified(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    refused: Said, shown: Said, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert main(["export", "run=declared", "out=controller.c", "format=c", "mpc.moment_time=0.4", *MPC]) == 0
-    assert main(["export", "run=declared", "out=other.ts", "format=c", *MPC]) == 2
-    assert "ends in .c" in capsys.readouterr().err
-    assert main(["export", "run=declared", "out=controller.c", "format=c", *MPC]) == 2
-    assert "is there already" in capsys.readouterr().err
-    assert (
-        main(["verify", "controller.c", "run=declared", "states=6", "adversarial=20", "out=found.json"]) == 0
+    assert "ends in .c" in refused("export", "run=declared", "out=other.ts", "format=c", *MPC)
+    assert "is there already" in refused("export", "run=declared", "out=controller.c", "format=c", *MPC)
+    assert "6 states with estimators and plans of their own" in shown(
+        "verify", "controller.c", "run=declared", "states=6", "adversarial=20", "out=found.json"
     )
-    assert "6 states with estimators and plans of their own" in capsys.readouterr().out
     found = json.loads(Path("found.json").read_text())
     assert found["passed"]
     assert max(found["input_difference_max"], found["estimator_input_difference_max"]) < 1e-8
     monkeypatch.setenv("CC", "no_such_compiler")
-    assert main(["verify", "controller.c", "run=declared"]) == 2
-    assert "needs a C compiler" in capsys.readouterr().err
+    assert "needs a C compiler" in refused("verify", "controller.c", "run=declared")
 
 
 @pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
@@ -104,16 +96,14 @@ def test_a_controller_in_c_flies_as_the_one_that_it_was_made_of() -> None:
     assert ours["rmse_m"] == pytest.approx(theirs["rmse_m"], rel=0.02)
 
 
-def test_settings_that_a_file_does_not_have_are_refused(
-    file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_settings_that_a_file_does_not_have_are_refused(file: Path, refused: Said) -> None:
     for command in ("track", "fly"):
-        assert main([command, f"controller={file}", "mpc.speed_limit=3", "out_dir=out"]) == 2
-        said = capsys.readouterr().err
+        said = refused(command, f"controller={file}", "mpc.speed_limit=3", "out_dir=out")
         assert "`mpc.speed_limit` is 3.0 here" in said
         assert "exported with inf" in said
-        assert main([command, f"controller={file}", "mpc.deadline=0.01", "out_dir=out"]) == 2
-        assert "exported with None" in capsys.readouterr().err
+        assert "exported with None" in refused(
+            command, f"controller={file}", "mpc.deadline=0.01", "out_dir=out"
+        )
 
 
 @pytest.mark.slow

@@ -20,6 +20,7 @@ from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.simulated import VirtualLink
+from tests.helpers.commands import Said
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
@@ -66,10 +67,9 @@ def vehicles(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     ],
 )
 def test_faults_of_the_user_end_in_a_sentence_before_anything_is_connected(
-    words: list[str], said: str, vehicles: list[dict[str, Any]], capsys: pytest.CaptureFixture[str]
+    words: list[str], said: str, vehicles: list[dict[str, Any]], refused: Said
 ) -> None:
-    assert main(["fly", *words]) == 2
-    assert said in capsys.readouterr().err
+    assert said in refused("fly", *words)
     assert not vehicles
     assert not list(Path().rglob("flight.json"))
 
@@ -77,20 +77,16 @@ def test_faults_of_the_user_end_in_a_sentence_before_anything_is_connected(
 @pytest.mark.parametrize(
     ("url", "said"), [("foo:1", "expected udpin"), ("udpin:0.0.0.0:14999", "link.expose=true")]
 )
-def test_a_link_that_cannot_be_opened_is_explained(
-    url: str, said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["fly", "run=pid", f"link.url={url}"]) == 2
-    assert said in capsys.readouterr().err
+def test_a_link_that_cannot_be_opened_is_explained(url: str, said: str, refused: Said) -> None:
+    assert said in refused("fly", "run=pid", f"link.url={url}")
 
 
 def test_flights_leave_numbers_and_a_log_each_and_are_not_written_over(
-    vehicles: list[dict[str, Any]], capsys: pytest.CaptureFixture[str]
+    vehicles: list[dict[str, Any]], refused: Said, shown: Said
 ) -> None:
     Path("key").write_text("open sesame\n")
     words = ["run=pid", "system=quadrotor", "repeats=2", "link.system=1", "link.key_file=key", "out_dir=out"]
-    assert main(["fly", *words, *SHORT]) == 0
-    printed = capsys.readouterr().out
+    printed = shown("fly", *words, *SHORT)
     assert "the reference was flown; landed and disarmed; RMSE" in printed
     assert [v["url"] for v in vehicles] == ["udpin:127.0.0.1:14540"] * 2
     assert vehicles[0]["target"] == 1
@@ -105,12 +101,11 @@ def test_flights_leave_numbers_and_a_log_each_and_are_not_written_over(
     assert header[:4] == ["t", "p_x", "p_y", "p_z"]
     assert "u_4" in header
     assert "u_5" not in header
-    assert main(["fly", *words, *SHORT]) == 2
-    assert "holds a flight already" in capsys.readouterr().err
+    assert "holds a flight already" in refused("fly", *words, *SHORT)
 
 
 def test_the_declared_physics_is_told_of_what_a_diagnosis_found(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, refused: Said
 ) -> None:
     def stop(config: Any, reference: Any, machine: Any) -> None:
         raise ConfigError(f"told of {machine.effect_names[-1]}, {machine.effects[-1].value('drag').tolist()}")
@@ -118,10 +113,8 @@ def test_the_declared_physics_is_told_of_what_a_diagnosis_found(
     monkeypatch.setattr(track_build, "envelope", stop)
     files.write(Path("effects.yaml"), "quadrotor", {"linear_drag": {"drag": [0.5, 0.25, 0.125]}}, "found")
     words = ["fly", "run=declared", "system.effects=effects.yaml"]
-    assert main([*words, "system=hexacopter"]) == 2
-    assert "was found on system 'quadrotor'" in capsys.readouterr().err
-    assert main([*words, "system=quadrotor"]) == 2
-    assert "told of linear_drag, [0.5, 0.25, 0.125]" in capsys.readouterr().err
+    assert "was found on system 'quadrotor'" in refused(*words, "system=hexacopter")
+    assert "told of linear_drag, [0.5, 0.25, 0.125]" in refused(*words, "system=quadrotor")
 
 
 def test_a_refused_flight_is_a_fault_of_the_user_with_the_reasons(
@@ -202,12 +195,12 @@ def test_a_check_flies_nothing_writes_nothing_and_its_status_says_whether_it_is_
 
 
 def test_a_vehicle_in_the_air_is_landed_and_one_on_the_ground_is_refused(
-    vehicles: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    vehicles: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, refused: Said, shown: Said
 ) -> None:
-    assert main(["land"]) == 2
-    assert "the vehicle is disarmed: nothing is in the air" in capsys.readouterr().err
-    assert main(["fly", "run=pid", "system=quadrotor", "takeover=true", "out_dir=out", *SHORT]) == 2
-    assert "takeover=true is for a vehicle in the air" in capsys.readouterr().err
+    assert "the vehicle is disarmed: nothing is in the air" in refused("land")
+    assert "takeover=true is for a vehicle in the air" in refused(
+        "fly", "run=pid", "system=quadrotor", "takeover=true", "out_dir=out", *SHORT
+    )
     body = Body("quadrotor", seed=1)
     vehicle = SimulatedAutopilot(body, seed=1)
     link = VirtualLink(vehicle)
@@ -216,13 +209,11 @@ def test_a_vehicle_in_the_air_is_landed_and_one_on_the_ground_is_refused(
     vehicle.set_mode(d.LAND)
     vehicle.set_mode(d.HOLD)
     monkeypatch.setattr(links, "open_link", lambda url, **more: link)
-    assert main(["land"]) == 0
-    assert "landed and disarmed" in capsys.readouterr().out
+    assert "landed and disarmed" in shown("land")
     assert body.on_ground
 
 
-def test_help_lists_every_key_of_the_link_and_the_limits(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["fly", "--help", "all"]) == 0
-    printed = capsys.readouterr().out
+def test_help_lists_every_key_of_the_link_and_the_limits(shown: Said) -> None:
+    printed = shown("fly", "--help", "all")
     keys = "link.url link.key_file limits.fence mpc.period system.effects reference.speed"
     assert all(key in printed for key in keys.split())

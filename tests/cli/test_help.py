@@ -8,8 +8,8 @@ import pytest
 
 from nsde_torch.cli import groups
 from nsde_torch.cli.help import WIDTH, describe
-from nsde_torch.cli.main import main
 from nsde_torch.cli.registry import hydra_commands
+from tests.helpers.commands import Said
 
 
 def _help(*words: str) -> str:
@@ -38,20 +38,15 @@ def test_help_shows_choices_of_the_users_own_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("command", [name for name in hydra_commands() if name != "benchmark"])
-def test_help_fits_a_screen_and_all_of_it_is_a_word_away(
-    command: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([command, "--help"]) == 0
-    short = capsys.readouterr().out.splitlines()
-    assert main([command, "--help", "all"]) == 0
-    whole = capsys.readouterr().out.splitlines()
+def test_help_fits_a_screen_and_all_of_it_is_a_word_away(command: str, shown: Said) -> None:
+    short = shown(command, "--help").splitlines()
+    whole = shown(command, "--help", "all").splitlines()
     assert len(short) <= 50
     assert set(whole) >= {line for line in short if "--help all" not in line}
 
 
-def test_help_has_the_keys_of_the_groups_that_are_named(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["train", "--help", "data=csv"]) == 0
-    text = capsys.readouterr().out
+def test_help_has_the_keys_of_the_groups_that_are_named(shown: Said) -> None:
+    text = shown("train", "--help", "data=csv")
     assert "data.path=" in text
     assert "\n  trainer.lr=" not in text
     assert "`--help all` has the keys of system, model, loss, trainer, solver too" in text

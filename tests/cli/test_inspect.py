@@ -16,6 +16,7 @@ from nsde_torch.cli.main import main
 from nsde_torch.data.quaternion import attitude_to_enu, swap_body, swap_world
 from nsde_torch.systems import make_system
 from tests.helpers import log_writers
+from tests.helpers.commands import Said
 from tests.helpers.leaning import leaning_flight
 from tests.helpers.ulog_bytes import write_ulog
 
@@ -37,18 +38,14 @@ def springs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_from_a_folder_of_logs_to_a_model(
-    springs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["inspect", str(springs), "system=mass_spring_damper"]) == 0
-    out = capsys.readouterr().out
+def test_from_a_folder_of_logs_to_a_model(springs: Path, tmp_path: Path, shown: Said) -> None:
+    out = shown("inspect", str(springs), "system=mass_spring_damper")
     assert "position [mm]" in out
     assert f"wrote {springs / 'mapping.yaml'}" in out
     written = yaml.safe_load((springs / "mapping.yaml").read_text(encoding="utf-8"))
     assert written["columns"]["q"] == {"from": "position [mm]", "unit": "mm"}
     assert written["time"] == {"from": "time_ms", "unit": "ms"}
-    assert main(["inspect", str(springs), "system=mass_spring_damper"]) == 0
-    assert "holds this mapping" in capsys.readouterr().out
+    assert "holds this mapping" in shown("inspect", str(springs), "system=mass_spring_damper")
     data = ["data=log", f"data.path={springs}"]
     assert (
         main(["train", "system=mass_spring_damper", "model=sysid", *data, f"run_dir={tmp_path / 'run'}"]) == 0
@@ -61,7 +58,7 @@ def test_from_a_folder_of_logs_to_a_model(
 
 
 def test_what_was_found_is_written_as_json_for_a_program(
-    springs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    springs: Path, tmp_path: Path, refused: Said
 ) -> None:
     words = [str(springs), "system=mass_spring_damper", "physics=false", "out=none"]
     assert main(["inspect", *words, f"json={tmp_path / 'found.json'}"]) == 0
@@ -70,8 +67,7 @@ def test_what_was_found_is_written_as_json_for_a_program(
     assert yaml.safe_load(found["mapping"])["columns"]["q"] == {"from": "position [mm]", "unit": "mm"}
     assert {row["column"]: row["rows"] for row in found["columns"]}["force"] == 1201
     assert all(check["passed"] for check in found["checks"])
-    assert main(["inspect", *words, f"json={tmp_path / 'no' / 'found.json'}"]) == 2
-    assert "`json`" in capsys.readouterr().err
+    assert "`json`" in refused("inspect", *words, f"json={tmp_path / 'no' / 'found.json'}")
 
 
 def test_a_wrong_sign_of_the_input_is_told_by_the_physics(
@@ -88,12 +84,11 @@ def test_a_wrong_sign_of_the_input_is_told_by_the_physics(
 
 
 def test_a_quadrotor_is_recognised_and_its_mapping_checked(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], shown: Said
 ) -> None:
     columns = log_writers.ned_columns(leaning_flight(20.0))
     log_writers.write_table(tmp_path / "run.csv", columns)
-    assert main(["inspect", str(tmp_path), "physics=false", f"out={tmp_path / 'm.yaml'}"]) == 0
-    out = capsys.readouterr().out
+    out = shown("inspect", str(tmp_path), "physics=false", f"out={tmp_path / 'm.yaml'}")
     assert "taken for 'quadrotor'" in out
     assert "axes are NED and FRD" in out
     assert f"data.mapping={tmp_path / 'm.yaml'}" in out
@@ -112,12 +107,11 @@ def test_a_quadrotor_is_recognised_and_its_mapping_checked(
 
 @pytest.mark.slow
 def test_the_numbers_of_motors_are_found_by_the_physics(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], shown: Said
 ) -> None:
     made = nsde_torch.simulate("quadrotor", durations=[8.0], seed=3)
     log_writers.write_table(tmp_path / "run.npz", log_writers.ned_columns(made.runs[0]))
-    assert main(["inspect", str(tmp_path), "system=quadrotor"]) == 0
-    assert "motors are numbered as in betaflight" in capsys.readouterr().out
+    assert "motors are numbered as in betaflight" in shown("inspect", str(tmp_path), "system=quadrotor")
     written = (tmp_path / "mapping.yaml").read_text(encoding="utf-8")
     assert "numbering: betaflight" in written
     (tmp_path / "wrong.yaml").write_text(
@@ -129,17 +123,14 @@ def test_the_numbers_of_motors_are_found_by_the_physics(
     assert "`numbering: betaflight`" in out
 
 
-def test_what_csv_files_of_the_package_hold(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_csv_files_of_the_package_hold(tmp_path: Path, shown: Said) -> None:
     assert main(["simulate", "system=mass_spring_damper", f"out={tmp_path / 'd'}", "durations=[6,6]"]) == 0
-    assert main(["inspect", str(tmp_path / "d"), "system=mass_spring_damper"]) == 0
-    out = capsys.readouterr().out
+    out = shown("inspect", str(tmp_path / "d"), "system=mass_spring_damper")
     assert "needs no mapping" in out
     assert not (tmp_path / "d" / "mapping.yaml").exists()
 
 
-def test_a_px4_log_is_listed_and_read_by_its_own_reader(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_px4_log_is_listed_and_read_by_its_own_reader(tmp_path: Path, shown: Said) -> None:
     run = leaning_flight(12.0)
     p, v, w = swap_world(run.x[:, :3]), swap_world(run.x[:, 3:6]), swap_body(run.x[:, 10:])
     one = np.ones(len(run.t))
@@ -147,8 +138,7 @@ def test_a_px4_log_is_listed_and_read_by_its_own_reader(
     odometry |= {"angular_velocity": w, "pose_frame": one, "velocity_frame": one}
     motors = {"timestamp": 50.0 + run.t, "control": run.u}
     write_ulog(tmp_path / "flight.ulg", {"vehicle_odometry": odometry, "actuator_motors": motors})
-    assert main(["inspect", str(tmp_path), "physics=false"]) == 0
-    out = capsys.readouterr().out
+    out = shown("inspect", str(tmp_path), "physics=false")
     assert "data=ulog, 1 run (flight)" in out
     assert "actuator_motors/control[0]" in out
     assert "ok  lean and acceleration" in out
@@ -174,33 +164,29 @@ def test_faults_of_the_user_are_one_sentence(tmp_path: Path, capsys: pytest.Capt
 
 
 def test_the_mapping_beside_the_logs_is_checked_as_reading_takes_it(
-    springs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    springs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Said, shown: Said
 ) -> None:
     logs = tmp_path / "logs"
     shutil.copytree(springs, logs, ignore=shutil.ignore_patterns("mapping.yaml"))
     words = ["inspect", str(logs), "system=mass_spring_damper", "physics=false"]
     (logs / "mapping.yaml").write_text("columns: [\n")
-    assert main(words) == 2
-    assert "mapping.yaml, line 2: no plain YAML" in capsys.readouterr().err
+    assert "mapping.yaml, line 2: no plain YAML" in refused(*words)
     exchanged = "{q: {from: 'speed [mm/s]', unit: mm}, q_dot: {from: 'position [mm]', unit: mm/s}}"
     (logs / "mapping.yaml").write_text(f"time: {{from: time_ms, unit: ms}}\ncolumns: {exchanged}\n")
     assert main(words) == 1
     assert "next: mend this first" in capsys.readouterr().out
-    assert main([*words, "overwrite=true"]) == 0
-    assert f"wrote {logs / 'mapping.yaml'}" in capsys.readouterr().out
-    assert main([*words, f"out={logs / 'run_0.csv'}"]) == 0
-    assert "is there and was not replaced" in capsys.readouterr().out
+    assert f"wrote {logs / 'mapping.yaml'}" in shown(*words, "overwrite=true")
+    assert "is there and was not replaced" in shown(*words, f"out={logs / 'run_0.csv'}")
 
 
 def test_a_folder_of_ones_own_machines_stays_in_the_command_that_comes_next(
-    springs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    springs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], shown: Said
 ) -> None:
     (tmp_path / "system").mkdir()
     own = "name: nsde_torch.systems.one_dof:MassSpringDamper\n"
     (tmp_path / "system" / "mine.yaml").write_text(own, encoding="utf-8")
     words = [f"--config-dir={tmp_path}", "system=mine", "physics=false", "out=none"]
-    assert main(["inspect", *words, str(springs)]) == 0
-    assert f"next: nsde train --config-dir {tmp_path} system=mine" in capsys.readouterr().out
+    assert f"next: nsde train --config-dir {tmp_path} system=mine" in shown("inspect", *words, str(springs))
     (tmp_path / "logs").mkdir()
     log_writers.write_table(
         tmp_path / "logs" / "a.csv", {"t": np.arange(50) / 10, "x_des": np.sin(np.arange(50))}
@@ -252,9 +238,7 @@ def test_completion_offers_keys_and_choices() -> None:
     assert "kind=ardupilot" in command.complete(["kind=ar"])
 
 
-def test_options_of_the_machine_are_those_of_training(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_options_of_the_machine_are_those_of_training(tmp_path: Path, refused: Said, shown: Said) -> None:
     run = leaning_flight(12.0)
     columns = {
         "t": run.t,
@@ -269,9 +253,8 @@ def test_options_of_the_machine_are_those_of_training(
     content["u"] = {"from": [f"m{k}" for k in range(4)]}
     (tmp_path / "mapping.yaml").write_text(yaml.safe_dump({"system": "quadrotor", "columns": content}))
     words = ["inspect", str(tmp_path), "system=quadrotor", "physics=false"]
-    assert main([*words, "system.options.yaw_direction=-1"]) == 0
-    assert "system=quadrotor system.options.yaw_direction=-1 data=" in capsys.readouterr().out
-    assert main([*words, "system.options.yaw_direction=2"]) == 2
-    assert "`yaw_direction` must be 1 or -1" in capsys.readouterr().err
-    assert main([*words, "system.options.yaw_direction=[1"]) == 2
-    assert "'[1' is no value" in capsys.readouterr().err
+    assert "system=quadrotor system.options.yaw_direction=-1 data=" in shown(
+        *words, "system.options.yaw_direction=-1"
+    )
+    assert "`yaw_direction` must be 1 or -1" in refused(*words, "system.options.yaw_direction=2")
+    assert "'[1' is no value" in refused(*words, "system.options.yaw_direction=[1")

@@ -15,6 +15,7 @@ from omegaconf import OmegaConf
 from nsde_torch.cli import effects_file, own_modules
 from nsde_torch.cli.main import main
 from nsde_torch.cli.quoted import coordinates_named
+from tests.helpers.commands import Said
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
@@ -40,31 +41,23 @@ def spring(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_controller_of_a_spring_is_exported_verified_and_holds_it(
-    spring: Path, capsys: pytest.CaptureFixture[str]
+    spring: Path, shown: Said, refused: Said
 ) -> None:
-    assert main(["export", f"run={spring}", "out=c.c"]) == 2
-    assert "Take plant=own" in capsys.readouterr().err
+    assert "Take plant=own" in refused("export", f"run={spring}", "out=c.c")
     limits = ["plant=own", "mpc.low=-1", "mpc.high=1", "mpc.steps=8", "mpc.horizon=0.4"]
-    assert main(["export", f"run={spring}", *limits, "format=c", "out=spring.c"]) == 0
-    assert "reference=setpoint" in capsys.readouterr().out
-    given = ["controller=spring.c", f"run={spring}", "states=60", "adversarial=100"]
-    assert main(["verify", *given]) == 2
-    assert "reference=setpoint" in capsys.readouterr().err
-    assert main(["verify", *given, "reference=setpoint", "reference.states={q: 0.2}"]) == 0
-    assert "passed" in capsys.readouterr().out
-    held = ["reference=setpoint", "reference.states={q: 0.2}", "reference.duration=2", "plant=own"]
-    assert main(["track", "controller=spring.c", *held, "out_dir=held"]) == 0
-    assert main(["track", "controller=spring.c", *held, "mpc.low=-2", "out_dir=no"]) == 2
-    assert "`mpc.low` is -2" in capsys.readouterr().err
+    assert "reference=setpoint" in shown("export", f"run={spring}", *limits, "format=c", "out=spring.c")
+    given = ["verify", "controller=spring.c", f"run={spring}", "states=60", "adversarial=100"]
+    assert "reference=setpoint" in refused(*given)
+    assert "passed" in shown(*given, "reference=setpoint", "reference.states={q: 0.2}")
+    held = ["track", "controller=spring.c", "reference=setpoint", "reference.states={q: 0.2}", "plant=own"]
+    shown(*held, "reference.duration=2", "out_dir=held")
+    assert "`mpc.low` is -2" in refused(*held, "reference.duration=2", "mpc.low=-2", "out_dir=no")
 
 
-def test_a_model_of_a_spring_holds_it_beside_its_declared_physics(
-    spring: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_model_of_a_spring_holds_it_beside_its_declared_physics(spring: Path, shown: Said) -> None:
     words = ["reference=setpoint", "reference.states={q: 0.2}", "reference.duration=3", "mpc.compile=off"]
     beside = ["beside=[declared]", "plant=own", "mpc.low=-1", "mpc.high=1", "machines=2", "mpc.steps=8"]
-    assert main(["track", f"run={spring}", *words, *beside, "out_dir=out"]) == 0
-    printed = capsys.readouterr().out
+    printed = shown("track", f"run={spring}", *words, *beside, "out_dir=out")
     assert printed.count("RMSE position") == 2
     content = json.loads(Path("out/tracking.json").read_text(encoding="utf-8"))
     for own in content["controllers"].values():
@@ -103,15 +96,14 @@ ENDS = ("mpc.low=-1", "mpc.high=1")
     ],
 )
 def test_what_is_wrong_with_a_machine_or_its_reference_is_said(
-    words: list[str], said: str, spring: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], said: str, spring: Path, refused: Said
 ) -> None:
-    assert main(["track", f"run={spring}", *words, "mpc.compile=off", "out_dir=out"]) == 2
-    assert said in capsys.readouterr().err
+    assert said in refused("track", f"run={spring}", *words, "mpc.compile=off", "out_dir=out")
 
 
 @pytest.mark.parametrize("command", ["track", "export", "fly"])
 def test_a_model_of_ones_own_machine_is_found_without_the_folder_of_its_module(
-    command: str, root: Path, spring: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    command: str, root: Path, spring: Path, tmp_path: Path, refused: Said
 ) -> None:
     run = tmp_path / "run"
     (run / ".hydra").mkdir(parents=True)
@@ -125,26 +117,24 @@ def test_a_model_of_ones_own_machine_is_found_without_the_folder_of_its_module(
         (run / file).write_bytes((spring / file).read_bytes())
     content = (run / "config.yaml").read_text()
     (run / "config.yaml").write_text(content.replace("mass_spring_damper", f"lane_of_{command}:Rail"))
-    assert main([command, f"run={run}", "out=c.ts" if command == "export" else "threads=1"]) == 2
-    assert "no module" not in capsys.readouterr().err
+    assert "no module" not in refused(
+        command, f"run={run}", "out=c.ts" if command == "export" else "threads=1"
+    )
 
 
 def test_effects_of_ones_own_machine_are_listed_from_its_folder(
-    root: Path, capsys: pytest.CaptureFixture[str]
+    root: Path, refused: Said, shown: Said
 ) -> None:
     folder = str(root / "examples" / "pendulum")
-    assert main(["effects", "system=pendulum", f"--config-dir={folder}"]) == 0
-    assert "coulomb_friction" in capsys.readouterr().out
-    assert main(["effects", "--config-dir", "nowhere", "system=pendulum"]) == 2
-    assert "no such folder" in capsys.readouterr().err
+    assert "coulomb_friction" in shown("effects", "system=pendulum", f"--config-dir={folder}")
+    assert "no such folder" in refused("effects", "--config-dir", "nowhere", "system=pendulum")
 
 
-def test_an_effect_without_a_name_is_refused_in_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_effect_without_a_name_is_refused_in_one_sentence(refused: Said) -> None:
     Path("own").mkdir()
     Path("own/bare_of_a_test.py").write_text(NAMELESS)
     words = ["--config-dir", "own", "system=mass_spring_damper", "plant.effects=[bare_of_a_test:Bare]"]
-    assert main(["simulate", *words, "durations=[1]", "out=data"]) == 2
-    error = capsys.readouterr().err
+    error = refused("simulate", *words, "durations=[1]", "out=data")
     assert "has no `name`" in error
     assert "name = 'bare'" in error
 

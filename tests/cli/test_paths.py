@@ -18,6 +18,7 @@ from nsde_torch.cli.main import main
 from nsde_torch.cli.quoted import as_typed, path_word, quoted, typed_path
 from nsde_torch.cli.registry import hydra_commands
 from nsde_torch.data import write_csv
+from tests.helpers.commands import Said
 
 ODD = (
     *("ünï", "logs (1)", "[1]", "a=b", "a,b", "it's", 'say "hi"', "~x", "-x", "{x: 1}", "$HOME", "a\\b"),
@@ -102,14 +103,15 @@ def test_a_comma_separates_two_paths_in_a_sweep_alone() -> None:
 
 @pytest.mark.usefixtures("elsewhere")
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_composes_with_odd_paths(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_command_composes_with_odd_paths(name: str, shown: Said) -> None:
     files, plain = groups.files(name), ("str", "str | None", "Any")
     keys = [k for k, e in files.items() if "." not in k and e.annotation in plain]
     paths = {key: ODD[k % 12] for k, key in enumerate(keys) if key != "resume"}
     paths |= {"data.path": "a=b, (ü)"} if "data.path" in files else {}
     first = ["emps"] if name == "benchmark" else []
-    assert main([name, *first, "--cfg", "job", *(f"{key}={path}" for key, path in paths.items())]) == 0
-    content = yaml.safe_load(capsys.readouterr().out)
+    content = yaml.safe_load(
+        shown(name, *first, "--cfg", "job", *(f"{key}={path}" for key, path in paths.items()))
+    )
     for key, path in paths.items():
         group, _, leaf = key.rpartition(".")
         found = (content[group] if group else content)[leaf]
@@ -129,29 +131,22 @@ def runs(tmp_path: Path) -> Path:
 
 
 @pytest.mark.usefixtures("elsewhere")
-def test_the_command_that_an_inspection_prints_can_be_copied(
-    runs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["inspect", runs.name, "system=mass_spring_damper", "physics=false"]) == 0
-    line = capsys.readouterr().out.splitlines()[-1]
+def test_the_command_that_an_inspection_prints_can_be_copied(runs: Path, shown: Said) -> None:
+    line = shown("inspect", runs.name, "system=mass_spring_damper", "physics=false").splitlines()[-1]
     command, *words = shlex.split(line.removeprefix("next: "))
     assert command == "nsde"
-    assert main([*words, "--cfg", "job"]) == 0
-    assert yaml.safe_load(capsys.readouterr().out)["data"]["path"] == runs.name
+    assert yaml.safe_load(shown(*words, "--cfg", "job"))["data"]["path"] == runs.name
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("elsewhere")
-def test_one_odd_path_is_trained_on_resumed_and_evaluated(
-    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_odd_path_is_trained_on_resumed_and_evaluated(runs: Path, tmp_path: Path, refused: Said) -> None:
     run = "rün (1), a=b"
     spring = ["system=mass_spring_damper", "model=sysid"]
     assert main(["train", *spring, f"data.path={runs.name}", f"run_dir={run}"]) == 0
     assert (tmp_path / run / "metrics.json").is_file()
     assert main(["train", f"resume={run}"]) == 0
-    assert main(["evaluate", f"run=[{run.replace(',', '')}]"]) == 2  # a list, of a folder that is not there
-    assert "rün (1) a=b`: no such folder" in capsys.readouterr().err
+    assert "rün (1) a=b`: no such folder" in refused("evaluate", f"run=[{run.replace(',', '')}]")
     assert main(["evaluate", f"run={run}", "particles=2", "bootstrap=100", "out_dir=[é]"]) == 0
     assert (tmp_path / "[é]" / "evaluation.json").is_file()
 
@@ -159,7 +154,7 @@ def test_one_odd_path_is_trained_on_resumed_and_evaluated(
 @pytest.mark.slow
 @pytest.mark.usefixtures("elsewhere")
 def test_one_odd_path_is_diagnosed_and_its_effects_are_found_again(
-    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], shown: Said
 ) -> None:
     words = ["diagnose", "system=mass_spring_damper", "candidates=[coulomb_friction]", "retrain=false"]
     assert main([*words, f"data.path={runs.name}", "out_dir=dïag, (1)"]) == 0
@@ -168,8 +163,7 @@ def test_one_odd_path_is_diagnosed_and_its_effects_are_found_again(
     effects = (tmp_path / "dïag, (1)" / "effects.yaml").read_text(encoding="utf-8")
     words = shlex.split(effects.splitlines()[0].partition("use it with: ")[2])[1:]
     capsys.readouterr()
-    assert main([*words, "--cfg", "job"]) == 0
-    made = yaml.safe_load(capsys.readouterr().out)
+    made = yaml.safe_load(shown(*words, "--cfg", "job"))
     assert made["data"]["path"] == runs.name
     assert made["system"]["effects"] == [str(tmp_path / "dïag, (1)" / "effects.yaml")]
 
@@ -188,39 +182,32 @@ def test_inspection_takes_every_path(path: str, tmp_path: Path, capsys: pytest.C
 
 @pytest.mark.usefixtures("elsewhere")
 @pytest.mark.parametrize("path", ODD)
-def test_the_report_of_a_sweep_takes_every_path(
-    path: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_report_of_a_sweep_takes_every_path(path: str, tmp_path: Path, shown: Said) -> None:
     job = tmp_path / path / "0_seed=1"
     (job / ".hydra").mkdir(parents=True)
     (job / ".hydra" / "overrides.yaml").write_text("- seed=1\n")
     (job / "metrics.json").write_text('{"validation": {"score": 1.0}}')
-    assert main(["sweep-report", path]) == 0
-    assert "1 jobs: 1 done" in capsys.readouterr().out
+    assert "1 jobs: 1 done" in shown("sweep-report", path)
     assert (tmp_path / path / "sweep_report.json").is_file()
 
 
 @pytest.mark.usefixtures("elsewhere")
-def test_a_path_alone_chooses_the_reader_and_a_reader_that_is_named_wins(
-    runs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_path_alone_chooses_the_reader_and_a_reader_that_is_named_wins(runs: Path, shown: Said) -> None:
     for words, kind in (
         ([f"data.path={runs.name}"], "log"),
         (["data=csv", f"data.path={runs.name}"], "csv"),
         ([], "simulated"),
     ):
-        assert main(["train", "--cfg", "job", *words]) == 0
-        assert yaml.safe_load(capsys.readouterr().out)["data"]["kind"] == kind
+        assert yaml.safe_load(shown("train", "--cfg", "job", *words))["data"]["kind"] == kind
     assert nsde_torch.read(runs / "run_0.csv", system="mass_spring_damper").names == ("run_0",)
 
 
 @pytest.mark.usefixtures("elsewhere")
-def test_a_test_set_that_is_not_there_is_named_by_its_own_key(
-    runs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_test_set_that_is_not_there_is_named_by_its_own_key(runs: Path, refused: Said) -> None:
     data = [f"data.path={runs.name}", "data.test_path=nowhere"]
-    assert main(["train", "system=mass_spring_damper", "model=sysid", *data]) == 2
-    assert "`data.test_path`: nowhere does not exist" in capsys.readouterr().err
+    assert "`data.test_path`: nowhere does not exist" in refused(
+        "train", "system=mass_spring_damper", "model=sysid", *data
+    )
 
 
 def test_a_command_that_names_no_file_is_left_alone() -> None:
@@ -232,13 +219,14 @@ def test_a_command_that_names_no_file_is_left_alone() -> None:
 @pytest.mark.parametrize("path", ODD)
 @pytest.mark.parametrize("flag", ["--config-dir", "-cd"])
 def test_the_folder_of_machines_of_ones_own_takes_every_path(
-    path: str, flag: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    path: str, flag: str, tmp_path: Path, shown: Said
 ) -> None:
     (tmp_path / path / "system").mkdir(parents=True)
     (tmp_path / path / "system" / "mine.yaml").write_text(
         "defaults: [mass_spring_damper, _self_]\ndt: 0.02\n"
     )
-    assert main(["train", "seed=3", flag, path, "system=mine", "--cfg", "job"]) == 0
-    assert yaml.safe_load(capsys.readouterr().out)["system"]["dt"] == 0.02
-    assert main(["effects", flag, path, "system=mine"]) == 0
-    assert "coulomb_friction" in capsys.readouterr().out
+    assert (
+        yaml.safe_load(shown("train", "seed=3", flag, path, "system=mine", "--cfg", "job"))["system"]["dt"]
+        == 0.02
+    )
+    assert "coulomb_friction" in shown("effects", flag, path, "system=mine")

@@ -11,6 +11,7 @@ import torch
 from nsde_torch.cli.main import main
 from nsde_torch.models import EnsembleSpec, GaussianEnsemble, NeuralSDE, SDESpec, run_directory
 from nsde_torch.policy import load_policy
+from tests.helpers.commands import Said
 
 pytest.importorskip("stable_baselines3", reason="needs the extra nsde_torch[policy]")
 
@@ -27,13 +28,12 @@ def model(folder: Path, system: str = "cartpole") -> Path:
 
 
 @pytest.mark.slow
-def test_policies_learn_on_the_truth_and_in_a_model_and_are_scored(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_policies_learn_on_the_truth_and_in_a_model_and_are_scored(tmp_path: Path, shown: Said) -> None:
     truth, own = tmp_path / "truth", tmp_path / "own"
     learned = model(tmp_path / "0_seed=1,dt=2")  # a folder as a sweep names them
-    assert main(["policy", "system=cartpole", "environment=truth", f"run_dir={truth}", *TINY]) == 0
-    assert "reward per episode on the truth" in capsys.readouterr().out
+    assert "reward per episode on the truth" in shown(
+        "policy", "system=cartpole", "environment=truth", f"run_dir={truth}", *TINY
+    )
     words = [f"environment={learned}", f"scored_against=[{truth}]", "seed=1"]
     assert main(["policy", *words, f"run_dir={own}", *TINY]) == 0
     first, second = (json.loads((folder / "policy.json").read_text()) for folder in (truth, own))
@@ -58,13 +58,12 @@ def test_finished_policy_can_be_continued_to_more_interactions(tmp_path: Path) -
     assert [row["interactions"] for row in result["curve"]] == [0, 48, 96, 144, 192]
 
 
-def test_sweep_over_seeds_is_ranked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_sweep_over_seeds_is_ranked(tmp_path: Path, capsys: pytest.CaptureFixture[str], shown: Said) -> None:
     sweep = tmp_path / "sweep"
     assert main(["policy", "-m", "seed=0,1", "truth=published", f"sweep_dir={sweep}", *TINY]) == 0
     assert len(list(sweep.glob("*/policy.safetensors"))) == 2
     capsys.readouterr()
-    assert main(["sweep-report", str(sweep)]) == 0
-    assert "truth_reward.mean" in capsys.readouterr().out
+    assert "truth_reward.mean" in shown("sweep-report", str(sweep))
 
 
 @pytest.mark.parametrize(
@@ -83,28 +82,24 @@ def test_sweep_over_seeds_is_ranked(tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_fault_of_the_user_is_named(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    refused: Said,
     word: str,
     message: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     if word == "environment=hexacopter":
         model(tmp_path / "hexacopter", "hexacopter")
-    assert main(["policy", word, f"run_dir={tmp_path / 'run'}"]) == 2
-    assert message in capsys.readouterr().err
+    assert message in refused("policy", word, f"run_dir={tmp_path / 'run'}")
 
 
-def test_missing_extra_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Said) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    assert main(["policy", f"run_dir={tmp_path / 'run'}"]) == 2
-    assert "pip install 'nsde_torch[policy]'" in capsys.readouterr().err
+    assert "pip install 'nsde_torch[policy]'" in refused("policy", f"run_dir={tmp_path / 'run'}")
 
 
 @pytest.mark.slow
 def test_members_of_an_ensemble_are_kept_or_redrawn_as_asked_and_only_an_ensemble_has_them(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, refused: Said
 ) -> None:
     learned = tmp_path / "ensemble"
     spec = EnsembleSpec("cartpole", dt=0.02, horizon=10)
@@ -115,8 +110,6 @@ def test_members_of_an_ensemble_are_kept_or_redrawn_as_asked_and_only_an_ensembl
         assert main(["policy", *words, *([f"propagation={asked}"] if asked else [])]) == 0
         assert json.loads((folder / "policy.json").read_text())["environment"]["propagation"] == found
     words = ["propagation=fixed", f"run_dir={tmp_path / 'none'}", *TINY]
-    assert main(["policy", f"environment={model(tmp_path / 'sde')}", *words]) == 2
-    assert "this model is nsde" in capsys.readouterr().err
+    assert "this model is nsde" in refused("policy", f"environment={model(tmp_path / 'sde')}", *words)
     # the folder of a run that never began is free
-    assert main(["policy", *words]) == 2
-    assert "environment=truth is none" in capsys.readouterr().err
+    assert "environment=truth is none" in refused("policy", *words)

@@ -10,6 +10,7 @@ import pytest
 from nsde_torch.cli.commands.completion import query
 from nsde_torch.cli.main import main
 from nsde_torch.cli.registry import COMMANDS, CommandEntry, hydra_command, hydra_commands
+from tests.helpers.commands import Said
 
 SCRATCH = '''
 """`nsde scratch`: weigh a system."""
@@ -65,12 +66,10 @@ def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_command_of_one_file_and_one_line_has_help_completion_checks_and_a_folder(
-    scratch: Path, capsys: pytest.CaptureFixture[str]
+    scratch: Path, refused: Said, shown: Said
 ) -> None:
-    assert main(["--help"]) == 0
-    assert "scratch       Weigh a system" in capsys.readouterr().out
-    assert main(["scratch", "--help"]) == 0
-    text = capsys.readouterr().out
+    assert "scratch       Weigh a system" in shown("--help")
+    text = shown("scratch", "--help")
     assert text.startswith("nsde scratch: weigh a system")
     for part in (
         "factor=2 [1]",
@@ -84,8 +83,7 @@ def test_a_command_of_one_file_and_one_line_has_help_completion_checks_and_a_fol
     assert main(["scratch", "system=hexacopter", "factor=4", "out_dir=here, or there"]) == 0
     content = json.loads((scratch / "here, or there" / "weight.json").read_text())
     assert content == {"system": "hexacopter", "steps": 7, "factor": 4.0}
-    assert main(["scratch", "out_dir=here, or there"]) == 2
-    assert "holds a weight already" in capsys.readouterr().err
+    assert "holds a weight already" in refused("scratch", "out_dir=here, or there")
     assert main(["scratch"]) == 0
     assert list(scratch.glob("scratches/*/weight.json"))
 
@@ -101,11 +99,8 @@ def test_a_command_of_one_file_and_one_line_has_help_completion_checks_and_a_fol
     ],
 )
 @pytest.mark.usefixtures("scratch")
-def test_its_mistakes_are_worded_as_those_of_the_others(
-    word: str, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["scratch", word]) == 2
-    assert message in capsys.readouterr().err
+def test_its_mistakes_are_worded_as_those_of_the_others(word: str, message: str, refused: Said) -> None:
+    assert message in refused("scratch", word)
 
 
 def test_the_objects_of_the_commands_bear_the_names_of_the_table() -> None:

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("waitress", reason="needs the extra nsde_torch[serve]")
+from tests.helpers.commands import Said
 
-from nsde_torch.cli.main import main
+pytest.importorskip("waitress", reason="needs the extra nsde_torch[serve]")
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def _get(address: str, **headers: str) -> tuple[int, bytes]:
 
 
 def test_the_printed_address_opens_the_page_and_sigterm_ends_it(
-    server: subprocess.Popen[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    server: subprocess.Popen[str], tmp_path: Path, refused: Said
 ) -> None:
     assert server.stdout is not None
     address, _, token = server.stdout.readline().strip().partition("#")
@@ -53,8 +53,7 @@ def test_the_printed_address_opens_the_page_and_sigterm_ends_it(
     assert (told["system"], told["jobs"]) == ("cartpole", [])
     assert _get(address, Host="evil.example")[0] == 421
     port = address.rstrip("/").rpartition(":")[2]
-    assert main(["serve", f"port={port}", f"out_dir={tmp_path / 'other'}"]) == 2
-    said = capsys.readouterr().err
+    said = refused("serve", f"port={port}", f"out_dir={tmp_path / 'other'}")
     assert f"127.0.0.1:{port} cannot be bound" in said
     assert "port=0" in said
     server.send_signal(signal.SIGTERM)
@@ -66,19 +65,17 @@ def test_the_printed_address_opens_the_page_and_sigterm_ends_it(
 
 @pytest.mark.parametrize("package", ["waitress", "werkzeug"])
 def test_a_package_that_is_not_installed_is_named_with_its_extra(
-    package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Said
 ) -> None:
     for name in [n for n in sys.modules if n.startswith((package, "nsde_torch.cli.serving"))]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, package, None)
-    assert main(["serve", "port=0", f"out_dir={tmp_path / 'served'}"]) == 2
-    said = capsys.readouterr().err
+    said = refused("serve", "port=0", f"out_dir={tmp_path / 'served'}")
     assert f"'{package}'" in said
     assert "nsde_torch[serve]" in said
 
 
 @pytest.mark.parametrize("word", ["port=70000", "jobs=0", "upload=0", "host=0.0.0.0", "system=boat"])
-def test_wrong_options_are_refused(word: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["serve", word, f"out_dir={tmp_path / 'served'}"]) == 2
-    assert word.partition("=")[0] in capsys.readouterr().err
+def test_wrong_options_are_refused(word: str, tmp_path: Path, refused: Said) -> None:
+    assert word.partition("=")[0] in refused("serve", word, f"out_dir={tmp_path / 'served'}")
     assert not (tmp_path / "served").exists()

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from nsde_torch.cli.main import main
+from tests.helpers.commands import Said
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
@@ -27,14 +28,13 @@ class Quintic(Effect):
 """
 
 
-def test_a_data_set_and_its_truth_are_all_that_is_written(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_data_set_and_its_truth_are_all_that_is_written(shown: Said) -> None:
     words = [
         *("system=mass_spring_damper", "out=data", "seed=3", "durations=[2,1]", "plant.sensor_noise=2"),
         "plant.effects=[{coulomb_friction:{size:0.3}},input_delay]",
         *("recording.sensor_bias.q=0.01", "recording.dropout=0.1"),
     ]
-    assert main(["simulate", *words]) == 0
-    assert "wrote 2 runs of mass_spring_damper (3 s, " in capsys.readouterr().out
+    assert "wrote 2 runs of mass_spring_damper (3 s, " in shown("simulate", *words)
     assert sorted(str(p) for p in Path().rglob("*")) == [
         *("data", "data.truth.json", "data/run_0.csv", "data/run_1.csv")
     ]
@@ -66,7 +66,7 @@ def test_a_file_of_another_machine_is_refused_by_the_key_that_names_it(
     assert "`plant.effects`: no file 'none.yaml'" in capsys.readouterr().err
 
 
-def test_a_second_data_set_does_not_replace_the_first(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_second_data_set_does_not_replace_the_first(refused: Said) -> None:
     words = [
         "simulate",
         "system=mass_spring_damper",
@@ -75,8 +75,7 @@ def test_a_second_data_set_does_not_replace_the_first(capsys: pytest.CaptureFixt
         "truth=elsewhere/what.json",
     ]
     assert main(words) == 0
-    assert main(words) == 2
-    assert "overwrite=true" in capsys.readouterr().err
+    assert "overwrite=true" in refused(*words)
     assert main([*words, "overwrite=true"]) == 0
     assert Path("elsewhere/what.json").is_file()
 
@@ -102,22 +101,24 @@ def test_an_effect_of_ones_own_is_simulated(monkeypatch: pytest.MonkeyPatch) -> 
     ],
 )
 def test_a_fault_of_the_user_is_named_and_leaves_nothing_behind(
-    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+    words: list[str], message: str, refused: Said
 ) -> None:
-    assert main(["simulate", *words]) == 2
-    assert message in capsys.readouterr().err
+    assert message in refused("simulate", *words)
     assert list(Path().iterdir()) == []
 
 
 def test_interventions_are_made_of_flights_and_refused_where_nothing_flies(
-    capsys: pytest.CaptureFixture[str],
+    refused: Said,
+    shown: Said,
 ) -> None:
     words = ["simulate", "out=data", "pilot=replay"]
     short = ["seed=1", "durations=[3]", "options.variants=12", "options.rounds=1"]
     asked = ["replay.starts=5", "replay.duration=0.5", "replay.before=0.1"]
-    assert main([*words, "system=hexacopter", *short, *asked]) == 0
-    assert "(5 interventions on flights of 3 s, 305 rows)" in capsys.readouterr().out
+    assert "(5 interventions on flights of 3 s, 305 rows)" in shown(
+        *words, "system=hexacopter", *short, *asked
+    )
     header = next(Path("data").glob("*.csv")).read_text().splitlines()[0]
     assert header.endswith("u_6,intervention")
-    assert main([*words, "system=mass_spring_damper", "overwrite=true"]) == 2
-    assert "'mass_spring_damper' is not flown; it takes hexacopter, quadrotor" in capsys.readouterr().err
+    assert "'mass_spring_damper' is not flown; it takes hexacopter, quadrotor" in refused(
+        *words, "system=mass_spring_damper", "overwrite=true"
+    )

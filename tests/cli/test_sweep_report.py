@@ -12,6 +12,7 @@ import pytest
 from nsde_torch.cli.commands.sweep_report import SCORES
 from nsde_torch.cli.main import main
 from nsde_torch.cli.sweep_jobs import grouped, numbers, read_jobs
+from tests.helpers.commands import Said
 
 
 def _job(folder: Path, number: int, overrides: list[str], metrics: Any = None, failed: Any = None) -> None:
@@ -44,22 +45,16 @@ def sweep(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_settings_are_ranked_by_the_mean_over_their_seeds(
-    sweep: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["sweep-report", str(sweep)]) == 0
-    text = capsys.readouterr().out
+def test_settings_are_ranked_by_the_mean_over_their_seeds(sweep: Path, shown: Said) -> None:
+    text = shown("sweep-report", str(sweep))
     rows = [line.split() for line in text.splitlines()]
     assert ["1", "2", "1.5", "+-", "0.71", "loss=default"] in rows
     assert ["2", "2", "4", "+-", "1.4", "loss=paper"] in rows
     assert f"best job: {sweep / '2_job'}" in text
 
 
-def test_failed_jobs_are_named_with_the_reason_and_unfinished_ones_too(
-    sweep: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["sweep-report", str(sweep)]) == 0
-    text = capsys.readouterr().out
+def test_failed_jobs_are_named_with_the_reason_and_unfinished_ones_too(sweep: Path, shown: Said) -> None:
+    text = shown("sweep-report", str(sweep))
     assert "7 jobs: 4 done, 1 failed, 2 unfinished" in text
     assert "  4_job: NonFiniteError: left the finite numbers at step 7" in text
     assert "  5_job\n  10_job" in text
@@ -79,16 +74,15 @@ def test_report_is_written_as_json_and_csv(sweep: Path) -> None:
     assert float(rows[0][SCORES[0]]) == 3.0
 
 
-def test_any_number_of_the_metrics_can_rank_or_be_shown(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_any_number_of_the_metrics_can_rank_or_be_shown(tmp_path: Path, refused: Said, shown: Said) -> None:
     _job(tmp_path, 0, ["seed=0", "loss=a"], {"speed": 2.0, "test": {"size": 7}})
     _job(tmp_path, 1, ["seed=0", "loss=b"], {"speed": 1.0, "test": {"size": 8}})
-    assert main(["sweep-report", str(tmp_path), "--by", "speed", "--columns", "test.*"]) == 0
-    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    rows = [
+        line.split()
+        for line in shown("sweep-report", str(tmp_path), "--by", "speed", "--columns", "test.*").splitlines()
+    ]
     assert ["1", "1", "1", "8", "loss=b"] in rows
-    assert main(["sweep-report", str(tmp_path), "--by", "sped"]) == 2
-    assert "there are: speed, test.size" in capsys.readouterr().err
+    assert "there are: speed, test.size" in refused("sweep-report", str(tmp_path), "--by", "sped")
 
 
 def test_a_score_that_is_not_finite_ranks_last(tmp_path: Path) -> None:
@@ -108,15 +102,13 @@ def test_jobs_that_differ_in_the_seed_alone_are_one_group(tmp_path: Path) -> Non
     assert len(group.jobs) == 2
 
 
-def test_a_folder_without_jobs_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["sweep-report", str(tmp_path)]) == 2
-    assert "no jobs in" in capsys.readouterr().err
-    assert main(["sweep-report", str(tmp_path / "missing")]) == 2
-    assert "is not a folder" in capsys.readouterr().err
+def test_a_folder_without_jobs_is_refused(tmp_path: Path, refused: Said) -> None:
+    assert "no jobs in" in refused("sweep-report", str(tmp_path))
+    assert "is not a folder" in refused("sweep-report", str(tmp_path / "missing"))
 
 
 def test_scores_that_do_not_compare_are_ranked_apart_unless_a_number_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, shown: Said
 ) -> None:
     for number, (loss, score, error) in enumerate([("paper", 9.0, 0.1), ("default", 1.0, 0.2)]):
         metrics = {
@@ -126,13 +118,11 @@ def test_scores_that_do_not_compare_are_ranked_apart_unless_a_number_is_named(
             "test": {"errors": {"model": {"rate": {"1": error}}}},
         }
         _job(tmp_path, number, [f"loss={loss}"], metrics)
-    assert main(["sweep-report", str(tmp_path)]) == 0
-    text = capsys.readouterr().out
+    text = shown("sweep-report", str(tmp_path))
     assert "among system=cartpole loss=paper" in text
     assert "do not compare" in text
     assert "rate 1 s" in text
-    assert main(["sweep-report", str(tmp_path), "--by", "test.errors.model.rate.1"]) == 0
-    text = capsys.readouterr().out
+    text = shown("sweep-report", str(tmp_path), "--by", "test.errors.model.rate.1")
     assert "among" not in text
     assert [line.split()[0] for line in text.splitlines() if "loss=" in line] == ["1", "2"]
 

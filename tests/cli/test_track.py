@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from nsde_torch.cli.main import main
+from tests.helpers.commands import Said
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
@@ -17,11 +18,10 @@ FAST = ("mpc.compile=off", "mpc.period=0.04", "mpc.iterations=2")
 
 
 def test_a_flight_leaves_numbers_a_log_that_other_commands_read_and_figures(
-    capsys: pytest.CaptureFixture[str],
+    shown: Said,
 ) -> None:
     words = ["run=declared", "duration=0.8", "beside=[pid]", "animation=gif", "out_dir=out", *FAST]
-    assert main(["track", *words]) == 0
-    printed = capsys.readouterr().out
+    printed = shown("track", *words)
     assert "RMSE" in printed
     assert "solves: p50" in printed
     content = json.loads(Path("out/tracking.json").read_text())
@@ -74,15 +74,13 @@ def test_many_machines_fly_in_one_batch_with_noise_of_their_own() -> None:
     ],
 )
 def test_faults_of_the_user_end_in_a_sentence_before_any_flight(
-    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    words: list[str], said: str, refused: Said
 ) -> None:
-    assert main(["track", *words, "out_dir=out", "mpc.compile=off"]) == 2
-    assert said in capsys.readouterr().err
+    assert said in refused("track", *words, "out_dir=out", "mpc.compile=off")
     assert not Path("out/tracking.json").exists()
 
 
-def test_a_folder_with_a_flight_is_not_written_over(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_with_a_flight_is_not_written_over(refused: Said) -> None:
     Path("out").mkdir()
     Path("out/tracking.json").write_text("{}")
-    assert main(["track", "run=declared", "out_dir=out"]) == 2
-    assert "holds a flight already" in capsys.readouterr().err
+    assert "holds a flight already" in refused("track", "run=declared", "out_dir=out")

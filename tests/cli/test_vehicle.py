@@ -9,6 +9,7 @@ import pytest
 
 from nsde_torch.cli.main import main
 from nsde_torch.px4.link.codec import Codec, signing_key
+from tests.helpers.commands import Said
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
@@ -32,11 +33,8 @@ pytestmark = pytest.mark.usefixtures("elsewhere")
         (["-m", "seed=1,2"], "has no sweeps"),
     ],
 )
-def test_what_it_cannot_be_is_said_at_once(
-    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["vehicle", "duration=5", *words]) == 2
-    assert said in capsys.readouterr().err
+def test_what_it_cannot_be_is_said_at_once(words: list[str], said: str, refused: Said) -> None:
+    assert said in refused("vehicle", "duration=5", *words)
 
 
 def test_a_port_in_use_is_said(capsys: pytest.CaptureFixture[str]) -> None:
@@ -75,11 +73,8 @@ def test_it_says_what_it_is_and_its_frames_are_signed_and_of_its_system(
         ["--hil=tcpin:127.0.0.1:0", "sensors=sih", "sensors.accelerometer_bias=[0.1,0,-0.1]"],
     ],
 )
-def test_as_px4s_simulator_it_waits_and_says_what_px4_must_know(
-    words: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["vehicle", *words, "duration=0.1"]) == 0
-    printed = capsys.readouterr().out
+def test_as_px4s_simulator_it_waits_and_says_what_px4_must_know(words: list[str], shown: Said) -> None:
+    printed = shown("vehicle", *words, "duration=0.1")
     assert "waiting for PX4" in printed
     assert "param set CA_ROTOR_COUNT 6" in printed
     assert "param set CA_ROTOR0_PY 1" in printed
@@ -92,6 +87,5 @@ def test_as_px4s_simulator_it_waits_and_says_what_px4_must_know(
         ("tcpin:0.0.0.0:4560", "`hil`: 'tcpin:0.0.0.0:4560' would listen"),
     ],
 )
-def test_where_px4_cannot_connect_is_said(url: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["vehicle", f"hil={url}", "duration=0.1"]) == 2
-    assert said in capsys.readouterr().err
+def test_where_px4_cannot_connect_is_said(url: str, said: str, refused: Said) -> None:
+    assert said in refused("vehicle", f"hil={url}", "duration=0.1")

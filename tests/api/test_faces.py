@@ -10,10 +10,8 @@ from types import FunctionType
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = [
-    ".".join(file.parent.relative_to(ROOT).parts)
-    for file in sorted((ROOT / "nsde_torch").rglob("__init__.py"))
-]
+FILES = sorted((ROOT / "nsde_torch").rglob("__init__.py"))
+PACKAGES = [".".join(file.parent.relative_to(ROOT).parts) for file in FILES]
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -38,11 +38,8 @@ def pandas(monkeypatch: pytest.MonkeyPatch) -> None:
     """A package of that name whose frame is a dict of columns."""
 
     def frame(values: Any, columns: Any = None) -> dict[str, list[Any]]:
-        return (
-            dict(values)
-            if columns is None
-            else {name: [row[k] for row in values] for k, name in enumerate(columns)}
-        )
+        named = () if columns is None else enumerate(columns)
+        return dict(values) if columns is None else {name: [row[k] for row in values] for k, name in named}
 
     monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=frame))  # type: ignore[arg-type]
 
@@ -67,30 +64,18 @@ def test_tables_hold_what_was_found(data: DataSet, model: Model, scores: Compari
     rows = data.to_frame()
     assert list(rows) == ["run", "t", "q", "q_dot", "force"]
     np.testing.assert_array_equal(rows["q"], np.concatenate([run.x[:, 0] for run in data]))
-    assert rows["run"][0] == "run_0"
-    assert rows["run"][-1] == "run_2"
+    assert (rows["run"][0], rows["run"][-1]) == ("run_0", "run_2")
     parameters = model.to_frame()
-    assert dict(zip(parameters["name"], parameters["value"], strict=True))["force_gain"] == pytest.approx(
-        1, abs=0.1
-    )
+    values = dict(zip(parameters["name"], parameters["value"], strict=True))
+    assert values["force_gain"] == pytest.approx(1, abs=0.1)
     errors = scores.to_frame()
-    at = [
-        k
-        for k, (g, h) in enumerate(zip(errors["group"], errors["horizon"], strict=True))
-        if (g, h) == ("position", 0.5)
-    ]
-    assert errors["error"][at[0]] == scores.errors["position"]["0.5"]
-    assert errors["unit"][at[0]] == "m"
+    at = list(zip(errors["group"], errors["horizon"], strict=True)).index(("position", 0.5))
+    assert errors["error"][at] == scores.errors["position"]["0.5"]
+    assert errors["unit"][at] == "m"
     found = nsde_torch.diagnose(data, system="mass_spring_damper", candidates=[], say=False).to_frame()
     assert list(found) == ["name", "value", "low", "high", "unit"]
-    assert list(model.predict(data[0], horizon=0.5).to_frame())[:6] == [
-        "t",
-        "ahead",
-        "q",
-        "q_low",
-        "q_median",
-        "q_high",
-    ]
+    predicted = list(model.predict(data[0], horizon=0.5).to_frame())
+    assert predicted[:6] == ["t", "ahead", "q", "q_low", "q_median", "q_high"]
 
 
 def test_without_pandas_a_table_says_what_to_install(data: DataSet, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -142,14 +142,12 @@ def test_shuffled_rows_and_two_runs_in_one_file_are_not_in_the_order_of_time(
     sound = spring()
     mixed = np.random.default_rng(1).permutation(len(sound["t"]))
     backwards = np.arange(len(mixed))[::-1]
-    for name, rows in (("shuffled", mixed), ("twice", np.tile(np.arange(400), 2)), ("back", backwards)):
-        folder = tmp_path / name
-        folder.mkdir()
-        write_table(folder / "run_0.csv", {clock if k == "t" else k: v[rows] for k, v in sound.items()})
+    for rows in (mixed, np.tile(np.arange(400), 2), backwards):
+        write_table(tmp_path / "run_0.csv", {clock if k == "t" else k: v[rows] for k, v in sound.items()})
         for ask in (nsde_torch.inspect, nsde_torch.read):
             given = {} if clock == "t" or ask is nsde_torch.inspect else {"kind": "log"}
             with pytest.raises(DataError, match=rf"`{clock}` goes back .* not in the order of time"):
-                ask(folder, system=SPRING, **given)  # type: ignore[operator]
+                ask(tmp_path, system=SPRING, **given)  # type: ignore[operator]
 
 
 @pytest.mark.parametrize(
@@ -386,22 +384,6 @@ def test_the_next_line_never_recommends_training_after_a_doubt(
     out = capsys.readouterr().out
     assert "nsde train" not in out
     assert "next: mend this first" in out
-
-
-def test_the_folder_of_a_machine_of_ones_own_is_no_log_and_is_in_the_next_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    own, logs = tmp_path / "own", tmp_path / "logs"
-    (own / "system").mkdir(parents=True)
-    logs.mkdir()
-    (own / "system" / "bench.yaml").write_text("name: nsde_torch.systems.one_dof:MassSpringDamper\n")
-    write_table(logs / "run_0.csv", spring())
-    for words in (["--config-dir", str(own), str(logs)], [str(logs), f"--config-dir={own}"]):
-        assert main(["inspect", *words, "system=bench"]) == 0
-        out = capsys.readouterr().out
-        assert f"next: nsde train --config-dir {own} system=bench data=csv data.path={logs}" in out
-    assert main(["inspect", str(logs), "--config-dir", str(tmp_path / "nowhere")]) == 2
-    assert "no such folder" in capsys.readouterr().err
 
 
 def test_the_unit_of_times_is_named_beside_a_noisy_sensor_too(tmp_path: Path) -> None:

@@ -18,11 +18,11 @@ from nsde_torch.cli.jobs import set_threads
 from nsde_torch.cli.registry import hydra_command
 from nsde_torch.cli.schemas.data import DATA_CHOICES
 from nsde_torch.cli.store import store
-from nsde_torch.data import Run, Split
+from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.models import MODELS, kind
 from nsde_torch.models.kind import model_options
-from nsde_torch.systems import System, make_system
+from nsde_torch.systems import SYSTEMS, System, make_system
 from nsde_torch.training.options import LOSSES, TRAINERS, LossOptions, TrainerOptions
 from nsde_torch.training.structure import machine_losses, model_spec
 
@@ -54,21 +54,15 @@ def test_options_are_plain_keyword_arguments() -> None:
 
 
 def test_runs_are_read_and_split_as_the_configuration_says(tmp_path: Path) -> None:
-    time = np.arange(200) * 0.01
-    for number in range(3):
-        columns = np.column_stack([time, np.cos(time + number), -np.sin(time + number)])
+    t, machine = 0.01 * np.arange(200), make_system("mass_spring_damper")
+    for k in range(3):
+        rows = np.column_stack([t, np.cos(t + k), -np.sin(t + k)])
         np.savetxt(
-            tmp_path / f"run_{number}.csv",
-            columns,
-            delimiter=",",
-            header="t,q,q_dot",
-            comments="",
-            fmt="%.9g",
+            tmp_path / f"run_{k}.csv", rows, delimiter=",", header="t,q,q_dot", comments="", fmt="%.9g"
         )
     config = OmegaConf.structured(DATA_CHOICES["csv"](path=str(tmp_path), test=["run_1"]))
-    data = build.dataset(config, make_system("mass_spring_damper"))
+    data = build.dataset(config, machine)
     assert data.dt == pytest.approx(0.01)
-    machine = make_system("mass_spring_damper")
     parts = build.split(config, data, machine)
     assert [run.name for run in parts.train] == ["run_0", "run_2"]
     assert [run.name for run in parts.test] == ["run_1"]
@@ -79,11 +73,9 @@ def test_runs_are_read_and_split_as_the_configuration_says(tmp_path: Path) -> No
         build.split(config, data, machine)
 
 
-def _still(machine: System) -> Split:
+def _still(machine: System) -> tuple[Run, ...]:
     """One training run in which nothing moves."""
-    rows = 50
-    run = Run("still", np.arange(rows) * 0.01, np.zeros((rows, machine.nx)), np.zeros((rows, machine.nu)))
-    return Split(train=(run,), test=())
+    return (Run("still", 0.01 * np.arange(50), np.zeros((50, machine.nx)), np.zeros((50, machine.nu))),)
 
 
 def _configuration(*words: str) -> Any:
@@ -98,7 +90,7 @@ def _spec(config: Any) -> Any:
         build.model_options(config.model),
         build.system_options(config.system),
         machine,
-        _still(machine).train,
+        _still(machine),
         loss=config.loss.kind,
         integrator=build.integrator(config.solver),
     )
@@ -121,30 +113,30 @@ def test_a_trainer_by_name_is_that_of_the_command_line(choice: str) -> None:
 
 @pytest.mark.parametrize("kind", MODELS)
 def test_a_model_by_name_is_that_of_the_command_line(kind: str) -> None:
-    given = build.model_options(_configuration(f"model={kind}").model)
-    known = model_options(kind)
+    given, known = build.model_options(_configuration(f"model={kind}").model), model_options(kind)
     assert type(given) is type(known)
-    assert json.loads(json.dumps(dataclasses.asdict(given))) == json.loads(
-        json.dumps(dataclasses.asdict(known))
-    )
+    ours, theirs = (json.loads(json.dumps(dataclasses.asdict(made))) for made in (given, known))
+    assert ours == theirs
 
 
-def test_constants_that_are_not_set_are_the_systems_own() -> None:
-    config = _configuration("system=cartpole", "loss=paper")
-    own, spec = build.system(config.system).defaults, _spec(config)
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_constants_that_are_not_set_are_the_systems_own(name: str) -> None:
+    words = [f"system={name}", "loss=paper"]
+    config = _configuration(*words)
+    system, spec, losses = build.system(config.system), _spec(config), _losses(*words)
+    own = system.defaults
+    assert system.name == name
     assert (spec.dt, spec.horizon, spec.step) == (own.dt, own.horizon, own.step)
     assert spec.sigma_max == tuple(own.sigma_max)
-    assert _losses("system=cartpole", "loss=paper").mu is None
-    assert _losses("system=cartpole", "loss=paper").ball_radius is None
+    assert losses.mu is losses.ball_radius is None
 
 
 def test_constants_that_are_set_win() -> None:
     words = ["system=mass_spring_damper", "system.dt=0.02", "system.horizon=7", "system.sigma_max=[1,2]"]
     words += ["system.lambda_mu=3", "system.ball_radius=0.5", "solver=heun"]
-    spec = _spec(_configuration(*words))
+    spec, losses = _spec(_configuration(*words)), _losses(*words)
     assert (spec.dt, spec.horizon, spec.sigma_max, spec.step) == (0.02, 7, (1.0, 2.0), "heun")
-    assert _losses(*words).mu == 3
-    assert _losses(*words).ball_radius == 0.5
+    assert (losses.mu, losses.ball_radius) == (3, 0.5)
     assert _losses("system.lambda_mu=3", "loss.mu=4").mu == 4
 
 

@@ -31,6 +31,16 @@ from tests.helpers.commands import Said
         (["train", "hydra/sweeper=o"], ["hydra/sweeper=optuna"]),
         (["train", "--conf"], ["--config-dir"]),
         (["nothing", "x"], []),
+        (["evaluate", "ru"], ["run="]),
+        (["evaluate", "data=csv", "data.pa"], ["data.path="]),
+        (["evaluate", "data.te"], ["data.test=", "data.test_path="]),
+        (["evaluate", "sensor_noise="], ["sensor_noise=train", "sensor_noise=data"]),
+        (["evaluate", "--m"], []),
+        (["effects", "sys"], ["system="]),
+        (["effects", "system=hex"], ["hexacopter"]),
+        (["effects", "format="], ["text", "json"]),
+        (["inspect", "system=qua"], ["system=quadrotor"]),
+        (["inspect", "kind=ar"], ["kind=ardupilot"]),
     ],
 )
 def test_the_last_word_is_completed(words: list[str], expected: list[str]) -> None:
@@ -54,6 +64,8 @@ def test_paths_are_completed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert query(["train", "data=csv", "data.path=fl"]) == ["data.path=flights/"]
     assert query(["train", "data=csv", "data.path=flights/o"]) == ["data.path=flights/one.csv"]
     assert query(["train", "--config-dir", "f"]) == ["flights/"]
+    (tmp_path / "flown").mkdir()
+    assert query(["evaluate", "run=[flown,fl"]) == ["run=[flown,flights/", "run=[flown,flown/"]
 
 
 @pytest.mark.parametrize("shell", SHELLS)
@@ -75,25 +87,16 @@ def test_unknown_shell_is_refused(refused: Said) -> None:
     ("line", "expected"),
     [
         ("nsde trai", ["train "]),
-        ("nsde train system=cart", ["cartpole "]),
         ("nsde train trainer.lr", ["trainer.lr=", "trainer.lr_end="]),
         ("nsde train -m loss=paper,r", ["paper,replay "]),
-        ("nsde train system=cartpole trainer=f", ["fast "]),
     ],
 )
 def test_bash_completes_a_line(line: str, expected: list[str], tmp_path: Path) -> None:
     program = tmp_path / "nsde"
     program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m nsde_torch.cli "$@"\n')
     program.chmod(0o755)
-    script = (
-        f'eval "$(nsde completion bash)"; COMP_LINE="{line}"; COMP_POINT=${{#COMP_LINE}}; _nsde_complete; '
-        'printf "%s\\n" "${COMPREPLY[@]}"'
-    )
-    done = subprocess.run(
-        ["bash", "-c", script],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"},
-        check=True,
-    )
+    asked = f'COMP_LINE="{line}"; COMP_POINT=${{#COMP_LINE}}; _nsde_complete'
+    script = f'eval "$(nsde completion bash)"; {asked}; printf "%s\\n" "${{COMPREPLY[@]}}"'
+    env = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, env=env, check=True)
     assert done.stdout.splitlines() == expected

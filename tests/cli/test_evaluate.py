@@ -10,20 +10,13 @@ from typing import Any
 import pytest
 import yaml
 
-from nsde_torch.cli.commands.completion import query
 from nsde_torch.cli.evaluated import short_names
 from nsde_torch.cli.main import main
 from tests.cli.test_train_end_to_end import FAST, folder_of_runs
+from tests.cli.test_train_end_to_end import SPRING as RUNS_OF_A_SPRING
 from tests.helpers.commands import Said
 
-SPRING = (
-    *FAST,
-    "system=mass_spring_damper",
-    "data=csv",
-    "system.dt=0.05",
-    "system.horizon=10",
-    "trainer.calibrate=false",
-)
+SPRING = (*FAST, *RUNS_OF_A_SPRING, "trainer.calibrate=false")
 RED = "\033[31m"
 
 
@@ -35,9 +28,9 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder_of_runs(folder / "others", [7], 0.02)
     words = (*SPRING, f"data.path={folder / 'swings'}")
     for name, more in {
-        "nsde": (),
-        "node": ("model=node",),
-        "noisy": (f"data.test_path={folder / 'others'}",),
+        "nsde": [],
+        "node": ["model=node"],
+        "noisy": [f"data.test_path={folder / 'others'}"],
     }.items():
         assert main(["train", *words, *more, f"run_dir={folder / name}"]) == 0
     return folder
@@ -61,12 +54,16 @@ def metrics(folder: Path) -> dict[str, Any]:
     return content
 
 
-def refused(capsys: pytest.CaptureFixture[str], refused: Said, *words: str) -> str:
-    capsys.readouterr()
-    err = refused("evaluate", *words)
-    assert err.startswith("nsde evaluate: ")
-    assert "Traceback" not in err
-    return err
+@pytest.fixture
+def refused(refused: Said) -> Said:
+    """Run `nsde evaluate WORDS`, which the user's fault ends; what is said of it."""
+
+    def run(*words: str) -> str:
+        said = refused("evaluate", *words)
+        assert said.startswith("nsde evaluate: ")
+        return said
+
+    return run
 
 
 @pytest.mark.slow
@@ -83,23 +80,11 @@ def test_one_run_on_its_own_test_gives_the_figures_of_its_training(
     assert content["data"]["runs"][0]["name"] == "swing_2"
     assert model["held_out"]
     said = capsys.readouterr().out
-    for word in (
-        "swing_2",
-        "held out",
-        "constant velocity",
-        "90% interval",
-        "CRPS [m]",
-        "NLL [nat]",
-        "evaluation.json",
-    ):
-        assert word in said
+    tables = ("constant velocity", "90% interval", "CRPS [m]", "NLL [nat]")
+    assert all(word in said for word in ("swing_2", "held out", *tables, "evaluation.json")), said
     assert RED not in said
     assert "TRAINED ON" not in said
-    assert {file.name for file in Path("out/plots").iterdir()} == {
-        "errors.png",
-        "calibration.png",
-        "rollouts.png",
-    }
+    assert {file.stem for file in Path("out/plots").iterdir()} == {"errors", "calibration", "rollouts"}
 
 
 def test_two_runs_are_compared_and_runs_of_training_are_red(
@@ -179,61 +164,56 @@ def test_data_of_the_package_are_scored_on_every_run(here: Path) -> None:
     assert content["models"][0]["held_out"]
 
 
-def test_a_missing_unfinished_or_damaged_run_is_named(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "no such folder" in refused(capsys, "run=nowhere")
-    assert "`run` must be given" in refused(capsys)
-    assert "no run directory" in refused(capsys, f"run={here / 'swings'}")
-    assert "holds 3 runs" in refused(capsys, f"run={here}")
-    assert "twice" in refused(capsys, f"run=[{here / 'nsde'},{here / 'nsde'}/]")
-    assert "`names` must hold one name" in refused(capsys, f"run={here / 'nsde'}", "names=[a,b]")
+def test_a_missing_unfinished_or_damaged_run_is_named(here: Path, refused: Said) -> None:
+    assert "no such folder" in refused("run=nowhere")
+    assert "`run` must be given" in refused()
+    assert "no run directory" in refused(f"run={here / 'swings'}")
+    assert "holds 3 runs" in refused(f"run={here}")
+    assert "twice" in refused(f"run=[{here / 'nsde'},{here / 'nsde'}/]")
+    assert "`names` must hold one name" in refused(f"run={here / 'nsde'}", "names=[a,b]")
     shutil.copytree(here / "nsde", "cut")
     Path("cut/metrics.json").write_text("{")
-    assert "metrics.json is damaged" in refused(capsys, "run=cut")
+    assert "metrics.json is damaged" in refused("run=cut")
     Path("cut/metrics.json").unlink()
-    assert "has not finished" in refused(capsys, "run=cut")
+    assert "has not finished" in refused("run=cut")
     Path("cut/failed.json").write_text("{}")
-    assert "this training failed" in refused(capsys, "run=cut")
+    assert "this training failed" in refused("run=cut")
     assert not list(Path("evaluations").rglob("evaluation.json"))
 
 
-def test_runs_of_other_systems_and_data_that_do_not_fit_are_refused(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_runs_of_other_systems_and_data_that_do_not_fit_are_refused(here: Path, refused: Said) -> None:
     words = (*FAST, "system=cartpole", "data.durations=[4,4]", "model=node", "system.horizon=5")
     assert main(["train", *words, "run_dir=cart"]) == 0
-    text = refused(capsys, f"run=[{here / 'nsde'},cart]")
+    text = refused(f"run=[{here / 'nsde'},cart]")
     assert "of mass_spring_damper" in text
     assert "cart of cartpole" in text
     Path("bad").mkdir()
     Path("bad/a.csv").write_text("t,x,y\n" + "".join(f"{0.01 * k},0,0\n" for k in range(500)))
-    assert "q" in refused(capsys, f"run={here / 'nsde'}", "data=csv", "data.path=bad")
-    text = refused(capsys, f"run={here / 'nsde'}", "data=csv", f"data.path={here / 'swings'}", "data.dt=0.02")
+    assert "q" in refused(f"run={here / 'nsde'}", "data=csv", "data.path=bad")
+    text = refused(f"run={here / 'nsde'}", "data=csv", f"data.path={here / 'swings'}", "data.dt=0.02")
     assert "no whole multiple of the data's 0.02 s" in text
-    assert "longest stretch" in refused(capsys, f"run={here / 'nsde'}", "horizons=[30]")
-    assert "x does not exist; expected a log" in refused(capsys, f"run={here / 'nsde'}", "data.path=x")
-    assert "no run 9" in refused(capsys, f"run={here / 'nsde'}", "data.test=[9]")
+    assert "longest stretch" in refused(f"run={here / 'nsde'}", "horizons=[30]")
+    assert "x does not exist; expected a log" in refused(f"run={here / 'nsde'}", "data.path=x")
+    assert "no run 9" in refused(f"run={here / 'nsde'}", "data.test=[9]")
 
 
-def test_a_run_whose_data_have_moved_says_so(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_whose_data_have_moved_says_so(here: Path, refused: Said) -> None:
     shutil.copytree(here / "nsde", "moved")
     config = yaml.safe_load(Path("moved/config.yaml").read_text())
     config["config"]["data"]["path"] = "gone"
     Path("moved/config.yaml").write_text(yaml.safe_dump(config))
-    assert "`data.path=gone`" in refused(capsys, "run=moved")
+    assert "`data.path=gone`" in refused("run=moved")
     del config["config"]
     Path("moved/config.yaml").write_text(yaml.safe_dump(config))
-    assert "does not say which data" in refused(capsys, "run=moved")
-    assert evaluate("run=moved", "data=csv", f"data.path={here / 'swings'}", "data.test=[2]")["models"][0][
-        "held_out"
-    ]
+    assert "does not say which data" in refused("run=moved")
+    content = evaluate("run=moved", "data=csv", f"data.path={here / 'swings'}", "data.test=[2]")
+    assert content["models"][0]["held_out"]
 
 
-def test_an_evaluation_is_not_written_over_and_a_sweep_is_refused(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_evaluation_is_not_written_over_and_a_sweep_is_refused(here: Path, refused: Said) -> None:
     evaluate(f"run={here / 'nsde'}")
-    assert "holds an evaluation already" in refused(capsys, f"run={here / 'nsde'}", "out_dir=out")
-    assert "has no sweeps" in refused(capsys, "-m", f"run={here / 'nsde'},{here / 'node'}")
+    assert "holds an evaluation already" in refused(f"run={here / 'nsde'}", "out_dir=out")
+    assert "has no sweeps" in refused("-m", f"run={here / 'nsde'},{here / 'node'}")
 
 
 def test_folders_of_a_sweep_need_no_further_quotes(here: Path) -> None:
@@ -245,15 +225,3 @@ def test_folders_of_a_sweep_need_no_further_quotes(here: Path) -> None:
 def test_names_are_as_much_of_the_folders_as_tells_them_apart() -> None:
     assert short_names([Path("/a/x"), Path("/b/y")]) == ["x", "y"]
     assert short_names([Path("/r/a/x"), Path("/r/b/x")]) == ["a/x", "b/x"]
-
-
-def test_keys_and_folders_are_completed(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(here)
-    assert query(["evaluate", "ru"]) == ["run="]
-    assert query(["evaluate", "run=ns"]) == ["run=nsde/"]
-    assert query(["evaluate", "run=[nsde,no"]) == ["run=[nsde,node/", "run=[nsde,noisy/"]
-    assert query(["evaluate", "data=c"]) == ["data=csv"]
-    assert query(["evaluate", "data=csv", "data.pa"]) == ["data.path="]
-    assert query(["evaluate", "data.te"]) == ["data.test=", "data.test_path="]
-    assert query(["evaluate", "sensor_noise="]) == ["sensor_noise=train", "sensor_noise=data"]
-    assert query(["evaluate", "--m"]) == []

@@ -61,10 +61,8 @@ def test_a_file_flies_as_the_controller_that_it_was_made_of(file: Path, refused:
     assert "one machine at a time" in refused(
         "track", f"controller={file}", "machines=2", "at_once=2", "out_dir=two", *words
     )
-    assert (
-        main(["verify", str(file), "run=declared", "log=out/log/flight_0.csv", "states=10", "adversarial=0"])
-        == 0
-    )
+    logged = ["run=declared", "log=out/log/flight_0.csv", "states=10", "adversarial=0"]
+    assert main(["verify", str(file), *logged]) == 0
 
 
 @pytest.mark.skipif(compiler() is None, reason="needs a C compiler")

@@ -74,13 +74,6 @@ def test_faults_of_the_user_end_in_a_sentence_before_anything_is_connected(
     assert not list(Path().rglob("flight.json"))
 
 
-@pytest.mark.parametrize(
-    ("url", "said"), [("foo:1", "expected udpin"), ("udpin:0.0.0.0:14999", "link.expose=true")]
-)
-def test_a_link_that_cannot_be_opened_is_explained(url: str, said: str, refused: Said) -> None:
-    assert said in refused("fly", "run=pid", f"link.url={url}")
-
-
 def test_flights_leave_numbers_and_a_log_each_and_are_not_written_over(
     vehicles: list[dict[str, Any]], refused: Said, shown: Said
 ) -> None:

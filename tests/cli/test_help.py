@@ -9,7 +9,7 @@ import pytest
 from nsde_torch.cli import groups
 from nsde_torch.cli.help import WIDTH, describe
 from nsde_torch.cli.registry import hydra_commands
-from tests.helpers.commands import Said
+from tests.helpers.commands import Said, own_machine
 
 
 def _help(*words: str) -> str:
@@ -29,8 +29,7 @@ def test_help_follows_the_choices_on_the_command_line() -> None:
 
 
 def test_help_shows_choices_of_the_users_own_folder(tmp_path: Path) -> None:
-    (tmp_path / "system").mkdir()
-    (tmp_path / "system" / "mine.yaml").write_text("name: my_module:Pendulum\ndt: 0.02\n")
+    own_machine(tmp_path, "name: my_module:Pendulum\ndt: 0.02\n")
     text = _help("--config-dir", str(tmp_path), "system=mine")
     assert "mine*" in text
     assert "system.name=my_module:Pendulum" in text

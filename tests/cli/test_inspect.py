@@ -11,12 +11,11 @@ import pytest
 import yaml
 
 import nsde_torch
-from nsde_torch.cli.commands import inspect as command
 from nsde_torch.cli.main import main
 from nsde_torch.data.quaternion import attitude_to_enu, swap_body, swap_world
 from nsde_torch.systems import make_system
 from tests.helpers import log_writers
-from tests.helpers.commands import Said
+from tests.helpers.commands import Said, own_machine
 from tests.helpers.leaning import leaning_flight
 from tests.helpers.ulog_bytes import write_ulog
 
@@ -27,13 +26,12 @@ def springs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("springs")
     made = nsde_torch.simulate("mass_spring_damper", durations=[12.0, 12.0], seed=0)
     for run in made.runs:
-        columns = {
+        scaled = {
             "time_ms": 1e3 * run.t,
             "position [mm]": 1e3 * run.x[:, 0],
             "speed [mm/s]": 1e3 * run.x[:, 1],
-            "force": run.u[: len(run.t), 0],
         }
-        log_writers.write_table(folder / f"{run.name}.csv", columns)
+        log_writers.write_table(folder / f"{run.name}.csv", {**scaled, "force": run.u[: len(run.t), 0]})
     return folder
 
 
@@ -47,12 +45,9 @@ def test_from_a_folder_of_logs_to_a_model(springs: Path, tmp_path: Path, shown: 
     assert written["time"] == {"from": "time_ms", "unit": "ms"}
     assert "holds this mapping" in shown("inspect", str(springs), "system=mass_spring_damper")
     data = ["data=log", f"data.path={springs}"]
-    assert (
-        main(["train", "system=mass_spring_damper", "model=sysid", *data, f"run_dir={tmp_path / 'run'}"]) == 0
-    )
-    truth = nsde_torch.read(
-        nsde_torch.simulate("mass_spring_damper", durations=[12.0, 12.0], seed=0), system="mass_spring_damper"
-    )
+    trained = ["system=mass_spring_damper", "model=sysid", f"run_dir={tmp_path / 'run'}"]
+    assert main(["train", *trained, *data]) == 0
+    truth = nsde_torch.simulate("mass_spring_damper", durations=[12.0, 12.0], seed=0)
     read = nsde_torch.read(springs, system="mass_spring_damper", kind="log")
     assert np.abs(read.runs[0].x - truth.runs[0].x).max() < 1e-9
 
@@ -74,11 +69,8 @@ def test_a_wrong_sign_of_the_input_is_told_by_the_physics(
     springs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     mapping = tmp_path / "mapping.yaml"
-    mapping.write_text(
-        "columns:\n  q: {from: 'position [mm]', unit: mm}\n  q_dot: {from: 'speed [mm/s]', unit: mm/s}\n"
-        "  force: {from: force, sign: -1}\n",
-        encoding="utf-8",
-    )
+    states = "q: {from: 'position [mm]', unit: mm}, q_dot: {from: 'speed [mm/s]', unit: mm/s}"
+    mapping.write_text(f"columns: {{{states}, force: {{from: force, sign: -1}}}}\n", encoding="utf-8")
     assert main(["inspect", str(springs), "system=mass_spring_damper", f"mapping={mapping}"]) == 1
     assert "NO  signs of the physics: With the opposite sign of 'force'" in capsys.readouterr().out
 
@@ -114,9 +106,8 @@ def test_the_numbers_of_motors_are_found_by_the_physics(
     assert "motors are numbered as in betaflight" in shown("inspect", str(tmp_path), "system=quadrotor")
     written = (tmp_path / "mapping.yaml").read_text(encoding="utf-8")
     assert "numbering: betaflight" in written
-    (tmp_path / "wrong.yaml").write_text(
-        written.replace("numbering: betaflight", "numbering: px4"), encoding="utf-8"
-    )
+    wrong = written.replace("numbering: betaflight", "numbering: px4")
+    (tmp_path / "wrong.yaml").write_text(wrong, encoding="utf-8")
     assert main(["inspect", str(tmp_path), "system=quadrotor", f"mapping={tmp_path / 'wrong.yaml'}"]) == 1
     out = capsys.readouterr().out
     assert "NO  numbering of the motors" in out
@@ -180,21 +171,20 @@ def test_the_mapping_beside_the_logs_is_checked_as_reading_takes_it(
 
 
 def test_a_folder_of_ones_own_machines_stays_in_the_command_that_comes_next(
-    springs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], shown: Said
+    springs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], shown: Said, refused: Said
 ) -> None:
-    (tmp_path / "system").mkdir()
-    own = "name: nsde_torch.systems.one_dof:MassSpringDamper\n"
-    (tmp_path / "system" / "mine.yaml").write_text(own, encoding="utf-8")
-    words = [f"--config-dir={tmp_path}", "system=mine", "physics=false", "out=none"]
-    assert f"next: nsde train --config-dir {tmp_path} system=mine" in shown("inspect", *words, str(springs))
-    (tmp_path / "logs").mkdir()
-    log_writers.write_table(
-        tmp_path / "logs" / "a.csv", {"t": np.arange(50) / 10, "x_des": np.sin(np.arange(50))}
-    )
-    assert main(["inspect", *words, str(tmp_path / "logs")]) == 1
+    own, logs = tmp_path / "own", tmp_path / "logs"
+    own_machine(own, "name: nsde_torch.systems.one_dof:MassSpringDamper\n")
+    words = ["system=mine", "physics=false", "out=none"]
+    for where in ([f"--config-dir={own}", str(springs)], [str(springs), "--config-dir", str(own)]):
+        assert f"next: nsde train --config-dir {own} system=mine data=" in shown("inspect", *where, *words)
+    logs.mkdir()
+    log_writers.write_table(logs / "a.csv", {"t": np.arange(50) / 10, "x_des": np.sin(np.arange(50))})
+    assert main(["inspect", f"--config-dir={own}", str(logs), *words]) == 1
     out = capsys.readouterr().out
     assert "missing: a column for q (taken for setpoints: x_des)" in out
-    assert f"then nsde inspect {tmp_path / 'logs'} --config-dir {tmp_path} system=mine mapping=FILE" in out
+    assert f"then nsde inspect {logs} --config-dir {own} system=mine mapping=FILE" in out
+    assert "no such folder" in refused("inspect", str(logs), "--config-dir", str(tmp_path / "nowhere"))
 
 
 def test_commands_are_inputs_and_what_was_measured_is_the_state(springs: Path, tmp_path: Path) -> None:
@@ -204,10 +194,8 @@ def test_commands_are_inputs_and_what_was_measured_is_the_state(springs: Path, t
     log_writers.write_table(tmp_path / "a.csv", columns)
     found = nsde_torch.inspect(tmp_path, system="mass_spring_damper", physics=False)
     assert found.mapping is not None
-    assert {name: entry.source for name, entry in found.mapping.columns.items()} == {
-        "q": ("q_meas",),
-        "force": ("force_cmd",),
-    }
+    sources = {name: entry.source for name, entry in found.mapping.columns.items()}
+    assert sources == {"q": ("q_meas",), "force": ("force_cmd",)}
     del columns["force_cmd"]
     log_writers.write_table(tmp_path / "a.csv", columns)
     found = nsde_torch.inspect(tmp_path, system="mass_spring_damper", physics=False)
@@ -232,25 +220,12 @@ def test_speeds_of_rotors_under_the_names_of_motor_commands(tmp_path: Path) -> N
     assert nsde_torch.read(tmp_path, system="quadrotor").runs
 
 
-def test_completion_offers_keys_and_choices() -> None:
-    assert "system=" in command.complete(["sys"])
-    assert "system=quadrotor" in command.complete(["system=qua"])
-    assert "kind=ardupilot" in command.complete(["kind=ar"])
-
-
 def test_options_of_the_machine_are_those_of_training(tmp_path: Path, refused: Said, shown: Said) -> None:
     run = leaning_flight(12.0)
-    columns = {
-        "t": run.t,
-        **{f"x{k}": run.x[:, k] for k in range(13)},
-        **{f"m{k}": run.u[:, k] for k in range(4)},
-    }
-    log_writers.write_table(tmp_path / "flight.csv", columns)
-    content = {
-        name: {"from": [f"x{k}" for k in ks]}
-        for name, ks in {"p": (0, 1, 2), "v": (3, 4, 5), "q": (6, 7, 8, 9), "w": (10, 11, 12)}.items()
-    }
-    content["u"] = {"from": [f"m{k}" for k in range(4)]}
+    columns = {f"x{k}": v for k, v in enumerate(np.column_stack([run.x, run.u]).T)}
+    log_writers.write_table(tmp_path / "flight.csv", {"t": run.t, **columns})
+    places = {"p": range(3), "v": range(3, 6), "q": range(6, 10), "w": range(10, 13), "u": range(13, 17)}
+    content = {name: {"from": [f"x{k}" for k in ks]} for name, ks in places.items()}
     (tmp_path / "mapping.yaml").write_text(yaml.safe_dump({"system": "quadrotor", "columns": content}))
     words = ["inspect", str(tmp_path), "system=quadrotor", "physics=false"]
     assert "system=quadrotor system.options.yaw_direction=-1 data=" in shown(

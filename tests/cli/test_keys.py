@@ -110,23 +110,18 @@ def test_keys_are_made_of_options_with_lists_for_tuples_and_dicts_for_mappings()
 
 # Keys whose home is the signature of a function: command, key -> function, argument.
 SIGNATURES = [
-    *(("train", k, nsde_torch.train, k) for k in ("seed", "device", "dtype")),
-    ("train", "data.validation", nsde_torch.train, "validation"),
-    *(("diagnose", k, nsde_torch.diagnose, k) for k in ("alpha", "max_effects", "candidates", "seed")),
-    *(
-        ("evaluate", k, nsde_torch.evaluate, k)
-        for k in ("seed", "particles", "horizons", "bootstrap", "compile")
-    ),
-    *(("simulate", k, nsde_torch.simulate, k) for k in ("durations", "dt")),
-    *(
-        ("simulate", f"plant.{k}", nsde_torch.simulate, k)
-        for k in ("declared_only", "process_noise", "sensor_noise", "battery")
-    ),
-    *(("train", f"data.{k}", nsde_torch.read, k) for k in ("gap", "clock")),
-    *(
-        ("train", f"data.{k}", simulation.simulated, k)
-        for k in ("durations", "seed", "process_noise", "sensor_noise", "cache", "gap", "clock")
-    ),
+    (command, f"{group}{argument}", function, argument)
+    for command, group, function, arguments in (
+        ("train", "", nsde_torch.train, "seed device dtype"),
+        ("train", "data.", nsde_torch.train, "validation"),
+        ("train", "data.", nsde_torch.read, "gap clock"),
+        ("train", "data.", simulation.simulated, "durations seed process_noise sensor_noise cache gap clock"),
+        ("diagnose", "", nsde_torch.diagnose, "alpha max_effects candidates seed"),
+        ("evaluate", "", nsde_torch.evaluate, "seed particles horizons bootstrap compile"),
+        ("simulate", "", nsde_torch.simulate, "durations dt"),
+        ("simulate", "plant.", nsde_torch.simulate, "declared_only process_noise sensor_noise battery"),
+    )
+    for argument in arguments.split()
 ]
 
 

@@ -12,7 +12,7 @@ import pytest
 import yaml
 from omegaconf import OmegaConf
 
-from nsde_torch.cli import effects_file, own_modules
+from nsde_torch.cli import effects_file
 from nsde_torch.cli.main import main
 from nsde_torch.cli.quoted import coordinates_named
 from tests.helpers.commands import Said
@@ -178,18 +178,8 @@ def test_values_of_a_file_give_way_to_those_of_the_command_line() -> None:
     system = OmegaConf.create({"parameters": {"coulomb_friction": {"q2": {"size": 0.7}}}})
     effects_file.add_value(system, "coulomb_friction[q2]", "size", 0.1)
     effects_file.add_value(system, "coulomb_friction[q1]", "size", 0.2)
-    assert OmegaConf.to_container(system.parameters) == {
-        "coulomb_friction": {"q2": {"size": 0.7}},
-        "coulomb_friction[q1]": {"size": 0.2},
-    }
-
-
-def test_only_folders_of_the_command_line_hold_modules_of_ones_own() -> None:
-    sources = [
-        {"provider": "main", "schema": "pkg", "path": "a"},
-        {"provider": "command-line", "schema": "file", "path": "b"},
-    ]
-    assert own_modules.config_folders(sources) == ["b"]
+    both = {"coulomb_friction": {"q2": {"size": 0.7}}, "coulomb_friction[q1]": {"size": 0.2}}
+    assert OmegaConf.to_container(system.parameters) == both
 
 
 @pytest.fixture

@@ -71,13 +71,8 @@ def test_a_command_of_one_file_and_one_line_has_help_completion_checks_and_a_fol
     assert "scratch       Weigh a system" in shown("--help")
     text = shown("scratch", "--help")
     assert text.startswith("nsde scratch: weigh a system")
-    for part in (
-        "factor=2 [1]",
-        "steps=7 [steps]",
-        "largest number of gradient steps (at least 1)",
-        "factor=3",
-    ):
-        assert part in text
+    steps = ("steps=7 [steps]", "largest number of gradient steps (at least 1)")
+    assert all(part in text for part in ("factor=2 [1]", *steps, "factor=3")), text
     assert query(["scratch", "system=cart"]) == ["system=cartpole"]
     assert query(["scra"]) == ["scratch"]
     assert main(["scratch", "system=hexacopter", "factor=4", "out_dir=here, or there"]) == 0

@@ -67,13 +67,8 @@ def test_a_file_of_another_machine_is_refused_by_the_key_that_names_it(
 
 
 def test_a_second_data_set_does_not_replace_the_first(refused: Said) -> None:
-    words = [
-        "simulate",
-        "system=mass_spring_damper",
-        "out=data",
-        "durations=[1]",
-        "truth=elsewhere/what.json",
-    ]
+    machine, where = ["system=mass_spring_damper", "durations=[1]"], ["out=data", "truth=elsewhere/what.json"]
+    words = ["simulate", *machine, *where]
     assert main(words) == 0
     assert "overwrite=true" in refused(*words)
     assert main([*words, "overwrite=true"]) == 0
@@ -88,23 +83,6 @@ def test_an_effect_of_ones_own_is_simulated(monkeypatch: pytest.MonkeyPatch) -> 
     assert main(["simulate", *words, *where]) == 0
     truth = json.loads(Path("data.truth.json").read_text())
     assert truth["effects"]["quintic"]["parameters"] == {"stiffness": 3}
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["out=data", "plant.effects=[track_tilt]"], "track_tilt"),
-        (["out=data", "plant.effect=[linear_drag]"], "plant.effects"),
-        (["out=data", "recording.dropout=2"], "recording.dropout"),
-        ([], "`out` must be given"),
-        (["out=data", "system=cartpole", "recording.frame_misalignment=[1,0,0]"], "frame_misalignment"),
-    ],
-)
-def test_a_fault_of_the_user_is_named_and_leaves_nothing_behind(
-    words: list[str], message: str, refused: Said
-) -> None:
-    assert message in refused("simulate", *words)
-    assert list(Path().iterdir()) == []
 
 
 def test_interventions_are_made_of_flights_and_refused_where_nothing_flies(

@@ -11,7 +11,6 @@ import pytest
 
 from nsde_torch.cli.commands.sweep_report import SCORES
 from nsde_torch.cli.main import main
-from nsde_torch.cli.sweep_jobs import grouped, numbers, read_jobs
 from tests.helpers.commands import Said
 
 
@@ -94,12 +93,11 @@ def test_a_score_that_is_not_finite_ranks_last(tmp_path: Path) -> None:
     assert content["ranking"][1]["mean"]["score"] is None
 
 
-def test_jobs_that_differ_in_the_seed_alone_are_one_group(tmp_path: Path) -> None:
-    _job(tmp_path, 0, ["seed=0"], _metrics(1.0))
-    _job(tmp_path, 1, ["seed=1"], _metrics(2.0))
-    (group,) = grouped(read_jobs(tmp_path))
-    assert group.label == "all alike"
-    assert len(group.jobs) == 2
+def test_jobs_that_differ_in_the_seed_alone_are_one_group(tmp_path: Path, shown: Said) -> None:
+    for seed in (0, 1):
+        _job(tmp_path, seed, [f"seed={seed}"], _metrics(1.0 + seed))
+    rows = [line.split() for line in shown("sweep-report", str(tmp_path)).splitlines()]
+    assert ["1", "2", "1.5", "+-", "0.71", "all", "alike"] in rows
 
 
 def test_a_folder_without_jobs_is_refused(tmp_path: Path, refused: Said) -> None:
@@ -125,7 +123,3 @@ def test_scores_that_do_not_compare_are_ranked_apart_unless_a_number_is_named(
     text = shown("sweep-report", str(tmp_path), "--by", "test.errors.model.rate.1")
     assert "among" not in text
     assert [line.split()[0] for line in text.splitlines() if "loss=" in line] == ["1", "2"]
-
-
-def test_numbers_are_found_at_any_depth() -> None:
-    assert dict(numbers({"a": {"b": [1, {"c": 2.5}]}, "d": True, "e": "x"})) == {"a.b.0": 1.0, "a.b.1.c": 2.5}

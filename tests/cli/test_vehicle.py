@@ -14,29 +14,6 @@ from tests.helpers.commands import Said
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["plant=learned"], "plant=hexacopter or plant=quadrotor"),
-        (["plant.dt=0.01"], "without plant.dt"),
-        (["plant.system=cartpole"], "must be a multirotor"),
-        (["plant.effects=[linear_drg]"], "linear_drag"),
-        (["plant.latency=-1"], "`plant.latency` must be at least 0"),
-        (["parameters.FOO=1"], "COM_OF_LOSS_T"),
-        (["sensors.gps=[1]"], "`sensors.gps` takes three numbers"),
-        (["sensors.gps_delay=2"], "`sensors.gps_delay` must be from 0 to 1"),
-        (["parameters.COM_OF_LOSS_T=soon"], "takes a number"),
-        (["link.url=udpin:127.0.0.1:x"], "expected udpin"),
-        (["link.url=udpin:0.0.0.0:14999"], "link.expose=true"),
-        (["link.key_file=nope"], "nope does not exist"),
-        (["sed=1"], "Did you mean `seed`"),
-        (["-m", "seed=1,2"], "has no sweeps"),
-    ],
-)
-def test_what_it_cannot_be_is_said_at_once(words: list[str], said: str, refused: Said) -> None:
-    assert said in refused("vehicle", "duration=5", *words)
-
-
 def test_a_port_in_use_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
@@ -78,14 +55,3 @@ def test_as_px4s_simulator_it_waits_and_says_what_px4_must_know(words: list[str]
     assert "waiting for PX4" in printed
     assert "param set CA_ROTOR_COUNT 6" in printed
     assert "param set CA_ROTOR0_PY 1" in printed
-
-
-@pytest.mark.parametrize(
-    ("url", "said"),
-    [
-        ("udpin:127.0.0.1:4560", "`hil` takes tcpin"),
-        ("tcpin:0.0.0.0:4560", "`hil`: 'tcpin:0.0.0.0:4560' would listen"),
-    ],
-)
-def test_where_px4_cannot_connect_is_said(url: str, said: str, refused: Said) -> None:
-    assert said in refused("vehicle", f"hil={url}", "duration=0.1")

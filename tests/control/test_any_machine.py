@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -34,29 +35,14 @@ def followed(
     latency: float = 0.0,
 ) -> Flight:
     declared = make_plant_system("cartpole", effects=(), declared_only=True)
-    plant = make_plant(
-        "cartpole",
-        generator=torch.Generator().manual_seed(3),
-        effects=effects,  # type: ignore[arg-type]
-        process_noise=noise,
-        sensor_noise=noise,
-        latency=latency,
-        check=False,
-    )
-    controller = Controller(
-        declared,
-        problem=problem_of(declared, low=low, high=-low),
-        solver=SolverOptions(compile=compiled),
-        batch=machines,
-    )
-    pilot = PredictivePilot(
-        controller,
-        declared,
-        reference,
-        period=0.02,
-        sample=plant.dt,
-        estimator=EstimatorOptions(force_time=force_time, latency=latency),
-    )
+    given: dict[str, Any] = {"effects": effects, "process_noise": noise, "sensor_noise": noise}
+    g = torch.Generator().manual_seed(3)
+    plant = make_plant("cartpole", generator=g, latency=latency, check=False, **given)
+    problem, solver = problem_of(declared, low=low, high=-low), SolverOptions(compile=compiled)
+    controller = Controller(declared, problem=problem, solver=solver, batch=machines)
+    estimator = EstimatorOptions(force_time=force_time, latency=latency)
+    times: dict[str, Any] = {"period": 0.02, "sample": plant.dt, "estimator": estimator}
+    pilot = PredictivePilot(controller, declared, reference, **times)
     begin = setpoint(declared, start, duration=1.0).states[0]
     return fly(pilot, plant, reference, machines=machines, start=begin)
 
@@ -75,9 +61,8 @@ def test_a_cart_swings_its_pole_up_with_half_of_the_force_that_would_push_it_up(
 def test_what_pushes_all_the_time_is_learned_on_the_ports_of_the_machine() -> None:
     still = setpoint(make_system("cartpole"), UP, duration=8.0)
     pushed = ({"track_tilt": {"slope": 0.1}},)  # 1 m/s2 along the track
-    off = [
-        abs(float(followed(still, start=UP, effects=pushed, force_time=t).x[-1, 0, 0])) for t in (0.0, 0.3)
-    ]
+    flights = (followed(still, start=UP, effects=pushed, force_time=t) for t in (0.0, 0.3))
+    off = [abs(float(flight.x[-1, 0, 0])) for flight in flights]
     assert off[0] > 0.05
     assert off[1] < 0.2 * off[0]
 

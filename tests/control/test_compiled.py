@@ -50,10 +50,8 @@ def _both(h: Horizon, p: Problem, most: float, **options: object) -> None:
     assert len(fast.costs) == len(plain.costs)
     assert fast.in_time == plain.in_time
     assert torch.equal(fast.converged, plain.converged)
-    for ours, theirs in zip(
-        (fast.u, fast.z, fast.cost, *fast.costs), (plain.u, plain.z, plain.cost, *plain.costs), strict=True
-    ):
-        assert _near(ours, theirs, most)
+    ours, theirs = ((found.u, found.z, found.cost, *found.costs) for found in (fast, plain))
+    assert all(_near(one, other, most) for one, other in zip(ours, theirs, strict=True))
     assert torch.allclose(fast.gap, plain.gap, atol=max(1e-9, most))
 
 
@@ -161,20 +159,10 @@ def test_the_estimator_updates_as_that_of_torch(
 def test_a_flight_of_a_compiled_controller_is_that_of_torch(declared: System, path: Reference) -> None:
     words = []
     for how in ("on", "off"):
-        controller = Controller(
-            declared,
-            problem=ProblemOptions(**SMALL),  # type: ignore[arg-type]
-            solver=SolverOptions(compile=how, iterations=3),
-            dtype=torch.float64,
-        )
-        pilot = PredictivePilot(
-            controller,
-            declared,
-            path,
-            period=0.02,
-            sample=0.01,
-            estimator=EstimatorOptions(latency=0.04, force_time=0.3),
-        )
+        problem, solver = ProblemOptions(**SMALL), SolverOptions(compile=how, iterations=3)  # type: ignore[arg-type]
+        controller = Controller(declared, problem=problem, solver=solver, dtype=torch.float64)
+        estimator = EstimatorOptions(latency=0.04, force_time=0.3)
+        pilot = PredictivePilot(controller, declared, path, period=0.02, sample=0.01, estimator=estimator)
         x = path.at(torch.tensor(2.0))[None].double()
         pilot.reset(x)
         made = []
@@ -215,9 +203,8 @@ def test_a_library_is_made_once_for_a_problem_and_anew_for_another_or_a_damaged_
     assert _library(TWO, GaussNewton(horizon_of(declared, **SMALL)), tmp_path, said) == first
     assert len(said) == 1
     assert "compiled tiny" in said[0]
-    assert (
-        len(_library(ONE, GaussNewton(horizon_of(declared, **SMALL, input_weight=2.0)), tmp_path, said)) == 2
-    )
+    other = GaussNewton(horizon_of(declared, **SMALL, input_weight=2.0))
+    assert len(_library(ONE, other, tmp_path, said)) == 2
     whole = (tmp_path / name).read_bytes()
     (tmp_path / name).unlink()  # what is loaded is mapped
     (tmp_path / name).write_bytes(whole[: len(whole) // 2])

@@ -26,10 +26,8 @@ def _window(path: Reference, t: float = T) -> torch.Tensor:
 
 
 def _safe(plan: Plan) -> None:
-    assert bool(torch.isfinite(plan.u).all())
-    assert bool(torch.isfinite(plan.z).all())
-    assert float(plan.u.min()) >= 0.0
-    assert float(plan.u.max()) <= 1.0
+    assert bool(torch.isfinite(plan.u).all() and torch.isfinite(plan.z).all())
+    assert 0.0 <= float(plan.u.min()) <= float(plan.u.max()) <= 1.0
 
 
 @pytest.fixture
@@ -106,11 +104,8 @@ def test_a_state_that_jumps_is_believed_only_when_it_stays(controller: Controlle
 
 def test_a_missed_deadline_is_said_and_the_plan_is_still_good(declared: System, path: Reference) -> None:
     now = iter(0.5 * k for k in range(1000))
-    late = Controller(
-        declared,
-        solver=SolverOptions(compile="off", iterations=50, tolerance=0.0, deadline=0.2),
-        clock=lambda: next(now),
-    )
+    solver = SolverOptions(compile="off", iterations=50, tolerance=0.0, deadline=0.2)
+    late = Controller(declared, solver=solver, clock=lambda: next(now))
     plan = late.plan(_state(path), _window(path))
     _safe(plan)
     assert plan.status == ("improved:late",)
@@ -169,12 +164,8 @@ def test_rows_of_a_batch_are_in_trouble_alone(declared: System, path: Reference)
 
 def test_soft_limits_and_input_rates_change_the_plan(declared: System, path: Reference) -> None:
     def plan(**options: object) -> Plan:
-        made = Controller(
-            declared,
-            problem=ProblemOptions(**options),  # type: ignore[arg-type]
-            solver=SolverOptions(compile="off", iterations=8),
-        )
-        return made.plan(_state(path), _window(path))
+        problem, solver = ProblemOptions(**options), SolverOptions(compile="off", iterations=8)  # type: ignore[arg-type]
+        return Controller(declared, problem=problem, solver=solver).plan(_state(path), _window(path))
 
     free, slow, smooth = plan(), plan(speed_limit=2.0, limit_weight=1000.0), plan(rate_weight=50.0)
     assert float(slow.x[0, 10:, 3:6].norm(dim=1).max()) < float(free.x[0, 10:, 3:6].norm(dim=1).max()) - 0.3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -25,7 +26,6 @@ def _flight(
     declared: System,
     reference: Reference = SHORT,
     *,
-    machines: int = 1,
     latency: float = 0.0,
     state_latency: float = 0.0,
     known: float | None = None,
@@ -35,32 +35,18 @@ def _flight(
     **plant: object,
 ) -> Flight:
     given = {"declared_only": True, "process_noise": 0.0, "sensor_noise": 0.0, **plant}
-    machine = make_plant(
-        "hexacopter",
-        generator=torch.Generator().manual_seed(0),
-        latency=latency,
-        check=False,
-        **given,  # type: ignore[arg-type]
-    )
+    g = torch.Generator().manual_seed(0)
+    machine = make_plant("hexacopter", generator=g, latency=latency, check=False, **given)  # type: ignore[arg-type]
     total = latency + state_latency if known is None else known
-    pilot = PredictivePilot(
-        controller_of(declared, batch=machines),
-        declared,
-        reference,
-        period=0.04,
-        sample=machine.dt,
-        estimator=EstimatorOptions(latency=total, **{"force_time": 0.0, **(estimator or {})}),
-        state_latency=state_latency if known is None else 0.0,
-    )
-    return fly(
-        pilot,
-        machine,
-        reference,
-        machines=machines,
-        state_latency=state_latency,
-        duration=duration,
-        faults=faults,  # type: ignore[arg-type]
-    )
+    times: dict[str, Any] = {
+        "period": 0.04,
+        "sample": machine.dt,
+        "state_latency": 0.0 if known is not None else state_latency,
+    }
+    options = EstimatorOptions(latency=total, **{"force_time": 0.0, **(estimator or {})})
+    pilot = PredictivePilot(controller_of(declared), declared, reference, estimator=options, **times)
+    flown: dict[str, Any] = {"state_latency": state_latency, "duration": duration, "faults": faults}
+    return fly(pilot, machine, reference, **flown)
 
 
 def _rmse(flight: Flight) -> float:
@@ -96,13 +82,9 @@ def test_a_push_that_lasts_is_learned_in_flight(declared: System) -> None:
 
 @pytest.mark.slow
 def test_one_motor_at_seventy_percent_is_flown_with(declared: System) -> None:
-    weak = [0.3, *[1e-6] * 5]
-    flight = _flight(
-        declared,
-        effects=[{"motor_efficiency_loss": {"loss": weak}}],
-        estimator={"force_time": 0.3, "moment_time": 0.2},
-        duration=3.0,
-    )
+    weak = [{"motor_efficiency_loss": {"loss": [0.3, *[1e-6] * 5]}}]
+    learned = {"force_time": 0.3, "moment_time": 0.2}
+    flight = _flight(declared, effects=weak, estimator=learned, duration=3.0)
     assert bool(torch.isfinite(flight.x).all())
     assert 0.0 <= float(flight.u.min()) <= float(flight.u.max()) <= 1.0
     assert _rmse(flight) < 0.15
@@ -121,9 +103,8 @@ def test_states_that_are_lost_on_their_way_for_a_while_do_not_lose_the_machine(d
 
 
 def test_the_cascade_flies_the_same_references(declared: System) -> None:
-    machine = make_plant(
-        "hexacopter", generator=torch.Generator().manual_seed(0), declared_only=True, check=False
-    )
+    g = torch.Generator().manual_seed(0)
+    machine = make_plant("hexacopter", generator=g, declared_only=True, check=False)
     pilot = CascadePilot(declared, SHORT, batch=2, period=machine.dt)
     flight = fly(pilot, machine, SHORT, machines=2, duration=2.0)
     assert _rmse(flight) < 0.2
@@ -142,9 +123,8 @@ def test_a_machine_that_is_lost_is_counted_and_when(declared: System) -> None:
     def elsewhere(t: float, x: torch.Tensor) -> torch.Tensor:
         return torch.full_like(x, float("nan")) if t > 1.0 else x
 
-    flight = _flight(
-        declared, Reference(lemniscate(duration=6.0, ramp=1.0)), faults=(elsewhere,), duration=5.0
-    )
+    path = Reference(lemniscate(duration=6.0, ramp=1.0))
+    flight = _flight(declared, path, faults=(elsewhere,), duration=5.0)
     found = summarise([flight], make_system("hexacopter"))
     assert found["lost"] == 1
     assert found["rmse_m"] is None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import cos, sin
+
 import pytest
 import torch
 
@@ -22,17 +24,13 @@ def _level(n: int = 1) -> torch.Tensor:
 
 
 def test_the_attitude_error_is_the_vector_part_of_q_times_the_inverse_reference() -> None:
-    half = 0.15
-    q = torch.tensor([[torch.cos(torch.tensor(half)), 0.0, 0.0, torch.sin(torch.tensor(half))]])
-    e = torch.tensor([[1.0, 0.0, 0.0, 0.0]])
-    assert torch.allclose(attitude_error(q, e), torch.tensor([[0.0, 0.0, torch.sin(torch.tensor(half))]]))
-    assert torch.allclose(attitude_error(-q, e), attitude_error(q, e))
+    c, s, half = cos(0.15), sin(0.15), 0.5**0.5
+    q, level = torch.tensor([[c, 0.0, 0.0, s]]), torch.tensor([[1.0, 0.0, 0.0, 0.0]])
+    assert torch.allclose(attitude_error(q, level), torch.tensor([[0.0, 0.0, s]]))
+    assert torch.allclose(attitude_error(-q, level), attitude_error(q, level))
     # of a reference that is turned too, the error is in the world's axes
-    tilt = torch.tensor([[2**-0.5, 2**-0.5, 0.0, 0.0]])
-    product = torch.tensor(
-        [[q[0, 0] * tilt[0, 0], q[0, 0] * tilt[0, 1], q[0, 3] * tilt[0, 1], q[0, 3] * tilt[0, 0]]]
-    )
-    assert torch.allclose(attitude_error(product, tilt), attitude_error(q, e), atol=1e-6)
+    tilt, product = torch.tensor([[half, half, 0.0, 0.0]]), half * torch.tensor([[c, c, s, s]])
+    assert torch.allclose(attitude_error(product, tilt), attitude_error(q, level), atol=1e-6)
 
 
 def test_the_cost_is_the_supplements_sum(declared: System, path: Reference) -> None:
@@ -49,15 +47,15 @@ def test_the_cost_is_the_supplements_sum(declared: System, path: Reference) -> N
 
 
 @pytest.mark.parametrize(
-    ("options", "column", "value"),
+    ("options", "column", "value", "excess"),
     [
-        ({"speed_limit": 2.0}, 3, 2.5),
-        ({"fence": ((-1.0, 1.0), (-1.0, 1.0), (0.0, 2.0))}, 0, 1.2),
-        ({"fence": ((-1.0, 1.0), (-1.0, 1.0), (0.5, 2.0))}, 2, 0.3),
+        ({"speed_limit": 2.0}, 3, 2.5, 0.5),
+        ({"fence": ((-1.0, 1.0), (-1.0, 1.0), (0.0, 2.0))}, 0, 1.2, 0.2),
+        ({"fence": ((-1.0, 1.0), (-1.0, 1.0), (0.5, 2.0))}, 2, 0.3, 0.2),
     ],
 )
 def test_soft_limits_cost_nothing_inside_and_the_square_of_the_excess_outside(
-    declared: System, options: dict[str, object], column: int, value: float
+    declared: System, options: dict[str, object], column: int, value: float, excess: float
 ) -> None:
     predictor = Predictor(declared, dt=0.05, dtype=torch.float64)
     residual = Residual(predictor, ProblemOptions(state_weights=(0.0,) * 12, **options))  # type: ignore[arg-type]
@@ -65,15 +63,12 @@ def test_soft_limits_cost_nothing_inside_and_the_square_of_the_excess_outside(
     x[:, 2] = 1.0
     assert float(residual(x, x).square().sum()) == 0.0
     x[:, column] = value
-    excess = 0.5 if column == 3 else 0.2
     assert float(residual(x, x).square().sum()) == pytest.approx(100.0 * excess**2, rel=1e-3)
 
 
 def test_tilt_beyond_its_limit_costs(declared: System) -> None:
-    residual = Residual(
-        Predictor(declared, dt=0.05, dtype=torch.float64),
-        ProblemOptions(state_weights=(0.0,) * 12, tilt_limit=30.0),
-    )
+    options = ProblemOptions(state_weights=(0.0,) * 12, tilt_limit=30.0)
+    residual = Residual(Predictor(declared, dt=0.05, dtype=torch.float64), options)
     x = _level(2)
     for row, degrees in enumerate((29.0, 40.0)):
         half = torch.deg2rad(torch.tensor(0.5 * degrees))

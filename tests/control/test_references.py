@@ -79,9 +79,8 @@ def test_minimum_snap_passes_its_points_at_their_times_and_no_other_path_has_les
     best = make_interp_spline(times, x, k=7, bc_type=(rest, rest))
     assert np.allclose(path.p[:, 0], best(path.dt * np.arange(len(path.p)).clip(max=600)), atol=1e-9)
     # through one point more, which the best path does not pass: still through all the others, at rest at both ends
-    other = make_interp_spline(
-        [0.0, 1.0, *times[1:]], [0.0, float(best(1.0)) + 0.05, *x[1:]], k=7, bc_type=(rest, rest)
-    )
+    through = [0.0, 1.0, *times[1:]], [0.0, float(best(1.0)) + 0.05, *x[1:]]
+    other = make_interp_spline(*through, k=7, bc_type=(rest, rest))
     assert snap(other) > snap(best)
 
 

@@ -38,16 +38,9 @@ def _independent(h: Horizon, p: Problem, row: int, first: torch.Tensor) -> float
         (gradient,) = torch.autograd.grad(cost, u)
         return float(cost.detach()), gradient.flatten().numpy()
 
-    bounds = [(h.options.low, h.options.high)] * (h.steps * h.nu)
-    found = minimize(
-        value,
-        first.double().numpy().ravel(),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=bounds,
-        options={"maxiter": 60, "maxfun": 80},
-    )
-    return float(found.fun)
+    bounds, few = [(h.options.low, h.options.high)] * (h.steps * h.nu), {"maxiter": 60, "maxfun": 80}
+    start = first.double().numpy().ravel()
+    return float(minimize(value, start, jac=True, method="L-BFGS-B", bounds=bounds, options=few).fun)
 
 
 @pytest.mark.slow
@@ -65,9 +58,8 @@ def test_gauss_newton_finds_the_optimum_of_an_independent_optimiser(
 
 
 def test_the_gradient_of_the_quadratic_is_that_of_the_cost(model: NeuralSDE, path: Reference) -> None:
-    h = horizon_of(
-        model, rate_weight=3.0, input_centre=0.3, speed_limit=2.0, particles=2, uncertainty_weight=5.0
-    )
+    paid: dict[str, object] = {"rate_weight": 3.0, "speed_limit": 2.0, "uncertainty_weight": 5.0}
+    h = horizon_of(model, input_centre=0.3, particles=2, **paid)
     p = problem_of(h, path, rows=2)
     u = torch.rand(2, 20, 6, generator=torch.Generator().manual_seed(3)).double().requires_grad_()
     z = h.rollout(p.z0, u, p.d)
@@ -143,9 +135,8 @@ def test_at_the_deadline_the_best_plan_so_far_is_returned(model: NeuralSDE, path
     h = horizon_of(model)
     p = problem_of(h, path, rows=1)
     now = iter(range(1000))
-    solver = Solver(
-        h, SolverOptions(compile="off", iterations=50, tolerance=0.0, deadline=10.0), clock=lambda: next(now)
-    )
+    options = SolverOptions(compile="off", iterations=50, tolerance=0.0, deadline=10.0)
+    solver = Solver(h, options, clock=lambda: next(now))
     found = solver.solve(p, *_start(h, p))
     assert 2 <= len(found.costs) < 10
     assert found.in_time

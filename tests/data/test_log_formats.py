@@ -113,9 +113,8 @@ def test_files_of_other_columns_are_streams_of_one_run(
     motors = {name: columns.pop(name)[::2] for name in list(columns) if name.startswith("motor")}
     log_writers.write_table(tmp_path / "mocap.csv", columns)
     log_writers.write_table(tmp_path / "motors.csv", {"timestamp_us": columns["timestamp_us"][::2], **motors})
-    mapping = log_writers.NED_MAPPING.replace(
-        "[motor1, motor2, motor3, motor4]", str([f"motors/motor{k}" for k in (1, 2, 3, 4)])
-    )
+    own = str([f"motors/motor{k}" for k in (1, 2, 3, 4)])
+    mapping = log_writers.NED_MAPPING.replace("[motor1, motor2, motor3, motor4]", own)
     (tmp_path / "mapping.yaml").write_text(mapping, encoding="utf-8")
     (run,) = read_log(quadrotor, path=tmp_path)
     assert np.abs(run.u[::2][:-1] - flight.u[::2][:-1]).max() < 1e-9
@@ -127,18 +126,14 @@ def test_a_table_without_a_clock_says_what_to_write(tmp_path: Path) -> None:
     system = make_system("mass_spring_damper")
     with pytest.raises(DataError, match=r"has no column of times.*time: \{rate: 100\}"):
         read_log(system, path=tmp_path)
-    (tmp_path / "mapping.yaml").write_text(
-        "time: {rate: 50}\ncolumns: {q: q, force: force}\n", encoding="utf-8"
-    )
+    (tmp_path / "mapping.yaml").write_text("time: {rate: 50}\ncolumns: {q: q, force: force}\n")
     (run,) = read_log(system, path=tmp_path)
     assert np.allclose(np.diff(run.t), 0.02)
 
 
 def test_empty_cells_words_and_gaps_in_text(tmp_path: Path) -> None:
     rows = [f"{k / 100},{'' if k == 7 else np.sin(k / 9)},idle,{0.1 * k}" for k in range(200)]
-    (tmp_path / "run.csv").write_text(
-        "time [s],position,mode,force\n" + "\n".join(rows) + "\n", encoding="utf-8"
-    )
+    (tmp_path / "run.csv").write_text("\n".join(["time [s],position,mode,force", *rows]) + "\n")
     (run,) = read_log(make_system("mass_spring_damper"), path=tmp_path)
     assert np.isnan(run.x[7, 0])
     assert np.isfinite(np.delete(run.x[:, 0], 7)).all()

@@ -153,11 +153,9 @@ def test_a_file_that_is_no_mapping(tmp_path: Path) -> None:
 
 
 def test_units() -> None:
-    assert factor("deg/s", "rad/s", what="w") == pytest.approx(np.pi / 180)
-    assert factor("rpm", "rad/s", what="w") == pytest.approx(2 * np.pi / 60)
-    assert factor("g", "m/s2", what="a") == pytest.approx(9.80665)
-    assert factor("mm", "m", what="p") == 1e-3
-    assert factor("km/h", "m/s", what="v") == pytest.approx(1 / 3.6)
+    pairs = [("deg/s", "rad/s"), ("rpm", "rad/s"), ("g", "m/s2"), ("mm", "m"), ("km/h", "m/s")]
+    found = [factor(*pair, what="w") for pair in pairs]
+    assert found == pytest.approx([np.pi / 180, 2 * np.pi / 60, 9.80665, 1e-3, 1 / 3.6])
 
 
 def test_betaflights_rear_right_is_px4s_fourth() -> None:
@@ -202,11 +200,9 @@ def test_slow_motors_are_refused_and_can_be_let_in(flight: RawRun) -> None:
         Stream("s", flight.t, {f"x{k}": flight.x[:, k] for k in range(13)}),
         Stream("m", flight.t[some], {f"m{k}": flight.u[some, k] for k in range(4)}),
     ]
-    columns = {
-        n: {"from": [f"x{k}" for k in ks]}
-        for n, ks in {"p": (0, 1, 2), "v": (3, 4, 5), "w": (10, 11, 12)}.items()
-    }
-    columns |= {"q": {"from": [f"x{k}" for k in (6, 7, 8, 9)]}, "u": {"from": [f"m{k}" for k in range(4)]}}
+    places = {"p": range(3), "v": range(3, 6), "q": range(6, 10), "w": range(10, 13)}
+    columns = {n: {"from": [f"x{k}" for k in ks]} for n, ks in places.items()}
+    columns["u"] = {"from": [f"m{k}" for k in range(4)]}
     with pytest.raises(DataError, match=r"'u' \(m\) was logged at 10 Hz; at least 50 Hz .*slowest: 10"):
         apply(StreamLog("r", "r", streams), mapping_of({"columns": columns}), QUADROTOR)
     columns["u"]["slowest"] = 10  # type: ignore[assignment]

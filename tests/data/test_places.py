@@ -111,13 +111,8 @@ def test_what_is_no_log_is_refused_by_its_cause_wherever_it_is_read(
     monkeypatch.chdir(tmp_path)
     assert cause in _refusal(lambda: nsde_torch.read(tmp_path / name, system="mass_spring_damper"))
     assert cause in _refusal(lambda: inspect(tmp_path / name, system="mass_spring_damper"))
-    if name in (
-        "loop.csv",
-        "hole.csv",
-        "damaged.pkl",
-        "sparse.ulg",
-        "pipe.mcap",
-    ):  # a command reads them likewise
+    # a command reads them likewise
+    if name in ("loop.csv", "hole.csv", "damaged.pkl", "sparse.ulg", "pipe.mcap"):
         assert main(["diagnose", "system=mass_spring_damper", f"data.path={name}", "out_dir=d"]) == 2
         said = capsys.readouterr().err
         assert cause in said

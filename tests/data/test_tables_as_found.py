@@ -177,9 +177,8 @@ def test_a_voltage_is_no_velocity(tmp_path: Path) -> None:
 def test_numbered_joints_have_the_columns_of_their_numbers(tmp_path: Path) -> None:
     arm = replace(MSD, name="arm", state_names=("q1", "q2"), input_names=("tau1", "tau2"), optional_inputs=())
     arm = replace(arm, position_derivatives=())
-    savemat(
-        tmp_path / "run.mat", {"t": T, "pos_meas2": V, "pos_meas1": Q, "tau_meas2": Q * V, "tau_meas1": F}
-    )
+    logged = {"t": T, "pos_meas2": V, "pos_meas1": Q, "tau_meas2": Q * V, "tau_meas1": F}
+    savemat(tmp_path / "run.mat", logged)
     found = propose(open_table(tmp_path / "run.mat"), arm)
     assert found.mapping is not None
     assert {name: entry.source for name, entry in found.mapping.columns.items()} == {
@@ -201,15 +200,7 @@ def test_a_flight_in_a_table_without_names_is_found_by_what_holds_between_column
     run = leaning_flight(12.0)
     x, u = run.x, run.u
     noise = np.random.default_rng(0).normal(size=(len(x), 3))
-    columns = [
-        run.t[:, None],
-        noise,
-        x[:, 10:13],
-        x[:, [7, 8, 9, 6]],
-        x[:, 3:6],
-        x[:, :3],
-        30.0 * np.sqrt(u),
-    ]
+    columns = [run.t[:, None], noise, x[:, 10:13], x[:, [7, 8, 9, 6]], x[:, 3:6], x[:, :3], 30.0 * np.sqrt(u)]
     savemat(tmp_path / "flight.mat", {"flight": np.hstack(columns)})
     found = nsde_torch.inspect(tmp_path, system="quadrotor", physics=False)
     assert not found.missing

@@ -15,22 +15,6 @@ from tests.helpers.data_systems import CARTPOLE, QUADROTOR, multirotor
 from tests.helpers.flights import flight
 from tests.helpers.ulog_bytes import write_ulog
 
-S = np.sqrt(0.5)
-
-
-@pytest.mark.parametrize(
-    ("frd_to_ned", "flu_to_enu"),
-    [
-        ([1, 0, 0, 0], [S, 0, 0, S]),  # level, facing north: ENU yaw is 90 degrees
-        ([S, 0, 0, S], [1, 0, 0, 0]),  # level, facing east
-        ([S, 0, 0, -S], [0, 0, 0, 1]),  # facing west: yaw 180
-        ([S, S, 0, 0], [0.5, 0.5, 0.5, 0.5]),  # facing north, right wing down: yaw 90, then roll +90
-    ],
-)
-def test_attitudes_worked_by_hand(frd_to_ned: list[float], flu_to_enu: list[float]) -> None:
-    q = attitude_to_enu(np.array([frd_to_ned], dtype=float))[0]
-    assert abs(np.dot(q, flu_to_enu)) == pytest.approx(1.0)
-
 
 def test_vectors_map_the_same_by_frame_change_and_by_attitude() -> None:
     assert swap_world(np.array([1.0, 2.0, 3.0])).tolist() == [2, 1, -3]

@@ -46,39 +46,20 @@ def test_the_true_model_is_scored_without_error_from_anywhere_in_a_run(windows: 
     assert float(scores.squares["model"].max()) < 1e-6
     squares = rollout_squares(truth(), windows, starts, [5, STEPS])
     assert float(squares.max()) < 1e-6
-    stationary = truth().sample(
-        windows.batch(starts)[0][:, 0],
-        windows.batch(starts)[1],
-        dt=DT,
-        particles=1,
-        generator=torch.Generator(),
-    )
-    assert float((stationary[0] - windows.batch(starts)[0]).square().max()) > 1e-2
+    x, u, _ = windows.batch(starts)
+    stationary = truth().sample(x[:, 0], u, dt=DT, particles=1, generator=torch.Generator())
+    assert float((stationary[0] - x).square().max()) > 1e-2
 
 
 def test_training_errors_of_the_true_model_vanish(windows: Windows) -> None:
-    spec = SDESpec(
-        "hexacopter",
-        dt=DT,
-        horizon=STEPS,
-        step="milstein_heun",
-        effects=("motor_lag",),
-        sigma_max=(1e-9,) * 13,
-    )
+    quiet = {"step": "milstein_heun", "effects": ("motor_lag",), "sigma_max": (1e-9,) * 13}
+    spec = SDESpec("hexacopter", dt=DT, horizon=STEPS, **quiet)  # type: ignore[arg-type]
     generator = torch.Generator().manual_seed(0)
     model = NeuralSDE(spec, generator=generator, values=VALUES["motor_lag"]).double()
     with torch.no_grad():
         for network in model.residuals.values():
             network.layers[-1].weight.zero_()  # type: ignore[union-attr, operator, index]
-    fit = Fit(
-        model,
-        windows,
-        windows,
-        windows,
-        scale=torch.ones(12, dtype=torch.float64),
-        loss=LossOptions(kind="replay"),
-        options=TrainerOptions(compile="off"),
-        seed=0,
-    )
+    options, scale = TrainerOptions(compile="off"), torch.ones(12, dtype=torch.float64)
+    fit = Fit(model, *[windows] * 3, scale=scale, loss=LossOptions(kind="replay"), options=options, seed=0)
     errors, _ = fit.errors(windows, torch.arange(25, len(windows)), 2, generator)
     assert float(errors.detach().abs().max()) < 1e-3

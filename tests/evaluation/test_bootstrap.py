@@ -9,13 +9,18 @@ import pytest
 import torch
 
 from nsde_torch.errors import ShapeError
-from nsde_torch.evaluation.bootstrap import Blocks, make_blocks, mean_bootstrap, paired_bootstrap, verdict
+from nsde_torch.evaluation.bootstrap import Blocks, make_blocks, mean_bootstrap, paired_bootstrap
 
 DT = 0.25
 
 
 def generator(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
+
+
+def one_run(starts: int) -> Blocks:
+    """Blocks of 4 s of a single run."""
+    return make_blocks(np.zeros(starts, dtype=np.int64), DT * np.arange(starts), length=4.0)
 
 
 def correlated(shape: tuple[int, int], tau: float, rng: np.random.Generator) -> np.ndarray:
@@ -58,18 +63,15 @@ def test_resampling_single_starts_would_not() -> None:
 
 def test_equal_errors_show_no_difference() -> None:
     errors = torch.rand(200, 7, generator=generator())
-    blocks = make_blocks(np.zeros(200, dtype=np.int64), DT * np.arange(200), length=4.0)
-    made = paired_bootstrap(errors, errors.clone(), blocks, generator=generator())
-    assert not made.value.any()
-    assert not made.low.any()
-    assert not made.high.any()
+    made = paired_bootstrap(errors, errors.clone(), one_run(200), generator=generator())
+    assert not torch.stack((made.value, made.low, made.high)).any()
     assert made.words() == ["no difference"] * 7
 
 
 def test_the_difference_is_that_of_the_root_mean_squares_in_its_sign() -> None:
     first = torch.rand(400, 2, generator=generator(), dtype=torch.float64) + 1
     other = first * torch.tensor([4.0, 0.25])
-    blocks = make_blocks(np.zeros(400, dtype=np.int64), DT * np.arange(400), length=4.0)
+    blocks = one_run(400)
     made = paired_bootstrap(first, other, blocks, generator=generator())
     root = first.mean(0).sqrt()
     torch.testing.assert_close(made.value, root * torch.tensor([1.0, -0.5]))
@@ -79,7 +81,7 @@ def test_the_difference_is_that_of_the_root_mean_squares_in_its_sign() -> None:
 
 def test_it_repeats_with_the_generator() -> None:
     first, other = torch.rand(2, 100, 3, generator=generator())
-    blocks = make_blocks(np.zeros(100, dtype=np.int64), DT * np.arange(100), length=4.0)
+    blocks = one_run(100)
     a, b, c = (paired_bootstrap(first, other, blocks, generator=generator(s)).low for s in (0, 0, 1))
     assert torch.equal(a, b)
     assert not torch.equal(a, c)
@@ -114,19 +116,14 @@ def test_a_gap_leaves_no_empty_block() -> None:
 
 def test_too_few_blocks_are_said_to_be_so() -> None:
     first, other = torch.rand(2, 48, 1, generator=generator())
-    blocks = make_blocks(np.zeros(48, dtype=np.int64), DT * np.arange(48), length=4.0)
-    made = paired_bootstrap(first, other, blocks, generator=generator())
-    assert blocks.count == 3
+    made = paired_bootstrap(first, other, one_run(48), generator=generator())
+    assert one_run(48).count == 3
     assert made.words() == ["too few blocks"]
     assert bool(made.value.isfinite())
 
 
-def test_verdicts_are_of_the_other_model() -> None:
-    assert [verdict(-2, -1), verdict(1, 2), verdict(-1, 1)] == ["better", "worse", "no difference"]
-
-
 def test_starts_that_do_not_agree_are_refused() -> None:
-    blocks = make_blocks(np.zeros(8, dtype=np.int64), DT * np.arange(8), length=4.0)
+    blocks = one_run(8)
     with pytest.raises(ShapeError, match="8 starts"):
         paired_bootstrap(torch.rand(9, 1), torch.rand(9, 1), blocks, generator=generator())
 

@@ -133,21 +133,19 @@ def test_models_of_different_steps_are_scored_from_the_same_starts(data: DataSet
     assert "0.25 s at 0.2 s, 0.5 s at 0.4 s" in texts
     assert done.content["models"][1]["evaluated_at_s"] == {"0.25": 0.2, "0.5": 0.4, "1": 1.0, "2": 2.0}
     against = done.content["differences"]["against"]["coarse"]["errors"]["position"]
-    assert against["0.25"] is None
-    assert against["0.5"] is None
-    assert against["1"]["difference"] == pytest.approx(
-        done.content["models"][1]["errors"]["position"]["1"]
-        - done.content["models"][0]["errors"]["position"]["1"],
-        abs=1e-6,
-    )
+    assert against["0.25"] is against["0.5"] is None
+    first, second = (model["errors"]["position"]["1"] for model in done.content["models"])
+    assert against["1"]["difference"] == pytest.approx(second - first, abs=1e-6)
     assert any("0.25 s" in line and " - " in line for line, _ in lines(done.content))
 
 
 class Fragile(NeuralSDE):
-    """Leaves the finite numbers from starts above a tenth."""
+    """Leaves the finite numbers from starts above `limit`, a tenth if nothing else is said."""
+
+    limit = 0.1
 
     def sample(self, x0: torch.Tensor, u: torch.Tensor, **more: Any) -> torch.Tensor:
-        if bool((x0 > 0.1).any()):
+        if bool((x0 > self.limit).any()):
             raise NonFiniteError("too far")
         return super().sample(x0, u, **more)
 
@@ -157,9 +155,8 @@ def test_divergence_is_counted_and_said_and_pairs_are_of_starts_where_both_are_f
 ) -> None:
     fragile = good()
     fragile.__class__ = Fragile
-    done = compare(
-        [candidate("fragile", fragile), candidate("true", good())], data, data.runs, seed=0, particles=9
-    )
+    both = [candidate("fragile", fragile), candidate("true", good())]
+    done = compare(both, data, data.runs, seed=0, particles=9)
     first, second = done.content["models"]
     x0 = done.grids[0].windows.batch(done.grids[0].starts)[0][:, 0, 0]
     assert first["diverged"] == int((x0 > 0.1).sum()) > 0
@@ -174,12 +171,8 @@ def test_divergence_is_counted_and_said_and_pairs_are_of_starts_where_both_are_f
 def test_a_model_that_diverges_everywhere_has_no_figures_and_the_others_have(
     data: DataSet, tmp_path: Path
 ) -> None:
-    class Lost(NeuralSDE):
-        def sample(self, x0: torch.Tensor, u: torch.Tensor, **more: Any) -> torch.Tensor:
-            raise NonFiniteError("lost")
-
     lost = good()
-    lost.__class__ = Lost
+    lost.__class__, lost.limit = Fragile, -math.inf
     for models in ([candidate("lost", lost), candidate("true", good())], [candidate("lost", lost)]):
         done = compare(models, data, data.runs, seed=0, particles=9)
         json.dumps(done.content, allow_nan=False)
@@ -203,9 +196,8 @@ def test_a_deterministic_model_has_neither_intervals_nor_likelihood(data: DataSe
 
 
 def test_given_horizons_are_taken_and_blocks_grow_with_them(data: DataSet) -> None:
-    done = compare(
-        [candidate("true", good())], data, data.runs, seed=0, particles=9, horizons=[3.0, 0.15, 3.0]
-    )
+    given = {"seed": 0, "particles": 9, "horizons": [3.0, 0.15, 3.0]}
+    done = compare([candidate("true", good())], data, data.runs, **given)
     assert done.content["horizons_s"] == [0.15, 3.0]
     assert done.content["differences"]["unit"] == "blocks of 6 s"
 

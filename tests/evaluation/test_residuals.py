@@ -31,6 +31,5 @@ def test_a_force_beside_physics_leaves_what_the_declared_law_leaves() -> None:
     theta, own = declared.vector.start, plain.vector.start
     assert beside.residual(own) == pytest.approx(declared.residual(theta), abs=1e-12)
     assert beside.middle(own).numpy() == pytest.approx(declared.middle(theta).numpy(), abs=1e-12)
-    assert (
-        abs(plain.middle(own) - declared.middle(theta)).max() > 0.05
-    )  # where networks would be asked instead
+    # where networks would be asked instead
+    assert abs(plain.middle(own) - declared.middle(theta)).max() > 0.05

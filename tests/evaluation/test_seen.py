@@ -20,38 +20,41 @@ TRAINED = [noisy("a", 0), noisy("b", 1, rows=50)]
 SEEN = SeenRuns.of({"train_runs": ["a", "b"], **record(TRAINED)})
 
 
-def test_a_training_run_is_found_under_any_name_and_clock() -> None:
-    assert SEEN.match(TRAINED[0]) == "whole"
-    assert SEEN.match(replace(TRAINED[0], name="another", t=TRAINED[0].t + 7)) == "whole"
+A, B = TRAINED
+OTHER = noisy("c", 2)
 
 
-@pytest.mark.parametrize("rows", [slice(0, 200), slice(700, 1000), slice(1800, 2000)])
-def test_a_tenth_of_a_training_run_is_found(rows: slice) -> None:
-    assert SEEN.match(TRAINED[0].slice(rows.start, rows.stop, name="cut")) == "part"
+def joined(first: Run, then: np.ndarray) -> Run:
+    x = np.concatenate([first.x, then])
+    return Run("long", 0.01 * np.arange(len(x)), x, np.zeros((len(x), 1)))
 
 
-def test_a_training_run_at_another_step_or_with_other_inputs_is_found() -> None:
-    a = TRAINED[0]
-    assert SEEN.match(Run("a", a.t[::5], a.x[::5], a.u[::5])) == "part"
-    assert SEEN.match(replace(a, u=np.column_stack([a.u, a.u]))) == "part"
-
-
-def test_a_recording_that_holds_a_short_training_run_is_found() -> None:
-    long, b = noisy("long", 5), TRAINED[1]
-    x = np.concatenate([long.x, b.x])
-    assert SEEN.match(Run("long", 0.01 * np.arange(len(x)), x, np.zeros((len(x), 1)))) == "part"
-
-
-def test_other_runs_are_held_out_and_a_namesake_is_named_as_such() -> None:
-    assert SEEN.match(noisy("c", 2)) == ""
-    assert SEEN.match(noisy("a", 2)) == "same name"
-
-
-def test_runs_that_start_at_the_same_state_are_not_taken_for_one_another() -> None:
-    other = noisy("c", 2)
-    x = other.x.copy()
-    x[:2] = TRAINED[0].x[:2]
-    assert SEEN.match(Run("c", other.t, x, other.u)) == ""
+@pytest.mark.parametrize(
+    ("run", "found"),
+    [
+        (A, "whole"),
+        (replace(A, name="another", t=A.t + 7), "whole"),
+        *((A.slice(*rows, name="cut"), "part") for rows in ((0, 200), (700, 1000), (1800, 2000))),
+        (Run("a", A.t[::5], A.x[::5], A.u[::5]), "part"),
+        (replace(A, u=np.column_stack([A.u, A.u])), "part"),
+        (joined(noisy("long", 5), B.x), "part"),
+        (OTHER, ""),
+        (noisy("a", 2), "same name"),
+        (replace(OTHER, x=np.concatenate([A.x[:2], OTHER.x[2:]])), ""),
+    ],
+    ids=[
+        *("itself", "another name and clock", "its beginning", "a tenth of it", "its end", "another step"),
+        *(
+            "other inputs",
+            "a recording that holds it",
+            "another run",
+            "a namesake",
+            "another from its first state",
+        ),
+    ],
+)
+def test_a_training_run_is_found_in_what_holds_some_of_it_and_in_nothing_else(run: Run, found: str) -> None:
+    assert SEEN.match(run) == found
 
 
 def test_without_hashes_the_names_decide() -> None:
@@ -62,9 +65,5 @@ def test_without_hashes_the_names_decide() -> None:
 
 
 def test_the_sketch_grows_with_the_run_within_bounds() -> None:
-    assert [len(row_sketch(noisy("x", 0, n)).split()) for n in (30, 2000, 6400, 100_000)] == [
-        30,
-        64,
-        100,
-        512,
-    ]
+    lengths = [len(row_sketch(noisy("x", 0, n)).split()) for n in (30, 2000, 6400, 100_000)]
+    assert lengths == [30, 64, 100, 512]

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from nsde_torch.errors import ShapeError
 from nsde_torch.plots import PredictionBand, evolution
 
 T = np.linspace(0.0, 2.0, 21)
@@ -18,15 +17,3 @@ def test_channels_of_one_unit_share_their_scale_so_that_a_still_one_looks_still(
     assert spans[2] == pytest.approx(3 * spans[0])
     for ax, channel in zip(figure.axes, truth.T, strict=True):
         assert ax.get_ylim()[0] < channel.min() <= channel.max() < ax.get_ylim()[1]
-
-
-def test_a_prediction_of_another_length_is_refused() -> None:
-    with pytest.raises(ShapeError, match="a model"):
-        evolution(
-            T,
-            np.zeros((21, 1)),
-            [PredictionBand("a model", np.zeros((20, 1)))],
-            names="a",
-            units="m",
-            title="",
-        )

@@ -63,23 +63,20 @@ def generator(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
-def quiet(name: str = "plant", seed: int = 0) -> Dynamics:
+def quiet(name: str = "plant") -> Dynamics:
     """A truth without noise of any kind."""
+    given = {"dt": TASK.dt, "sensor_noise": 0.0, "generator": generator()}
     if name == "plant":
-        return PlantDynamics(
-            "cartpole", dt=TASK.dt, sensor_noise=0.0, generator=generator(seed), process_noise=0.0
-        )
-    return make_truth(name, system="cartpole", dt=TASK.dt, sensor_noise=0.0, generator=generator(seed))
+        return PlantDynamics("cartpole", process_noise=0.0, **given)
+    return make_truth(name, system="cartpole", **given)
 
 
-def environment(dynamics: Dynamics, n: int, *, seed: int = 0, stagger: bool = False) -> BatchEnvironment:
-    return BatchEnvironment(
-        TASK, dynamics, n=n, generator=generator(seed), start=TASK.training, stagger=stagger
-    )
+def environment(dynamics: Dynamics, n: int) -> BatchEnvironment:
+    return BatchEnvironment(TASK, dynamics, n=n, generator=generator(), start=TASK.training)
 
 
-def noisy(seed: int, n: int = 6, stagger: bool = False) -> BatchEnvironment:
-    source = generator(seed)
+def noisy(n: int = 6, stagger: bool = False) -> BatchEnvironment:
+    source = generator()
     truth = make_truth("plant", system="cartpole", dt=TASK.dt, sensor_noise=1.0, generator=source)
     return BatchEnvironment(TASK, truth, n=n, generator=source, start=TASK.training, stagger=stagger)
 
@@ -184,7 +181,7 @@ def test_sensor_noise_has_the_standard_deviation_it_should() -> None:
 
 
 def test_reward_is_that_of_the_state_and_not_of_the_measurement() -> None:
-    true = noisy(0)
+    true = noisy()
     true.reset()
     action = torch.full((6, 1), 0.25)
     made = true.step(action)
@@ -233,7 +230,7 @@ def test_machine_that_leaves_the_finite_numbers_ends_its_episode_alone() -> None
 
 
 def test_staggered_machines_end_their_first_episodes_at_different_times() -> None:
-    machines = noisy(0, n=64, stagger=True)
+    machines = noisy(64, stagger=True)
     machines.reset()
     ends = torch.zeros(64, dtype=torch.long)
     for k in range(TASK.steps):

@@ -34,6 +34,11 @@ def ensemble(propagation: str = "fixed", dt: float = 0.02) -> GaussianEnsemble:
     return own
 
 
+def learned(model: Model, sensor_noise: float = 1.0, **more: Any) -> Any:
+    """Machines of a model that follow a policy's commands of 0.02 s."""
+    return make_learned(model, dt=0.02, sensor_noise=sensor_noise, generator=generator(), **more)
+
+
 def start(n: int) -> tuple[torch.Tensor, torch.Tensor]:
     x0 = TASK.training.draw(n, generator(1)).float()
     return x0, 50 * torch.rand(n, 20, 1, generator=generator(2)) - 25
@@ -44,7 +49,7 @@ def test_neural_ode_stepped_alone_is_the_path_that_it_samples(kind: str) -> None
     own = model(kind=kind, step="rk4")
     x0, u = start(3)
     path = own.sample(x0, u, dt=0.02, particles=1, generator=generator(), measurement=False)[0]
-    machines = make_learned(own, dt=0.02, sensor_noise=1.0, generator=generator())
+    machines = learned(own)
     machines.reset(x0)
     for k in range(20):
         machines.step(u[:, k])
@@ -58,7 +63,7 @@ def test_memory_of_an_effect_is_carried_from_sample_to_sample() -> None:
     u = 0.3 + 0.2 * torch.rand(2, 15, 6, generator=generator())
     # at rest under no command, as an environment starts, and not under the first one
     z0 = own.augment(x0, torch.zeros(2, 6))
-    machines = make_learned(own, dt=0.02, sensor_noise=0.0, generator=generator())
+    machines = learned(own, 0.0)
     machines.reset(x0)
     z = z0
     for k in range(15):
@@ -72,7 +77,7 @@ def test_disturbance_of_a_path_lasts_and_is_its_own() -> None:
     own = model("hexacopter", disturbance=True)
     x0 = torch.zeros(400, 13)
     x0[:, 6] = 1.0
-    machines = make_learned(own, dt=0.02, sensor_noise=0.0, generator=generator())
+    machines = learned(own, 0.0)
     machines.reset(x0)
     gusts = []
     for _ in range(3):
@@ -90,8 +95,8 @@ def test_sensor_noise_is_learned_noise_and_does_not_move_the_state() -> None:
     with torch.no_grad():
         own.log_measurement_std.fill_(-2.0)
     x0, _ = start(4000)
-    clean = make_learned(own, dt=0.02, sensor_noise=0.0, generator=generator())
-    noisy = make_learned(own, dt=0.02, sensor_noise=2.0, generator=generator())
+    clean = learned(own, 0.0)
+    noisy = learned(own, 2.0)
     assert torch.equal(clean.reset(x0), x0)
     error = noisy.reset(x0) - x0
     torch.testing.assert_close(error.std(0), torch.full((4,), 2 * 0.1353), rtol=0.05, atol=0)
@@ -105,7 +110,7 @@ def test_paths_of_machines_spread_as_those_that_a_model_samples(kind: str, withi
         own = model()
         fix_sigma(own, 0.3)
     x0, u = (part[:1].expand(4000, *part.shape[1:]) for part in start(1))
-    machines = make_learned(own, dt=0.02, sensor_noise=0.0, generator=generator())
+    machines = learned(own, 0.0)
     machines.reset(x0)
     for k in range(10):
         machines.step(u[:, k])
@@ -118,7 +123,7 @@ def test_paths_of_machines_spread_as_those_that_a_model_samples(kind: str, withi
 def test_machine_of_an_ensemble_keeps_its_member_until_its_episode_ends() -> None:
     own = ensemble()
     x0, u = start(40)
-    machines = make_learned(own, dt=0.02, sensor_noise=1.0, generator=generator())
+    machines = learned(own)
     machines.reset(x0)
     members = machines.members.clone()
     assert set(members.tolist()) == set(range(5))
@@ -137,9 +142,7 @@ def test_machine_of_an_ensemble_keeps_its_member_until_its_episode_ends() -> Non
 
 @pytest.mark.parametrize(("trained", "asked"), [("redrawn", None), ("fixed", "redrawn")])
 def test_redrawn_members_change_at_every_step(trained: str, asked: str | None) -> None:
-    machines = make_learned(
-        ensemble(trained), dt=0.02, sensor_noise=1.0, generator=generator(), propagation=asked
-    )
+    machines = learned(ensemble(trained), propagation=asked)
     x0, u = start(40)
     machines.reset(x0)
     seen = []
@@ -150,13 +153,15 @@ def test_redrawn_members_change_at_every_step(trained: str, asked: str | None) -
     assert not torch.equal(seen[1], seen[2])
 
 
-def test_ensemble_refuses_a_step_that_it_did_not_learn_and_members_are_for_ensembles() -> None:
+def test_what_a_model_cannot_do_is_refused() -> None:
+    with pytest.raises(ConfigError, match="sensor_noise"):
+        learned(model(), -1.0)
     with pytest.raises(ConfigError, match=r"system.dt=0\.02"):
-        make_learned(ensemble(dt=0.05), dt=0.02, sensor_noise=1.0, generator=generator())
+        learned(ensemble(dt=0.05))
     with pytest.raises(ConfigError, match="propagation"):
-        make_learned(model(), dt=0.02, sensor_noise=1.0, generator=generator(), propagation="fixed")
+        learned(model(), propagation="fixed")
     with pytest.raises(ConfigError, match="fixed or redrawn"):
-        make_learned(ensemble(), dt=0.02, sensor_noise=1.0, generator=generator(), propagation="both")
+        learned(ensemble(), propagation="both")
 
 
 def test_any_other_model_is_asked_for_one_step_at_a_time() -> None:
@@ -174,16 +179,8 @@ def test_any_other_model_is_asked_for_one_step_at_a_time() -> None:
 
 
 def test_episodes_in_a_model_run_through_to_the_next() -> None:
-    machines = BatchEnvironment(
-        TASK,
-        make_learned(
-            model(kind="blackbox_nsde", physics=False), dt=0.02, sensor_noise=1.0, generator=generator()
-        ),
-        n=8,
-        generator=generator(),
-        start=TASK.training,
-        stagger=True,
-    )
+    stepped, start = learned(model(kind="blackbox_nsde", physics=False)), TASK.training
+    machines = BatchEnvironment(TASK, stepped, n=8, generator=generator(), start=start, stagger=True)
     seen = machines.reset()
     ends = 0
     for _ in range(TASK.steps + 1):
@@ -192,8 +189,3 @@ def test_episodes_in_a_model_run_through_to_the_next() -> None:
         assert bool(torch.isfinite(made.observation).all())
         assert made.observation.dtype == seen.dtype == torch.float32
     assert ends >= 8
-
-
-def test_negative_noise_is_refused() -> None:
-    with pytest.raises(ConfigError, match="sensor_noise"):
-        make_learned(model(), dt=0.02, sensor_noise=-1.0, generator=generator())

@@ -142,9 +142,8 @@ def test_an_error_that_all_sensors_share_is_not_seen() -> None:
 def test_the_slow_error_of_a_poor_estimate_has_its_size_and_its_velocity_belongs_to_it() -> None:
     errors = SensorErrors(estimate=(0.2, 0.1, 0.45), estimate_time=0.5)
     estimator = SimulatedEstimator(std=(0.0,) * 4, seed=1, heading=0.0, errors=errors)
-    still = SimpleNamespace(
-        p=(0.0, 0.0, 1.0), v=(0.0,) * 3, q=(1.0, 0.0, 0.0, 0.0), w=(0.0,) * 3, dt=0.004, on_ground=False
-    )
+    rest = (0.0,) * 3
+    still = SimpleNamespace(p=(0.0, 0.0, 1.0), v=rest, q=(1.0, *rest), w=rest, dt=0.004, on_ground=False)
     rows = [estimator.sense(still)[:2] for _ in range(100_000)]  # type: ignore[arg-type]
     p, v = np.array(rows).swapaxes(0, 1)
     assert np.sqrt(np.mean((p - still.p) ** 2, 0)) == pytest.approx([0.1, 0.2, 0.45], rel=0.25)  # ENU
@@ -164,9 +163,8 @@ HIGH = PathPoints(shapes.hover(duration=2.5, height=1.5))
 
 
 def _state(stamp: float, *, yaw: float = 0.0, resets: int = 0, **more: tuple[float, ...]) -> VehicleState:
-    still = VehicleState(
-        stamp, stamp, stamp, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.5)
-    )
+    moving = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.5)
+    still = VehicleState(stamp, stamp, stamp, *moving)
     return replace(still, q=from_rotation_vector((0.0, 0.0, yaw)), resets=resets, **more)  # type: ignore[arg-type]
 
 
@@ -185,9 +183,7 @@ def test_the_step_is_what_motion_does_not_explain() -> None:
     assert step_between(first, first) is None
 
 
-def test_the_simulated_heading_is_wrong_below_a_metre_and_a_half_and_is_reset_there_once_in_each_flight() -> (
-    None
-):
+def test_the_simulated_heading_is_wrong_below_a_metre_and_a_half_and_reset_there_once_a_flight() -> None:
     body = Body("quadrotor", seed=0, process_noise=0.0)
     estimator = SimulatedEstimator(std=(0.0, 0.0, 0.0, 0.0), seed=3)
     sizes = []

@@ -20,11 +20,8 @@ from tests.helpers.px4_world import World
 
 def test_a_flight_is_read_back_as_a_run_with_states_motors_and_setpoints(tmp_path: Path) -> None:
     world = World(path=PathPoints(shapes.hover(duration=2.0, height=1.0)))
-    world.body.p = (
-        40.0,
-        -7.0,
-        0.0,
-    )  # PX4 counts from where it was switched on, a log from the place of take-off
+    # PX4 counts from where it was switched on, a log from the place of take-off
+    world.body.p = (40.0, -7.0, 0.0)
     with FlightLog(tmp_path / "log" / "flight_0.csv", 4) as log:
         recorder = Recorder(world.flight, log)
         world.run(lambda w: recorder.look(w.now))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, pi, sin, sqrt
+from math import cos, degrees, pi, sin, sqrt
 
 import numpy as np
 import pytest
@@ -11,49 +11,36 @@ from nsde_torch.data.quaternion import attitude_to_enu, swap_body, swap_world
 from nsde_torch.px4.link import frames
 from nsde_torch.px4.link.vectors import Quat, Vec, normalised, rotate, rotate_back, yaw_of
 
-S = sqrt(0.5)
 
-
-@pytest.mark.parametrize(
-    ("ned", "enu"),
-    [
-        ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
-        ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0)),
-        ((0.0, 0.0, 1.0), (0.0, 0.0, -1.0)),
-    ],
-)
-def test_north_is_y_east_is_x_down_is_minus_z(ned: Vec, enu: Vec) -> None:
-    assert frames.world(ned) == enu
-    assert frames.world(enu) == ned
-
-
-def test_right_is_minus_y_of_the_body_and_down_is_minus_z() -> None:
+def test_north_is_y_east_is_x_down_is_minus_z_and_so_is_it_in_the_body() -> None:
+    assert frames.world((1.0, 2.0, 3.0)) == (2.0, 1.0, -3.0)
     assert frames.body((1.0, 2.0, 3.0)) == (1.0, -2.0, -3.0)
 
 
+S, C30, S30, C20, S20 = sqrt(0.5), cos(pi / 6), sin(pi / 6), cos(pi / 9), sin(pi / 9)
+
+
 @pytest.mark.parametrize(
-    ("what", "ned", "enu"),
+    ("what", "ned", "enu", "heading"),
     [
-        ("level, nose north: heading +90 deg from east", (1.0, 0.0, 0.0, 0.0), (S, 0.0, 0.0, S)),
-        ("level, nose east", (S, 0.0, 0.0, S), (1.0, 0.0, 0.0, 0.0)),
-        ("level, nose west: NED yaw -90 deg, ENU 180 deg", (S, 0.0, 0.0, -S), (0.0, 0.0, 0.0, 1.0)),
-        # nose east, rolled right by 60 deg about the nose: the roll is +60 deg about x in both body frames
+        ("level, nose north: heading +90 deg from east", (1.0, 0.0, 0.0, 0.0), (S, 0.0, 0.0, S), 90.0),
+        ("level, nose east", (S, 0.0, 0.0, S), (1.0, 0.0, 0.0, 0.0), 0.0),
+        ("level, nose west: NED yaw -90 deg, ENU 180 deg", (S, 0.0, 0.0, -S), (0.0, 0.0, 0.0, 1.0), 180.0),
+        # rolled about the nose: the roll is +60 deg about x in both body frames
         (
             "nose east, right wing down 60 deg",
-            (S * cos(pi / 6), S * sin(pi / 6), S * sin(pi / 6), S * cos(pi / 6)),
-            (cos(pi / 6), sin(pi / 6), 0.0, 0.0),
+            (S * C30, S * S30, S * S30, S * C30),
+            (C30, S30, 0.0, 0.0),
+            0.0,
         ),
-        # nose east, nose up by 40 deg: +40 deg about y in FRD, -40 deg about y in FLU
-        (
-            "nose east, nose up 40 deg",
-            (S * cos(pi / 9), -S * sin(pi / 9), S * sin(pi / 9), S * cos(pi / 9)),
-            (cos(pi / 9), 0.0, -sin(pi / 9), 0.0),
-        ),
+        # +40 deg about y in FRD, -40 deg about y in FLU
+        ("nose east, nose up 40 deg", (S * C20, -S * S20, S * S20, S * C20), (C20, 0.0, -S20, 0.0), 0.0),
     ],
 )
-def test_attitudes_worked_by_hand(what: str, ned: Quat, enu: Quat) -> None:
+def test_attitudes_worked_by_hand(what: str, ned: Quat, enu: Quat, heading: float) -> None:
     assert frames.attitude(ned) == pytest.approx(enu, abs=1e-12), what
     assert frames.attitude(enu) == pytest.approx(ned, abs=1e-12), what
+    assert degrees(yaw_of(enu)) == pytest.approx(heading, abs=1e-9), what
 
 
 def test_a_vector_comes_out_the_same_by_both_ways_round() -> None:
@@ -69,13 +56,9 @@ def test_a_vector_comes_out_the_same_by_both_ways_round() -> None:
 
 def test_flights_and_logs_are_converted_alike() -> None:
     rng = np.random.default_rng(1)
-    q = rng.normal(size=4)
-    q /= np.linalg.norm(q)
-    v = rng.normal(size=3)
-    assert abs(np.dot(attitude_to_enu(q), frames.attitude(tuple(q)))) == pytest.approx(1.0)
-    assert frames.world(tuple(v)) == pytest.approx(tuple(swap_world(v)))
-    assert frames.body(tuple(v)) == pytest.approx(tuple(swap_body(v)))
-
-
-def test_heading_north_is_ninety_degrees() -> None:
-    assert yaw_of(frames.attitude((1.0, 0.0, 0.0, 0.0))) == pytest.approx(pi / 2)
+    q, v = rng.normal(size=(20, 4)), rng.normal(size=(20, 3))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    flown = np.array([frames.attitude(tuple(row)) for row in q])
+    np.testing.assert_allclose(np.abs((attitude_to_enu(q) * flown).sum(1)), 1.0)
+    np.testing.assert_allclose([frames.world(tuple(row)) for row in v], swap_world(v))
+    np.testing.assert_allclose([frames.body(tuple(row)) for row in v], swap_body(v))

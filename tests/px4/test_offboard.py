@@ -40,6 +40,13 @@ def test_the_supplements_circle_is_flown_within_a_quarter_of_a_metre_at_its_spee
     assert world.rmse < 0.25
 
 
+def _to_the_end(world: World) -> World:
+    """Runs until the flight is over, wherever the vehicle is then."""
+    while not world.flight.done:
+        world.tick()
+    return world
+
+
 @pytest.mark.parametrize(("come_back", "left"), [(True, 0.0), (False, 2.0)])
 def test_a_flight_lands_where_its_reference_ends_or_where_it_took_off(come_back: bool, left: float) -> None:
     path = PathPoints(waypoints([[0.0, 0.0, 1.0], [2.0, 0.0, 0.6]], times=[0.0, 3.0]))
@@ -66,12 +73,11 @@ def test_hover_throttle_is_learned_from_a_wrong_parameter() -> None:
 
 
 def test_a_line_with_delays_and_losses_in_both_directions_is_good_enough() -> None:
-    world = World(
-        path=PathPoints(shapes.hover(duration=3.0, height=1.0)),
-        down=delayed(0.0, 0.03),
-        up=lossy(0.05, seed=3),
-        seed=2,
-    ).run()
+    path, lines = (
+        PathPoints(shapes.hover(duration=3.0, height=1.0)),
+        (delayed(0.0, 0.03), lossy(0.05, seed=3)),
+    )
+    world = World(path=path, down=lines[0], up=lines[1], seed=2).run()
     assert world.flown, world.says
 
 
@@ -141,9 +147,7 @@ def test_an_armed_vehicle_is_left_alone_and_only_on_the_ground_it_is_to_be_disar
         world.body.p, world.body.on_ground = (0.0, 0.0, 2.0), False
         world.vehicle.estimate = (world.body.p, *world.vehicle.estimate[1:])
         world.vehicle.set_mode(d.POSITION)
-    while not world.flight.done:
-        world.tick()
-    said = world.trouble.text
+    said = _to_the_end(world).trouble.text
     assert "armed already" in said
     assert ("on the ground: disarm it" in said) != flies
     assert ("do not disarm it. Take it over" in said) == flies
@@ -171,9 +175,8 @@ def test_what_may_be_flying_is_to_be_taken_over_and_landed_and_never_disarmed(
     world = World().until(Phase.STREAM)
     status = replace(world.endpoint.telemetry.status, armed=armed, landed=landed)
     moving = replace(world.endpoint.state, v=(speed, 0.0, 0.0))
-    found = preflight.faults(
-        world.endpoint, status, moving, world.path, Limits(), options=world.options, now=world.now
-    )
+    given = (world.endpoint, status, moving, world.path, Limits())
+    found = preflight.faults(*given, options=world.options, now=world.now)
     told = [line for line in found if line.startswith("the vehicle is")]
     assert len(told) == (said is not None)
     if said is not None:
@@ -181,20 +184,17 @@ def test_what_may_be_flying_is_to_be_taken_over_and_landed_and_never_disarmed(
         assert "disarm it" not in told[0].replace("do not disarm it", "") or landed == d.ON_GROUND
 
 
-def _left_in_hold(options: FlightOptions | None = None) -> World:
+def _left_in_hold() -> World:
     """A vehicle in the air whose flight was ended by somebody who chose HOLD, and a flight that takes it over."""
     world = World(path=PathPoints(shapes.hover(duration=2.0, height=1.0))).until(Phase.TRACK, 1.0)
     world.flight.options = replace(world.options, watch=0.5)
     world.vehicle.set_mode(d.HOLD)
-    while not world.flight.done:
-        world.tick()
-    world.flight = Offboard(
-        world.endpoint,
+    _to_the_end(world)
+    runner, takeover = (
         Inline(CascadeController(world.path)),
-        world.path,
-        options=options or replace(world.options, takeover=True, checks=1.0),
-        say=world.says.append,
+        replace(world.options, takeover=True, checks=1.0),
     )
+    world.flight = Offboard(world.endpoint, runner, world.path, options=takeover, say=world.says.append)
     return world
 
 
@@ -238,17 +238,14 @@ def test_only_a_vehicle_in_the_air_that_nobody_flies_is_taken_over(what: str, sa
     else:
         world = World(options=FlightOptions(takeover=True, checks=1.0))
     flown = len(world.setpoints)
-    while not world.flight.done:
-        world.tick()
-    assert said in world.trouble.text
+    assert said in _to_the_end(world).trouble.text
     assert len(world.setpoints) == flown
 
 
 def test_a_mode_that_is_chosen_before_the_takeover_is_left_alone() -> None:
     world = _left_in_hold().until(Phase.STREAM, 0.1)
     world.vehicle.set_mode(d.POSITION)
-    while not world.flight.done:
-        world.tick()
+    _to_the_end(world)
     assert world.vehicle.mode == d.POSITION
     assert "the operator chose POSITION" in world.trouble.text
 

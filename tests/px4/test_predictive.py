@@ -40,16 +40,18 @@ from nsde_torch.systems import make_plant_system
 
 HOVERING = ((-1.0, Demand((0.0, 0.0, 0.0), 9.81)),)
 PERIOD = 0.02
+LONG: dict[str, Any] = {
+    "problem": ProblemOptions(horizon=0.5, steps=10), "solver": SolverOptions(compile="off", iterations=4)
+}  # fmt: skip
+SHORT: dict[str, Any] = {
+    "problem": ProblemOptions(horizon=0.4, steps=3), "solver": SolverOptions(compile="off", iterations=1)
+}  # fmt: skip
+"""What controllers are made with."""
 
 
 @pytest.fixture(scope="module")
 def controller() -> Controller:
-    system = make_plant_system("quadrotor", declared_only=True)
-    return Controller(
-        system,
-        problem=ProblemOptions(horizon=0.5, steps=10),
-        solver=SolverOptions(compile="off", iterations=4),
-    )
+    return Controller(make_plant_system("quadrotor", declared_only=True), **LONG)
 
 
 def _row(
@@ -88,11 +90,8 @@ def test_a_state_is_carried_forward_over_the_delay_by_what_was_asked_for() -> No
 
 
 def test_a_state_that_is_carried_forward_is_braked_as_the_model_says() -> None:
-    system = make_plant_system(
-        "quadrotor", effects=[{"linear_drag": {"drag": [1.0, 0.5, 0.2]}}], declared_only=True
-    )
-    problem, solver = ProblemOptions(horizon=0.4, steps=3), SolverOptions(compile="off", iterations=1)
-    drag = braking(Controller(system, problem=problem, solver=solver))
+    effects = [{"linear_drag": {"drag": [1.0, 0.5, 0.2]}}]
+    drag = braking(Controller(make_plant_system("quadrotor", effects=effects, declared_only=True), **SHORT))
     # nose north: the body's x is the world's y
     row = (0.0, 0.0, 1.5, 0.0, 3.0, 0.0, cos(0.25 * pi), 0.0, 0.0, sin(0.25 * pi), 0.0, 0.0, 0.0)
     after = carried(row, 10.0, 0.1, HOVERING, delay=0.1, drag=drag)
@@ -101,14 +100,9 @@ def test_a_state_that_is_carried_forward_is_braked_as_the_model_says() -> None:
 
 
 def _flown(planner: Planner, path: FlightPath) -> FlightReport:
-    return fly_simulated(
-        Body("quadrotor", seed=0, latency=0.02),
-        PredictiveController(planner, Reference(path)),
-        PathPoints(path),
-        seed=0,
-        period=0.1,
-        options=FlightOptions(height=1.0, climb=1.2, hold=0.3, idle=0.4, spool=0.4),
-    )
+    options = FlightOptions(height=1.0, climb=1.2, hold=0.3, idle=0.4, spool=0.4)
+    body, made = Body("quadrotor", seed=0, latency=0.02), PredictiveController(planner, Reference(path))
+    return fly_simulated(body, made, PathPoints(path), seed=0, period=0.1, options=options)
 
 
 @pytest.mark.slow
@@ -117,24 +111,14 @@ def test_a_machine_that_follows_late_is_held_in_its_place_and_by_a_file_as_by_it
 ) -> None:
     path = shapes.hover(duration=1.0, height=1.0)
     known = make_plant_system("quadrotor", declared_only=True)
-    problem, solver = ProblemOptions(horizon=0.4, steps=3), SolverOptions(compile="off", iterations=1)
-    report = _flown(Controller(known, problem=problem, solver=solver), path)
+    report = _flown(Controller(known, **SHORT), path)
     assert report.outcome.tracked
     assert report.outcome.landed
     assert report.rmse is not None
     assert report.rmse < 0.1
     file = tmp_path / "controller.ts"
-    export(
-        known,
-        file,
-        problem=problem,
-        solver=solver,
-        safety=SafetyOptions(),
-        sample=0.01,
-        period=0.1,
-        latency=0.0,
-        dtype=torch.float64,
-    )
+    times = {"sample": 0.01, "period": 0.1, "latency": 0.0}
+    export(known, file, **SHORT, **times, safety=SafetyOptions(), dtype=torch.float64)
     by_file = _flown(ExportedController(file), path)
     assert by_file.outcome.tracked
     assert by_file.rmse == pytest.approx(report.rmse, rel=0.02)
@@ -200,14 +184,8 @@ def test_the_slowest_plans_of_the_warm_up_decide_and_not_the_median(
         return DemandPlan(time, 0.05, (Demand((0.0, 0.0, 0.0), 9.81),), solve_ms=400.0 if late else 3.0)
 
     monkeypatch.setattr(PredictiveMaker, "_made", lambda *args: plan)
-    maker = PredictiveMaker(
-        run="declared",
-        system="quadrotor",
-        path=shapes.lemniscate(duration=24.0),
-        problem=ProblemOptions(horizon=0.5, steps=10),
-        solver=SolverOptions(compile="off", iterations=4),
-        safety=SafetyOptions(),
-    )
+    path, safety = shapes.lemniscate(duration=24.0), SafetyOptions()
+    maker = PredictiveMaker(run="declared", system="quadrotor", path=path, safety=safety, **LONG)
     said: list[str] = []
     if refused:
         with pytest.raises(ConfigError, match="one plan in 20 takes 400 ms or longer, half of them 3 ms"):
@@ -220,19 +198,11 @@ def test_the_slowest_plans_of_the_warm_up_decide_and_not_the_median(
 
 
 def test_a_model_that_learned_the_lag_of_the_motors_is_flown_without_it_and_stays_as_it_was() -> None:
-    learned = make_plant_system("quadrotor", effects=["motor_lag", "linear_drag"], declared_only=True)
-    given = {
-        "step": "rk4",
-        "system": "quadrotor",
-        "effects": ["motor_lag", "linear_drag"],
-        "dt": 0.01,
-        "horizon": 5,
-    }
-    models = [
-        make_model(make_spec({"kind": kind, **given}), generator=torch.Generator())
-        for kind in ("nsde", "sysid")
-    ]
-    for known in (learned, *models):
+    effects = ["motor_lag", "linear_drag"]
+    given = {"step": "rk4", "system": "quadrotor", "effects": effects, "dt": 0.01, "horizon": 5}
+    specs = [make_spec({"kind": kind, **given}) for kind in ("nsde", "sysid")]
+    models = [make_model(spec, generator=torch.Generator()) for spec in specs]
+    for known in (make_plant_system("quadrotor", effects=effects, declared_only=True), *models):
         flown = without_covered(known)
         assert system_of(flown).effect_names == ("linear_drag",)
         assert system_of(known).effect_names == ("motor_lag", "linear_drag")
@@ -242,9 +212,7 @@ def test_a_model_that_learned_the_lag_of_the_motors_is_flown_without_it_and_stay
 def test_a_controller_that_knows_the_lag_which_the_delay_makes_up_for_is_refused() -> None:
     """It flew a quadrotor half a metre beside its path."""
     late = make_plant_system("quadrotor", effects=["motor_lag"], declared_only=True)
-    made = Controller(
-        late, problem=ProblemOptions(horizon=0.5, steps=10), solver=SolverOptions(compile="off", iterations=4)
-    )
+    made = Controller(late, **LONG)
     with pytest.raises(ConfigError, match=r"motor_lag, which `delay` makes up for.*run=DIR"):
         PredictiveController(made, Reference(shapes.hover()))
 

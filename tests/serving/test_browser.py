@@ -161,9 +161,8 @@ def test_a_sample_log_is_diagnosed_and_two_diagnoses_are_compared(screen: Screen
         screen.until("#kept li[aria-current]")
     logs = sorted(screen.folder.glob("*/logs/*.csv"))
     assert len(logs) == 8
-    runs = nsde_torch.read(
-        logs[0].parent, system="mass_spring_damper"
-    )  # all checks of columns, units and times
+    # all checks of columns, units and times
+    runs = nsde_torch.read(logs[0].parent, system="mass_spring_damper")
     assert (len(runs.runs), runs.dt) == (4, 0.01)
     screen.press("Compare")
     head, first, *_ = screen.until("#comparison").text.splitlines()[1:]

@@ -11,8 +11,6 @@ from nsde_torch.cli.serving.shelf import FORMATS, file_names
 from nsde_torch.data.readers import READERS
 from tests.serving.conftest import Page, Played
 
-SPRING = "mass_spring_damper"
-
 
 def test_every_format_of_the_package_but_pickles_is_taken() -> None:
     every = {suffix for reader in READERS.values() for suffix in reader.suffixes} | {".csv"}

@@ -100,9 +100,8 @@ def test_a_wind_blows_against_the_drag_that_the_machine_has() -> None:
 def test_a_loss_of_single_motors_may_be_written_with_zeros() -> None:
     loss = [0.1, 0, 0, 0, 0, 0]
     made = short("hexacopter", effects=[{"motor_efficiency_loss": {"loss": loss}}])
-    assert made.truth["effects"]["motor_efficiency_loss"]["parameters"]["loss"] == pytest.approx(
-        loss, abs=1e-5
-    )
+    held = made.truth["effects"]["motor_efficiency_loss"]["parameters"]["loss"]
+    assert held == pytest.approx(loss, abs=1e-5)
     with pytest.raises(ConfigError, match=r"above -0\.3 and below 1"):
         short("hexacopter", effects=[{"motor_efficiency_loss": {"loss": [-0.4, 0, 0, 0, 0, 0]}}])
 

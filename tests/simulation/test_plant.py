@@ -36,11 +36,16 @@ def hover(batch: int = 1, motors: int = 6) -> Tensor:
     return torch.full((batch, motors), (9.81 + 1.0) / (6 * 4.6), dtype=torch.float64)
 
 
+def after(plant: Plant, u: Tensor, samples: int) -> Tensor:
+    """What is measured after so many samples under one command."""
+    x = after(plant, u, samples)
+    return x
+
+
 def test_hover_command_holds_the_hexacopter() -> None:
     plant = quiet()
     plant.reset(level(), hover())
-    for _ in range(300):
-        x = plant.step(hover())
+    x = after(plant, hover(), 300)
     torch.testing.assert_close(x, level(), rtol=0, atol=1e-5)
 
 
@@ -48,8 +53,7 @@ def test_without_thrust_it_falls_freely() -> None:
     plant = quiet(declared_only=True)
     at_rest = torch.full((1, 6), 1.0 / (6 * 4.6), dtype=torch.float64)  # thrust_offset is -1 m/s2
     plant.reset(level(), at_rest)
-    for _ in range(100):
-        x = plant.step(at_rest)
+    x = after(plant, at_rest, 100)
     assert x[0, 2].item() == pytest.approx(-0.5 * 9.81, rel=1e-6)
     assert x[0, 5].item() == pytest.approx(-9.81, rel=1e-6)
 
@@ -59,8 +63,7 @@ def test_speed_under_linear_drag_decays_to_zero_as_in_closed_form() -> None:
     start = level()
     start[0, 3] = 2.0
     plant.reset(start, hover())
-    for _ in range(300):
-        x = plant.step(hover())
+    x = after(plant, hover(), 300)
     assert x[0, 3].item() == pytest.approx(2.0 * exp(-0.5 * 3.0), rel=1e-5)
     assert x[0, 0].item() == pytest.approx(2.0 * (1.0 - exp(-0.5 * 3.0)) / 0.5, rel=1e-5)
 
@@ -142,8 +145,7 @@ def test_the_coarse_step_of_the_flights_is_fine_enough() -> None:
 def test_a_spring_swings_as_in_closed_form() -> None:
     plant = quiet("mass_spring_damper")
     plant.reset(torch.tensor([[0.1, 0.0]]), torch.zeros(1, 1))
-    for _ in range(500):
-        x = plant.step(torch.zeros(1, 1))
+    x = after(plant, torch.zeros(1, 1), 500)
     w = sqrt(1.0 - 0.25**2)
     t = torch.tensor(5.0, dtype=torch.float64)
     expected = 0.1 * torch.exp(-0.25 * t) * (torch.cos(w * t) + 0.25 / w * torch.sin(w * t))
@@ -161,8 +163,7 @@ def test_a_frictionless_cartpole_keeps_its_energy() -> None:
 
     x = plant.reset(torch.tensor([[0.0, 0.5, 2.0, 1.0]]), torch.zeros(1, 1))
     before = energy(x)
-    for _ in range(200):
-        x = plant.step(torch.zeros(1, 1))
+    x = after(plant, torch.zeros(1, 1), 200)
     assert energy(x) == pytest.approx(before, rel=1e-6)
 
 
@@ -181,15 +182,10 @@ def test_gusts_have_the_variance_and_the_correlation_time_of_their_process() -> 
 
 @pytest.mark.parametrize("dt", [0.02, 0.005])
 def test_white_gusts_give_the_same_spread_of_velocity_at_any_sample(dt: float) -> None:
-    plant = Plant(
-        make_system("mass_spring_damper", declared=[]),
-        dt=dt,
-        generator=generator(5),
-        gusts={Port.FORCE: Gust(white=(0.3,))},
-    )
+    spring, gusts = make_system("mass_spring_damper", declared=[]), {Port.FORCE: Gust(white=(0.3,))}
+    plant = Plant(spring, dt=dt, generator=generator(5), gusts=gusts)
     plant.reset(torch.zeros(20000, 2), torch.zeros(20000, 1))
-    for _ in range(round(0.4 / dt)):
-        x = plant.step(torch.zeros(20000, 1))
+    x = after(plant, torch.zeros(20000, 1), round(0.4 / dt))
     assert x[:, 1].std().item() == pytest.approx(0.3 * sqrt(0.4), rel=0.03)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,10 +24,8 @@ QUIET = {"process_noise": 0.0, "sensor_noise": 0.0}
 def test_a_plant_resumes_with_its_memory_its_latency_and_its_clock() -> None:
     effects = {"thrust_sag": {"rate": 0.02}}
     g = torch.Generator().manual_seed(0)
-    plants = [
-        make_plant("quadrotor", generator=g, effects=effects, latency=0.025, step=0.005, **QUIET)
-        for _ in "ab"
-    ]
+    late = {"effects": effects, "latency": 0.025, "step": 0.005, **QUIET}
+    plants = [make_plant("quadrotor", generator=g, **late) for _ in "ab"]
     x = torch.zeros(2, 13, dtype=torch.float64)
     x[:, 6] = 1.0
     commands = 0.4 + 0.1 * torch.rand(60, 2, 4, generator=g, dtype=torch.float64)
@@ -45,9 +44,7 @@ def test_a_plant_resumes_with_its_memory_its_latency_and_its_clock() -> None:
 
 @pytest.mark.slow
 def test_commands_of_the_same_time_fly_the_same_flight(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        replay, "_drawn", lambda flights, count, *_: ([(0, 80), (1, 300)], [(0, 80), (1, 300)])
-    )
+    monkeypatch.setattr(replay, "_drawn", lambda *_: ([(0, 80), (1, 300)], [(0, 80), (1, 300)]))
     settings = {"seed": 1, "durations": [6.0, 5.0], "variants": 12, "rounds": 1, "making": Making(**QUIET)}
     flights = chosen_flights("hexacopter", **settings)
     found = replay.replayed_flights("hexacopter", replay=Replay(2), **settings)
@@ -100,14 +97,23 @@ def test_gusts_are_drawn_anew_in_their_stationary_law() -> None:
     np.testing.assert_allclose(push.std(0).numpy(), expected, rtol=0.05)
 
 
-def test_what_has_no_interventions_is_refused_by_name() -> None:
-    with pytest.raises(
-        ConfigError, match=r"'cartpole' is not flown; it takes hexacopter, quadrotor.*policy=random"
-    ):
-        simulate("cartpole", seed=0, replay=Replay())
-    with pytest.raises(ConfigError, match=r"`replay.duration` must be a sample of 0.01 s or longer; got 0.0"):
-        simulate("hexacopter", seed=0, replay=Replay(duration=0.0))
-    with pytest.raises(ConfigError, match=r"`recording.input_smoothing` do not go together"):
-        simulate("hexacopter", seed=0, replay=Replay(), recording=Recording(input_smoothing=0.1))
-    with pytest.raises(ConfigError, match="too short for 50 rows before"):
-        simulate("hexacopter", seed=0, replay=Replay(duration=6.0), **SHORT)
+@pytest.mark.parametrize(
+    ("system", "given", "said"),
+    [
+        ("cartpole", {}, r"'cartpole' is not flown; it takes hexacopter, quadrotor.*policy=random"),
+        (
+            "hexacopter",
+            {"replay": Replay(duration=0.0)},
+            r"`replay.duration` must be a sample of 0.01 s or longer",
+        ),
+        (
+            "hexacopter",
+            {"recording": Recording(input_smoothing=0.1)},
+            "`recording.input_smoothing` do not go",
+        ),
+        ("hexacopter", {"replay": Replay(duration=6.0), **SHORT}, "too short for 50 rows before"),
+    ],
+)
+def test_what_has_no_interventions_is_refused_by_name(system: str, given: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        simulate(system, **{"seed": 0, "replay": Replay(), **given})

@@ -181,15 +181,11 @@ def test_structure_follows_the_options_that_were_given(runs: Path) -> None:
 @pytest.mark.parametrize(
     ("given", "named"),
     [
-        ({"model": "nsd"}, "`model`"),
-        ({"loss": "crps"}, "`loss`"),
-        ({"trainer": "slow"}, "`trainer`"),
-        ({"solver": "eulr"}, "solver"),
-        ({"dtype": "float16"}, "`dtype`"),
-        ({"effects": "coulomb_fiction"}, "coulomb_fiction"),
-        ({"parameters": {"mas": 1.0}}, "mas"),
+        ({"model": "nsd"}, "`model`"), ({"loss": "crps"}, "`loss`"), ({"trainer": "slow"}, "`trainer`"),
+        ({"solver": "eulr"}, "solver"), ({"dtype": "float16"}, "`dtype`"),
+        ({"effects": "coulomb_fiction"}, "coulomb_fiction"), ({"parameters": {"mas": 1.0}}, "mas"),
     ],
-)
+)  # fmt: skip
 def test_a_wrong_choice_is_named(given: dict[str, Any], named: str, runs: Path) -> None:
     with pytest.raises(ConfigError, match=named):
         nsde_torch.train(runs, system=SYSTEM, say=silent, **given)

@@ -153,13 +153,10 @@ def test_shuffled_rows_and_two_runs_in_one_file_are_not_in_the_order_of_time(
 @pytest.mark.parametrize(
     ("system", "names"),
     [
-        (SPRING, ("q", "q_dot")),
-        (SPRING, ("q_dot", "force")),
-        (CART, ("x", "theta")),
-        (CART, ("theta", "theta_dot")),
+        (SPRING, ("q", "q_dot")), (SPRING, ("q_dot", "force")), (CART, ("x", "theta")), (CART, ("theta", "theta_dot")),
         (QUAD, ("p_y", "v_y")),
     ],
-)
+)  # fmt: skip
 def test_columns_that_are_exchanged_are_named(tmp_path: Path, system: str, names: tuple[str, str]) -> None:
     sound = SOUND[system]()
     found, said = asked(tmp_path, order(sound, *names), system)
@@ -211,14 +208,11 @@ def test_units_and_signs_of_one_column_are_named_by_both(
 @pytest.mark.parametrize(
     ("system", "options"),
     [
-        (SPRING, {"size": 1e-4}),
-        (SPRING, {"stiffness": 400.0, "dt": 0.002}),
-        (SPRING, {"size": 1e3, "stiffness": 0.5, "dt": 0.05}),
-        (SPRING, {"stiffness": 1.0, "dt": 0.2}),
-        (CART, {}),
+        (SPRING, {"size": 1e-4}), (SPRING, {"stiffness": 400.0, "dt": 0.002}),
+        (SPRING, {"size": 1e3, "stiffness": 0.5, "dt": 0.05}), (SPRING, {"stiffness": 1.0, "dt": 0.2}), (CART, {}),
         (QUAD, {}),
     ],
-)
+)  # fmt: skip
 def test_what_is_sound_is_not_suspected_of_whatever_size(
     tmp_path: Path, system: str, options: dict[str, float]
 ) -> None:

@@ -23,14 +23,9 @@ def nsde(tmp_path: Path) -> Nsde:
 
     def run(*words: str, **env: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            [sys.executable, "-m", "nsde_torch.cli", *words],
-            capture_output=True,
-            text=True,
-            cwd=tmp_path,
-            env={**os.environ, **env},
-            timeout=120,
-            check=False,
-        )
+            [sys.executable, "-m", "nsde_torch.cli", *words], capture_output=True, text=True, cwd=tmp_path,
+            env={**os.environ, **env}, timeout=120, check=False,
+        )  # fmt: skip
 
     return run
 

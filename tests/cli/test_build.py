@@ -87,13 +87,9 @@ def _configuration(*words: str) -> Any:
 def _spec(config: Any) -> Any:
     machine = build.system(config.system)
     return model_spec(
-        build.model_options(config.model),
-        build.system_options(config.system),
-        machine,
-        _still(machine),
-        loss=config.loss.kind,
-        integrator=build.integrator(config.solver),
-    )
+        build.model_options(config.model), build.system_options(config.system), machine, _still(machine),
+        loss=config.loss.kind, integrator=build.integrator(config.solver),
+    )  # fmt: skip
 
 
 def _losses(*words: str) -> LossOptions:

@@ -104,15 +104,11 @@ def _open(folder: Path = Path("out/diagnosis"), **changed: Any) -> None:
     finding = {"name": "linear_drag", "kind": "effect", "sentence": "There is drag.", "lead": False}
     content = {
         **{
-            "verdict": "effect_found",
-            "findings": [finding],
-            "not_shown": [],
-            "ranking": [],
-            "parameters": {},
+            "verdict": "effect_found", "findings": [finding], "not_shown": [], "ranking": [], "parameters": {},
         },
         "ties": [{"effects": ["linear_drag", "quadratic_drag"], "experiment": ""}],
         "data": {"runs": ["flight_0"], "clock_scale": 1.0},
-    }
+    }  # fmt: skip
     (folder / "diagnosis.json").write_text(json.dumps(content | changed))
 
 

@@ -106,15 +106,11 @@ def test_an_effects_file_that_cannot_be_used_says_why(content: str | None, messa
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["alpha=0"], "`alpha`"),
-        (["alpha=0.9"], "`alpha`"),
-        (["max_effects=-1"], "`max_effects`"),
-        (["candidates=[coulomb_fiction]"], "coulomb_fiction"),
-        (["candidates=[linear_drag]"], "linear_drag"),
-        (["data.path=nowhere"], "nowhere"),
-        (["alhpa=0.01"], "alhpa"),
+        (["alpha=0"], "`alpha`"), (["alpha=0.9"], "`alpha`"), (["max_effects=-1"], "`max_effects`"),
+        (["candidates=[coulomb_fiction]"], "coulomb_fiction"), (["candidates=[linear_drag]"], "linear_drag"),
+        (["data.path=nowhere"], "nowhere"), (["alhpa=0.01"], "alhpa"),
     ],
-)
+)  # fmt: skip
 def test_a_fault_of_the_user_is_named(words: list[str], message: str, runs: Path, refused: Said) -> None:
     common = [SYSTEM, "data=csv", f"data.path={runs}", "retrain=false", "out_dir=out"]
     assert message in refused("diagnose", *common, *words)

@@ -90,12 +90,9 @@ def test_it_ends_in_time_with_what_is_known_and_is_no_failure(
 def test_a_signal_ends_it_with_what_is_known(words: list[str], tmp_path: Path, sent: signal.Signals) -> None:
     out = tmp_path / "out"
     process = subprocess.Popen(
-        [sys.executable, "-m", "nsde_torch.cli", *words, f"out_dir={out}"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "MPLBACKEND": "Agg"},
-    )
+        [sys.executable, "-m", "nsde_torch.cli", *words, f"out_dir={out}"], stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True, env={**os.environ, "MPLBACKEND": "Agg"},
+    )  # fmt: skip
     end = time.monotonic() + 120
     while not ((out / RESULT).is_file() and json.loads((out / RESULT).read_text())["added"]):
         assert process.poll() is None

@@ -45,14 +45,10 @@ def joined(first: Run, then: np.ndarray) -> Run:
     ids=[
         *("itself", "another name and clock", "its beginning", "a tenth of it", "its end", "another step"),
         *(
-            "other inputs",
-            "a recording that holds it",
-            "another run",
-            "a namesake",
-            "another from its first state",
+            "other inputs", "a recording that holds it", "another run", "a namesake", "another from its first state",
         ),
     ],
-)
+)  # fmt: skip
 def test_a_training_run_is_found_in_what_holds_some_of_it_and_in_nothing_else(run: Run, found: str) -> None:
     assert SEEN.match(run) == found
 

@@ -356,13 +356,10 @@ def test_a_jump_of_the_autopilots_clock_ends_well(by: float) -> None:
 @pytest.mark.parametrize(
     ("line", "flown"),
     [
-        (doubled(0.05), True),
-        (delayed(0.0, 0.015, seed=1), True),
-        (corrupted(0.1, seed=2), True),
-        (lossy(0.2, seed=3), True),
-        (delayed(0.4, 0.45), False),
+        (doubled(0.05), True), (delayed(0.0, 0.015, seed=1), True), (corrupted(0.1, seed=2), True),
+        (lossy(0.2, seed=3), True), (delayed(0.4, 0.45), False),
     ],
-)
+)  # fmt: skip
 def test_a_bad_line_is_flown_through_or_landed_on(line: Line, flown: bool) -> None:
     world = World(path=SHORT, down=line, up=line) if flown else World(path=SHORT).until(Phase.TRACK, 1.0)
     world.down = world.up = line

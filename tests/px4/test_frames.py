@@ -28,15 +28,12 @@ S, C30, S30, C20, S20 = sqrt(0.5), cos(pi / 6), sin(pi / 6), cos(pi / 9), sin(pi
         ("level, nose west: NED yaw -90 deg, ENU 180 deg", (S, 0.0, 0.0, -S), (0.0, 0.0, 0.0, 1.0), 180.0),
         # rolled about the nose: the roll is +60 deg about x in both body frames
         (
-            "nose east, right wing down 60 deg",
-            (S * C30, S * S30, S * S30, S * C30),
-            (C30, S30, 0.0, 0.0),
-            0.0,
+            "nose east, right wing down 60 deg", (S * C30, S * S30, S * S30, S * C30), (C30, S30, 0.0, 0.0), 0.0,
         ),
         # +40 deg about y in FRD, -40 deg about y in FLU
         ("nose east, nose up 40 deg", (S * C20, -S * S20, S * S20, S * C20), (C20, 0.0, -S20, 0.0), 0.0),
     ],
-)
+)  # fmt: skip
 def test_attitudes_worked_by_hand(what: str, ned: Quat, enu: Quat, heading: float) -> None:
     assert frames.attitude(ned) == pytest.approx(enu, abs=1e-12), what
     assert frames.attitude(enu) == pytest.approx(ned, abs=1e-12), what

@@ -19,14 +19,10 @@ CSV = {"run.csv": b"t,q\n0,1\n"}
 @pytest.mark.parametrize(
     ("method", "path"),
     [
-        ("GET", "/api/jobs"),
-        ("POST", "/api/jobs"),
-        ("GET", "/api/jobs/x"),
-        ("DELETE", "/api/jobs/x"),
-        ("PUT", "/api/jobs/x/logs/0"),
-        ("POST", "/api/jobs/x/diagnose"),
+        ("GET", "/api/jobs"), ("POST", "/api/jobs"), ("GET", "/api/jobs/x"), ("DELETE", "/api/jobs/x"),
+        ("PUT", "/api/jobs/x/logs/0"), ("POST", "/api/jobs/x/diagnose"),
     ],
-)
+)  # fmt: skip
 @pytest.mark.parametrize("token", [None, "", "another", "ü"])
 def test_nothing_is_told_or_done_without_the_token(
     page: Page, method: str, path: str, token: str | None
@@ -77,15 +73,10 @@ def test_the_page_asks_for_nothing_elsewhere(page: Page) -> None:
 @pytest.mark.parametrize(
     "path",
     [
-        "/../job.json",
-        "/..%2fjob.json",
-        "/%2e%2e/%2e%2e/etc/passwd",
-        "/job.json",
-        "/logs/run.csv",
-        "/inspection.json",
-        "/report.html%00.png",
+        "/../job.json", "/..%2fjob.json", "/%2e%2e/%2e%2e/etc/passwd", "/job.json", "/logs/run.csv",
+        "/inspection.json", "/report.html%00.png",
     ],
-)
+)  # fmt: skip
 def test_of_a_job_only_its_results_can_be_read(page: Page, path: str) -> None:
     job = page.drop(CSV)
     answer = page.ask("GET", f"/jobs/{job['id']}{path}")

@@ -37,16 +37,11 @@ def test_names_are_made_of_letters_and_digits(given: list[str], names: list[str]
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("holiday.jpg", "no log"),
-        ("log", "no log"),
-        ("run.csv.exe", "no log"),
-        ("flights.zip", "unpack it"),
-        ("flight.ulg.gz", "unpack it"),
-        ("trajs.pkl", "may hold a program"),
-        ("mapping.yaml", "no log"),
+        ("holiday.jpg", "no log"), ("log", "no log"), ("run.csv.exe", "no log"), ("flights.zip", "unpack it"),
+        ("flight.ulg.gz", "unpack it"), ("trajs.pkl", "may hold a program"), ("mapping.yaml", "no log"),
         ("<img src=x onerror=alert(1)>.svg", "no log"),
     ],
-)
+)  # fmt: skip
 def test_what_is_no_log_is_refused_in_one_sentence(page: Page, played: Played, name: str, said: str) -> None:
     answer = page.drop({name: b"x"})
     assert answer.status_code == 415

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,13 +15,12 @@ from omegaconf import OmegaConf
 from nsde_torch.cli import build
 from nsde_torch.cli.jobs import set_threads
 from nsde_torch.cli.registry import hydra_command
-from nsde_torch.cli.schemas.data import DATA_CHOICES
 from nsde_torch.cli.store import store
 from nsde_torch.data import Run
-from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.errors import ConfigError
 from nsde_torch.models import MODELS, kind
 from nsde_torch.models.kind import model_options
-from nsde_torch.systems import SYSTEMS, System, make_system
+from nsde_torch.systems import SYSTEMS, System
 from nsde_torch.training.options import LOSSES, TRAINERS, LossOptions, TrainerOptions
 from nsde_torch.training.structure import machine_losses, model_spec
 
@@ -46,31 +44,6 @@ def test_a_job_of_a_sweep_has_one_thread(monkeypatch: pytest.MonkeyPatch) -> Non
         set_threads(OmegaConf.create({"threads": 4}), sweep=sweep)
         set_threads(OmegaConf.create({}), sweep=sweep)
     assert seen == [1, 4]
-
-
-def test_options_are_plain_keyword_arguments() -> None:
-    config = OmegaConf.create({"kind": "csv", "path": "a", "test": [0], "deep": {"x": [1]}})
-    assert build.options(config, "kind", "test") == {"path": "a", "deep": {"x": [1]}}
-
-
-def test_runs_are_read_and_split_as_the_configuration_says(tmp_path: Path) -> None:
-    t, machine = 0.01 * np.arange(200), make_system("mass_spring_damper")
-    for k in range(3):
-        rows = np.column_stack([t, np.cos(t + k), -np.sin(t + k)])
-        np.savetxt(
-            tmp_path / f"run_{k}.csv", rows, delimiter=",", header="t,q,q_dot", comments="", fmt="%.9g"
-        )
-    config = OmegaConf.structured(DATA_CHOICES["csv"](path=str(tmp_path), test=["run_1"]))
-    data = build.dataset(config, machine)
-    assert data.dt == pytest.approx(0.01)
-    parts = build.split(config, data, machine)
-    assert [run.name for run in parts.train] == ["run_0", "run_2"]
-    assert [run.name for run in parts.test] == ["run_1"]
-    config.test = None
-    assert [run.name for run in build.split(config, data, machine).test] == ["run_2"]
-    config.test = [7]
-    with pytest.raises(DataError, match="7"):
-        build.split(config, data, machine)
 
 
 def _still(machine: System) -> tuple[Run, ...]:
@@ -158,10 +131,3 @@ def test_system_identification_takes_plain_differences_where_the_log_smoothed_it
 def test_an_integrator_that_does_not_fit_the_model_is_refused(words: list[str]) -> None:
     with pytest.raises(ConfigError, match="solver="):
         _spec(_configuration("system=cartpole", *words))
-
-
-def test_simulated_runs_are_made_as_configured() -> None:
-    config = _configuration("system=mass_spring_damper", "data.durations=[2,3]", "data.seed=4").data
-    data = build.dataset(config, make_system("mass_spring_damper"))
-    assert data.kind == "simulated"
-    assert [round(run.duration) for run in data.runs] == [2, 3]

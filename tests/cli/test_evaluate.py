@@ -216,12 +216,6 @@ def test_an_evaluation_is_not_written_over_and_a_sweep_is_refused(here: Path, re
     assert "has no sweeps" in refused("-m", f"run={here / 'nsde'},{here / 'node'}")
 
 
-def test_folders_of_a_sweep_need_no_further_quotes(here: Path) -> None:
-    job = Path("multirun/0_loss=paper,seed=1")
-    shutil.copytree(here / "nsde", job)
-    assert evaluate(f"run={job}")["models"][0]["name"] == job.name
-
-
 def test_names_are_as_much_of_the_folders_as_tells_them_apart() -> None:
     assert short_names([Path("/a/x"), Path("/b/y")]) == ["x", "y"]
     assert short_names([Path("/r/a/x"), Path("/r/b/x")]) == ["a/x", "b/x"]

@@ -19,6 +19,7 @@ from tests.helpers.commands import Said
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
 
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 MPC = ("mpc.steps=6", "mpc.horizon=0.3", "mpc.iterations=2")
 
 
@@ -51,21 +52,24 @@ def test_a_file_of_another_model_is_not_verified(file: Path, refused: Said) -> N
     assert "truncated" in refused("verify", str(quad), "run=declared")
 
 
-def test_a_file_flies_as_the_controller_that_it_was_made_of(file: Path, refused: Said) -> None:
+@pytest.mark.parametrize("kind", ["torchscript", pytest.param("c", marks=[pytest.mark.slow, needs_compiler])])
+def test_a_file_flies_as_the_controller_that_it_was_made_of(kind: str, file: Path, refused: Said) -> None:
     words = ["duration=0.8", "mpc.compile=off", "mpc.period=0.04", *MPC]
+    if kind == "c":
+        file = Path("controller.c").resolve()
+        assert main(["export", "run=declared", f"out={file}", "format=c", *MPC]) == 0
     assert main(["track", f"controller={file}", "beside=[declared]", "out_dir=out", *words]) == 0
     found = json.loads(Path("out/tracking.json").read_text())["controllers"]
-    ours, theirs = found["MPC, controller.ts"], found["MPC, declared physics"]
+    ours, theirs = found[f"MPC, {file.name}"], found["MPC, declared physics"]
     assert ours["lost"] == 0
     assert ours["rmse_m"] == pytest.approx(theirs["rmse_m"], rel=0.02)
-    assert "one machine at a time" in refused(
-        "track", f"controller={file}", "machines=2", "at_once=2", "out_dir=two", *words
-    )
+    many = ["machines=2", "at_once=2", "out_dir=two"]
+    assert "one machine at a time" in refused("track", f"controller={file}", *many, *words)
     logged = ["run=declared", "log=out/log/flight_0.csv", "states=10", "adversarial=0"]
     assert main(["verify", str(file), *logged]) == 0
 
 
-@pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
+@needs_compiler
 def test_a_controller_in_c_is_written_and_verified(
     refused: Said, shown: Said, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -80,18 +84,6 @@ def test_a_controller_in_c_is_written_and_verified(
     assert max(found["input_difference_max"], found["estimator_input_difference_max"]) < 1e-8
     monkeypatch.setenv("CC", "no_such_compiler")
     assert "needs a C compiler" in refused("verify", "controller.c", "run=declared")
-
-
-@pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
-@pytest.mark.slow
-def test_a_controller_in_c_flies_as_the_one_that_it_was_made_of() -> None:
-    words = ["duration=0.8", "mpc.period=0.04", "mpc.compile=off", "out_dir=out", *MPC]
-    assert main(["export", "run=declared", "out=controller.c", "format=c", *MPC]) == 0
-    assert main(["track", "controller=controller.c", "beside=[declared]", *words]) == 0
-    flown = json.loads(Path("out/tracking.json").read_text())["controllers"]
-    ours, theirs = flown["MPC, controller.c"], flown["MPC, declared physics"]
-    assert ours["lost"] == 0
-    assert ours["rmse_m"] == pytest.approx(theirs["rmse_m"], rel=0.02)
 
 
 def test_settings_that_a_file_does_not_have_are_refused(file: Path, refused: Said) -> None:

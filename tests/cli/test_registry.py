@@ -79,23 +79,10 @@ def test_a_command_of_one_file_and_one_line_has_help_completion_checks_and_a_fol
     content = json.loads((scratch / "here, or there" / "weight.json").read_text())
     assert content == {"system": "hexacopter", "steps": 7, "factor": 4.0}
     assert "holds a weight already" in refused("scratch", "out_dir=here, or there")
+    assert "Did you mean `factor`?" in refused("scratch", "factr=1")
+    assert "`factor` must be above 0" in refused("scratch", "factor=0")
     assert main(["scratch"]) == 0
     assert list(scratch.glob("scratches/*/weight.json"))
-
-
-@pytest.mark.parametrize(
-    ("word", "message"),
-    [
-        ("factr=1", "Did you mean `factor`?"),
-        ("factor=0", "`factor` must be above 0"),
-        ("steps=0", "`steps` must be at least 1"),
-        ("system=cartpol", "Did you mean `system=cartpole`?"),
-        ("-m", "has no sweeps"),
-    ],
-)
-@pytest.mark.usefixtures("scratch")
-def test_its_mistakes_are_worded_as_those_of_the_others(word: str, message: str, refused: Said) -> None:
-    assert message in refused("scratch", word)
 
 
 def test_the_objects_of_the_commands_bear_the_names_of_the_table() -> None:

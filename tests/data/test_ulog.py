@@ -16,18 +16,6 @@ from tests.helpers.flights import flight
 from tests.helpers.ulog_bytes import write_ulog
 
 
-def test_vectors_map_the_same_by_frame_change_and_by_attitude() -> None:
-    assert swap_world(np.array([1.0, 2.0, 3.0])).tolist() == [2, 1, -3]
-    assert swap_body(np.array([1.0, 2.0, 3.0])).tolist() == [1, -2, -3]
-    rng = np.random.default_rng(0)
-    q = rng.standard_normal((50, 4))
-    q /= np.linalg.norm(q, axis=1, keepdims=True)
-    v = rng.standard_normal((50, 3))
-    np.testing.assert_allclose(rotate(attitude_to_enu(q), swap_body(v)), swap_world(rotate(q, v)), atol=1e-12)
-    same = attitude_to_enu(attitude_to_enu(q))
-    np.testing.assert_allclose(np.abs((same * q).sum(axis=1)), 1.0)
-
-
 def logged(seconds: float = 12.0) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict]:
     """A flight (ENU/FLU) and the PX4 topics that log it in NED/FRD."""
     t, x, u = flight(seconds, motors=4)

@@ -31,7 +31,6 @@ from nsde_torch.export.layout import STATUS
 from nsde_torch.export.write import controller_of, export
 from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.systems import Multirotor, System, make_system
-from tests.helpers.control_problems import PAID
 from tests.helpers.exported import all_kinds, flight, word_of
 from tests.helpers.hexacopters import VALUES
 
@@ -304,16 +303,6 @@ def test_sample_after_sample_c_does_what_the_controller_does(
         words.add(word_of(out, plan, most=1e-8))
         assert math.isinf(float(plan.cost)) or float(out[5]) == pytest.approx(float(plan.cost))
     assert all_kinds(words)
-
-
-@needs_compiler
-@pytest.mark.parametrize("options", PAID)
-def test_costs_and_limits_are_those_of_python(
-    declared: System, path: Reference, tmp_path: Path, options: dict[str, object]
-) -> None:
-    out = _compared(declared, tmp_path, path, 8, **options)
-    assert out.worst < 1e-8, (out.worst, out.words)
-    assert not out.differing
 
 
 @needs_compiler

@@ -64,15 +64,6 @@ def test_a_url_that_is_not_understood_lists_what_is(url: str) -> None:
         open_transport(url)
 
 
-def test_an_address_in_use_is_said() -> None:
-    first = UdpIn("127.0.0.1", 0)
-    try:
-        with pytest.raises(LinkError, match="another program"):
-            open_transport(f"udpin:127.0.0.1:{first.address[1]}")
-    finally:
-        first.close()
-
-
 OPTIONS = FlightOptions(height=1.0, climb_past=1.0, climb=1.2, hold=0.3, idle=0.4, spool=0.4, checks=4.0)
 PATH = PathPoints(shapes.hover(duration=3.0, height=1.0))
 

@@ -121,13 +121,6 @@ def test_without_answers_the_fastest_message_tells_the_time() -> None:
     assert sync.offset(102.0) == pytest.approx(-50.01)
 
 
-def test_a_state_is_as_old_as_its_way_here() -> None:
-    telemetry = Telemetry()
-    telemetry.sync.answered(50.0, 100.0, 100.0)
-    telemetry.take(_odometry(51.0), 101.04)
-    assert telemetry.state.time == pytest.approx(101.0)
-
-
 def test_motor_commands_come_from_pulse_widths_or_shares() -> None:
     telemetry = Telemetry()
     telemetry.take(mavlink.MAVLink_servo_output_raw_message(0, 0, 1500, 2000, 1000, 900, 0, 0, 0, 0), 1.0)

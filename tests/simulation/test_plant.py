@@ -38,7 +38,8 @@ def hover(batch: int = 1, motors: int = 6) -> Tensor:
 
 def after(plant: Plant, u: Tensor, samples: int) -> Tensor:
     """What is measured after so many samples under one command."""
-    x = after(plant, u, samples)
+    for _ in range(samples):
+        x = plant.step(u)
     return x
 
 

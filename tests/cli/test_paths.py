@@ -18,7 +18,7 @@ from nsde_torch.cli.main import main
 from nsde_torch.cli.quoted import as_typed, path_word, quoted, typed_path
 from nsde_torch.cli.registry import hydra_commands
 from nsde_torch.data import write_csv
-from tests.helpers.commands import Said
+from tests.helpers.commands import Said, own_machine
 
 ODD = (
     *("ünï", "logs (1)", "[1]", "a=b", "a,b", "it's", 'say "hi"', "~x", "-x", "{x: 1}", "$HOME", "a\\b"),
@@ -62,9 +62,8 @@ def test_every_key_of_files_is_marked_in_its_schema() -> None:
         known = groups.files(name)
         for key in ("out_dir", "run_dir", "run", "out"):
             assert key in known or not groups.has(name, key), f"{name} {key}"
-    assert {"data.path", "data.test_path", "data.mapping", "system.effects", "resume"} <= set(
-        groups.files("train")
-    )
+    of_train = {"data.path", "data.test_path", "data.mapping", "system.effects", "resume"}
+    assert of_train <= set(groups.files("train"))
 
 
 @pytest.mark.parametrize(
@@ -169,45 +168,17 @@ def test_one_odd_path_is_diagnosed_and_its_effects_are_found_again(
 
 
 @pytest.mark.usefixtures("elsewhere")
-@pytest.mark.parametrize("path", ODD)
-def test_inspection_takes_every_path(path: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / path).mkdir()
-    (tmp_path / path / "run.csv").write_text(
-        "t,q,q_dot\n" + "".join(f"{k / 100},{k},{100}\n" for k in range(50))
-    )
-    for words in ([path], ["--", path], [f"data.path={path}"]):
-        assert main(["inspect", *words, "physics=false", "system=mass_spring_damper"]) in (0, 1)
-        assert "1 run (run)" in capsys.readouterr().out
-
-
-@pytest.mark.usefixtures("elsewhere")
-@pytest.mark.parametrize("path", ODD)
-def test_the_report_of_a_sweep_takes_every_path(path: str, tmp_path: Path, shown: Said) -> None:
-    job = tmp_path / path / "0_seed=1"
-    (job / ".hydra").mkdir(parents=True)
-    (job / ".hydra" / "overrides.yaml").write_text("- seed=1\n")
-    (job / "metrics.json").write_text('{"validation": {"score": 1.0}}')
-    assert "1 jobs: 1 done" in shown("sweep-report", path)
-    assert (tmp_path / path / "sweep_report.json").is_file()
-
-
-@pytest.mark.usefixtures("elsewhere")
 def test_a_path_alone_chooses_the_reader_and_a_reader_that_is_named_wins(runs: Path, shown: Said) -> None:
-    for words, kind in (
-        ([f"data.path={runs.name}"], "log"),
-        (["data=csv", f"data.path={runs.name}"], "csv"),
-        ([], "simulated"),
-    ):
+    path = f"data.path={runs.name}"
+    for words, kind in (([path], "log"), (["data=csv", path], "csv"), ([], "simulated")):
         assert yaml.safe_load(shown("train", "--cfg", "job", *words))["data"]["kind"] == kind
     assert nsde_torch.read(runs / "run_0.csv", system="mass_spring_damper").names == ("run_0",)
 
 
 @pytest.mark.usefixtures("elsewhere")
 def test_a_test_set_that_is_not_there_is_named_by_its_own_key(runs: Path, refused: Said) -> None:
-    data = [f"data.path={runs.name}", "data.test_path=nowhere"]
-    assert "`data.test_path`: nowhere does not exist" in refused(
-        "train", "system=mass_spring_damper", "model=sysid", *data
-    )
+    words = ["system=mass_spring_damper", "model=sysid", f"data.path={runs.name}", "data.test_path=nowhere"]
+    assert "`data.test_path`: nowhere does not exist" in refused("train", *words)
 
 
 def test_a_command_that_names_no_file_is_left_alone() -> None:
@@ -217,16 +188,22 @@ def test_a_command_that_names_no_file_is_left_alone() -> None:
 
 @pytest.mark.usefixtures("elsewhere")
 @pytest.mark.parametrize("path", ODD)
-@pytest.mark.parametrize("flag", ["--config-dir", "-cd"])
-def test_the_folder_of_machines_of_ones_own_takes_every_path(
-    path: str, flag: str, tmp_path: Path, shown: Said
+def test_inspection_the_report_of_a_sweep_and_the_folder_of_ones_own_machines_take_every_path(
+    path: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], shown: Said
 ) -> None:
-    (tmp_path / path / "system").mkdir(parents=True)
-    (tmp_path / path / "system" / "mine.yaml").write_text(
-        "defaults: [mass_spring_damper, _self_]\ndt: 0.02\n"
-    )
-    assert (
-        yaml.safe_load(shown("train", "seed=3", flag, path, "system=mine", "--cfg", "job"))["system"]["dt"]
-        == 0.02
-    )
-    assert "coulomb_friction" in shown("effects", flag, path, "system=mine")
+    folder = tmp_path / path
+    folder.mkdir()
+    (folder / "run.csv").write_text("t,q,q_dot\n" + "".join(f"{k / 100},{k},{100}\n" for k in range(50)))
+    for words in ([path], ["--", path], [f"data.path={path}"]):
+        assert main(["inspect", *words, "physics=false", "system=mass_spring_damper"]) in (0, 1)
+        assert "1 run (run)" in capsys.readouterr().out
+    (folder / "0_seed=1" / ".hydra").mkdir(parents=True)
+    (folder / "0_seed=1" / ".hydra" / "overrides.yaml").write_text("- seed=1\n")
+    (folder / "0_seed=1" / "metrics.json").write_text('{"validation": {"score": 1.0}}')
+    assert "1 jobs: 1 done" in shown("sweep-report", path)
+    assert (folder / "sweep_report.json").is_file()
+    own_machine(folder, "defaults: [mass_spring_damper, _self_]\ndt: 0.02\n")
+    for flag in ("--config-dir", "-cd"):
+        job = shown("train", "seed=3", flag, path, "system=mine", "--cfg", "job")
+        assert yaml.safe_load(job)["system"]["dt"] == 0.02
+        assert "coulomb_friction" in shown("effects", flag, path, "system=mine")

@@ -86,8 +86,6 @@ def test_a_command_of_one_file_and_one_line_has_help_completion_checks_and_a_fol
 
 
 def test_the_objects_of_the_commands_bear_the_names_of_the_table() -> None:
-    assert {name: command.name for name, command in hydra_commands().items()} == {
-        name: name for name in hydra_commands()
-    }
+    assert all(command.name == name for name, command in hydra_commands().items())
     with pytest.raises(KeyError, match="effects"):
         hydra_command("effects")

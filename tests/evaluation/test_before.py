@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
 
 from nsde_torch.data import Run, Windows
-from nsde_torch.evaluation.scores import rollout_squares, score
+from nsde_torch.evaluation.scores import rollout_squares, score, squares_of, states_by_fold
 from nsde_torch.models import IdentifiedModel, NeuralSDE, SDESpec, SysidSpec
 from nsde_torch.models.before import inputs_before
 from nsde_torch.systems import make_system
+from nsde_torch.systems.parameters import ParameterVector
 from nsde_torch.training.fit_sde import Fit
 from nsde_torch.training.options import LossOptions, TrainerOptions
 from tests.models.test_inputs_before import DT, VALUES, flight
@@ -63,3 +66,29 @@ def test_training_errors_of_the_true_model_vanish(windows: Windows) -> None:
     fit = Fit(model, *[windows] * 3, scale=scale, loss=LossOptions(kind="replay"), options=options, seed=0)
     errors, _ = fit.errors(windows, torch.arange(25, len(windows)), 2, generator)
     assert float(errors.detach().abs().max()) < 1e-3
+
+
+@pytest.mark.parametrize("branches", [False, True])
+def test_folds_predict_together_as_they_do_alone(
+    branches: bool, windows: Windows, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if branches:  # as an effect of the user's own may
+        plain = IdentifiedModel.drift
+
+        def drift(self: IdentifiedModel, t: Any, z: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
+            return plain(self, t, z, u) if bool((z[:, 3:6].abs() < 1e9).all()) else z
+
+        monkeypatch.setattr(IdentifiedModel, "drift", drift)
+    starts, steps, model = torch.arange(25, len(windows)), [5, STEPS], truth()
+    fold = np.arange(len(starts)) * 5 // (2 * len(starts))  # of unlike sizes
+    vector = ParameterVector(model.system)
+    values = np.stack([vector.start, 1.02 * vector.start, 0.97 * vector.start])
+    states = states_by_fold(truth(), windows, starts, steps, values=values, fold=fold)
+    assert states.shape == (len(starts), 2, 13)
+    together = squares_of(model.system, states, windows, starts, steps)
+    for f, theta in enumerate(values):
+        alone = truth()
+        vector.write(alone.system, theta)
+        expected = rollout_squares(alone, windows, starts[fold == f], steps)
+        torch.testing.assert_close(together[fold == f], expected, rtol=1e-6, atol=1e-12)
+    assert float(together[fold == 1].max()) > 1e-6 > float(together[fold == 0].max())

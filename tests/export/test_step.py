@@ -5,10 +5,12 @@ from __future__ import annotations
 import itertools
 
 import pytest
+import sympy
 import torch
 
 from nsde_torch.control.reference import Reference
 from nsde_torch.errors import ConfigError
+from nsde_torch.export.ahead import quick_indices
 from nsde_torch.export.graph import graph_of
 from nsde_torch.export.layout import STATUS
 from nsde_torch.export.step import STAGES, WHOLE, packed
@@ -79,3 +81,11 @@ def test_a_state_that_is_not_valid_is_bad_whatever_it_says(declared: System) -> 
 def test_what_cannot_be_exported_is_refused(declared: System) -> None:
     with pytest.raises(ConfigError, match="gauss_newton"):
         step_of(small_controller(declared, solver="apg"), declared)
+
+
+def test_indices_are_expanded_quickly_and_sympy_is_itself_again_afterwards() -> None:
+    before, i = sympy.simplify, sympy.Symbol("i", integer=True)
+    with quick_indices():
+        assert sympy.simplify(3 * (i + 1) + 2 - 3 * i) == 5
+        assert sympy.simplify(sympy.sin(i) ** 2 + sympy.cos(i) ** 2) == 1  # not a polynomial: as ever
+    assert sympy.simplify is before

@@ -1,12 +1,15 @@
-"""Figures of several models: their panels, curves, marks in red, and what they refuse."""
+"""Figures that compare models, and policies."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from nsde_torch import plots
+from nsde_torch.plots import PredictionBand, evolution
+from nsde_torch.plots.policy_rewards import policy_rewards
 from nsde_torch.plots.style import RED, model_look
 
 LEVELS = [0.1, 0.5, 0.9]
@@ -64,3 +67,43 @@ def test_a_warning_and_the_names_it_is_about_are_red() -> None:
 def test_twelve_models_have_looks_of_their_own() -> None:
     looks = [tuple(map(str, model_look(k).values())) for k in range(12)]
     assert len(set(looks)) == 12
+
+
+T = np.linspace(0.0, 2.0, 21)
+
+
+def test_channels_of_one_unit_share_their_scale_so_that_a_still_one_looks_still() -> None:
+    truth = np.stack((T, 0.01 * T, 3 * T), axis=1)
+    lost = PredictionBand("a model", np.where(T[:, None] > 1, np.nan, 1e6 * truth))
+    figure = evolution(T, truth, [lost], names="abc", units=("m", "m", "rad"), title="evolution")
+    spans = [np.ptp(ax.get_ylim()) for ax in figure.axes]
+    assert spans[0] == pytest.approx(spans[1])
+    assert spans[2] == pytest.approx(3 * spans[0])
+    for ax, channel in zip(figure.axes, truth.T, strict=True):
+        assert ax.get_ylim()[0] < channel.min() <= channel.max() < ax.get_ylim()[1]
+
+
+def curve(offset: float, every: int = 10) -> list[dict[str, float]]:
+    made = range(0, 101, every)
+    return [
+        {"interactions": n, "truth_reward": n + offset, "environment_reward": 2 * n + offset} for n in made
+    ]
+
+
+def test_lines_are_means_over_seeds_and_the_spread_is_shown() -> None:
+    figure = policy_rewards({"SDE": [curve(0.0), curve(10.0, every=20)], "ODE": [curve(0.0)]}, random=-5.0)
+    left, right = figure.axes
+    assert [ax.get_title() for ax in (left, right)] == ["SDE\n2 seeds", "ODE\n1 seed"]
+    imagined, true = left.lines[:2]
+    np.testing.assert_allclose(true.get_xdata(), np.arange(0, 101, 20) / 1e3)
+    np.testing.assert_allclose(true.get_ydata(), np.arange(0, 101, 20) + 5.0)
+    np.testing.assert_allclose(imagined.get_ydata(), 2.0 * np.arange(0, 101, 20) + 5.0)
+    assert len(left.collections) == 2
+    assert not right.collections
+
+
+def test_references_are_named_in_the_legend() -> None:
+    figure = policy_rewards({"SDE": [curve(0.0)]}, random=-5.0, truth=90.0, limited=10.0)
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    limited = "trained on as much of the truth as the models"
+    assert words[2:] == ["trained on the truth", limited, "random actions"]

@@ -14,6 +14,7 @@ from nsde_torch.plots.policy_rewards import policy_rewards
 
 ONE, T = {"position": [0.1]}, np.arange(21.0)
 STATES = {"names": ["q", "q_dot"], "units": ["m", "m/s"], "title": ""}
+SHARES = {"a": ONE, "b": {"position": [0.1, 0.5]}}
 CHANNEL = {"names": "a", "units": "m", "title": ""}
 
 
@@ -36,9 +37,7 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "samples of more starts": (bands(2, 30, 21, 2), "samples"),
     "a curve of another length": (lambda: plots.calibration_curve([0.5, 0.9], {"rate": [0.5]}), "rate"),
     "a model's curve of another length": (
-        lambda: plots.calibration_of_models(
-            [0.1], {"a": {"p": [0.1]}, "b": {"p": []}}, horizons=[], per_horizon={}
-        ),
+        lambda: plots.calibration_of_models([0.1], SHARES, horizons=[1.0], per_horizon=SHARES),
         r"empirical\['b'\]",
     ),
     "rollouts of models": (

@@ -15,8 +15,7 @@ from nsde_torch.px4.link.endpoint import WANTED
 KEY = bytes(range(32))
 
 
-def _heartbeat() -> object:
-    return mavlink.MAVLink_heartbeat_message(2, 12, 1, 0, 4, 3)
+HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, 12, 1, 0, 4, 3)
 
 
 def test_the_checksum_is_mavlinks() -> None:
@@ -28,7 +27,7 @@ def test_the_checksum_is_mavlinks() -> None:
 
 def test_frames_come_through_whole_in_pieces_and_in_one_go() -> None:
     sender = Codec(1, 1)
-    frames = [sender.pack(_heartbeat()) for _ in range(5)]
+    frames = [sender.pack(HEARTBEAT) for _ in range(5)]
     assert len(Codec(2, 1).unpack(b"".join(frames), 0.0)) == 5
     stream = Codec(2, 1, stream=True)
     data = b"noise" + b"".join(frames)
@@ -36,7 +35,7 @@ def test_frames_come_through_whole_in_pieces_and_in_one_go() -> None:
 
 
 def test_a_frame_cut_off_in_a_datagram_does_not_swallow_the_next() -> None:
-    frame = Codec(1, 1).pack(_heartbeat())
+    frame = Codec(1, 1).pack(HEARTBEAT)
     codec = Codec(2, 1)
     assert codec.unpack(frame[:9], 0.0) == []
     assert len(codec.unpack(frame, 0.0)) == 1
@@ -44,7 +43,7 @@ def test_a_frame_cut_off_in_a_datagram_does_not_swallow_the_next() -> None:
 
 
 def test_every_single_flipped_bit_is_found() -> None:
-    frame = Codec(1, 1).pack(_heartbeat())
+    frame = Codec(1, 1).pack(HEARTBEAT)
     for at in range(len(frame)):
         for bit in range(8):
             bad = frame[:at] + bytes((frame[at] ^ 1 << bit,)) + frame[at + 1 :]
@@ -52,7 +51,7 @@ def test_every_single_flipped_bit_is_found() -> None:
 
 
 def test_a_true_frame_behind_a_false_start_is_found() -> None:
-    frame = Codec(1, 1).pack(_heartbeat())
+    frame = Codec(1, 1).pack(HEARTBEAT)
     false = bytes((0xFD, 5, 0, 0, 0, 1, 1, 0, 0, 0)) + b"12345xx"
     assert len(Codec(2, 1).unpack(false + frame, 0.0)) == 1
 
@@ -61,13 +60,13 @@ def test_signed_frames_are_taken_once_and_only_with_the_right_key() -> None:
     wall = iter(range(10**9, 10**9 + 100))
     sender = Codec(1, 1, key=KEY, wall=lambda: float(next(wall)))
     receiver = Codec(2, 1, key=KEY, wall=lambda: 1e9)
-    frame = sender.pack(_heartbeat())
+    frame = sender.pack(HEARTBEAT)
     assert len(receiver.unpack(frame, 0.0)) == 1
     assert receiver.unpack(frame, 0.0) == []
     assert receiver.counts["replay"] == 1
-    assert receiver.unpack(Codec(1, 1).pack(_heartbeat()), 0.0) == []
+    assert receiver.unpack(Codec(1, 1).pack(HEARTBEAT), 0.0) == []
     assert receiver.counts["unsigned"] == 1
-    assert receiver.unpack(Codec(1, 1, key=bytes(32)).pack(_heartbeat()), 0.0) == []
+    assert receiver.unpack(Codec(1, 1, key=bytes(32)).pack(HEARTBEAT), 0.0) == []
     assert receiver.counts["signature"] == 1
 
 
@@ -75,28 +74,28 @@ def test_a_stranger_cannot_move_the_time_of_signatures() -> None:
     sender = Codec(1, 1, key=KEY, wall=lambda: 1.5e9)
     forger = Codec(1, 1, key=bytes(32), wall=lambda: 1.9e9)
     receiver = Codec(2, 1, key=KEY, wall=lambda: 1.5e9)
-    assert len(receiver.unpack(sender.pack(_heartbeat()), 0.0)) == 1
-    receiver.unpack(forger.pack(_heartbeat()), 0.0)
-    assert len(receiver.unpack(sender.pack(_heartbeat()), 0.0)) == 1
+    assert len(receiver.unpack(sender.pack(HEARTBEAT), 0.0)) == 1
+    receiver.unpack(forger.pack(HEARTBEAT), 0.0)
+    assert len(receiver.unpack(sender.pack(HEARTBEAT), 0.0)) == 1
 
 
 def test_a_recording_of_last_week_is_not_played_to_us() -> None:
     old = Codec(1, 1, key=KEY, wall=lambda: 1.5e9 - 7 * 86400)
     receiver = Codec(2, 1, key=KEY, wall=lambda: 1.5e9)
-    assert receiver.unpack(old.pack(_heartbeat()), 0.0) == []
+    assert receiver.unpack(old.pack(HEARTBEAT), 0.0) == []
 
 
 def test_only_one_system_and_only_wanted_messages_are_decoded() -> None:
     receiver = Codec(2, 1, wanted=WANTED)
     receiver.only = 1
-    assert receiver.unpack(Codec(9, 1).pack(_heartbeat()), 0.0) == []
+    assert receiver.unpack(Codec(9, 1).pack(HEARTBEAT), 0.0) == []
     unwanted = mavlink.MAVLink_vfr_hud_message(0.0, 0.0, 0, 0, 0.0, 0.0)
     assert receiver.unpack(Codec(1, 1).pack(unwanted), 0.0) == []
     assert receiver.counts == {"foreign": 1, "unwanted": 1}
 
 
 def test_a_flood_is_decoded_up_to_a_budget_a_second() -> None:
-    frame = Codec(1, 1).pack(_heartbeat())
+    frame = Codec(1, 1).pack(HEARTBEAT)
     receiver = Codec(2, 1)
     got = sum(len(receiver.unpack(frame, 5.0)) for _ in range(2 * BUDGET))
     assert got == BUDGET

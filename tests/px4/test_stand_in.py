@@ -69,6 +69,13 @@ def _flying(after: float = 1.0) -> World:
     return World(path=HOVER).until(Phase.TRACK, after)
 
 
+def _sent(world: World, w: tuple[float, float, float], thrust: float) -> None:
+    """A setpoint of ours reaches the vehicle."""
+    world.endpoint.send_rates(w, thrust, world.now)
+    for data in world._due(world._to_vehicle):
+        world.vehicle.receive(data)
+
+
 def test_offboard_is_accepted_disarmed_without_a_stream_and_refused_at_arming() -> None:
     client = Client()
     client.command(d.SET_MODE, 1, 6)
@@ -166,9 +173,7 @@ def test_it_tells_the_rates_that_it_follows_and_a_position_only_where_it_follows
                 telemetry.take(message, world.vehicle.time)
         return [w for _, w in telemetry.followed]
 
-    world.endpoint.send_rates((0.3, -0.2, 0.1), 0.5, world.now)
-    for data in world._due(world._to_vehicle):
-        world.vehicle.receive(data)
+    _sent(world, (0.3, -0.2, 0.1), 0.5)
     rates = told()
     assert rates == [pytest.approx((0.3, -0.2, 0.1), abs=1e-6)] * len(rates)
     assert len(rates) >= 9
@@ -180,9 +185,7 @@ def test_rates_beyond_its_limits_are_flown() -> None:
     world = _flying()
     most = world.vehicle.parameters["MC_ROLLRATE_MAX"] * 3.1416 / 180.0
     for _ in range(20):
-        world.endpoint.send_rates((8.0, 0.0, 0.0), 0.5, world.now)
-        for data in world._due(world._to_vehicle):
-            world.vehicle.receive(data)
+        _sent(world, (8.0, 0.0, 0.0), 0.5)
         world.vehicle.advance(world.vehicle.time + 0.01)
     assert world.body.w[0] > 1.2 * most
 
@@ -197,9 +200,7 @@ def test_the_last_rates_are_held_then_it_fails_over_and_returns_to_offboard_when
     assert vehicle._setpoint is last
     vehicle.advance(vehicle.time + 0.2 * loss)
     assert vehicle.mode == d.LAND
-    world.endpoint.send_rates((0.0, 0.0, 0.0), 0.5, world.now)
-    for data in world._due(world._to_vehicle):
-        vehicle.receive(data)
+    _sent(world, (0.0, 0.0, 0.0), 0.5)
     vehicle.advance(vehicle.time + 0.01)
     assert vehicle.mode == d.OFFBOARD
 

@@ -78,15 +78,20 @@ def test_a_state_that_is_no_number_keeps_the_last_plan_and_then_hovers(
     assert again.status[0] in ("converged", "improved")
 
 
-def test_the_very_first_state_may_be_bad_and_a_quaternion_that_is_none_is(
+def test_the_very_first_state_may_be_bad_and_a_quaternion_that_is_none_is_and_a_reference_may_be(
     controller: Controller, path: Reference
 ) -> None:
-    long = _state(path)
+    long, wrong = _state(path), _window(path)
     long[:, 6:10] *= 1.2
     for bad in (torch.full((1, 13), float("nan")), long):
         plan = controller.plan(bad, _window(path))
         _safe(plan)
         assert plan.status == ("bad_state:hover",)
+    plan = controller.plan(_state(path), _window(path))
+    wrong[:, 7, 3] = float("nan")
+    after = controller.plan(_state(path), wrong, plan, elapsed=0.02)
+    _safe(after)
+    assert after.status == ("bad_reference:kept",)
 
 
 def test_a_state_that_jumps_is_believed_only_when_it_stays(controller: Controller, path: Reference) -> None:
@@ -110,15 +115,6 @@ def test_a_missed_deadline_is_said_and_the_plan_is_still_good(declared: System, 
     _safe(plan)
     assert plan.status == ("improved:late",)
     assert plan.iterations == 1
-
-
-def test_a_reference_that_is_no_number_keeps_the_last_plan(controller: Controller, path: Reference) -> None:
-    plan = controller.plan(_state(path), _window(path))
-    wrong = _window(path)
-    wrong[:, 7, 3] = float("nan")
-    after = controller.plan(_state(path), wrong, plan, elapsed=0.02)
-    _safe(after)
-    assert after.status == ("bad_reference:kept",)
 
 
 def test_a_reference_far_outside_the_envelope_gives_a_safe_plan(

@@ -84,30 +84,21 @@ def noisy(n: int = 6, stagger: bool = False) -> BatchEnvironment:
 class Diverging(Dynamics):
     """The first machine leaves the finite numbers in its third step; the others stand still."""
 
-    name = "diverging"
-
-    def __init__(self) -> None:
-        self._x = torch.zeros(0, 4)
-        self._steps = 0
-
-    @property
-    def state(self) -> Tensor:
-        return self._x
+    name, state, steps = "diverging", torch.zeros(0, 4), 0
 
     def reset(self, x0: Tensor) -> Tensor:
-        self._x = torch.zeros_like(x0)
-        return self._x
+        self.state = torch.zeros_like(x0)
+        return self.state
 
     def restart(self, rows: Tensor, x0: Tensor) -> Tensor:
-        self._x = self._x.index_copy(0, rows, torch.zeros_like(x0))
-        return self._x[rows]
+        self.state = self.state.index_copy(0, rows, torch.zeros_like(x0))
+        return self.state[rows]
 
     def step(self, u: Tensor) -> Tensor:
-        self._steps += 1
-        if self._steps == 3:
-            self._x = self._x.clone()
-            self._x[0] = torch.nan
-        return self._x
+        self.steps += 1
+        if self.steps == 3:
+            self.state = self.state.index_fill(0, torch.tensor([0]), torch.nan)
+        return self.state
 
 
 @pytest.mark.parametrize("name", ["plant", "published"])
@@ -209,8 +200,7 @@ def test_leaving_the_track_ends_an_episode_and_does_not_pay() -> None:
     true = environment(quiet(), 2)
     true.reset(torch.tensor([[119.9, 20.0, pi, 0.0], [0.0, 0.0, pi, 0.0]], dtype=torch.float64))
     made = true.step(torch.zeros(2, 1))
-    assert made.terminated.tolist() == [True, False]
-    assert made.truncated.tolist() == [False, False]
+    assert (made.terminated.tolist(), made.truncated.tolist()) == ([True, False], [False, False])
     # cos(pi), 1.2 of the position and 2 of the speed, at each of the 200 steps
     assert float(made.total[0]) == pytest.approx(-200 * (1 + 1.203 + 2.0), rel=1e-3)
     assert made.length.tolist() == [1, 1]

@@ -57,6 +57,12 @@ def test_flying_is_refused_where_nobody_could_take_over_or_px4_would_stop_the_mo
     assert not world.setpoints
 
 
+def _only(said: str | None, found: list[str]) -> None:
+    """That alone is said, or nothing."""
+    assert len(found) == (said is not None)
+    assert said is None or said in found[0]
+
+
 @pytest.mark.parametrize(
     ("known", "said"),
     [
@@ -71,9 +77,7 @@ def test_flying_is_refused_where_nobody_could_take_over_or_px4_would_stop_the_mo
     ],
 )
 def test_no_failsafe_may_stop_the_motors_in_the_air(known: dict[str, float], said: str | None) -> None:
-    found = failsafe.faults(known)
-    assert len(found) == (said is not None)
-    assert said is None or said in found[0]
+    _only(said, failsafe.faults(known))
 
 
 @pytest.mark.parametrize(
@@ -102,9 +106,7 @@ def test_no_failsafe_may_stop_the_motors_in_the_air(known: dict[str, float], sai
 def test_what_px4_does_by_itself_is_told_where_it_may_end_badly(
     known: dict[str, float], said: str | None
 ) -> None:
-    found = failsafe.warnings(known, speed=1.0, top=3.0, reach=8.5)
-    assert len(found) == (said is not None)
-    assert said is None or said in found[0]
+    _only(said, failsafe.warnings(known, speed=1.0, top=3.0, reach=8.5))
 
 
 @pytest.mark.parametrize(

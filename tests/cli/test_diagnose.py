@@ -133,45 +133,22 @@ def test_a_model_is_trained_with_what_was_found_and_loads(runs: Path) -> None:
     assert model.system.all_declared()["coulomb_friction.size"][0].tolist() == pytest.approx([0.3], rel=0.1)
 
 
-COGGING = """
-import torch
-from nsde_torch.effects import Effect, Parameter, Port
-
-
-class Cogging(Effect):
-    name = "cogging"
-    port = Port.FORCE
-    formula = "-c sin(2 pi q / p)"
-    source = "teeth of a linear motor"
-    PARAMETERS = {"size": Parameter(0.0, "m/s2", scale=0.1, help="largest force over mass"),
-                  "pitch": Parameter(0.05, "m", low=0.0, help="distance of the teeth")}
-    null, amplitudes, shapes = {"size": 0.0}, ("size",), {"pitch": (0.06, 0.08, 0.1, 0.12, 0.15)}
-
-    def forward(self, t, x, u, memory):
-        return -self.value("size") * torch.sin(2 * torch.pi * x[:, :1] / self.value("pitch"))
-"""
-
-
 @pytest.mark.slow
 def test_an_effect_of_the_users_own_is_found_and_its_file_names_it_for_other_commands(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "my_own_effects.py").write_text(COGGING)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr("nsde_torch.effects.registry._OWN", {})
-    own = "my_own_effects:Cogging"
-    made = simulate(
-        "mass_spring_damper", effects=[{own: {"size": 0.3, "pitch": 0.12}}], durations=(6.0,) * 4, seed=1
-    )
-    write(made, tmp_path / "data")
+    monkeypatch.syspath_prepend(root / "examples" / "extend")
+    own = "detent:Detent"
+    teeth = [{own: {"size": 0.3, "pitch": 0.1}}]
+    write(simulate("mass_spring_damper", effects=teeth, durations=(6.0,) * 4, seed=1), "data")
     words = [SYSTEM, "data=csv", "data.path=data", "retrain=false", f"also=[{own}]", "out_dir=out"]
     assert main(["diagnose", *words]) == 0
-    result = json.loads((tmp_path / "out/diagnosis.json").read_text())
-    assert result["added"] == ["cogging"]
-    assert result["parameters"]["cogging.pitch"]["value"] == pytest.approx(0.12, rel=0.02)
+    result = json.loads(Path("out/diagnosis.json").read_text())
+    assert result["added"] == ["detent"]
+    assert result["parameters"]["detent.pitch"]["value"] == pytest.approx(0.1, rel=0.02)
     config = expanded(["out/effects.yaml"])
     assert config.effects == [own]
-    assert config.parameters.cogging.size == pytest.approx(0.3, rel=0.1)
+    assert config.parameters.detent.size == pytest.approx(0.3, rel=0.1)
 
 
 def find(tree: Any, key: str) -> Any:

@@ -116,14 +116,6 @@ def test_a_model_of_ones_own_machine_is_found_without_the_folder_of_its_module(
     )
 
 
-def test_effects_of_ones_own_machine_are_listed_from_its_folder(
-    root: Path, refused: Said, shown: Said
-) -> None:
-    folder = str(root / "examples" / "pendulum")
-    assert "coulomb_friction" in shown("effects", "system=pendulum", f"--config-dir={folder}")
-    assert "no such folder" in refused("effects", "--config-dir", "nowhere", "system=pendulum")
-
-
 def test_an_effect_without_a_name_is_refused_in_one_sentence(refused: Said) -> None:
     Path("own").mkdir()
     Path("own/bare_of_a_test.py").write_text(NAMELESS)
@@ -152,10 +144,7 @@ def test_the_command_that_a_diagnosis_advises_trains(
 @pytest.mark.parametrize(
     ("word", "expected"),
     [
-        (
-            "system.effects=[coulomb_friction[q2],a:B[q1]]",
-            r"system.effects=[coulomb_friction\[q2\],a:B\[q1\]]",
-        ),
+        ("system.effects=[dry[q2],a:B[q1]]", r"system.effects=[dry\[q2\],a:B\[q1\]]"),
         ("plant.effects=[{c_d[q]:{size:1}}]", r"plant.effects=[{c_d\[q\]:{size:1}}]"),
         ("system.effects=['c[q2]']", "system.effects=['c[q2]']"),
         ("system.parameters.c[q2].size=1", "system.parameters.c.q2.size=1"),

@@ -12,21 +12,6 @@ from tests.helpers.commands import Said
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
-OWN = """
-from nsde_torch.effects import Effect, Parameter, Port
-
-
-class Quintic(Effect):
-    name = "quintic"
-    port = Port.FORCE
-    formula = "-k q^5"
-    source = "test"
-    PARAMETERS = {"stiffness": Parameter(0.5, "1/(m4 s2)")}
-
-    def forward(self, t, x, u, memory):
-        return -self.value("stiffness") * x[:, :1] ** 5
-"""
-
 
 def test_a_data_set_and_its_truth_are_all_that_is_written(shown: Said) -> None:
     words = [
@@ -75,14 +60,12 @@ def test_a_second_data_set_does_not_replace_the_first(refused: Said) -> None:
     assert Path("elsewhere/what.json").is_file()
 
 
-def test_an_effect_of_ones_own_is_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
-    Path("own").mkdir()
-    Path("own/effects_of_a_simulation.py").write_text(OWN)
-    words = ["plant.effects=[effects_of_a_simulation:Quintic]", "plant.parameters.quintic.stiffness=3"]
-    where = ["system=mass_spring_damper", "out=data", "durations=[1]", "--config-dir", "own"]
+def test_an_effect_of_ones_own_is_simulated(root: Path) -> None:
+    words = ["plant.effects=[detent:Detent]", "plant.parameters.detent.size=3", "out=data", "durations=[1]"]
+    where = ["system=mass_spring_damper", "--config-dir", str(root / "examples" / "extend")]
     assert main(["simulate", *words, *where]) == 0
     truth = json.loads(Path("data.truth.json").read_text())
-    assert truth["effects"]["quintic"]["parameters"] == {"stiffness": 3}
+    assert truth["effects"]["detent"]["parameters"] == {"size": 3, "pitch": pytest.approx(0.05)}
 
 
 def test_interventions_are_made_of_flights_and_refused_where_nothing_flies(

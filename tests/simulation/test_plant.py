@@ -43,22 +43,6 @@ def after(plant: Plant, u: Tensor, samples: int) -> Tensor:
     return x
 
 
-def test_hover_command_holds_the_hexacopter() -> None:
-    plant = quiet()
-    plant.reset(level(), hover())
-    x = after(plant, hover(), 300)
-    torch.testing.assert_close(x, level(), rtol=0, atol=1e-5)
-
-
-def test_without_thrust_it_falls_freely() -> None:
-    plant = quiet(declared_only=True)
-    at_rest = torch.full((1, 6), 1.0 / (6 * 4.6), dtype=torch.float64)  # thrust_offset is -1 m/s2
-    plant.reset(level(), at_rest)
-    x = after(plant, at_rest, 100)
-    assert x[0, 2].item() == pytest.approx(-0.5 * 9.81, rel=1e-6)
-    assert x[0, 5].item() == pytest.approx(-9.81, rel=1e-6)
-
-
 def test_speed_under_linear_drag_decays_to_zero_as_in_closed_form() -> None:
     plant = quiet(effects={"linear_drag": {"drag": [0.5, 0.15, 0.05]}})
     start = level()
@@ -151,21 +135,6 @@ def test_a_spring_swings_as_in_closed_form() -> None:
     t = torch.tensor(5.0, dtype=torch.float64)
     expected = 0.1 * torch.exp(-0.25 * t) * (torch.cos(w * t) + 0.25 / w * torch.sin(w * t))
     assert x[0, 0].item() == pytest.approx(float(expected), abs=1e-7)
-
-
-def test_a_frictionless_cartpole_keeps_its_energy() -> None:
-    plant = quiet("cartpole")
-    share, length, g = 0.1 / 1.1, 0.5, 9.8
-
-    def energy(x: Tensor) -> float:
-        v, theta, rate = x[0, 1], x[0, 2], x[0, 3]
-        kinetic = 0.5 * v**2 + share * (length * v * rate * torch.cos(theta) + 2 / 3 * length**2 * rate**2)
-        return float(kinetic + share * g * length * torch.cos(theta))
-
-    x = plant.reset(torch.tensor([[0.0, 0.5, 2.0, 1.0]]), torch.zeros(1, 1))
-    before = energy(x)
-    x = after(plant, torch.zeros(1, 1), 200)
-    assert energy(x) == pytest.approx(before, rel=1e-6)
 
 
 def test_gusts_have_the_variance_and_the_correlation_time_of_their_process() -> None:

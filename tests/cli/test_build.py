@@ -15,6 +15,7 @@ from omegaconf import OmegaConf
 from nsde_torch.cli import build
 from nsde_torch.cli.jobs import set_threads
 from nsde_torch.cli.registry import hydra_command
+from nsde_torch.cli.schemas.data import DATA_CHOICES
 from nsde_torch.cli.store import store
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError
@@ -44,6 +45,21 @@ def test_a_job_of_a_sweep_has_one_thread(monkeypatch: pytest.MonkeyPatch) -> Non
         set_threads(OmegaConf.create({"threads": 4}), sweep=sweep)
         set_threads(OmegaConf.create({}), sweep=sweep)
     assert seen == [1, 4]
+
+
+def test_runs_are_read_and_split_as_the_configuration_says(tmp_path: Path) -> None:
+    t, machine = 0.01 * np.arange(200), make_system("mass_spring_damper")
+    for k in range(3):
+        rows = np.column_stack([t, np.cos(t + k), -np.sin(t + k)])
+        np.savetxt(
+            tmp_path / f"run_{k}.csv", rows, delimiter=",", header="t,q,q_dot", comments="", fmt="%.9g"
+        )
+    config = OmegaConf.structured(DATA_CHOICES["csv"](path=str(tmp_path), test=["run_1"]))
+    parts = build.split(config, build.dataset(config, machine), machine)
+    assert [[run.name for run in part] for part in (parts.train, parts.test)] == [
+        ["run_0", "run_2"],
+        ["run_1"],
+    ]
 
 
 def _still(machine: System) -> tuple[Run, ...]:

@@ -12,7 +12,7 @@ import pytest
 import yaml
 from omegaconf import OmegaConf
 
-from nsde_torch.cli import effects_file
+from nsde_torch.cli import effects_file, own_modules
 from nsde_torch.cli.main import main
 from nsde_torch.cli.quoted import coordinates_named
 from tests.helpers.commands import Said
@@ -163,6 +163,12 @@ def test_values_of_a_file_give_way_to_those_of_the_command_line() -> None:
     effects_file.add_value(system, "coulomb_friction[q1]", "size", 0.2)
     both = {"coulomb_friction": {"q2": {"size": 0.7}}, "coulomb_friction[q1]": {"size": 0.2}}
     assert OmegaConf.to_container(system.parameters) == both
+
+
+def test_only_folders_of_the_command_line_hold_modules_of_ones_own() -> None:
+    kinds = [("main", "pkg"), ("command-line", "file"), ("command-line", "pkg"), ("main", "file")]
+    sources = [{"provider": who, "schema": kind, "path": f"{who} {kind}"} for who, kind in kinds]
+    assert own_modules.config_folders(sources) == ["command-line file"]
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import MODELS, kind
 from nsde_torch.models.kind import model_options
-from nsde_torch.systems import SYSTEMS, System
+from nsde_torch.systems import SYSTEMS, System, make_system
 from nsde_torch.training.options import LOSSES, TRAINERS, LossOptions, TrainerOptions
 from nsde_torch.training.structure import machine_losses, model_spec
 

@@ -334,6 +334,7 @@ def test_setpoints_of_a_flight_are_not_its_states(tmp_path: Path, stem: str) -> 
     ("name", "low", "high", "expected"),
     [
         ("motor", 384.0, 1456.0, {"full": 1500.0}),
+        ("u", 384.0, 1456.0, {"full": 1500.0, "low": None, "unit": None}),  # the names of commands
         ("motor_rpm", 900.0, 2100.0, {"full": 2100.0, "unit": "rpm"}),
         ("omega", 820.0, 1456.0, {"full": 1500.0}),
         ("erpm", 4000.0, 41000.0, {"full": 41000.0}),

@@ -13,7 +13,6 @@ import yaml
 import nsde_torch
 from nsde_torch.cli.main import main
 from nsde_torch.data.quaternion import attitude_to_enu, swap_body, swap_world
-from nsde_torch.systems import make_system
 from tests.helpers import log_writers
 from tests.helpers.commands import Said, own_machine
 from tests.helpers.leaning import leaning_flight
@@ -200,24 +199,6 @@ def test_commands_are_inputs_and_what_was_measured_is_the_state(springs: Path, t
     log_writers.write_table(tmp_path / "a.csv", columns)
     found = nsde_torch.inspect(tmp_path, system="mass_spring_damper", physics=False)
     assert "force is taken to be 0 throughout: none of q_cmd, other has such a name" in found.notes
-
-
-def test_speeds_of_rotors_under_the_names_of_motor_commands(tmp_path: Path) -> None:
-    flight = leaning_flight(12.0)
-    system = make_system("quadrotor")
-    names = ("t", *system.state_names, *system.input_names)
-    speeds = 384.0 + 1072.0 * flight.u
-    values = np.column_stack([flight.t, flight.x, speeds])
-    log_writers.write_table(tmp_path / "a.csv", dict(zip(names, values.T, strict=True)))
-    found = nsde_torch.inspect(tmp_path, system="quadrotor", physics=False)
-    assert found.usable, found.doubts
-    assert found.mapping is not None
-    entry = found.mapping.columns["u"]
-    assert (entry.low, entry.unit) == (None, None)
-    assert entry.full is not None
-    assert speeds.max() <= entry.full < 1.2 * speeds.max()
-    (tmp_path / "mapping.yaml").write_text(found.yaml, encoding="utf-8")
-    assert nsde_torch.read(tmp_path, system="quadrotor").runs
 
 
 def test_options_of_the_machine_are_those_of_training(tmp_path: Path, refused: Said, shown: Said) -> None:

@@ -334,7 +334,7 @@ def test_setpoints_of_a_flight_are_not_its_states(tmp_path: Path, stem: str) -> 
     ("name", "low", "high", "expected"),
     [
         ("motor", 384.0, 1456.0, {"full": 1500.0}),
-        ("u", 384.0, 1456.0, {"full": 1500.0, "low": None, "unit": None}),  # the names of commands
+        ("u", 384.0, 1456.0, {"full": 1500.0, "low": None, "unit": None}),
         ("motor_rpm", 900.0, 2100.0, {"full": 2100.0, "unit": "rpm"}),
         ("omega", 820.0, 1456.0, {"full": 1500.0}),
         ("erpm", 4000.0, 41000.0, {"full": 41000.0}),
@@ -358,6 +358,8 @@ def test_speeds_of_rotors_are_no_pulses_and_the_proposal_is_read(
     entry = found.mapping.columns["u"]
     assert {key: getattr(entry, key) for key in expected} == expected
     assert found.usable
+    if name == "u":  # what bears the names of commands is read through a mapping
+        (tmp_path / "mapping.yaml").write_text(found.yaml, encoding="utf-8")
     columns = changed(make_system(QUAD))  # without its physics, which such motors do not move
     data = nsde_torch.read(tmp_path, system=columns, kind="log", state_smoothing="keep")
     assert len(data.runs) == 2

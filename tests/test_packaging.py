@@ -19,7 +19,6 @@ COPIED = ("nsde_torch", "benchmarks/nsde_benchmarks", "cli", "conf", "pyproject.
 def _declared_packages(root: Path) -> set[str]:
     text = (root / "pyproject.toml").read_text(encoding="utf-8")
     block = re.search(r"^packages = \[(.*?)^\]", text, flags=re.MULTILINE | re.DOTALL)
-    assert block is not None
     return set(re.findall(r'"([^"]+)"', block.group(1)))
 
 

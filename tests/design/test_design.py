@@ -67,7 +67,6 @@ def test_flown_on_the_plant_it_speaks_for_what_is_true(planned: Experiment, tie:
     assert "were expected" in found.report
     assert found.surprise is None
     # in one of a hundred flights it is far less: said, and what may be the reason
-    assert found.expected_nats is not None
     low = found.expected_nats["low_99"]
     nats = [min(low, 3.0) - 1.0 if i == found.best else -1e3 for i in range(2)]
     less = replace(found, nats=tuple(nats))

@@ -29,7 +29,6 @@ def test_the_density_is_the_likelihood_averaged_over_what_is_known(tie: Tie) -> 
     """By quadrature over one parameter, the others known."""
     member, run = tie.members[0], _flown(tie, 1)
     own, theta = member.posteriors, member.branches[0].theta
-    assert own is not None
     j = member.vector.labels.index("constant_force.acceleration")
     std = 0.05
     known = np.diag(1.0 / np.square(np.where(np.arange(len(theta)) == j, std, 1e-7 * member.vector.scale)))

@@ -15,7 +15,7 @@ from nsde_torch.diagnosis.search import bent_shape
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import make_system
 from nsde_torch.systems.parameters import ParameterVector
-from tests.helpers.diagnosed import diagnosed
+from tests.helpers.diagnosed import assert_interval, diagnosed
 
 
 @pytest.fixture(scope="module")
@@ -42,8 +42,7 @@ def runs() -> list[RawRun]:
 def test_a_law_is_sought_in_the_place_of_a_friction_that_is_none(runs: list[RawRun]) -> None:
     found = nsde_torch.diagnose(runs, system="mass_spring_damper").content()
     assert found["added"] == ["force = c1 max(q, 0) q_dot"]
-    low, high = found["parameters"]["force = c1 max(q, 0) q_dot.c1"]["interval_90"]
-    assert low < -0.7 < high
+    assert_interval(found["parameters"], "force = c1 max(q, 0) q_dot.c1", -0.7)
 
 
 @pytest.mark.slow

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -11,9 +9,9 @@ from nsde_torch.diagnosis.cross_validation import Own, Scored, own
 from nsde_torch.diagnosis.decisions import Options, Wording
 from nsde_torch.diagnosis.effect_importance import BY_STEPS, Importance, effect_importance, shown_effects
 from nsde_torch.diagnosis.report import WITH, WITHOUT, effect_panels, page
-from nsde_torch.diagnosis.result import Diagnosis, named
+from nsde_torch.diagnosis.result import named
 from nsde_torch.diagnosis.text import in_order, lines, small, without_it
-from tests.helpers.diagnosed import diagnosed
+from tests.helpers.diagnosed import Diagnosed, diagnosed
 
 WORDING = Wording()
 
@@ -95,7 +93,6 @@ def test_the_residual_of_an_effect_is_that_of_runs_left_out() -> None:
         for size in (3.0, 1.0)
     )
     mine = own(without, full, ("w",), seed=0)
-    assert mine is not None
     unit, before, after = mine.residual["w"]
     assert unit == "rad/s2"
     assert before == pytest.approx(3.0, rel=0.2)
@@ -104,7 +101,7 @@ def test_the_residual_of_an_effect_is_that_of_runs_left_out() -> None:
 
 
 @pytest.fixture(scope="module")
-def found() -> tuple[Diagnosis, dict[str, Any]]:
+def found() -> Diagnosed:
     """A spring with much dry friction and a weak steady push."""
     friction, push = {"coulomb_friction": {"size": 0.3}}, {"constant_force": {"acceleration": 0.05}}
     options = Options(candidates=("coulomb_friction", "constant_force"))
@@ -112,7 +109,7 @@ def found() -> tuple[Diagnosis, dict[str, Any]]:
 
 
 @pytest.mark.slow
-def test_what_returns_is_said_where_the_effect_is(found: tuple[Diagnosis, dict[str, Any]]) -> None:
+def test_what_returns_is_said_where_the_effect_is(found: Diagnosed) -> None:
     diagnosis, content = found
     assert content["told"]["by"] == BY_STEPS
     assert content["told"]["few"][0] == "coulomb_friction"
@@ -127,7 +124,7 @@ def test_what_returns_is_said_where_the_effect_is(found: tuple[Diagnosis, dict[s
     assert list(pictures) == sorted(pictures, key=lambda n: -pictures[n].gain)
 
 
-def test_small_effects_are_gathered_in_one_line(found: tuple[Diagnosis, dict[str, Any]]) -> None:
+def test_small_effects_are_gathered_in_one_line(found: Diagnosed) -> None:
     _, content = found
     few, rest = content["told"]["few"][:1], [n for n in content["added"] if n != "coulomb_friction"]
     sizes = [{"effect": name, "size": "0.05 m/s2"} for name in rest]
@@ -150,7 +147,7 @@ def test_the_summary_counts_small_effects() -> None:
     assert small(12) == "12 small ones"
 
 
-def test_each_effect_that_matters_has_a_picture(found: tuple[Diagnosis, dict[str, Any]]) -> None:
+def test_each_effect_that_matters_has_a_picture(found: Diagnosed) -> None:
     diagnosis, _ = found
     panels = effect_panels(diagnosis.outcome, diagnosis.shown, diagnosis.importance, diagnosis.runs)
     assert set(panels) == set(diagnosis.shown.few)

@@ -6,7 +6,6 @@ from dataclasses import replace
 from html import unescape
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -17,25 +16,25 @@ from nsde_torch.diagnosis.evidence import nats_by_channel
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.report import page, pictures
 from nsde_torch.diagnosis.residual_tests import Dependence
-from nsde_torch.diagnosis.result import Diagnosis, ceiling_content, summary
+from nsde_torch.diagnosis.result import ceiling_content, summary
 from nsde_torch.diagnosis.text import lines
-from tests.helpers.diagnosed import diagnosed
+from tests.helpers.diagnosed import Diagnosed, diagnosed
 
 
 @pytest.fixture(scope="module")
-def nothing() -> tuple[Diagnosis, dict[str, Any]]:
+def nothing() -> Diagnosed:
     return diagnosed("mass_spring_damper")
 
 
 @pytest.fixture(scope="module")
-def missed() -> tuple[Diagnosis, dict[str, Any]]:
+def missed() -> Diagnosed:
     """Dry friction, of which no candidate knows."""
     options = Options(candidates=("cubic_stiffness",))
     return diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5}}, options=options)
 
 
 def test_where_nothing_is_missing_functions_explain_nothing(
-    nothing: tuple[Diagnosis, dict[str, Any]],
+    nothing: Diagnosed,
 ) -> None:
     own = nothing[1]["flexible"]
     assert (own["left"], own["explained"], own["left_nats"], own["why_not"]) == (False, None, 0.0, None)
@@ -45,7 +44,7 @@ def test_where_nothing_is_missing_functions_explain_nothing(
 
 
 def test_functions_that_explain_no_more_are_not_said_to_explain_all_where_structure_is_left(
-    nothing: tuple[Diagnosis, dict[str, Any]],
+    nothing: Diagnosed,
 ) -> None:
     left = Dependence("q_dot", "q", 1e-6, 0.05, 0.5, 40.0, 4)
     outcome = replace(nothing[0].outcome, structured=[left])
@@ -55,14 +54,14 @@ def test_functions_that_explain_no_more_are_not_said_to_explain_all_where_struct
 
 
 @pytest.fixture(scope="module")
-def friction() -> tuple[Diagnosis, dict[str, Any]]:
+def friction() -> Diagnosed:
     options = Options(candidates=("coulomb_friction",))
     return diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5}}, options=options)
 
 
 @pytest.mark.slow
 def test_an_effect_beside_which_more_is_left_than_it_explains_is_a_lead(
-    friction: tuple[Diagnosis, dict[str, Any]],
+    friction: Diagnosed,
 ) -> None:
     outcome = friction[0].outcome
     assert not outcome.found[0].provisional
@@ -90,7 +89,7 @@ def test_an_effect_beside_which_more_is_left_than_it_explains_is_a_lead(
 
 
 def test_an_effect_that_is_named_explains_all_that_functions_can(
-    friction: tuple[Diagnosis, dict[str, Any]],
+    friction: Diagnosed,
 ) -> None:
     content = friction[1]
     own = content["flexible"]
@@ -105,7 +104,7 @@ def test_an_effect_that_is_named_explains_all_that_functions_can(
 
 
 def test_effects_that_win_nothing_on_blocks_left_out_are_no_share_of_what_can_be_won(
-    friction: tuple[Diagnosis, dict[str, Any]],
+    friction: Diagnosed,
 ) -> None:
     lost = Ceiling(effects=-4.0, explained=0.0)
     sentence = ceiling_content(lost, friction[0].outcome)["sentence"]
@@ -114,7 +113,7 @@ def test_effects_that_win_nothing_on_blocks_left_out_are_no_share_of_what_can_be
 
 
 def test_what_no_candidate_names_is_explained_by_functions(
-    missed: tuple[Diagnosis, dict[str, Any]],
+    missed: Diagnosed,
 ) -> None:
     _, content = missed
     own = content["flexible"]
@@ -137,9 +136,7 @@ def test_what_no_candidate_names_is_explained_by_functions(
     assert "<td>force</td>" in html
 
 
-def test_it_is_drawn_with_where_it_may_be_trusted(
-    missed: tuple[Diagnosis, dict[str, Any]], tmp_path: Path
-) -> None:
+def test_it_is_drawn_with_where_it_may_be_trusted(missed: Diagnosed, tmp_path: Path) -> None:
     figure = pictures(*missed)["flexible"]
     axis = figure.axes[0]
     assert axis.get_xlabel().startswith("q_dot")

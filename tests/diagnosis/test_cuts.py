@@ -6,7 +6,7 @@ import json
 import warnings
 from collections.abc import Callable, Mapping
 from functools import cache
-from typing import final
+from typing import Any, final
 
 import numpy as np
 import pytest
@@ -20,6 +20,7 @@ from nsde_torch.errors import NsdeError
 from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
 
 ANSWER = "answer"
+ONE_ROW = "a run needs at least two"
 SHORT = "no stretch of 20 steps without a gap; identify from longer runs"
 
 
@@ -102,25 +103,30 @@ def at_rate(hertz: float) -> Callable[[RawRun], None]:
     return change
 
 
-CUTS: dict[str, tuple[Callable[[], list[RawRun]], str]] = {
-    "one row": (lambda: cut(rows=1), "a run needs at least two"),
-    "two rows": (lambda: cut(rows=2), SHORT),
-    "nineteen rows": (lambda: cut(rows=19), SHORT),
-    "forty rows": (lambda: cut(rows=40), ANSWER),
-    "pieces of five rows": (lambda: cut(pieces, rows=100), SHORT),
-    "nothing moves": (lambda: cut(still), "nothing moves: q, q_dot never change"),
-    "an input that never moves": (lambda: cut(constant_input, rows=150), ANSWER),
-    "two kilohertz": (lambda: cut(at_rate(2000.0), rows=60), ANSWER),
-    "two hertz": (lambda: cut(at_rate(2.0), rows=60), ANSWER),
-}
-SLOW: dict[str, tuple[Callable[[], list[RawRun]], str]] = {
-    "two kilohertz, longer": (
-        lambda: cut(at_rate(2000.0), rows=150),
-        ANSWER,
-    ),
-    "no noise": (lambda: cut(noise=0.0), ANSWER),
-    "positions alone": (lambda: cut(no_rates), ANSWER),
-}
+def case(name: str, runs: Callable[[], list[RawRun]], expected: str = ANSWER, **more: Any) -> Any:
+    return pytest.param(runs, expected, id=name, **more)
+
+
+SPRING = (
+    case("one row", lambda: cut(rows=1), ONE_ROW),
+    case("two rows", lambda: cut(rows=2), SHORT),
+    case("nineteen rows", lambda: cut(rows=19), SHORT),
+    case("forty rows", lambda: cut(rows=40)),
+    case("pieces of five rows", lambda: cut(pieces, rows=100), SHORT),
+    case("nothing moves", lambda: cut(still), "nothing moves: q, q_dot never change"),
+    case("an input that never moves", lambda: cut(constant_input, rows=150)),
+    case("two kilohertz", lambda: cut(at_rate(2000.0), rows=60)),
+    case("two hertz", lambda: cut(at_rate(2.0), rows=60)),
+    case("two kilohertz, longer", lambda: cut(at_rate(2000.0), rows=150), marks=pytest.mark.slow),
+    case("no noise", lambda: cut(noise=0.0), marks=pytest.mark.slow),
+    case("positions alone", lambda: cut(no_rates), marks=pytest.mark.slow),
+)
+NO_INPUTS = (
+    case("one row", lambda: swinging(1, 1.0), ONE_ROW),
+    case("thirty rows", lambda: swinging(30, 1.0)),
+    case("a second and a half", lambda: swinging(150, 1.0)),
+    case("no noise", lambda: swinging(300, 0.0), marks=pytest.mark.slow),
+)
 
 
 def diagnosed(runs: list[RawRun], system: str | type[System]) -> str:
@@ -138,25 +144,11 @@ def diagnosed(runs: list[RawRun], system: str | type[System]) -> str:
     return ANSWER
 
 
-@pytest.mark.parametrize("name", CUTS)
-def test_every_cut_ends_in_an_answer_or_a_remedy(name: str) -> None:
-    runs, expected = CUTS[name]
+@pytest.mark.parametrize(("runs", "expected"), SPRING)
+def test_every_cut_ends_in_an_answer_or_a_remedy(runs: Callable[[], list[RawRun]], expected: str) -> None:
     assert expected in diagnosed(runs(), "mass_spring_damper")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SLOW)
-def test_every_long_cut_ends_in_an_answer(name: str) -> None:
-    runs, expected = SLOW[name]
-    assert expected in diagnosed(runs(), "mass_spring_damper")
-
-
-@pytest.mark.parametrize("rows", [1, 30, 150])
-def test_a_machine_without_inputs_is_diagnosed(rows: int) -> None:
-    expected = ANSWER if rows > 20 else "a run needs at least two"
-    assert expected in diagnosed(swinging(rows, 1.0), FreePendulum)
-
-
-@pytest.mark.slow
-def test_a_machine_without_inputs_and_noise_is_diagnosed() -> None:
-    assert diagnosed(swinging(300, 0.0), FreePendulum) == ANSWER
+@pytest.mark.parametrize(("runs", "expected"), NO_INPUTS)
+def test_a_machine_without_inputs_is_diagnosed(runs: Callable[[], list[RawRun]], expected: str) -> None:
+    assert expected in diagnosed(runs(), FreePendulum)

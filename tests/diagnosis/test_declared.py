@@ -19,12 +19,10 @@ from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems import make_system
-from tests.helpers.diagnosed import recorded
+from tests.helpers.diagnosed import Diagnosed, recorded
 
 
-def told(
-    system: str, change: Callable[[Run], Run], *effects: Any, **making: Any
-) -> tuple[Diagnosis, dict[str, Any]]:
+def told(system: str, change: Callable[[Run], Run], *effects: Any, **making: Any) -> Diagnosed:
     """The diagnosis of a sound plant whose log was changed, without candidates, and its content."""
     data = recorded(system, *effects, **making)
     data = replace(data, runs=[change(run) for run in data.runs])
@@ -32,6 +30,14 @@ def told(
     spec = SysidSpec(system, dt=data.dt, horizon=declared.defaults.horizon)
     found = diagnose(declared, spec, data, data.runs, Options(max_effects=0))
     return found, found.content()
+
+
+def html_of(found: Diagnosis, content: dict[str, Any]) -> str:
+    figures = pictures(found, content)
+    html = page(content, figures, width=found.width)
+    for figure in figures.values():
+        plt.close(figure)
+    return html
 
 
 def turned(run: Run) -> Run:
@@ -49,10 +55,7 @@ def test_a_force_that_was_logged_the_wrong_way_round_is_named_on_page_and_termin
     said = "\n".join(lines(content))
     assert "warning: With the opposite sign of 'force'" in said
     assert "signs, units and order of the inputs ('force')" in said
-    figures = pictures(found, content)
-    html = page(content, figures, width=found.width)
-    for figure in figures.values():
-        plt.close(figure)
+    html = html_of(found, content)
     assert "<b>Warning.</b> With the opposite sign of &#39;force&#39;" in html
 
 
@@ -92,14 +95,10 @@ def test_a_sound_log_has_no_warnings_and_its_parameters_are_told_with_intervals(
 def test_values_of_least_squares_stand_beside_those_of_the_fit_where_they_are_to_be_used() -> None:
     found, content = told("mass_spring_damper", lambda run: run, seed=4)
     assert "least squares" not in "\n".join(lines(content))
-    content["guard"]["to_use"] = {
-        "force_gain": {"value": 14.125, "interval_90": [13.875, 14.375], "unit": "1/kg"},
-    }
+    own = {"value": 14.125, "interval_90": [13.875, 14.375], "unit": "1/kg"}
+    content["guard"]["to_use"] = {"force_gain": own}
     assert re.search(r"force_gain .* 14\.1\d* +13\.8\d to 14\.3\d", "\n".join(lines(content)))
-    figures = pictures(found, content)
-    html = page(content, figures, width=found.width)
-    for figure in figures.values():
-        plt.close(figure)
+    html = html_of(found, content)
     assert re.search(r"force_gain</td>.*<td>14\.1\d*</td><td>13\.8\d to 14\.3\d</td>", html)
     assert html.count("least squares: use these") == 1
 

@@ -62,9 +62,9 @@ def test_an_effect_that_is_not_there_does_not_surely_raise_the_log_likelihood() 
     found = [
         effect_on_runs_left_out("quadratic_damping", seed=seed).own["quadratic_damping"] for seed in range(4)
     ]
-    assert sum(bool(f.low is not None and f.low > 0) for f in found) <= 1
+    assert sum(cast(float, f.low) > 0 for f in found) <= 1
     assert sum(f.nats for f in found) < 0  # what is fitted to nothing costs
-    assert all(f.low is not None and f.high is not None and f.low <= f.nats <= f.high for f in found)
+    assert all(cast(float, f.low) <= f.nats <= cast(float, f.high) for f in found)
 
 
 @pytest.mark.slow
@@ -72,8 +72,7 @@ def test_an_effect_that_is_there_surely_raises_it_and_leaves_less() -> None:
     for seed in range(2):
         measured = effect_on_runs_left_out("coulomb_friction", seed=seed, values={"size": 0.2})
         mine = measured.own["coulomb_friction"]
-        assert mine.low is not None
-        assert mine.low > 0
+        assert cast(float, mine.low) > 0
         assert mine.residual_ratio["q_dot"] < 0.9
         assert mine.against == ""
         whole = measured.content["one_step"]
@@ -107,9 +106,7 @@ def two(gain: Sequence[float], grown: Sequence[float], noise: float = 1.0) -> tu
 
 def test_an_effect_is_judged_by_the_channels_that_it_moves() -> None:
     without, full = two((0.5, -0.5), (0.8, 1.2))
-    on_v, on_w = (own(without, full, [name], seed=0) for name in ("v", "w"))
-    assert on_v is not None
-    assert on_w is not None
+    on_v, on_w = (cast(Own, own(without, full, [name], seed=0)) for name in ("v", "w"))
     assert on_v.against == ""
     assert list(on_v.channels) == ["v"]
     assert "log-likelihood of w " in on_w.against
@@ -119,13 +116,10 @@ def test_an_effect_is_judged_by_the_channels_that_it_moves() -> None:
 
 def test_what_is_left_in_the_band_decides_only_where_the_log_likelihood_does_not() -> None:
     without, full = two((0.5, 0.0), (1.2, 1.0))
-    sure = own(without, full, ["v"], seed=0)
-    assert sure is not None
-    assert sure.larger
-    assert sure.against == ""
+    sure = cast(Own, own(without, full, ["v"], seed=0))
+    assert (sure.larger, sure.against) == (True, "")
     without, full = two((0.02, 0.0), (1.2, 1.0))
-    doubtful = own(without, full, ["v", "w"], seed=0)
-    assert doubtful is not None
+    doubtful = cast(Own, own(without, full, ["v", "w"], seed=0))
     assert doubtful.nats > 0 > cast(float, doubtful.low)
     assert doubtful.against == "the residual of v and w on runs left out is larger with it"
 
@@ -154,9 +148,7 @@ def test_runs_too_short_for_a_mean_rate_have_no_residual() -> None:
         full, squares=np.zeros((0, 2)), band_run=np.zeros(0, dtype=np.int64), band_t=np.zeros(0)
     )
     assert band(nothing, nothing, seed=0) == {}
-    mine = own(nothing, nothing, ["v"], seed=0)
-    assert mine is not None
-    assert not mine.larger
+    assert not cast(Own, own(nothing, nothing, ["v"], seed=0)).larger
 
 
 def replay(*, gain: float = 5.0, inputs: bool = True) -> HeldOut:
@@ -208,15 +200,11 @@ def flown() -> tuple[dict[str, Any], dict[str, tuple[str, ...]]]:
 def test_drag_of_a_machine_in_a_loop_is_named_and_is_no_lead(flown: tuple[dict[str, Any], Any]) -> None:
     content, _ = flown
     (finding,) = content["findings"]
-    assert finding["name"] == "linear_drag"
-    assert finding["lead"] is False
+    assert (finding["name"], finding["lead"]) == ("linear_drag", False)
     assert finding["held_out"]["nats"] > 0
     assert finding["held_out"]["channels"]["v_y (body)"]["low_90"] > 0
-    assert (
-        set(finding["moves"])
-        == {"v_x (body)", "v_y (body)", "v_z (body)"}
-        == set(finding["held_out"]["channels"])
-    )
+    velocities = {"v_x (body)", "v_y (body)", "v_z (body)"}
+    assert set(finding["moves"]) == velocities == set(finding["held_out"]["channels"])
     assert min(finding["held_out"]["residual_ratio"].values()) < 0.95
     errors = content["errors"]
     assert (errors["inputs"], errors["closed_loop"]) == ("replayed", True)

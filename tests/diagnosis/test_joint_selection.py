@@ -19,6 +19,7 @@ from nsde_torch.diagnosis.laws import terms_on
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.inference import LogLikelihood, nearly_maximised
 from nsde_torch.systems import make_system
+from tests.helpers.diagnosed import assert_interval
 from tests.inference.springs import linear_runs, rubbing, small_runs, spring
 
 STRIBECK = {"k": 5.06, "b": 0.5, "g": 1.0}
@@ -48,20 +49,14 @@ def test_nothing_is_selected_where_nothing_is_missing() -> None:
 def test_two_frictions_of_one_speed_are_both_selected_with_their_sizes() -> None:
     found = selected(two_frictions(seed=1))
     assert set(found.selected) == {"coulomb_friction", "quadratic_damping"}
-    known = dict(
-        zip(
-            found.final.best.vector.labels,
-            zip(found.final.best.theta, found.final.best.standard_errors, strict=True),
-            strict=True,
-        )
-    )
-    truth = {
-        "coulomb_friction.size": 0.231,
-        "quadratic_damping.damping": 0.224,
-        "viscous_friction.damping": 0.5,
-    }
-    for name, true in truth.items():
-        value, error = known[name]
+    best = found.final.best
+    known = dict(zip(best.vector.labels, zip(best.theta, best.standard_errors, strict=True), strict=True))
+    for effect, true in (
+        ("coulomb_friction.size", 0.231),
+        ("quadratic_damping.damping", 0.224),
+        ("viscous_friction.damping", 0.5),
+    ):
+        value, error = known[effect]
         assert value == pytest.approx(true, abs=3.0 * error)
         assert error < 0.2 * true
 
@@ -101,9 +96,8 @@ def test_few_rows_that_are_asked_first_change_no_answer(monkeypatch: pytest.Monk
     few = selected(runs)
     assert {name for name, _ in asked} >= set(few.selected)
     assert any(alone for _, alone in asked)
-    assert {n: one.ties for n, one in few.selected.items()} == {
-        n: one.ties for n, one in whole.selected.items()
-    }
+    mine, theirs = ({n: one.ties for n, one in s.selected.items()} for s in (few, whole))
+    assert mine == theirs
     np.testing.assert_allclose(few.final.best.theta, whole.final.best.theta)
 
 
@@ -132,9 +126,7 @@ def test_a_diagnosis_reports_the_nats_of_the_likelihood() -> None:
     (effect,) = found.outcome.found
     assert effect.evidence.nats > 50.0
     assert effect.evidence.p < 1e-6
-    low, high = found.parameters["coulomb_friction.size"]["interval_90"]
-    assert high - low < 0.1
-    assert low - 0.01 < 0.3 < high + 0.01
+    assert_interval(found.parameters, "coulomb_friction.size", 0.3, slack=0.01, width=0.1)
     outcome = found.outcome
     for fit, place in ((outcome.declared, outcome.joint.declared), (outcome.final, outcome.joint.final)):
         np.testing.assert_array_equal(fit.theta, place.best.theta)

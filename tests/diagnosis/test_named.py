@@ -10,6 +10,7 @@ from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.recording import Recording
 from tests.helpers.diagnosed import diagnosed
 
+FRICTION = {"coulomb_friction": {"size": 0.3}}
 ALONE: list[tuple[str, str, dict[str, Any]]] = [
     ("mass_spring_damper", "coulomb_friction", {"size": 0.3}),
     ("mass_spring_damper", "asymmetric_friction", {"size_forward": 0.5, "size_backward": 0.1}),
@@ -38,8 +39,7 @@ def test_an_effect_alone_is_named_first_and_its_size_lies_near_the_interval(
     system: str, name: str, values: dict[str, float]
 ) -> None:
     _, content = diagnosed(system, {name: values})
-    assert content["verdict"] == "effect_found"
-    assert content["added"][0] == name
+    assert (content["verdict"], content["added"][0]) == ("effect_found", name)
     assert any(r["chosen"] and r["effect"] == name for r in content["ranking"])
     key, value = next(iter(values.items()))
     parameter = content["parameters"][f"{name}.{key}"]
@@ -53,17 +53,13 @@ def test_an_effect_alone_is_named_first_and_its_size_lies_near_the_interval(
 )
 def test_nothing_is_found_where_nothing_is_missing(system: str, seed: int) -> None:
     _, content = diagnosed(system, seed=seed)
-    assert content["verdict"] == "no_effect"
-    assert content["added"] == []
-    assert content["parameters"] == {}
+    assert (content["verdict"], content["added"], content["parameters"]) == ("no_effect", [], {})
     assert content["errors"]["before"] == content["errors"]["after"]
 
 
 @pytest.mark.slow
 def test_two_effects_at_once_are_both_found() -> None:
-    _, content = diagnosed(
-        "mass_spring_damper", {"coulomb_friction": {"size": 0.3}}, {"input_delay": {"delay": 0.05}}
-    )
+    _, content = diagnosed("mass_spring_damper", FRICTION, {"input_delay": {"delay": 0.05}})
     assert set(content["added"]) == {"coulomb_friction", "input_delay"}
     assert content["parameters"]["coulomb_friction.size"]["value"] == pytest.approx(0.3, rel=0.1)
     assert content["parameters"]["input_delay.delay"]["value"] == pytest.approx(0.05, abs=0.01)
@@ -89,16 +85,14 @@ def test_effects_that_the_data_cannot_tell_apart_are_a_tie_with_an_experiment() 
 
 @pytest.mark.slow
 def test_rows_that_are_missing_do_not_hide_an_effect() -> None:
-    _, content = diagnosed(
-        "mass_spring_damper", {"coulomb_friction": {"size": 0.3}}, recording=Recording(dropout=0.1)
-    )
+    _, content = diagnosed("mass_spring_damper", FRICTION, recording=Recording(dropout=0.1))
     assert content["added"] == ["coulomb_friction"]
     assert any("gaps in time" in line for line in content["data"]["done"])
 
 
 @pytest.mark.slow
 def test_one_run_alone_is_diagnosed_and_its_last_part_is_what_errors_are_measured_on() -> None:
-    _, content = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.3}}, durations=(20.0,))
+    _, content = diagnosed("mass_spring_damper", FRICTION, durations=(20.0,))
     assert content["added"] == ["coulomb_friction"]
     assert content["errors"]["measured_on"] == "the last part of the only run"
     assert content["errors"]["ratio"]["velocity"]["0.5"] < 0.9
@@ -107,7 +101,7 @@ def test_one_run_alone_is_diagnosed_and_its_last_part_is_what_errors_are_measure
 @pytest.mark.slow
 def test_only_the_candidates_that_are_named_are_tried() -> None:
     options = Options(candidates=("quadratic_damping", "cubic_stiffness"))
-    _, content = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.3}}, options=options)
+    _, content = diagnosed("mass_spring_damper", FRICTION, options=options)
     assert {r["effect"] for r in content["ranking"]} <= {"quadratic_damping", "cubic_stiffness"}
 
 

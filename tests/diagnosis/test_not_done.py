@@ -1,6 +1,8 @@
 """A stage whose numbers fail costs itself and not the run."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,31 +10,32 @@ import torch
 
 import nsde_torch
 from nsde_torch.diagnosis import pipeline
+from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.stages import NotDone, OptionalStages, needed
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.errors import ConfigError, DataError
 
-OPTIONAL = (
-    "undone",
-    "without_standstill",
-    "guard_of",
-    "cross_validated",
-    "ceiling",
-)
+OPTIONAL = ("undone", "without_standstill", "guard_of", "cross_validated", "ceiling")
+
+
+def _fails(*_: object, **__: object) -> None:
+    raise np.linalg.LinAlgError("Singular matrix")
+
+
+def diagnosed_without(monkeypatch: pytest.MonkeyPatch, *stages: str) -> Diagnosis:
+    """Of a spring with dry friction, where these stages fail."""
+    for name in stages:
+        monkeypatch.setattr(pipeline, name, _fails)
+    made = nsde_torch.simulate(
+        "mass_spring_damper", effects=[{"coulomb_friction": {"size": 0.3}}], durations=[3.0] * 3, seed=1
+    )
+    return nsde_torch.diagnose(made, system="mass_spring_damper", candidates=["coulomb_friction"])
 
 
 def test_stages_that_fail_are_told_and_cost_themselves(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def fails(*_: object, **__: object) -> None:
-        raise np.linalg.LinAlgError("Singular matrix")
-
-    for name in OPTIONAL:
-        monkeypatch.setattr(pipeline, name, fails)
-    made = nsde_torch.simulate(
-        "mass_spring_damper", effects=[{"coulomb_friction": {"size": 0.3}}], durations=[3.0] * 3, seed=1
-    )
-    found = nsde_torch.diagnose(made, system="mass_spring_damper", candidates=["coulomb_friction"])
+    found = diagnosed_without(monkeypatch, *OPTIONAL)
     assert found.added == ["coulomb_friction"]
     content = found.content()
     assert len(content["not_done"]) == len(OPTIONAL)
@@ -49,29 +52,22 @@ def test_stages_that_fail_are_told_and_cost_themselves(
 def test_a_selection_that_fails_leaves_the_tests_of_the_declared_physics(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def fails(*_: object, **__: object) -> None:
-        raise np.linalg.LinAlgError("Singular matrix")
-
-    monkeypatch.setattr(pipeline, "JointSearch", fails)
-    made = nsde_torch.simulate(
-        "mass_spring_damper", effects=[{"coulomb_friction": {"size": 0.3}}], durations=[3.0] * 3, seed=1
-    )
-    found = nsde_torch.diagnose(made, system="mass_spring_damper", candidates=["coulomb_friction"])
+    found = diagnosed_without(monkeypatch, "JointSearch")
     assert (found.added, found.verdict) == ([], "unexplained")
     assert pipeline.SELECTION in [n["stage"] for n in found.content()["not_done"]]
 
 
 def test_laws_that_fail_leave_what_the_catalogue_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(*_: object, **__: object) -> None:
-        raise np.linalg.LinAlgError("Singular matrix")
-
-    monkeypatch.setattr(pipeline, "with_laws", fails)
-    made = nsde_torch.simulate(
-        "mass_spring_damper", effects=[{"coulomb_friction": {"size": 0.3}}], durations=[3.0] * 3, seed=1
-    )
-    found = nsde_torch.diagnose(made, system="mass_spring_damper", candidates=["coulomb_friction"])
+    found = diagnosed_without(monkeypatch, "with_laws")
     assert found.added == ["coulomb_friction"]
     assert [n["stage"] for n in found.content()["not_done"]] == ["laws beyond the catalogue"]
+
+
+def raising(error: Exception) -> Callable[[], Any]:
+    def fails() -> None:
+        raise error
+
+    return fails
 
 
 @pytest.mark.parametrize(
@@ -84,40 +80,27 @@ def test_laws_that_fail_leave_what_the_catalogue_found(monkeypatch: pytest.Monke
     ],
 )
 def test_what_fails_numerically_is_noted_once(error: Exception) -> None:
-    def fails() -> int:
-        raise error
-
     stages = OptionalStages()
-    assert stages.attempt("a stage", fails, 7) == 7
-    assert stages.attempt("a stage", fails, 7) == 7
+    for _ in range(2):
+        assert stages.attempt("a stage", raising(error), 7) == 7
     assert stages.attempt("another stage", lambda: 3, 7) == 3
     why = f"it could not be computed ({type(error).__name__}: {error})"
     assert stages.not_done == [NotDone("a stage", why)]
 
 
 def test_the_words_of_the_package_are_told_as_they_are() -> None:
-    def short() -> None:
-        raise DataError("run 'a' is too short.")
-
     stages = OptionalStages()
-    stages.attempt("a stage", short, None)
+    stages.attempt("a stage", raising(DataError("run 'a' is too short.")), None)
     assert stages.not_done[0].why == "it could not be computed (run 'a' is too short)"
 
 
 def test_a_search_that_fails_numerically_is_an_error_with_a_remedy() -> None:
-    def fails() -> None:
-        raise np.linalg.LinAlgError("SVD did not converge")
-
-    with pytest.raises(
-        DataError, match=r"the search .* \(LinAlgError: SVD did not converge\)\. Look at .* inspect"
-    ):
-        needed("the search for effects", fails)
+    words = r"the search .* \(LinAlgError: SVD did not converge\)\. Look at .* inspect"
+    with pytest.raises(DataError, match=words):
+        needed("the search for effects", raising(np.linalg.LinAlgError("SVD did not converge")))
 
 
 @pytest.mark.parametrize("error", [ConfigError("no such effect"), TypeError("a fault of the program")])
 def test_wrong_options_and_faults_of_the_program_end_the_run(error: Exception) -> None:
-    def fails() -> None:
-        raise error
-
     with pytest.raises(type(error)):
-        OptionalStages().attempt("a stage", fails, None)
+        OptionalStages().attempt("a stage", raising(error), None)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import pytest
 
 from nsde_torch.diagnosis.candidates import candidate_names, effect_of, starts, values_of
@@ -11,36 +9,29 @@ from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.search import Search, fitted_system
 from nsde_torch.effects import effect_class
 from nsde_torch.inference.steps import data_sizes
-from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System, make_system
 from tests.helpers.diagnosed import recorded
 
 SPRING = "mass_spring_damper"
+FRICTION = {"coulomb_friction": {"size": 0.3, "width": 0.002}}
 _FRICTIONS = ("asymmetric_friction", "coulomb_friction", "stribeck_friction")
 
 
-def spring(*effects: str, **values: Mapping[str, float]) -> System:
-    """The spring with these effects at these values."""
-    system = make_system(SPRING)
-    for name in effects:
-        system = system.with_effects(system.make_effect(name, dict(values.get(name, {}))))
-    return system
+def spring(*effects: str) -> System:
+    """The spring with these effects."""
+    return make_system(SPRING, effects=effects)
 
 
 @pytest.fixture(scope="module")
 def rubbing() -> Search:
     """A search in runs of the spring with dry friction."""
-    made = recorded(
-        SPRING, {"coulomb_friction": {"size": 0.3, "width": 0.002}}, seed=3, dt=0.02, durations=(6.0,) * 4
-    )
-    return Search(make_system(SPRING), made.runs, 1.0, Options(candidates=_FRICTIONS))
+    made = recorded(SPRING, FRICTION, seed=3, dt=0.02, durations=(6.0,) * 4)
+    return Search(spring(), made.runs, 1.0, Options(candidates=_FRICTIONS))
 
 
-@pytest.fixture(scope="module")
-def rubbed(rubbing: Search) -> Regression:
-    """The physics with dry friction, fitted."""
-    found = {"coulomb_friction": {"size": 0.3, "width": 0.002}}
-    return rubbing.quick(spring("coulomb_friction", **found))
+def test_a_spring_is_sought_where_none_is_declared() -> None:
+    assert "linear_spring[cart]" in candidate_names(make_system("cartpole"))
+    assert not [n for n in candidate_names(spring()) if n.startswith("linear_spring")]
 
 
 def test_what_an_effect_contains_is_not_tried_beside_it() -> None:
@@ -51,10 +42,9 @@ def test_what_an_effect_contains_is_not_tried_beside_it() -> None:
 
 
 @pytest.mark.parametrize("name", ["asymmetric_friction", "stribeck_friction"])
-def test_what_stands_in_for_an_effect_starts_as_that_effect(
-    rubbing: Search, rubbed: Regression, name: str
-) -> None:
-    system = fitted_system(rubbed)
+def test_what_stands_in_for_an_effect_starts_as_that_effect(rubbing: Search, name: str) -> None:
+    friction = spring().make_effect("coulomb_friction", FRICTION["coulomb_friction"])
+    system = fitted_system(rubbing.quick(spring().with_effects(friction)))
     scales = data_sizes(system, rubbing.steps)
     begun = starts(system, name, scales, ())
     coulomb = effect_of(system, "coulomb_friction")

@@ -46,7 +46,6 @@ def found(push: Push | None, runs: int, seed: int = 0, *, loud: float = 1.0) -> 
 @pytest.mark.parametrize("runs", [3, 6])
 def test_the_run_is_named_that_a_friction_acts_in(runs: int) -> None:
     this = found(lambda q, v, t, run: np.where(run == 1, -0.03 * np.sign(v), 0.0), runs)
-    assert this is not None
     assert this.run == 1
     assert this.p < 1e-3
 
@@ -55,7 +54,6 @@ def test_a_friction_in_all_runs_or_in_two_of_them_is_in_no_run_only() -> None:
     for where in ({0, 1, 2, 3, 4, 5}, {1, 4}):
         own = list(where)
         this = found(lambda q, v, t, run, own=own: np.where(np.isin(run, own), -0.01 * np.sign(v), 0.0), 6)  # type: ignore[misc]
-        assert this is not None
         assert this.p > 1e-4  # of a hundred tests that is nothing
 
 
@@ -64,9 +62,8 @@ def test_a_line_for_each_run_does_not_hide_a_friction_in_one() -> None:
     tests = dependences(left)
     best = {d.variable: d for d in tests if d.everywhere}
     (this,) = (d for d in tests if d.variable == "q_dot" and d.run is not None and d.moment is None)
-    assert (
-        best["q_dot by run"].excess > this.excess
-    )  # eight slopes of the speed, which say nothing of friction
+    # eight slopes of the speed, which say nothing of friction
+    assert best["q_dot by run"].excess > this.excess
     assert this.run == 2
     assert this.p < 1e-4
 
@@ -77,7 +74,6 @@ def test_of_two_runs_nobody_knows_which_is_the_odd_one() -> None:
 
 def test_a_push_that_is_constant_in_a_run_depends_on_nothing() -> None:
     this = found(lambda q, v, t, run: np.where(run == 1, 0.01, 0.0), 4)
-    assert this is not None
     assert this.p > 0.01
 
 

@@ -20,6 +20,7 @@ from nsde_torch.data import RawRun
 from nsde_torch.diagnosis.candidates import why_not
 from nsde_torch.effects import Coordinate, Parameter, Port
 from nsde_torch.systems import Defaults, ResidualPort, System, make_system
+from tests.helpers.diagnosed import assert_interval
 from tests.helpers.two_joints import TwoJoints
 
 PENDULUM = "pendulum:Pendulum"
@@ -42,10 +43,7 @@ class Car(System):
     residual_ports = {Port.FORCE: ResidualPort(1, 1.0, "m/s2")}
     sensor_noise = True
     defaults = Defaults(0.05, 20, (0.05,), 0.1, 1.0, "euler_maruyama")
-    PARAMETERS = {
-        "engine": Parameter(3.0, "m/s2", low=0.0),
-        "rolling": Parameter(0.1, "m/s2", low=0.0),
-    }
+    PARAMETERS = {"engine": Parameter(3.0, "m/s2", low=0.0), "rolling": Parameter(0.1, "m/s2", low=0.0)}
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         pushed = self.value("engine") * u - self.value("rolling")
@@ -86,10 +84,7 @@ class Boat(System):
         Coordinate("sway", "sway", Port.FORCE, row=1),
         Coordinate("turn", "turn", Port.TORQUE),
     )
-    residual_ports = {
-        Port.FORCE: ResidualPort(2, 0.1, "m/s2"),
-        Port.TORQUE: ResidualPort(1, 0.1, "rad/s2"),
-    }
+    residual_ports = {Port.FORCE: ResidualPort(2, 0.1, "m/s2"), Port.TORQUE: ResidualPort(1, 0.1, "rad/s2")}
     sensor_noise = True
     defaults = Defaults(0.05, 20, (0.01, 0.01, 0.01), 0.1, 1.0, "euler_maruyama")
     PARAMETERS = {
@@ -164,11 +159,8 @@ def test_cogging_of_an_order_between_those_of_usual_machines_is_named_over_many_
     assert np.ptp(np.concatenate([run.x[:, 0] for run in runs])) > 20.0 * np.pi
     found = nsde_torch.diagnose(runs, system=PENDULUM, candidates=["ripple", "coulomb_friction"], say=False)
     assert found.added == ["ripple"]
-    low, high = found.parameters["ripple.order"]["interval_90"]
-    assert low - 0.001 < 7.0 < high + 0.001
-    low, high = found.parameters["ripple.sine"]["interval_90"]
-    assert low - 0.005 < 1.0 < high + 0.005
-    assert high - low < 0.05
+    assert_interval(found.parameters, "ripple.order", 7.0, slack=0.001)
+    assert_interval(found.parameters, "ripple.sine", 1.0, slack=0.005, width=0.05)
 
 
 def test_dry_friction_of_what_turns_fast_now_and_then_has_its_size() -> None:
@@ -179,9 +171,7 @@ def test_dry_friction_of_what_turns_fast_now_and_then_has_its_size() -> None:
         runs, system=PENDULUM, candidates=["coulomb_friction", "quadratic_damping"], say=False
     )
     assert found.added == ["coulomb_friction"]
-    low, high = found.parameters["coulomb_friction.size"]["interval_90"]
-    assert low - 0.001 < 0.6 < high + 0.001
-    assert high - low < 0.015
+    assert_interval(found.parameters, "coulomb_friction.size", 0.6, slack=0.001, width=0.015)
     assert found.parameters["coulomb_friction.width"]["value"] < 0.02
 
 
@@ -202,9 +192,7 @@ def test_a_sound_machine_without_a_position_is_sound_in_slow_and_noisy_rows() ->
 def test_the_weaker_of_two_propellers_is_named() -> None:
     found = nsde_torch.diagnose(sailed((0.92, 1.0), 0.0), system=Boat, say=False)
     assert found.added == ["actuator_efficiency_loss"]
-    low, high = found.parameters["actuator_efficiency_loss.loss[0]"]["interval_90"]
-    assert low - 0.002 < 0.08 < high + 0.002
-    assert high - low < 0.02
+    assert_interval(found.parameters, "actuator_efficiency_loss.loss[0]", 0.08, slack=0.002, width=0.02)
 
 
 def test_the_zero_of_a_position_is_a_candidate_where_something_depends_on_it() -> None:
@@ -218,26 +206,20 @@ def test_a_force_that_two_inputs_make_is_a_law_of_both() -> None:
     found = nsde_torch.diagnose(sailed((1.0, 1.0), 0.012), system=Boat, say=False)
     assert found.added == ["force[sway] = c1 port_side + c2 starboard"]
     for size in ("c1", "c2"):
-        low, high = found.parameters[f"{found.added[0]}.{size}"]["interval_90"]
-        assert low - 1e-4 < 0.012 < high + 1e-4
-        assert high - low < 0.002
+        assert_interval(found.parameters, f"{found.added[0]}.{size}", 0.012, slack=1e-4, width=0.002)
 
 
 def test_a_drag_that_grows_with_turns_to_both_sides_is_found() -> None:
     found = nsde_torch.diagnose(sailed((1.0, 1.0), 0.0, 0.3), system=Boat, say=False)
     assert found.added == ["force[surge] = c1 surge abs(turn)"]
-    low, high = found.parameters[f"{found.added[0]}.c1"]["interval_90"]
-    assert low - 0.01 < -0.3 < high + 0.01
-    assert high - low < 0.1
+    assert_interval(found.parameters, f"{found.added[0]}.c1", -0.3, slack=0.01, width=0.1)
 
 
 def test_teeth_of_any_number_have_a_name() -> None:
     runs = turned(lambda q, v: 0.8 * np.sin(31.0 * q), seconds=15.0, dt=0.005, size=1.0)
     found = nsde_torch.diagnose(runs, system=PENDULUM, say=False)
     assert found.added == ["ripple"]
-    low, high = found.parameters["ripple.order"]["interval_90"]
-    assert low - 0.01 < 31.0 < high + 0.01
-    assert high - low < 0.1
+    assert_interval(found.parameters, "ripple.order", 31.0, slack=0.01, width=0.1)
 
 
 def test_an_encoder_whose_zero_is_off_is_named_and_no_ripple() -> None:
@@ -245,21 +227,16 @@ def test_an_encoder_whose_zero_is_off_is_named_and_no_ripple() -> None:
     biased = [RawRun(run.name, run.t, run.x + np.array([0.04, 0.0]), run.u) for run in runs]
     found = nsde_torch.diagnose(biased, system=PENDULUM, say=False)
     assert found.added == ["position_bias"]
-    low, high = found.parameters["position_bias.bias"]["interval_90"]
-    assert low - 0.0003 < 0.04 < high + 0.0003
-    assert high - low < 0.003
+    assert_interval(found.parameters, "position_bias.bias", 0.04, slack=0.0003, width=0.003)
 
 
 def test_what_tires_with_the_time_is_a_law_of_it() -> None:
     runs = turned(lambda q, v: 0.0, seconds=20.0, dt=0.01, size=0.6)
-    tired = []
-    for run in runs:
-        # less torque acts than is logged, by a share that grows with the time
-        tired.append(RawRun(run.name, run.t, run.x, run.u / (1.0 - 0.01 * run.t[:, None])))
+    # less torque acts than is logged, by a share that grows with the time
+    tired = [RawRun(run.name, run.t, run.x, run.u / (1.0 - 0.01 * run.t[:, None])) for run in runs]
     found = nsde_torch.diagnose(tired, system=PENDULUM, say=False)
     assert found.added == ["actuator_gain_drift"]
-    low, high = found.parameters["actuator_gain_drift.rate"]["interval_90"]
-    assert low - 0.0002 < -0.01 < high + 0.0002
+    assert_interval(found.parameters, "actuator_gain_drift.rate", -0.01, slack=0.0002)
 
 
 def test_a_leak_is_a_constant_of_a_machine_without_coordinates() -> None:
@@ -277,6 +254,4 @@ def test_a_leak_is_a_constant_of_a_machine_without_coordinates() -> None:
         runs.append(RawRun(f"run_{seed}", 0.2 * np.arange(len(u)), x, u))
     found = nsde_torch.diagnose(runs, system=Tank, say=False)
     assert found.added == ["force = c1"]
-    low, high = found.parameters["force = c1.c1"]["interval_90"]
-    assert low - 2e-4 < -0.006 < high + 2e-4
-    assert high - low < 0.002
+    assert_interval(found.parameters, "force = c1.c1", -0.006, slack=2e-4, width=0.002)

@@ -15,23 +15,18 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks" / "bli
 from remembering import DT, RIGHT, run
 
 
-@pytest.mark.parametrize("kind", ["bouc_wen", "play", "delay", "coulomb"])
+@pytest.mark.parametrize(
+    ("kind", "own", "true"),
+    [("bouc_wen", "reach", 0.08), ("play", "gap", 0.25), ("delay", "delay", 0.04), ("coulomb", "size", 0.4)],
+)
 @pytest.mark.slow
-def test_it_is_named_for_what_it_is(kind: str) -> None:
-    values = {
-        "k": 3.0,
-        "b": 0.4,
-        "g": 1.1,
-        "size": 0.4,
-        "reach": 0.08,
-        "time": 0.25 if kind == "play" else 0.04,
-    }
+def test_it_is_named_for_what_it_is(kind: str, own: str, true: float) -> None:
+    late = 0.25 if kind == "play" else 0.04
+    values = {"k": 3.0, "b": 0.4, "g": 1.1, "size": 0.4, "reach": 0.08, "time": late}
     runs = []
     for n in range(3):
         x, u = run(kind, values, np.random.default_rng([9, n]))
         runs.append(RawRun(f"run_{n}", DT * np.arange(len(x)) + 100.0 * n, x, u))
     found = nsde_torch.diagnose(runs, system="mass_spring_damper").content()
     assert found["added"] == [RIGHT[kind]]
-    own = {"bouc_wen": "reach", "play": "gap", "delay": "delay", "coulomb": "size"}[kind]
-    true = {"bouc_wen": 0.08, "play": 0.25, "delay": 0.04, "coulomb": 0.4}[kind]
     assert found["parameters"][f"{RIGHT[kind]}.{own}"]["value"] == pytest.approx(true, rel=0.1)

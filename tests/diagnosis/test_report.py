@@ -13,11 +13,10 @@ import pytest
 
 from nsde_torch.diagnosis import reading
 from nsde_torch.diagnosis.report import page, write_report
-from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.text import interval, lines
 from nsde_torch.diagnosis.time_series import plotly_script
 from nsde_torch.sysid.guard import Guarded, Objection
-from tests.helpers.diagnosed import diagnosed
+from tests.helpers.diagnosed import Diagnosed, diagnosed
 
 _VOID = {"meta", "br", "img"}
 
@@ -40,30 +39,25 @@ class _Balanced(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def found() -> tuple[Diagnosis, dict[str, Any]]:
+def found() -> Diagnosed:
     return diagnosed("mass_spring_damper", {"constant_force": {"acceleration": 0.2}})
 
 
-def _with_a_blind_spot(case: tuple[Diagnosis, dict[str, Any]]) -> tuple[Diagnosis, dict[str, Any]]:
+def _with_a_blind_spot(case: Diagnosed) -> Diagnosed:
     """The same diagnosis of data that could not show one effect, as `diagnosis.json` has it."""
     unseen = {
-        "effect": "input_delay",
-        "parameter": "input_delay.delay",
-        "smallest": 0.031,
-        "usual": 0.05,
-        "unit": "s",
-        "experiment": "inputs that change within some milliseconds",
-        "declared": False,
+        **{"effect": "input_delay", "parameter": "input_delay.delay", "smallest": 0.031, "usual": 0.05},
+        **{"unit": "s", "experiment": "inputs that change within some milliseconds", "declared": False},
     }
     return case[0], {**case[1], "not_shown": [unseen]}
 
 
 @pytest.fixture(scope="module")
-def nothing() -> tuple[Diagnosis, dict[str, Any]]:
+def nothing() -> Diagnosed:
     return diagnosed("mass_spring_damper")
 
 
-def written(folder: Path, case: tuple[Diagnosis, dict[str, Any]]) -> tuple[str, int]:
+def written(folder: Path, case: Diagnosed) -> tuple[str, int]:
     """The page, and the number of its pictures."""
     diagnosis, content = case
     write_report(folder / "report.html", diagnosis, json.loads(json.dumps(content, allow_nan=False)))
@@ -75,13 +69,10 @@ def written(folder: Path, case: tuple[Diagnosis, dict[str, Any]]) -> tuple[str, 
 
 
 @pytest.mark.slow
-def test_the_page_loads_nothing_and_fits_a_phone(
-    tmp_path: Path, found: tuple[Diagnosis, dict[str, Any]]
-) -> None:
+def test_the_page_loads_nothing_and_fits_a_phone(tmp_path: Path, found: Diagnosed) -> None:
     page, images = written(tmp_path, found)
-    own = page.replace(
-        plotly_script(), ""
-    )  # which can ask for maps; that it asks for nothing: test_time_series
+    # the script can ask for maps; that it asks for nothing: test_time_series
+    own = page.replace(plotly_script(), "")
     assert not re.search(r"(src|href)=\"(?!data:image/png;base64,)", own)
     assert "http" not in own
     assert "@import" not in own
@@ -94,57 +85,54 @@ def test_the_page_loads_nothing_and_fits_a_phone(
 
 
 def test_the_page_names_the_effect_its_values_its_tie_and_the_experiment(
-    tmp_path: Path, found: tuple[Diagnosis, dict[str, Any]]
+    tmp_path: Path, found: Diagnosed
 ) -> None:
     page, _ = written(tmp_path, _with_a_blind_spot(found))
     _, content = found
     text = re.sub(r"<[^>]+>", " ", re.sub(r"<style>.*?</style>", "", page))
+    told = [content["findings"][0]["sentence"], content["ties"][0]["experiment"]]
     for word in (
-        "Found what is missing",
-        "constant_force",
-        content["findings"][0]["sentence"],
-        "Indistinguishable.",
-        "sensor_bias",
+        *(
+            "Found what is missing",
+            "constant_force",
+            *told,
+            "Indistinguishable.",
+            "sensor_bias",
+            "left before",
+        ),
+        *("beside everything else: log-likelihood", "All effects that were tried"),
+        *("What these data cannot show", "0.031 s"),
     ):
         assert word in text
-    assert content["ties"][0]["experiment"] in text
-    assert "left before" in text
     # what runs left out say of steps comes before predictions, which are called what they are
-    first, second = (
-        text.index("Log-likelihood of one-step predictions"),
-        text.index("Open-loop, inputs replayed"),
-    )
+    first, second = text.index("Log-likelihood of one-step predictions"), text.index("Open-loop, inputs")
     assert first < text.index("Before and after, on runs left out") < second
-    assert "beside everything else: log-likelihood" in text
-    assert "All effects that were tried" in text
-    assert "What these data cannot show" in text
-    assert "0.031 s" in text
 
 
 @pytest.mark.slow
-def test_a_page_of_nothing_found_shows_the_residual_and_the_floor(
-    tmp_path: Path, nothing: tuple[Diagnosis, dict[str, Any]]
-) -> None:
+def test_a_page_of_nothing_found_shows_the_residual_and_the_floor(tmp_path: Path, nothing: Diagnosed) -> None:
     page, images = written(tmp_path, nothing)
     assert images == 2
     assert "Nothing is missing" in page
     assert "→" not in page
 
 
-def test_the_terminal_says_the_same(found: tuple[Diagnosis, dict[str, Any]]) -> None:
+def test_the_terminal_says_the_same(found: Diagnosed) -> None:
     said = "\n".join(lines(_with_a_blind_spot(found)[1]))
     assert said.startswith("verdict: effect_found")
     for word in (
-        "constant_force.acceleration",
-        "90 % interval",
-        "indistinguishable from sensor_bias",
-        "cannot show",
+        *(
+            "constant_force.acceleration",
+            "90 % interval",
+            "indistinguishable from sensor_bias",
+            "cannot show",
+        ),
         "input_delay: delay below 0.031 s",
     ):
         assert word in said
 
 
-def test_the_content_holds_what_the_schema_promises(found: tuple[Diagnosis, dict[str, Any]]) -> None:
+def test_the_content_holds_what_the_schema_promises(found: Diagnosed) -> None:
     _, content = found
     promised = {
         *("schema", "verdict", "added", "summary", "findings", "ranking", "ties", "not_shown", "parameters"),
@@ -153,10 +141,10 @@ def test_the_content_holds_what_the_schema_promises(found: tuple[Diagnosis, dict
     }
     assert promised <= set(content)
     errors = content["errors"]
-    assert {"before", "after", "ratio", "difference", "units", "horizons_s", "measured_on", "runs"} <= set(
-        errors
-    )
-    assert {"inputs", "closed_loop", "one_step", "residual"} <= set(errors)
+    assert {
+        *("before", "after", "ratio", "difference", "units", "horizons_s", "measured_on", "runs"),
+        *("inputs", "closed_loop", "one_step", "residual"),
+    } <= set(errors)
     step = errors["one_step"]
     assert step["low_90"] < step["nats"] < step["high_90"]
     assert set(step["channels"]) == set(errors["residual"]) == set(content["residual"])
@@ -219,7 +207,7 @@ def test_a_width_that_is_crossed_within_a_step_is_below_something(
 
 
 def test_what_was_set_aside_stands_on_the_page_with_its_reason(
-    nothing: tuple[Diagnosis, dict[str, Any]],
+    nothing: Diagnosed,
 ) -> None:
     aside = {"effect": "x", "sentence": "x would explain something.", "reason": "what <feedback> may hide"}
     content = {**nothing[1], "aside": [aside]}

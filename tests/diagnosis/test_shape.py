@@ -39,8 +39,7 @@ def described(push: Push, variable: str) -> Shape:
 def test_an_odd_dependence_over_the_whole_range_is_called_so() -> None:
     words = described(lambda q, t, run: -3.0 * q**3, "q")
     assert (words.channel, words.symmetry, words.extent) == ("q_dot", "odd", "global")
-    assert words.period is None
-    assert words.only_run is None
+    assert (words.period, words.only_run) == (None, None)
     assert "odd" in words.sentence
 
 
@@ -48,11 +47,20 @@ def test_an_even_dependence_is_called_so() -> None:
     assert described(lambda q, t, run: 2.0 * (q**2 - 0.02), "q").symmetry == "even"
 
 
-def test_a_bump_in_one_place_is_local_and_its_place_is_told() -> None:
-    words = described(lambda q, t, run: 0.6 * np.exp(-(((q - 0.2) / 0.03) ** 2)), "q")
-    assert words.extent == "local"
-    assert words.where is not None
-    assert words.where[0] < 0.2 < words.where[1]
+@pytest.mark.parametrize(
+    ("push", "place"),
+    [
+        (lambda q, t, run: 0.6 * np.exp(-(((q - 0.2) / 0.03) ** 2)), 0.2),
+        (lambda q, t, run: -0.5 * (q - 0.15) / 0.05 * np.exp(-0.5 * ((q - 0.15) / 0.05) ** 2), 0.15),
+    ],
+    ids=["bump", "well"],
+)
+def test_what_is_in_one_place_is_local_and_not_periodic_and_its_place_is_told(
+    push: Push, place: float
+) -> None:
+    words = described(push, "q")
+    assert (words.extent, words.period) == ("local", None)
+    assert words.where[0] < place < words.where[1]
 
 
 def test_teeth_along_the_way_are_periodic() -> None:
@@ -81,8 +89,7 @@ def test_a_push_that_is_constant_in_one_run_is_called_so() -> None:
 
 def test_a_push_at_one_time_is_local_in_time_and_has_no_symmetry() -> None:
     words = described(lambda q, t, run: 0.5 * np.exp(-(((t - t.min() - 4.0) / 0.4) ** 2)), "time")
-    assert words.extent == "local"
-    assert words.symmetry == ""
+    assert (words.extent, words.symmetry) == ("local", "")
 
 
 def test_bins_give_means_and_errors_that_hold_noise_which_lasts() -> None:
@@ -113,14 +120,3 @@ def test_a_single_moment_is_described_without_functions_of_anything() -> None:
     words = shape(left, single, seen, RUNS)
     assert (words.only_run, words.extent, words.symmetry) == (None, "local", "")
     assert "3.5 s" in words.sentence
-
-
-def test_a_well_in_one_place_is_local_and_not_periodic() -> None:
-    def well(q: Array, t: Array, run: Array) -> Array:
-        return -0.5 * (q - 0.15) / 0.05 * np.exp(-0.5 * ((q - 0.15) / 0.05) ** 2)
-
-    words = described(well, "q")
-    assert words.period is None
-    assert words.extent == "local"
-    assert words.where is not None
-    assert words.where[0] < 0.15 < words.where[1]

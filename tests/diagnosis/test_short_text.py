@@ -16,10 +16,8 @@ from nsde_torch.evaluation.report import between_ends, number
 @pytest.fixture
 def content() -> dict[str, Any]:
     """A diagnosis that found something."""
-    found: dict[str, Any] = json.loads(
-        (Path(__file__).parents[1] / "golden" / "diagnosis.json").read_text(encoding="utf-8")
-    )
-    return found
+    path = Path(__file__).parents[1] / "golden" / "diagnosis.json"
+    return dict(json.loads(path.read_text(encoding="utf-8")))
 
 
 def test_the_short_text_fits_a_screen_and_has_every_finding_with_its_interval(

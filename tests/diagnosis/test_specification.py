@@ -5,8 +5,6 @@ The innovations of a spring are drawn anew, with what a push does to them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 import torch
@@ -117,26 +115,17 @@ def _information(left: PhysicsResiduals, force: Array) -> float:
     """Information of a force beside the parameters, by the columns of the likelihood."""
     at = left.at
     acts = torch.from_numpy(force[at.of.space.chunks.row.numpy()])[..., None]
-    gram = grams(at.of.space, at.levels, at.about, at.at, left.forces.columns, forces=[(0, acts)]).total[
-        1:, 1:
-    ]
+    found = grams(at.of.space, at.levels, at.about, at.at, left.forces.columns, forces=[(0, acts)])
+    gram = found.total[1:, 1:]
     return float(gram[-1, -1] - gram[-1, :-1] @ inverted(gram[:-1, :-1]) @ gram[:-1, -1])
 
 
-def _bumps() -> Iterator[tuple[int, Push]]:
-    for run in (1, 3):
-        yield (
-            run,
-            lambda q, v, t, of, run=run: np.where(of == run, 0.3 * np.exp(-np.square((t - 4) / 0.1)), 0.0),
-        )  # type: ignore[misc]
-
-
-def test_a_single_push_is_found_at_its_moment(spring: MadeResiduals) -> None:
-    for run, push in _bumps():
-        moment = next(d for d in dependences(spring.made(push)) if d.moment is not None)
-        assert moment.p < 1e-3
-        assert moment.run == run
-        assert moment.moment == pytest.approx(4.0, abs=0.4)
+@pytest.mark.parametrize("run", [1, 3])
+def test_a_single_push_is_found_at_its_moment(spring: MadeResiduals, run: int) -> None:
+    made = spring.made(lambda q, v, t, of: np.where(of == run, 0.3 * np.exp(-np.square((t - 4) / 0.1)), 0.0))
+    moment = next(d for d in dependences(made) if d.moment is not None)
+    assert moment.p < 1e-3
+    assert (moment.run, moment.moment) == (run, pytest.approx(4.0, abs=0.4))
 
 
 def test_a_sinusoid_is_found_at_its_frequency(spring: MadeResiduals) -> None:

@@ -63,7 +63,6 @@ def test_states_inputs_and_residuals_of_every_run_are_there(found: Diagnosis) ->
 
 def test_predictions_have_a_band_that_holds_nine_in_ten_of_what_was_measured(found: Diagnosis) -> None:
     made = found.errors.predictions
-    assert made is not None
     assert made.horizon == 1.0
     content = json.loads(time_series(found))
     errors, inside = {"before": [], "after": []}, []

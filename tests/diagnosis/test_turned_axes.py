@@ -16,12 +16,8 @@ RIVALS = Options(candidates=(*sorted(THERE), "thrust_misalignment", "inertia_cou
 
 @pytest.mark.slow
 def test_axes_of_the_log_that_are_turned_are_named_and_not_a_tilted_thrust_or_skew_masses() -> None:
-    _, content = diagnosed(
-        "hexacopter",
-        options=RIVALS,
-        durations=(10.0,) * 4,
-        recording=Recording(frame_misalignment=TURN_DEG),
-    )
+    turned = Recording(frame_misalignment=TURN_DEG)
+    _, content = diagnosed("hexacopter", options=RIVALS, durations=(10.0,) * 4, recording=turned)
     assert set(content["added"]) == THERE
     for axis, angle in enumerate(np.radians(TURN_DEG)):
         found = content["parameters"][f"frame_misalignment.turn[{axis}]"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nsde_torch.diagnosis.decisions import Budgets, Options
-from tests.helpers.diagnosed import diagnosed
+from tests.helpers.diagnosed import assert_interval, diagnosed
 
 FOLDER = Path(__file__).parents[2] / "benchmarks" / "blind"
 needs_outside = pytest.mark.skipif(not FOLDER.is_dir(), reason="the benchmarks are not part of a wheel")
@@ -28,8 +28,7 @@ def test_a_magnet_on_the_pole_is_a_ripple_of_the_catalogue_and_unexplained_witho
     assert content["added"] == ["ripple[pole]"]
     found = content["parameters"]
     assert found["ripple[pole].order"]["value"] == pytest.approx(2.0, abs=0.02)
-    low, high = found["ripple[pole].sine"]["interval_90"]
-    assert low < -1.5 < high
+    assert_interval(found, "ripple[pole].sine", -1.5)
     few = Options(candidates=("coulomb_friction[pole]", "quadratic_damping[pole]"))
     _, content = diagnosed("cartpole", magnet, options=few, durations=(4.0,) * 16)
     assert content["verdict"] == "unexplained"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,6 +14,9 @@ from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording import Recording, assemble
 from nsde_torch.simulation import simulate
 from nsde_torch.systems import make_system
+
+Diagnosed = tuple[Diagnosis, dict[str, Any]]
+"""A diagnosis, and the content of `diagnosis.json`."""
 
 SHORT: Mapping[str, tuple[tuple[float, ...], float]] = {
     "mass_spring_damper": ((8.0,) * 3, 0.02),
@@ -55,8 +59,8 @@ def diagnosed(
     decisions: Decisions = DECISIONS,
     budgets: Budgets = BUDGETS,
     **making: Any,
-) -> tuple[Diagnosis, dict[str, Any]]:
-    """A diagnosis of such runs, and the content of `diagnosis.json`."""
+) -> Diagnosed:
+    """A diagnosis of such runs."""
     data = recorded(system, *effects, **making)
     declared = make_system(system)
     spec = SysidSpec(system, dt=data.dt, horizon=declared.defaults.horizon)
@@ -64,3 +68,12 @@ def diagnosed(
         declared, spec, data, data.runs, options or Options(), decisions=decisions, budgets=budgets
     )
     return found, found.content()
+
+
+def assert_interval(
+    parameters: Mapping[str, Any], name: str, truth: float, *, slack: float = 0.0, width: float = math.inf
+) -> None:
+    """The interval of 90 % holds the truth, but for some slack, and is narrower than this."""
+    low, high = parameters[name]["interval_90"]
+    assert low - slack < truth < high + slack
+    assert high - low < width

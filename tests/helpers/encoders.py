@@ -16,6 +16,11 @@ from nsde_torch.data.raw import RawRun
 Array = NDArray[np.float64]
 DT = 0.01
 SPRING = {"k": 4.0, "b": 0.3, "g": 1.3, "force": 2.0}
+TRUTH = {
+    "force_gain": SPRING["g"],
+    "linear_spring.stiffness": SPRING["k"],
+    "viscous_friction.damping": SPRING["b"],
+}
 
 
 def encoder_runs(

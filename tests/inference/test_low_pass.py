@@ -57,7 +57,6 @@ def test_a_row_that_measures_nothing_changes_nothing() -> None:
     at = whole.filtered(first, about)
     assert whole.space.every == [5, 5]
     measured = whole.space.measured
-    assert measured is not None
     assert bool((at.rows[~measured.all(-1)] == 0.0).all())
     # other values there do not matter
     moved = [replace(run, x=run.x + 0.5 * (np.arange(len(run.x)) % 5 != 0)[:, None]) for run in runs]

@@ -9,13 +9,7 @@ from nsde_torch.inference import LogLikelihood
 from nsde_torch.inference.states import filtered_at
 from nsde_torch.recording import assemble
 from nsde_torch.systems import make_system
-from tests.helpers.encoders import SPRING, encoder_runs
-
-TRUTH = {
-    "force_gain": SPRING["g"],
-    "linear_spring.stiffness": SPRING["k"],
-    "viscous_friction.damping": SPRING["b"],
-}
+from tests.helpers.encoders import TRUTH, encoder_runs
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.2])

@@ -29,7 +29,6 @@ def test_no_physics_is_left_in_the_drift() -> None:
 
 def test_the_rate_depends_on_the_input_and_has_the_size_of_the_data() -> None:
     model = make()
-    assert model.black_box is not None
     g = torch.Generator().manual_seed(2)
     x = torch.cumsum(torch.tensor([0.1, 1.0, 10.0, 100.0]) * torch.randn(200, 11, 4, generator=g), 1)
     u = torch.randn(200, 10, 1, generator=g)

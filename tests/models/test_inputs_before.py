@@ -126,7 +126,6 @@ def test_the_clock_of_the_log_scales_what_is_remembered() -> None:
 def test_inputs_before_are_restored_with_those_that_follow() -> None:
     spec = SDESpec("hexacopter", dt=DT, horizon=10, step="milstein", filter_reach=2, effects=("motor_lag",))
     model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0)).double().requires_grad_(False)
-    assert model.filter is not None
     model.filter.weights.normal_(generator=torch.Generator().manual_seed(1))
     x, u = flight("motor_lag")
     x0, logged, before = x[BEFORE : BEFORE + 1], u[None, BEFORE : BEFORE + 10], u[None, BEFORE - 10 : BEFORE]

@@ -80,7 +80,6 @@ def test_one_run_has_nothing_to_differ_from() -> None:
 def test_an_unsure_run_is_drawn_to_the_others() -> None:
     sure = {f"run_{k}": Uncertain(d, 0.0005, 40) for k, d in enumerate((0.0, 0.010, 0.004, 0.012))}
     found = differing({**sure, "unsure": Uncertain(0.060, 0.050, 10)}, step=0.01)
-    assert found is not None
     assert found["run_1"] == pytest.approx(0.010, abs=1e-4)
     assert found["unsure"] == pytest.approx(0.007, abs=0.003)
 
@@ -89,7 +88,6 @@ def test_one_run_that_is_far_surer_than_the_others_does_not_hide_what_differs() 
     late = ((0.0188, 7e-5), (0.0036, 2e-4), (0.0019, 8e-4), (0.0111, 5e-5))
     offsets = {str(k): Uncertain(d, e, 19) for k, (d, e) in enumerate(late)}
     found = differing(offsets, step=0.01)
-    assert found is not None
     assert found["0"] == pytest.approx(0.0188, abs=1e-4)
     assert found["2"] == pytest.approx(0.0019, abs=3e-4)
 

@@ -12,7 +12,6 @@ from nsde_torch.recording import assemble
 from nsde_torch.systems import make_system
 
 SPRING = "mass_spring_damper"
-QUIET = (1e-4, 3e-4)
 
 
 def logged(seed: int, *, hz: int, late: float = 0.0, sensor: tuple[float, float] = (2e-4, 2e-3)) -> RawRun:
@@ -35,18 +34,18 @@ def kinds(data: DataSet) -> dict[str, str]:
 
 
 def test_a_rate_that_is_late_by_less_than_the_step_is_found_and_taken_out() -> None:
-    on_time = nsde_torch.read([logged(0, hz=500, sensor=QUIET)], system=SPRING, dt=0.02)
-    late = nsde_torch.read([logged(0, hz=500, late=0.004, sensor=QUIET)], system=SPRING, dt=0.02)
+    def read(late: float, **options: str) -> DataSet:
+        run = logged(0, hz=500, late=late, sensor=(1e-4, 3e-4))
+        return nsde_torch.read([run], system=SPRING, dt=0.02, **options)
+
+    on_time, late = read(0.0), read(0.004)
     assert (late.dt, late.runs[0].dt) == (0.02, 0.02)
     assert kinds(on_time) == {}
     assert kinds(late) == {"late_sensor": "taken out"}
     rows = slice(10, 700)
     left = late.runs[0].x[rows, 1] - on_time.runs[0].x[rows, 1]
     assert left.std() < 0.1 * (0.004 * np.gradient(on_time.runs[0].x[:, 1], 0.02)).std()
-    kept = nsde_torch.read(
-        [logged(0, hz=500, late=0.004, sensor=QUIET)], system=SPRING, dt=0.02, stream_offsets="keep"
-    )
-    assert kinds(kept) == {"late_sensor": "reported"}
+    assert kinds(read(0.004, stream_offsets="keep")) == {"late_sensor": "reported"}
 
 
 @pytest.mark.parametrize("dt", [0.02, 0.05])

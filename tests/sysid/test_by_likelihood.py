@@ -5,36 +5,33 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.signal import butter, filtfilt
 
-from nsde_torch.data.raw import RawRun
+from nsde_torch.data import DataSet, RawRun
 from nsde_torch.recording import assemble
 from nsde_torch.sysid.guard import Guarded, Objection
 from nsde_torch.sysid.identify import by_likelihood, identify_in_loop
-from nsde_torch.systems import make_system
-from tests.helpers.encoders import DT, SPRING, encoder_runs
+from nsde_torch.systems import System, make_system
+from tests.helpers.encoders import DT, SPRING, TRUTH, encoder_runs
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks" / "blind"))
 from two_joints import make_data
 
-TRUTH = {
-    "force_gain": SPRING["g"],
-    "linear_spring.stiffness": SPRING["k"],
-    "viscous_friction.damping": SPRING["b"],
-}
+
+def spring(rate: str, **options: Any) -> tuple[System, DataSet]:
+    system = make_system("mass_spring_damper")
+    return system, assemble(encoder_runs(rate, **options), system, kind="test")
 
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth_over_seeds() -> None:
     inside = []
     for seed in range(6):
-        system = make_system("mass_spring_damper")
-        data = assemble(
-            encoder_runs("none", seed=seed, friction=0.0, runs=3, seconds=8.0), system, kind="test"
-        )
+        system, data = spring("none", seed=seed, friction=0.0, runs=3, seconds=8.0)
         found = identify_in_loop(system, data.runs)
         at = [found.vector.labels.index(name) for name in TRUTH]
         assert np.isfinite(found.standard_errors[at]).all()
@@ -44,31 +41,26 @@ def test_intervals_hold_the_truth_over_seeds() -> None:
 
 @pytest.mark.slow
 def test_of_two_joints_the_likelihood_is_nearer_than_physics_at_inferred_rates() -> None:
-    damping = 0.002
-    runs = []
-    rng = np.random.default_rng(1)
+    damping, runs, rng = 0.002, [], np.random.default_rng(1)
+
+    def friction(q: np.ndarray, w: np.ndarray) -> np.ndarray:
+        return np.array([0.0, -damping * abs(w[1]) * w[1]])
+
     for k in range(3):
-        table = make_data.kept(
-            900, np.random.default_rng(k), lambda q, w: np.array([0.0, -damping * abs(w[1]) * w[1]]), 0.0
-        )
+        table = make_data.kept(900, np.random.default_rng(k), friction, 0.0)
         x = np.column_stack([table[:, :2] + 1e-3 * rng.standard_normal((900, 2)), np.full((900, 2), np.nan)])
         runs.append(RawRun(f"run_{k}", make_data.DT * np.arange(900) + 100.0 * k, x, table[:, 4:]))
-    system = make_system(
-        "double_pendulum:DoublePendulum",
-        effects=["quadratic_damping[q2]"],
-        values={"quadratic_damping[q2].damping": 0.003},
-    )
+    values = {"quadratic_damping[q2].damping": 0.003}
+    system = make_system("double_pendulum:DoublePendulum", effects=["quadratic_damping[q2]"], values=values)
     data = assemble(runs, system, kind="test")
     found = identify_in_loop(system, data.runs)
     j = found.vector.labels.index("quadratic_damping[q2].damping")
-    assert found.likelihood is not None
     assert found.likelihood.theta[j] == pytest.approx(damping, rel=1e-3)
     assert found.values[j] == pytest.approx(damping, rel=5e-3)
 
 
 def test_a_fit_that_simple_ones_speak_against_stays_as_it_is() -> None:
-    system = make_system("mass_spring_damper")
-    data = assemble(encoder_runs("sensor", runs=1), system, kind="test")
+    system, data = spring("sensor", runs=1)
     found = identify_in_loop(system, data.runs, likelihood=False)
     assert found.likelihood is None
     objection = Objection("worse", "it leaves more", "look at the columns")
@@ -77,8 +69,7 @@ def test_a_fit_that_simple_ones_speak_against_stays_as_it_is() -> None:
 
 
 def test_innovations_that_are_not_white_leave_the_values_of_the_regression_and_say_why() -> None:
-    system = make_system("mass_spring_damper")
-    data = assemble(encoder_runs("sensor", runs=2), system, kind="test")
+    system, data = spring("sensor", runs=2)
     b, a = butter(2, 3.0, fs=1.0 / DT)
     slow = [replace(run, x=np.column_stack([run.x[:, 0], filtfilt(b, a, run.x[:, 1])])) for run in data.runs]
     found = identify_in_loop(system, slow, likelihood=False)
@@ -91,8 +82,7 @@ def test_innovations_that_are_not_white_leave_the_values_of_the_regression_and_s
 
 
 def test_without_an_interval_a_parameter_says_why() -> None:
-    system = make_system("mass_spring_damper")
-    data = assemble(encoder_runs("sensor", runs=1), system, kind="test")
+    system, data = spring("sensor", runs=1)
     found = identify_in_loop(system, data.runs)
     assert found.likelihood_used
     lost = replace(found, converged=False)

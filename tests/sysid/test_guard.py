@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from nsde_torch.sysid.timing import Shifted, shifted_stream
 from nsde_torch.systems import make_system
 
 Change = Callable[[int, RawRun], None]
+Table = np.ndarray
 
 
 def made(system: str, seconds: Sequence[float] = (10.0,) * 3, seed: int = 3) -> list[RawRun]:
@@ -47,44 +49,27 @@ def test_nothing_speaks_against_the_fit_of_a_sound_log(system: str) -> None:
     assert guard.as_dict()["channels"].keys() == {c.name for c in guard.channels}
 
 
-def _swap(k: int, run: RawRun) -> None:
-    run.u[:, [0, 2]] = run.u[:, [2, 0]]
-
-
-def _down(k: int, run: RawRun) -> None:
-    run.x[:, [2, 5]] *= -1.0
-
-
-def _feet(k: int, run: RawRun) -> None:
-    run.x[:, :6] /= 0.3048
-
-
-def _ned(k: int, run: RawRun) -> None:
-    run.x[:, :6] = run.x[:, [1, 0, 2, 4, 3, 5]] * [1, 1, -1, 1, 1, -1]
-
-
-def _push(k: int, run: RawRun) -> None:
-    run.u *= -1.0
-
-
-def _hanging(k: int, run: RawRun) -> None:
-    run.x[:, 2] += np.pi
+DOWN = np.where(np.isin(range(13), (2, 5)), -1.0, 1.0)
+NED = [1, 0, 2, 4, 3, 5, *range(6, 13)]
 
 
 @pytest.mark.parametrize(
-    ("system", "change", "words"),
+    ("system", "written", "words"),
     [
-        ("quadrotor", _swap, "u_1 and u_3 exchanged"),
-        ("quadrotor", _down, "counted downwards"),
-        ("quadrotor", _feet, "in feet"),
-        ("quadrotor", _ned, "in NED and the attitude in ENU"),
-        ("mass_spring_damper", _push, "the opposite sign of 'force'"),
-        ("cartpole", _hanging, "pi more"),
+        ("quadrotor", lambda x, u: (x, u[:, [2, 1, 0, 3]]), "u_1 and u_3 exchanged"),
+        ("quadrotor", lambda x, u: (x * DOWN, u), "counted downwards"),
+        ("quadrotor", lambda x, u: (x / np.repeat((0.3048, 1.0), (6, 7)), u), "in feet"),
+        ("quadrotor", lambda x, u: (x[:, NED] * DOWN, u), "in NED and the attitude in ENU"),
+        ("mass_spring_damper", lambda x, u: (x, -u), "the opposite sign of 'force'"),
+        ("cartpole", lambda x, u: (x + np.array([0, 0, np.pi, 0]), u), "pi more"),
     ],
 )
 def test_columns_that_are_to_be_read_otherwise_are_told_by_name(
-    system: str, change: Change, words: str
+    system: str, written: Callable[[Table, Table], tuple[Table, Table]], words: str
 ) -> None:
+    def change(k: int, run: RawRun) -> None:
+        run.x, run.u = written(run.x, run.u)
+
     (objection,) = guard_of(system, change).objections
     assert objection.kind == "reading"
     assert words in objection.sentence
@@ -96,10 +81,8 @@ def test_propellers_that_turn_the_other_way_are_told_and_can_be_declared(system:
     # with the drag, the motor lag and the gusts of the machine
     runs = list(nsde_torch.simulate(system, durations=[10.0] * 2, seed=2).runs)
     yaw = np.array(make_system(system).mixing[-1])  # type: ignore[attr-defined]
-    flipped = [
-        replace(run, u=(run.u - np.outer(run.u @ yaw, 2.0 * yaw / (yaw @ yaw))).clip(0.0, 1.0))
-        for run in runs
-    ]
+    turn = np.eye(len(yaw)) - np.outer(yaw, 2.0 * yaw / (yaw @ yaw))
+    flipped = [replace(run, u=(run.u @ turn).clip(0.0, 1.0)) for run in runs]
 
     def better(log: list[RawRun], direction: int) -> str:
         machine = make_system(system, yaw_direction=direction)
@@ -122,16 +105,13 @@ def test_an_attitude_and_its_rate_that_are_late_or_early_together_are_told_with_
     milliseconds: int,
 ) -> None:
     def change(k: int, run: RawRun) -> None:
-        rows = round(milliseconds / 20)
-        run.x[:, 2:4] = np.roll(run.x[:, 2:4], rows, axis=0)
-        for name in ("t", "x", "u"):
-            setattr(run, name, getattr(run, name)[5:-5])
+        run.x[:, 2:4] = np.roll(run.x[:, 2:4], round(milliseconds / 20), axis=0)
+        run.t, run.x, run.u = run.t[5:-5], run.x[5:-5], run.u[5:-5]
 
     (objection,) = guard_of("cartpole", change).objections
     assert objection.kind == "shifted_stream"
     assert objection.sentence.startswith("theta and theta_dot")
     told = re.search(r"about (\d+) ms (late|early) against", objection.sentence)
-    assert told is not None
     assert float(told[1]) == pytest.approx(abs(milliseconds), abs=4.0)
     assert told[2] == ("late" if milliseconds > 0 else "early")
 
@@ -139,9 +119,7 @@ def test_an_attitude_and_its_rate_that_are_late_or_early_together_are_told_with_
 def test_inputs_that_act_as_late_as_actuators_do_are_a_note_and_others_an_objection() -> None:
     def late(rows: int) -> Change:
         def change(k: int, run: RawRun) -> None:
-            run.u[:] = np.roll(run.u, -rows, axis=0)
-            for name in ("t", "x", "u"):
-                setattr(run, name, getattr(run, name)[:-40])
+            run.t, run.x, run.u = run.t[:-40], run.x[:-40], np.roll(run.u, -rows, axis=0)[:-40]
 
         return change
 
@@ -163,12 +141,10 @@ def test_no_shift_is_advised_where_a_lag_and_a_smoother_together_do_the_same() -
     rough = rough_fit(system, data.runs)
     assert rough is not None
     plain = shifted_stream(system, data.runs, 1.0, rough)
-    assert plain is not None
     assert plain.against == ()
     assert plain.remedy.startswith("shift these columns")
-    restored = shifted_stream(
-        system, [replace(run, band={"theta_dot": 4.0}) for run in data.runs], 1.0, rough
-    )
+    banded = [replace(run, band={"theta_dot": 4.0}) for run in data.runs]
+    restored = shifted_stream(system, banded, 1.0, rough)
     assert restored is not None
     for found, why in (
         (restored, "theta_dot were smoothed before"),
@@ -179,15 +155,16 @@ def test_no_shift_is_advised_where_a_lag_and_a_smoother_together_do_the_same() -
         assert "log states as the sensors read them" in found.remedy
 
 
+def with_other(**machine: Any) -> list[RawRun]:
+    """Two runs of a spring, and one of another."""
+    other = nsde_torch.simulate("mass_spring_damper", durations=[10.0], seed=9, **machine).runs[0]
+    return [*LOGS["mass_spring_damper"][:2], RawRun("run_9", other.t + 40.0, other.x, other.u)]
+
+
 def test_a_run_of_another_machine_is_named() -> None:
-    other = nsde_torch.simulate(
-        "mass_spring_damper",
-        durations=[10.0],
-        seed=9,
-        effects={"linear_spring": {"stiffness": 1.6}},
-    ).runs[0]
-    runs = [*LOGS["mass_spring_damper"][:2], RawRun("run_9", other.t + 40.0, other.x, other.u)]
-    (objection,) = guard_of("mass_spring_damper", runs=runs).objections
+    (objection,) = guard_of(
+        "mass_spring_damper", runs=with_other(effects={"linear_spring": {"stiffness": 1.6}})
+    ).objections
     assert objection.kind == "odd_run"
     assert "'run_9'" in objection.sentence
     assert "stiffness" in objection.sentence
@@ -197,12 +174,9 @@ def test_a_run_of_another_machine_is_named() -> None:
 
 def test_a_run_with_a_load_is_reported_as_a_multiple_of_the_mass() -> None:
     loaded = {"force_gain": 0.6, "linear_spring.stiffness": 0.6, "viscous_friction.damping": 0.3}
-    other = nsde_torch.simulate("mass_spring_damper", durations=[10.0], seed=9, parameters=loaded).runs[0]
-    runs = [*LOGS["mass_spring_damper"][:2], RawRun("run_9", other.t + 40.0, other.x, other.u)]
-    (objection,) = guard_of("mass_spring_damper", runs=runs).objections
+    (objection,) = guard_of("mass_spring_damper", runs=with_other(parameters=loaded)).objections
     assert objection.kind == "odd_run"
     found = re.search(r"'run_9' .* as with (\S+) times the mass", objection.sentence)
-    assert found is not None
     assert float(found[1]) == pytest.approx(1.0 / 0.6, abs=0.05)
 
 
@@ -248,7 +222,6 @@ def test_a_gain_that_has_surely_gone_and_with_it_all_that_was_explained_is_told(
 ) -> None:
     data = nsde_torch.read(LOGS["quadrotor"], system="quadrotor")
     rough = rough_fit(make_system("quadrotor"), data.runs)
-    assert rough is not None
     first, theta = rough.vector.start, rough.theta.copy()
     j = rough.vector.labels.index("roll_gain")
     theta[j] = share * first[j]
@@ -263,7 +236,6 @@ def test_steady_pushes_count_for_nothing_in_what_is_left() -> None:
     data = nsde_torch.read(LOGS["mass_spring_damper"], system="mass_spring_damper")
     system = make_system("mass_spring_damper")
     rough = rough_fit(system, data.runs)
-    assert rough is not None
     pushed = [replace(run, x=run.x + np.outer(run.t - run.t[0], [0.0, 5.0])) for run in data.runs]
     again = rough_fit(system, pushed)
     assert again is not None

@@ -12,14 +12,9 @@ from nsde_torch.sysid import regression
 from nsde_torch.sysid.identify import identify_in_loop, with_rates
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import make_system
-from tests.helpers.encoders import SPRING, encoder_runs
+from tests.helpers.encoders import TRUTH, encoder_runs
 
-TRUTH = {
-    "force_gain": SPRING["g"],
-    "linear_spring.stiffness": SPRING["k"],
-    "viscous_friction.damping": SPRING["b"],
-    "coulomb_friction.size": 0.2,
-}
+RUBBING = {**TRUTH, "coulomb_friction.size": 0.2}
 
 
 def _identified(rate: str, *, policy: str = "infer", counts: bool = False, seed: int = 0) -> Identification:
@@ -30,8 +25,8 @@ def _identified(rate: str, *, policy: str = "infer", counts: bool = False, seed:
 
 
 def _off(found: Identification) -> np.ndarray:
-    at = [found.vector.labels.index(name) for name in TRUTH]
-    return np.abs(found.values[at] - list(TRUTH.values())) / found.half_widths(0.95)[at]
+    at = [found.vector.labels.index(name) for name in RUBBING]
+    return np.abs(found.values[at] - list(RUBBING.values())) / found.half_widths(0.95)[at]
 
 
 @pytest.mark.parametrize("counts", [False, True])
@@ -59,11 +54,8 @@ def test_kept_as_it_is_a_difference_of_rows_bends_the_estimate_or_is_not_believe
 
 
 def test_rates_with_physics_are_nearer_than_those_without() -> None:
-    system = make_system(
-        "mass_spring_damper",
-        effects=["coulomb_friction"],
-        values={**TRUTH, "coulomb_friction.width": 0.01},
-    )
+    values = {**RUBBING, "coulomb_friction.width": 0.01}
+    system = make_system("mass_spring_damper", effects=["coulomb_friction"], values=values)
     raw = encoder_runs("none", noise=5e-3)
     data = assemble(raw, system, kind="test")
     true = np.concatenate([run.x[:, 1] for run in encoder_runs("truth")])

@@ -55,25 +55,23 @@ def _found(smoother: Smoother, name: str) -> Smoothed:
     return Smoothed(smoother, (SmoothedSensor(sensor, 100.0, True, nothing, nothing),))
 
 
-def _kept(attitude: Smoother | None, rates: Smoother | None) -> list[str]:
+@pytest.mark.parametrize(
+    ("attitude", "rates", "kept"),
+    [
+        (None, RATES, ["w_x"]),
+        (ATTITUDE, None, ["q_w"]),
+        (ATTITUDE, RATES, ["w_x", "q_w"]),
+        (Smoother(CAUSAL, 1, 5.0, DT), RATES, ["w_x", "q_w"]),
+    ],
+    ids=["the attitude is on time", "the rates are", "both are late", "no filter explains the lateness"],
+)
+def test_a_filter_goes_that_would_make_late_what_is_on_time(
+    attitude: Smoother | None, rates: Smoother | None, kept: list[str]
+) -> None:
     found = [_found(RATES, "w_x"), _found(ATTITUDE, "q_w")]
-    kept = on_time(found, [_run(attitude, rates)], QUADROTOR, 1.0)
-    return [one.behind[0].sensor.names[0] for one in kept]
+    left = on_time(found, [_run(attitude, rates)], QUADROTOR, 1.0)
+    assert [one.behind[0].sensor.names[0] for one in left] == kept
 
 
-def test_a_filter_that_would_make_the_attitude_late_is_none_where_the_attitude_is_on_time() -> None:
+def test_a_filter_is_as_late_as_its_frequency_says() -> None:
     assert RATES.delay == pytest.approx(2**0.5 / (2.0 * np.pi * 39.8), rel=0.2)
-    assert _kept(None, RATES) == ["w_x"]
-
-
-def test_where_it_is_the_attitude_that_is_late_the_filter_of_the_rates_goes() -> None:
-    assert _kept(ATTITUDE, None) == ["q_w"]
-
-
-def test_both_filters_stay_where_both_are_late() -> None:
-    assert _kept(ATTITUDE, RATES) == ["w_x", "q_w"]
-
-
-def test_nothing_is_said_where_no_filter_explains_the_lateness() -> None:
-    late = Smoother(CAUSAL, 1, 5.0, DT)
-    assert _kept(late, RATES) == ["w_x", "q_w"]

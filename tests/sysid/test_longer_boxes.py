@@ -50,7 +50,6 @@ def identified(data: DataSet, **further: Any) -> Identification:
 
 def test_a_friction_that_the_noise_model_learned_comes_out_of_longer_boxes() -> None:
     found = identified(axis(14.0, slip=5e-4, seed=3))
-    assert found.finer is not None
     assert found.finer.guard is not None
     label = found.vector.labels.index
     dry = label("coulomb_friction.size")
@@ -61,7 +60,6 @@ def test_a_friction_that_the_noise_model_learned_comes_out_of_longer_boxes() -> 
     assert np.isnan(found.finer.half_widths(0.9)).all()
     assert found.box_s == pytest.approx(0.05)
     assert found.believed
-    assert found.doubt is not None
     assert (found.half_widths(0.9)[found.shown.known] > found.doubt[found.shown.known]).all()
     (warning,) = found.warnings
     assert "means over 0.05 s are fitted" in warning
@@ -112,7 +110,6 @@ def test_a_diagnosis_looks_at_rows_further_apart_where_only_these_are_as_predict
     )
     assert found.added == ["coulomb_friction", "constant_force"]
     joint = found.outcome.joint
-    assert joint is not None
     assert joint.final.at.of.space.every == [10, 10]  # rows of 5 ms, as taken together
     assert not joint.final.best.misfit
     content = found.content()

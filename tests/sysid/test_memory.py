@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -9,13 +11,19 @@ import torch
 from nsde_torch.data import Run
 from nsde_torch.effects.actuators import ActuatorLag
 from nsde_torch.inference.memory import memory_along
-from nsde_torch.inference.steps import steps_of
+from nsde_torch.inference.steps import Steps, steps_of
 from nsde_torch.sysid.physics import Physics
-from nsde_torch.systems import make_system
+from nsde_torch.systems import System, make_system
 from nsde_torch.systems.parameters import ParameterVector
 from tests.helpers.diagnosed import recorded
 
 DT, TAU = 0.01, 0.05
+TIMES = {
+    "motor_lag": "time_constant",
+    "actuator_lag": "time_constant",
+    "input_delay": "delay",
+    "actuator_deadband": "width",
+}
 
 
 class Unknowing(ActuatorLag):
@@ -25,6 +33,18 @@ class Unknowing(ActuatorLag):
 
     def held(self, u: torch.Tensor, dt: float) -> None:  # type: ignore[override]
         return None
+
+
+def made(machine: str, *effects: Any, **values: float) -> System:
+    """In double precision; values are of the effects' times."""
+    named = {f"{k}.{TIMES[k]}": v for k, v in values.items()}
+    return make_system(machine, effects=effects, values=named).double()
+
+
+@torch.no_grad()
+def along(system: System, run: Run) -> tuple[Steps, torch.Tensor, torch.Tensor]:
+    steps = steps_of(system, [run], clock=1.0, smooth=False)
+    return steps, *memory_along(system, steps)
 
 
 def run_with_gap() -> Run:
@@ -41,12 +61,7 @@ def run_with_gap() -> Run:
 
 def test_it_is_the_exact_mean_response_of_each_segment_from_rest_at_its_first_input() -> None:
     run = run_with_gap()
-    system = make_system(
-        "hexacopter", effects=["motor_lag"], values={"motor_lag.time_constant": TAU}
-    ).double()
-    with torch.no_grad():
-        steps = steps_of(system, [run], clock=1.0, smooth=False)
-        before, after = (part.numpy() for part in memory_along(system, steps))
+    _, before, after = along(made("hexacopter", "motor_lag", motor_lag=TAU), run)
     fade = np.exp(-DT / TAU)
     expected = []
     for a, b in run.segments:
@@ -63,16 +78,10 @@ def test_it_is_the_exact_mean_response_of_each_segment_from_rest_at_its_first_in
 def test_a_wrong_first_memory_is_forgotten_when_equations_begin() -> None:
     """What the motors did before the recording is unknown; 0.4 s later it no longer matters."""
     run = run_with_gap()
-    system = make_system(
-        "hexacopter", effects=["motor_lag"], values={"motor_lag.time_constant": TAU}
-    ).double()
+    system = made("hexacopter", "motor_lag", motor_lag=TAU)
     other = np.array(run.u)
     other[0] += 0.5  # the first input alone, at which the memory starts
-    with torch.no_grad():
-        first, second = (
-            memory_along(system, steps_of(system, [Run("r", run.t, run.x, u)], clock=1.0, smooth=False))[0]
-            for u in (run.u, other)
-        )
+    first, second = (along(system, Run("r", run.t, run.x, u))[1] for u in (run.u, other))
     assert float((first - second).abs().max()) < 0.5 * 1.2 * np.exp(-0.39 / TAU)
 
 
@@ -83,13 +92,9 @@ def test_a_delay_of_held_inputs_is_exact_at_every_length() -> None:
     u = rng.normal(size=(n, 1))
     run = Run("r", DT * np.arange(n), rng.normal(size=(n, 4)), u)
     for delay in (0.3 * DT, DT, 3.65 * DT):
-        system = make_system(
-            "cartpole", effects=["input_delay"], values={"input_delay.delay": delay}
-        ).double()
-        with torch.no_grad():
-            steps = steps_of(system, [run], clock=1.0, smooth=False)
-            before, after = memory_along(system, steps)
-            found = steps.u + system.effects[0](0.0, steps.x0, steps.u, before)
+        system = made("cartpole", "input_delay", input_delay=delay)
+        steps, before, after = along(system, run)
+        found = steps.u + system.effects[0](0.0, steps.x0, steps.u, before).detach()
         late = np.repeat(u[:, 0], fine)[np.maximum(np.arange(n * fine) - round(delay / DT * fine), 0)]
         expected = late.reshape(n, fine).mean(1)[: n - 1]
         np.testing.assert_allclose(found[:, 0], expected[-len(steps) :], atol=1e-6)
@@ -103,16 +108,9 @@ def test_a_lag_follows_what_a_delay_lets_through() -> None:
     x[:, 6] = 1.0
     x[:, 0] = DT * np.arange(500)
     late = np.concatenate((np.repeat(u[:1], 3, axis=0), u[:-3]))
-    values = {"motor_lag.time_constant": TAU}
-    both = make_system(
-        "hexacopter", effects=["motor_lag", "input_delay"], values={**values, "input_delay.delay": 3 * DT}
-    ).double()
-    alone = make_system("hexacopter", effects=["motor_lag"], values=values).double()
-    with torch.no_grad():
-        (first, _), (second, _) = (
-            memory_along(s, steps_of(s, [Run("r", DT * np.arange(500), x, w)], clock=1.0, smooth=False))
-            for s, w in ((both, u), (alone, late))
-        )
+    both = made("hexacopter", "motor_lag", "input_delay", motor_lag=TAU, input_delay=3 * DT)
+    alone = made("hexacopter", "motor_lag", motor_lag=TAU)
+    first, second = (along(s, Run("r", DT * np.arange(500), x, w))[1] for s, w in ((both, u), (alone, late)))
     torch.testing.assert_close(first[:, :6], second)
 
 
@@ -123,11 +121,8 @@ def test_memory_that_nobody_knows_exactly_is_integrated_with_what_is_known_held(
     u, x = rng.normal(size=(300, 1)), rng.normal(size=(300, 4))
     own = Unknowing({"time_constant": 0.3}, n_inputs=1)
     own.stage = {"drift": 1, "actuator_lag": 3}[names[0]]  # type: ignore[misc]
-    system = make_system("cartpole", effects=["actuator_lag", own]).double()
-    system.effects[0].set_value("time_constant", torch.tensor(0.3))  # type: ignore[operator]
-    with torch.no_grad():
-        steps = steps_of(system, [Run("r", DT * np.arange(300), x, u)], clock=1.0, smooth=False)
-        before, _ = memory_along(system, steps)
+    system = made("cartpole", "actuator_lag", own, actuator_lag=0.3)
+    steps, before, _ = along(system, Run("r", DT * np.arange(300), x, u))
     # both orders of two equal lags give the same in the end, to the accuracy of a mean over a step
     last = before[:, 1] if names[0] == "actuator_lag" else before[:, 0]
     m = np.zeros((300, 2))
@@ -142,10 +137,8 @@ def test_memory_that_nobody_knows_exactly_is_integrated_with_what_is_known_held(
 def test_what_a_lag_follows_moves_its_memory_too() -> None:
     """The width of a dead band before a lag shows in the slopes as it shows in the residual."""
     data = recorded("mass_spring_damper", durations=(4.0,) * 2, sensor_noise=0.1)
-    values = {"actuator_lag.time_constant": 0.05, "actuator_deadband.width": 0.1}
-    system = make_system(
-        "mass_spring_damper", effects=["actuator_lag", "actuator_deadband"], values=values
-    ).double()
+    effects = ("actuator_lag", "actuator_deadband")
+    system = made("mass_spring_damper", *effects, actuator_lag=0.05, actuator_deadband=0.1)
     vector = ParameterVector(system)
     physics = Physics(vector, steps_of(system, data.runs, clock=1.0, smooth=False))
     j, small = vector.labels.index("actuator_deadband.width"), 1e-4

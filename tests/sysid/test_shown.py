@@ -1,10 +1,12 @@
-"""What a regression shows, and what it does not, in words."""
+"""What a regression shows, and what it does not, in words; one step of it within bounds."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
 
-from nsde_torch.sysid.regression import sentences, shown
+from nsde_torch.sysid.regression import bounded_step, sentences, shown
 
 LABELS, UNITS = ["a", "b", "c"], ["1/s", "m", "1"]
 SCALE = np.array([1.0, 2.0, 0.5])
@@ -46,3 +48,48 @@ def test_nothing_at_all_is_shown_by_zeros() -> None:
     assert found.rank == 0
     assert not found.known.any()
     assert len(sentences(found, LABELS, UNITS, SCALE)) == 3
+
+
+# ---- steps ------------------------------------------------------------------------------------------------
+
+SIZES = np.array([1.0, 10.0, 0.1])
+
+
+def problem(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    slopes = rng.normal(size=(200, 3)) * [3.0, 0.2, 40.0]
+    return slopes, slopes @ [1.0, 5.0, -0.2] + rng.normal(size=200)
+
+
+def test_without_active_bounds_it_is_ordinary_least_squares() -> None:
+    slopes, residual = problem(0)
+    wide = np.full(3, 1e3)
+    step = bounded_step(slopes, residual, shown(slopes, SIZES), -wide, wide, SIZES)
+    np.testing.assert_allclose(step, np.linalg.lstsq(slopes, residual, rcond=None)[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_with_active_bounds_it_is_the_minimum_within_them_and_not_the_clipped_one(seed: int) -> None:
+    slopes, residual = problem(seed)
+    slopes[:, 1] += slopes[:, 0]  # so that clipping alone would be wrong
+    low, high = np.array([-0.5, -3.0, -0.05]), np.array([0.5, 3.0, 0.05])
+    step = bounded_step(slopes, residual, shown(slopes, SIZES), low, high, SIZES)
+    assert ((step >= low) & (step <= high)).all()
+    best = lsq_linear(slopes, residual, bounds=(low, high), tol=1e-12).x
+    np.testing.assert_allclose(step, best, rtol=1e-5, atol=1e-7)
+
+
+def test_along_a_direction_that_is_not_shown_the_step_is_finite_and_within_the_bounds() -> None:
+    slopes, residual = problem(1)
+    slopes[:, 2] = 30.0 * slopes[:, 0]  # only x_0 + 30 x_2 is shown
+    found = shown(slopes, SIZES)
+    assert found.rank == 2
+    wide = 1e3 * SIZES
+    free = bounded_step(slopes, residual, found, -wide, wide, SIZES)
+    best = np.linalg.lstsq(slopes, residual, rcond=None)[0]  # that of least norm
+    np.testing.assert_allclose(slopes @ free, slopes @ best, atol=1e-8)
+    assert np.linalg.norm(free / SIZES) < 3 * np.linalg.norm(best / SIZES)
+    room = 0.1 * SIZES
+    step = bounded_step(slopes, residual, found, -room, room, SIZES)
+    assert (np.abs(step) <= room).all()
+    assert abs((found.lost[:, 0] / SIZES**2) @ step) < 0.1

@@ -36,16 +36,11 @@ class TestInputDelay(EffectContract):
         for names in (["input_delay", "motor_lag"], ["motor_lag", "input_delay"]):
             s = make_system("hexacopter", effects=names, values={"thrust_gain": 5.0})
             z = s.augment(x, u)
-            new = torch.full((1, 6), 0.9)
-            rate = s.drift(0.0, z, new)
-            lift = rate[0, 5] + 9.81
-            torch.testing.assert_close(
-                lift, torch.tensor(5.0 * 6 * 0.4)
-            )  # the lag still holds the old command
+            rate = s.drift(0.0, z, torch.full((1, 6), 0.9))[0]
+            # the lag still holds the old command, and the new one has not come through
+            torch.testing.assert_close(rate[5] + 9.81, torch.tensor(5.0 * 6 * 0.4))
             start = 13 + (12 if names[0] == "input_delay" else 0)
-            torch.testing.assert_close(
-                rate[0, start : start + 6], torch.zeros(6)
-            )  # which has not come through
+            torch.testing.assert_close(rate[start : start + 6], torch.zeros(6))
 
 
 @pytest.mark.parametrize("name", ["input_delay", "motor_lag"])

@@ -8,20 +8,12 @@ from pathlib import Path
 import pytest
 import torch
 
-import tests.effects.test_actuators
-import tests.effects.test_cartpole_effects
 import tests.effects.test_delay
-import tests.effects.test_forces
-import tests.effects.test_friction
+import tests.effects.test_effects_on_machines
+import tests.effects.test_formulas
 import tests.effects.test_hysteresis
 import tests.effects.test_lag
-import tests.effects.test_laws_on_coordinates
-import tests.effects.test_multirotor_drag
-import tests.effects.test_multirotor_forces
-import tests.effects.test_multirotor_frame
-import tests.effects.test_multirotor_moments
-import tests.effects.test_multirotor_thrust
-import tests.effects.test_stiffness  # noqa: F401
+import tests.effects.test_laws_on_coordinates  # noqa: F401
 from nsde_torch.effects import EFFECTS, effects_of
 from nsde_torch.effects.law import split_name
 from nsde_torch.errors import ConfigError
@@ -61,24 +53,26 @@ def own_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 def test_an_effect_of_ones_own_is_named_by_module_and_class(own_module: str) -> None:
-    s = make_system(
-        "mass_spring_damper",
-        declared=[],
-        effects=[f"{own_module}:Cogging"],
-        values={"cogging.size": 2.0, "cogging.pitch": 0.4},
-    )
+    values = {"cogging.size": 2.0, "cogging.pitch": 0.4}
+    own = [f"{own_module}:Cogging"]
+    s = make_system("mass_spring_damper", declared=[], effects=own, values=values)
     assert s.effect_names == ("cogging",)
     rate = s.drift(0.0, torch.tensor([[0.1, 0.0]]), torch.zeros(1, 1)).detach()
     torch.testing.assert_close(rate, torch.tensor([[0.0, -2.0]]))
 
 
-def test_an_effect_of_ones_own_that_does_not_fit_is_refused(own_module: str) -> None:
-    with pytest.raises(ConfigError, match="port 'force'"):
-        make_system("hexacopter", effects=[f"{own_module}:Cogging"])
-    with pytest.raises(ConfigError, match="no class 'Coging'"):
-        make_system("cartpole", effects=[f"{own_module}:Coging"])
-    with pytest.raises(ConfigError, match="PYTHONPATH"):
-        make_system("cartpole", effects=["no_such_module_at_all:X"])
+@pytest.mark.parametrize(
+    ("system", "effect", "words"),
+    [
+        ("hexacopter", "own_effects_of_a_test:Cogging", "port 'force'"),
+        ("cartpole", "own_effects_of_a_test:Coging", "no class 'Coging'"),
+        ("cartpole", "no_such_module_at_all:X", "PYTHONPATH"),
+    ],
+)
+@pytest.mark.usefixtures("own_module")
+def test_an_effect_of_ones_own_that_does_not_fit_is_refused(system: str, effect: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        make_system(system, effects=[effect])
 
 
 def test_effects_of_a_system_are_those_that_it_can_be_made_with() -> None:
@@ -88,9 +82,5 @@ def test_effects_of_a_system_are_those_that_it_can_be_made_with() -> None:
 
 
 def test_each_system_tries_no_term_twice() -> None:
-    twins = [
-        ("actuator_gain_drift", "thrust_sag", "hexacopter"),
-    ]
-    for general, special, system in twins:
-        assert EFFECTS[general].no_candidate(system)
-        assert not EFFECTS[special].no_candidate(system)
+    assert EFFECTS["actuator_gain_drift"].no_candidate("hexacopter")
+    assert not EFFECTS["thrust_sag"].no_candidate("hexacopter")

@@ -9,17 +9,13 @@ from scipy.integrate import solve_ivp
 
 from nsde_torch.effects import make_effect
 from nsde_torch.effects.friction import Hysteresis, InputPlay
-from tests.helpers.effect_contract import EffectContract
+from tests.helpers.effect_contract import contract
 
 DT = 0.01
 
 
-class TestHysteresis(EffectContract):
-    name, system, memory = "hysteresis", "mass_spring_damper", 1
-
-
-class TestInputPlay(EffectContract):
-    name, system, memory = "input_play", "mass_spring_damper", 1
+TestHysteresis = contract("hysteresis", "mass_spring_damper", memory=1)
+TestInputPlay = contract("input_play", "mass_spring_damper", memory=1)
 
 
 def _bouc_wen(t: np.ndarray, reach: float) -> np.ndarray:
@@ -27,9 +23,8 @@ def _bouc_wen(t: np.ndarray, reach: float) -> np.ndarray:
         v = np.cos(at) + 0.7 * np.cos(2.9 * at)
         return np.asarray((v - 0.5 * (abs(v) * z + v * abs(z))) / reach)
 
-    return np.asarray(
-        solve_ivp(rate, (0.0, t[-1]), [1.0], t_eval=t, rtol=1e-9, atol=1e-9, max_step=0.01).y[0]
-    )
+    found = solve_ivp(rate, (0.0, t[-1]), [1.0], t_eval=t, rtol=1e-9, atol=1e-9, max_step=0.01)
+    return np.asarray(found.y[0])
 
 
 @pytest.mark.parametrize("reach", [0.02, 0.3])

@@ -24,13 +24,12 @@ class TestMotorLag(EffectContract):
         x0 = torch.zeros(1, 13, dtype=torch.float64)
         x0[0, 6] = 1.0
         before, after = 0.2, 0.6
-        start = torch.cat((x0, torch.full((1, 6), before).double()), 1)
-        u = torch.full((1, n, 6), after, dtype=torch.float64)
-        z = start
-        path = [z]
+        path, u = (
+            [torch.cat((x0, torch.full((1, 6), before).double()), 1)],
+            torch.full((1, 6), after).double(),
+        )
         for _ in range(n):  # from memory that is not yet at rest
-            z = _rk4(s, z, u[:, 0], dt)
-            path.append(z)
+            path.append(_rk4(s, path[-1], u, dt))
         motors = torch.cat(path)[:, 13:].numpy()
         t = dt * np.arange(n + 1)
         expected = before + (after - before) * (1 - np.exp(-t / tau))

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
+from nsde_torch.data import Run
+from nsde_torch.training import LossOptions, TrainerOptions
 from nsde_torch.training.loop import Loop
+from nsde_torch.training.task import Task
 
 
 class Killed(Exception):
@@ -38,6 +43,23 @@ def averages_of(loop: Loop) -> dict[int, list[torch.Tensor]]:
 
     loop._score = watched  # type: ignore[method-assign]
     return averages
+
+
+def task_of(
+    spec: Any, runs: Sequence[Run], checkpoint: Path, options: TrainerOptions, **changed: Any
+) -> Task:
+    """A task for a fit on the processor, in single precision."""
+    given: dict[str, Any] = {
+        "seed": 0,
+        "name": "train",
+        "validation": 0.3,
+        "clock": 1.0,
+        "near": None,
+        **changed,
+    }
+    where: dict[str, Any] = {"device": torch.device("cpu"), "dtype": torch.float32, "checkpoint": checkpoint}
+    quiet: dict[str, Any] = {"values": {}, "loss": LossOptions(), "log": lambda *_: None}
+    return Task(spec=spec, runs=list(runs), options=options, **given, **where, **quiet)
 
 
 class LoopContract:

@@ -33,6 +33,18 @@ class Problem(ABC):
         return z
 
 
+class Quiet:
+    """dz = f dt."""
+
+    calculus: Calculus = "either"
+
+    def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        return torch.zeros_like(z)
+
+    def project(self, z: Tensor) -> Tensor:
+        return z
+
+
 @final
 class GeometricBrownianMotion(Problem):
     """dz = a z dt + b z * dW: z0 exp((a - b^2 / 2) t + b W) for Ito, z0 exp(a t + b W) for Stratonovich."""

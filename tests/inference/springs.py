@@ -98,9 +98,8 @@ def linear_runs(
                     m = u[k] + (m - u[k]) * share
                 x = forward @ x + push * (values[G] * mean + struck)
             d = keep * d + gust * np.sqrt(1.0 - keep**2) * rng.standard_normal()
-        out.append(
-            Run(f"run_{number}", 100.0 * number + dt * np.arange(n, dtype=np.float64), rows, u[:, None])
-        )
+        t = 100.0 * number + dt * np.arange(n, dtype=np.float64)
+        out.append(Run(f"run_{number}", t, rows, u[:, None]))
     return out
 
 
@@ -120,3 +119,13 @@ def value(found: MaximumLikelihood, label: str) -> tuple[float, float]:
     """A parameter and its standard error."""
     j = found.vector.labels.index(label)
     return float(found.theta[j]), float(found.standard_errors[j])
+
+
+def assert_near(
+    found: MaximumLikelihood, truth: Mapping[str, float] = TRUTH, *, share: float = np.inf
+) -> None:
+    """Every parameter lies within three standard errors of the truth, which are less than this share of it."""
+    for label, true in truth.items():
+        got, error = value(found, label)
+        assert abs(got - true) < 3.0 * error, label
+        assert error < share * true, label

@@ -16,23 +16,24 @@ from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
 from tests.helpers.residuals import with_own_pass
 
+Fitted = tuple[MaximumLikelihood, Optimum]
+
 
 @pytest.fixture(scope="module", params=["mass_spring_damper", "cartpole"])
-def fitted(request: pytest.FixtureRequest) -> tuple[MaximumLikelihood, Optimum]:
+def fitted(request: pytest.FixtureRequest) -> Fitted:
     data = recorded(request.param, durations=(3.0,) * 3)
     return nearly_maximised(LogLikelihood(make_system(request.param), data.runs, run_in=True))
 
 
-def _scores(fitted: tuple[MaximumLikelihood, Optimum]) -> ForceScores:
+def _scores(fitted: Fitted) -> ForceScores:
     """Scores with no parameters beside them."""
     _, at = fitted
-    return force_scores(
-        Optimum(with_own_pass(at.of), at.levels, at.about, at.at, np.zeros(0, dtype=np.int64))
-    )
+    none = np.zeros(0, dtype=np.int64)
+    return force_scores(Optimum(with_own_pass(at.of), at.levels, at.about, at.at, none))
 
 
 def test_the_score_of_a_force_is_the_slope_of_the_log_likelihood(
-    fitted: tuple[MaximumLikelihood, Optimum],
+    fitted: Fitted,
 ) -> None:
     best, at = fitted
     found, space = _scores(fitted), at.of.space
@@ -43,19 +44,19 @@ def test_the_score_of_a_force_is_the_slope_of_the_log_likelihood(
     for port in range(space.nd):
         # a force on a step is one in all chunks that hold it
         step = int(rng.integers(20, len(space.steps) - 20))
-        inside = (space.chunks.row == step)[..., None]
         change = 1e-4 / max(float(acts[..., port].abs().max()), 1e-12)
-        missed = at.about.missed + change * inside * acts[..., port]
-        there = replace(at.about, missed=missed)
-        pushed = with_gains(space, at.levels, there, here.whitening, here.gain, space.chunks.counted)
-        other = replace(at.about, missed=at.about.missed - change * inside * acts[..., port])
-        pulled = with_gains(space, at.levels, other, here.whitening, here.gain, space.chunks.counted)
-        slope = (pushed.total - pulled.total) / (2.0 * change)
+        moved = change * (space.chunks.row == step)[..., None] * acts[..., port]
+
+        def total(moved: torch.Tensor) -> float:
+            there = replace(at.about, missed=at.about.missed + moved)
+            return with_gains(space, at.levels, there, here.whitening, here.gain, space.chunks.counted).total
+
+        slope = (total(moved) - total(-moved)) / (2.0 * change)
         along = found.along(port, len(space.steps))[0]
         assert along[step] == pytest.approx(slope, rel=1e-4, abs=1e-6 * abs(along).max())
 
 
-def test_the_information_of_draws_is_that_of_columns(fitted: tuple[MaximumLikelihood, Optimum]) -> None:
+def test_the_information_of_draws_is_that_of_columns(fitted: Fitted) -> None:
     best, at = fitted
     found = force_scores(at)
     space = at.of.space
@@ -74,9 +75,8 @@ def test_the_information_of_draws_is_that_of_columns(fitted: tuple[MaximumLikeli
     scores = found.of(functions, 0)
     size = np.sqrt(np.diag(exact))
     np.testing.assert_allclose(scores.total / size, pull / size, atol=0.05)
-    np.testing.assert_allclose(
-        scores.information / size / size[:, None], exact / size / size[:, None], atol=0.5
-    )
+    scale = size * size[:, None]
+    np.testing.assert_allclose(scores.information / scale, exact / scale, atol=0.5)
     # blocks are parts of the whole
     np.testing.assert_allclose(scores.blocks.sum(0), scores.total)
     assert len(found.blocks) == len(scores.blocks)
@@ -94,7 +94,7 @@ def test_directions_are_of_unit_information_in_order() -> None:
 
 
 def test_scores_are_of_the_chunks_whose_filter_has_not_diverged(
-    fitted: tuple[MaximumLikelihood, Optimum],
+    fitted: Fitted,
 ) -> None:
     _, at = fitted
     x = at.x.clone()

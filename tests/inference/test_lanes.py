@@ -58,6 +58,5 @@ def test_covariances_are_those_of_dense_matrices_however_many_chunks_there_are(c
             p = p - g[:, some] @ h @ p
             np.testing.assert_allclose(gain[k, c], g, atol=1e-12)
             np.testing.assert_allclose(left[k, c], p[:, ne:], atol=1e-12)
-            np.testing.assert_allclose(
-                (whitening[k, c].T @ whitening[k, c])[np.ix_(some, some)], np.linalg.inv(s), atol=1e-10
-            )
+            information = (whitening[k, c].T @ whitening[k, c])[np.ix_(some, some)]
+            np.testing.assert_allclose(information, np.linalg.inv(s), atol=1e-10)

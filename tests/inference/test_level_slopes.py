@@ -77,9 +77,8 @@ def test_the_score_holds_over_long_chunks_of_precise_sensors(precise: float) -> 
     rows, dt, observed = 500, 0.01, np.array([0, 1, 3])
     random = np.random.default_rng(1)
     slopes = np.zeros((rows, 1, 4, 6))
-    slopes[:, 0, :, :4] = np.eye(4) + dt * np.array(
-        [[0, 0, 1, 0], [0, 0, 0, 1], [-3, 0, -2, 1], [0, 0, 2, -1]]
-    )
+    rates = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-3, 0, -2, 1], [0, 0, 2, -1]])
+    slopes[:, 0, :, :4] = np.eye(4) + dt * rates
     slopes[:, 0, 2, 4] = slopes[:, 0, 3, 5] = dt
     keep, white, live = np.full(2, 0.95), np.full(2, 1e-4), np.ones((rows, 1), bool)
     gust = 1.0 - keep**2
@@ -92,16 +91,9 @@ def test_the_score_holds_over_long_chunks_of_precise_sensors(precise: float) -> 
 
     def passed(sensor: np.ndarray, pushed: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Log likelihood, and its slopes in the variances of the sensors and of white disturbances."""
-        begun = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
-        whitening, gain, spread = (
-            np.zeros((rows, 1, 3, 3)),
-            np.zeros((rows, 1, 6, 3)),
-            np.zeros((rows, 1, 6, 2)),
-        )
-        none = np.zeros((0, 0, 0), bool)
-        kernels.covariances(
-            0, 1, slopes, keep, pushed, gust, sensor, begun, observed, none, whitening, gain, spread
-        )
+        whitening, gain, spread = (np.zeros((rows, 1, *shape)) for shape in ((3, 3), (6, 3), (6, 2)))
+        noise = (keep, pushed, gust, sensor, np.ones(6), observed, np.zeros((0, 0, 0), bool))
+        kernels.covariances(0, 1, slopes, *noise, whitening, gain, spread)
         errors, whitened = np.zeros((rows, 1, 3)), np.zeros((rows, 1, 3))
         left, nats = np.zeros((rows, 1, 6)), np.zeros((rows, 1))
         kernels.means(

@@ -129,16 +129,12 @@ def test_physics_that_are_compared_are_disturbed_on_the_same_ports() -> None:
     # a force on the cart does not turn a pole that lies; then it is what a tilt does, of a tilted pole it is not
     still = []
     for run in nsde_torch.simulate("cartpole", durations=[3.0, 3.0], seed=1).runs:
-        x = (
-            run.x * (1.0, 1.0, 0.0, 0.0)
-            + (0.0, 0.0, 0.5 * np.pi, 0.0)
-            + 1e-4 * np.random.default_rng(1).standard_normal(run.x.shape)
-        )
+        noise = 1e-4 * np.random.default_rng(1).standard_normal(run.x.shape)
+        x = run.x * (1.0, 1.0, 0.0, 0.0) + (0.0, 0.0, 0.5 * np.pi, 0.0) + noise
         still.append(Run(run.name, run.t, x, 0.0 * run.u))
     system = make_system("cartpole")
-    biased = make_system(
-        "cartpole", effects=["position_bias[pole]"], values={"position_bias[pole].bias": -0.7}
-    )
+    bias = {"position_bias[pole].bias": -0.7}
+    biased = make_system("cartpole", effects=["position_bias[pole]"], values=bias)
     problem = LogLikelihood(system, still)
     other = LogLikelihood(biased, still)
     assert other.space.nd > problem.space.nd

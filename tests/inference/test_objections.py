@@ -45,12 +45,8 @@ def test_a_search_that_fails_has_not_settled(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_a_cart_with_a_pole_whose_ports_push_alike_is_fitted() -> None:
-    cart = replace(
-        rubbing(0.0),
-        system="cartpole",
-        values={"g": 1.2, "s": 0.09, "l": 0.6},
-        noise=(0.004, 0.01, 0.01, 0.03),
-    )
+    values, noise = {"g": 1.2, "s": 0.09, "l": 0.6}, (0.004, 0.01, 0.01, 0.03)
+    cart = replace(rubbing(0.0), system="cartpole", values=values, noise=noise)
     found = fit(make_system("cartpole"), small_runs(cart, 2, 8.0, seed=1))
     assert found.objections == []
     np.testing.assert_allclose(found.theta, [1.2, 0.09, 0.6], rtol=0.1)

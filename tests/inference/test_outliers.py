@@ -45,16 +45,13 @@ def test_rows_that_an_effect_explains_are_no_outliers_any_more() -> None:
     runs = recorded("mass_spring_damper", durations=(20.0,) * 4).runs
     most = max(float(abs(run.u).max()) for run in runs)
     # what was asked for in the rows of the largest force is more than the limit let through
-    cut = [
-        replace(run, u=np.where(abs(run.u) > 0.995 * most, np.sign(run.u) * 10.0 * most, run.u))
-        for run in runs
-    ]
+    more = [np.where(abs(run.u) > 0.995 * most, np.sign(run.u) * 10.0 * most, run.u) for run in runs]
+    cut = [replace(run, u=u) for run, u in zip(runs, more, strict=True)]
     problem = LogLikelihood(make_system("mass_spring_damper"), cut, run_in=True)
     _, before = maximised(problem)
     assert before.outlier_times
-    limited = make_system(
-        "mass_spring_damper", effects=["actuator_saturation"], values={"actuator_saturation.level": most}
-    )
+    level = {"actuator_saturation.level": most}
+    limited = make_system("mass_spring_damper", effects=["actuator_saturation"], values=level)
     _, after = maximised(problem.of(limited), before)
     assert bool(after.of.outliers.any())
     assert not after.outlier_times

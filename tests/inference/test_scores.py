@@ -63,9 +63,8 @@ def test_at_the_truth_the_gram_score_has_no_mean_and_the_gram_matrix_as_its_cova
         problem = LogLikelihood(system, linear_runs(1, 3.0, seed=seed))
         _, about = problem.first(problem.vector.start)
         at = problem.filtered(levels, about)
-        gram = grams(
-            problem.space, levels, about, at, problem.space.columns(about.x, about.slopes, range(3))
-        ).total
+        columns = problem.space.columns(about.x, about.slopes, range(3))
+        gram = grams(problem.space, levels, about, at, columns).total
         white = np.linalg.solve(np.linalg.cholesky(gram[1:, 1:]), gram[1:, 0])
         scores.append(white)
         squares.append(float(white @ white))

@@ -24,6 +24,18 @@ def space() -> StateSpace:
     return problem.space
 
 
+def _beside(space: StateSpace, j: int, by: float) -> torch.Tensor:
+    """What a step does with a parameter moved, less what it does without."""
+    theta, x, error = space.theta.numpy().copy(), space.chunks.y, space.vector.system.error
+    here = space.after(x)
+    moved_theta = theta.copy()
+    moved_theta[j] += by
+    space.use(moved_theta)
+    found = error(space.after(x), here)
+    space.use(theta)
+    return found
+
+
 def test_slopes_in_the_state_are_differences_of_steps(space: StateSpace) -> None:
     x, system = space.chunks.y, space.vector.system
     slopes, after = space.linearised(x)
@@ -42,14 +54,9 @@ def test_slopes_in_the_state_are_differences_of_steps(space: StateSpace) -> None
 def test_columns_are_differences_of_steps_to_second_order(space: StateSpace, label: str) -> None:
     x, v = space.chunks.y, space.vector
     j = v.labels.index(label)
-    slopes, after = space.linearised(x)
-    columns = space.columns(x, slopes, [j])[..., 0]
-    theta, by = space.theta.numpy().copy(), 1e-5 * v.scale[j]
-    theta[j] += by
-    space.use(theta)
-    differences = v.system.error(space.after(x), after) / by
-    theta[j] -= by
-    space.use(theta)
+    columns = space.columns(x, space.linearised(x)[0], [j])[..., 0]
+    by = 1e-5 * v.scale[j]
+    differences = _beside(space, j, by) / by
     assert float((columns - differences).norm()) < 3e-3 * float(differences.norm())
 
 
@@ -57,11 +64,10 @@ def test_what_physics_does_beside_others_is_the_first_column(space: StateSpace) 
     x, v = space.chunks.y, space.vector
     slopes, after = space.linearised(x)
     rates, j = space.rates(space.midway(x, after)), v.labels.index("linear_drag.drag[1]")
-    theta = space.theta.numpy().copy()
+    differences, theta = _beside(space, j, 0.3), space.theta.numpy().copy()
     theta[j] += 0.3
     space.use(theta)
     columns = space.columns(x, slopes, [j], after, rates)
-    differences = v.system.error(space.after(x), after)
     theta[j] -= 0.3
     space.use(theta)
     assert columns.shape[-1] == 2

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -33,21 +35,11 @@ def test_the_rate_depends_on_the_input_and_has_the_size_of_the_data() -> None:
     x = torch.cumsum(torch.tensor([0.1, 1.0, 10.0, 100.0]) * torch.randn(200, 11, 4, generator=g), 1)
     u = torch.randn(200, 10, 1, generator=g)
     model.black_box.fit(x, u, 0.02)
-    torch.testing.assert_close(
-        model.black_box.scale, torch.tensor([5.0, 50.0, 500.0, 5000.0]), rtol=0.1, atol=0.0
-    )
+    sizes = torch.tensor([5.0, 50.0, 500.0, 5000.0])
+    torch.testing.assert_close(model.black_box.scale, sizes, rtol=0.1, atol=0.0)
     assert not torch.equal(model.drift(0.0, x[:, 0], u[:, 0]), model.drift(0.0, x[:, 0], u[:, 1]))
 
 
 def test_effects_are_refused() -> None:
-    spec = SDESpec(
-        "cartpole",
-        kind="blackbox_nsde",
-        physics=False,
-        dt=0.02,
-        horizon=10,
-        step="milstein",
-        effects=("constant_force",),
-    )
     with pytest.raises(ConfigError, match=r"system\.effects"):
-        make(spec)
+        make(replace(SPEC, effects=("constant_force",)))

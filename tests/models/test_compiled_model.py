@@ -9,15 +9,9 @@ from torch import Tensor
 from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.sde import brownian
 
-SPEC = SDESpec(
-    "hexacopter",
-    dt=0.05,
-    horizon=5,
-    step="milstein",
-    disturbance=True,
-    measurement=True,
-    effects=("linear_drag", "angular_damping", "motor_lag"),
-)
+EFFECTS = ("linear_drag", "angular_damping", "motor_lag")
+LEARNED = {"measurement": True, "disturbance": True, "effects": EFFECTS}
+SPEC = SDESpec("hexacopter", dt=0.05, horizon=5, step="milstein", **LEARNED)
 
 
 def model(seed: int, kind: str) -> NeuralSDE:
@@ -33,16 +27,8 @@ def paths(sde: NeuralSDE, batch: int, *, compile: bool) -> Tensor:
     u = 0.4 + 0.05 * torch.randn(batch, 5, 6, generator=g)
     noise = brownian(2, batch, 5, sde.nz, dt=0.05, generator=g)
     start = torch.randn(2, batch, sde.n_start, generator=g)
-    return sde.paths(
-        x0,
-        u,
-        dt=0.05,
-        noise=noise,
-        start=start,
-        std=sde.measurement_std,
-        compile=compile,
-        t0=torch.zeros(batch),
-    )
+    given = {"noise": noise, "start": start, "std": sde.measurement_std, "t0": torch.zeros(batch)}
+    return sde.paths(x0, u, dt=0.05, compile=compile, **given)
 
 
 def gradients(sde: NeuralSDE, batch: int, *, compile: bool) -> dict[str, Tensor]:
@@ -60,12 +46,8 @@ def test_compiled_hexacopter_gives_the_eager_paths_and_gradients(kind: str) -> N
     sde = model(0, kind)
     fast, slow = gradients(sde, 7, compile=True), gradients(sde, 7, compile=False)
     assert fast.keys() == slow.keys()
-    assert {
-        "h.slope",
-        "log_tau",
-        "system.raw.yaw_gain",
-        "residuals.body_moment.layers.0.weight",
-    } <= fast.keys()
+    some = {"h.slope", "log_tau", "system.raw.yaw_gain", "residuals.body_moment.layers.0.weight"}
+    assert some <= fast.keys()
     for name, value in slow.items():
         scale = float(value.abs().max())
         assert torch.allclose(fast[name], value, rtol=1e-4, atol=2e-5 * max(scale, 1e-3)), name

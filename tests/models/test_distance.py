@@ -76,16 +76,8 @@ class Quadratic(nn.Module):
 def test_convexity_loss_is_zero_exactly_up_to_the_convexity_of_the_energy(mu: float, zero: bool) -> None:
     y = torch.randn(30, 3, generator=generator())
     directions, share = draw_ball(30, 6, 3, generator(1), y)
-    quadratic = Quadratic(mu)
-    _, convexity, reward = distance_losses(
-        quadratic,  # type: ignore[arg-type]
-        y,
-        directions,
-        share,
-        kind="replay",
-        near=0.1,
-        far=4.0,
-    )
+    given = {"kind": "replay", "near": 0.1, "far": 4.0}
+    _, convexity, reward = distance_losses(Quadratic(mu), y, directions, share, **given)
     assert (float(convexity) < 1e-9) is zero
     assert float(reward) == pytest.approx(1 / mu)
 

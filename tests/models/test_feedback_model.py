@@ -26,9 +26,8 @@ Array = NDArray[np.float64]
 
 def gusty() -> NeuralSDE:
     """x' = -x + u + d with known noise."""
-    model = fix_sigma(
-        make_model(Gusty, dtype=torch.float64, disturbance=True), torch.tensor([SIGMA, SIGMA_D])
-    )
+    made = make_model(Gusty, dtype=torch.float64, disturbance=True)
+    model = fix_sigma(made, torch.tensor([SIGMA, SIGMA_D]))
     with torch.no_grad():
         model.log_tau.fill_(float(np.log(TAU - 2 * DT)))
     return model.requires_grad_(False)
@@ -64,10 +63,8 @@ def posterior(x0: float, u: Array) -> tuple[float, float]:
         moved[k + 1] = f @ moved[k]
         moved[k + 1, 0, 1 + 2 * k] += SIGMA * DT**0.5
         moved[k + 1, 1, 2 + 2 * k] += SIGMA_D * DT**0.5
-    told = [
-        u[k] - LAW[0] * known[k, 0] - LAW[1] * known[k - 1, 0] - LAW[2] * u[k - 1] - LAW[3]
-        for k in range(1, n)
-    ]
+    x = known[:, 0]
+    told = [u[k] - LAW[0] * x[k] - LAW[1] * x[k - 1] - LAW[2] * u[k - 1] - LAW[3] for k in range(1, n)]
     seen = np.array([LAW[0] * moved[k, 0] + LAW[1] * moved[k - 1, 0] for k in range(1, n)])
     inverse = np.linalg.inv(seen @ seen.T + SIGMA_U**2 * np.eye(n - 1))
     last = moved[n, 0]
@@ -102,9 +99,8 @@ def test_the_controller_of_the_runs_is_found_at_the_step_of_the_model_and_at_a_f
     found = fit_feedback(model, [run], 1)
     np.testing.assert_allclose(found.weights[:, 0], law, atol=0.08)
     assert float(found.covariance) == pytest.approx(SIGMA_U**2, rel=0.03)
-    held = Run(
-        "run_0", DT / 2 * np.arange(2 * len(u)), np.repeat(x[:-1, None], 2, 0), np.repeat(u[:, None], 2, 0)
-    )
+    x2, u2 = (np.repeat(column[:, None], 2, 0) for column in (x[:-1], u))
+    held = Run("run_0", DT / 2 * np.arange(2 * len(u)), x2, u2)
     finer = fit_feedback(model, [held], 1)
     assert float(finer.covariance) < 1.05 * SIGMA_U**2
 
@@ -129,9 +125,8 @@ def test_it_is_kept_where_it_makes_predictions_of_the_training_runs_better(close
 
 
 def test_an_evaluation_reads_logged_inputs_or_not() -> None:
-    spec = SDESpec(
-        "mass_spring_damper", dt=0.02, horizon=10, step="euler_maruyama", sigma_max=(0.0, 0.3), feedback=1
-    )
+    options: dict[str, Any] = {"step": "euler_maruyama", "sigma_max": (0.0, 0.3), "feedback": 1}
+    spec = SDESpec("mass_spring_damper", dt=0.02, horizon=10, **options)
     model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0)).requires_grad_(False)
     made = nsde_torch.simulate("mass_spring_damper", durations=[3.0, 3.0], seed=1)
     data = nsde_torch.read(made, system="mass_spring_damper")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 import torch
 from torch import Tensor
@@ -28,12 +30,8 @@ VALUES = {
 
 def flight(effect: str) -> tuple[Tensor, Tensor]:
     """States (T + 1, nx) and held commands (T, nu) of a plant whose effect carries memory, from rest."""
-    plant = Plant(
-        make_system("hexacopter", effects=[effect], values=VALUES[effect]),
-        dt=DT,
-        step=0.001,
-        generator=torch.Generator(),
-    )
+    system = make_system("hexacopter", effects=[effect], values=VALUES[effect])
+    plant = Plant(system, dt=DT, step=0.001, generator=torch.Generator())
     x0 = torch.zeros(1, 13, dtype=torch.float64)
     x0[0, 6] = 1.0
     g = torch.Generator().manual_seed(0)
@@ -88,15 +86,8 @@ def test_a_prediction_from_the_middle_of_a_flight_is_the_flight(make: object, ef
 
 def test_every_particle_begins_with_the_same_memory() -> None:
     x, u = flight("motor_lag")
-    spec = SDESpec(
-        "hexacopter",
-        dt=DT,
-        horizon=5,
-        step="milstein",
-        effects=("motor_lag",),
-        measurement=True,
-        disturbance=True,
-    )
+    learned: dict[str, Any] = {"effects": ("motor_lag",), "measurement": True, "disturbance": True}
+    spec = SDESpec("hexacopter", dt=DT, horizon=5, step="milstein", **learned)
     model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0)).double().requires_grad_(False)
     u_before = u[None, :BEFORE].repeat(2, 1, 1)
     given = {"dt": DT, "noise": None, "std": torch.zeros(13, dtype=torch.float64)}
@@ -111,15 +102,8 @@ def test_the_clock_of_the_log_scales_what_is_remembered() -> None:
     x, u = flight("motor_lag")
     model = identified("motor_lag")
     model.clock_scale.fill_(1.25)
-    g = torch.Generator()
-    path = model.sample(
-        x[BEFORE : BEFORE + 1],
-        u[None, BEFORE : BEFORE + 5],
-        dt=DT / 1.25,
-        particles=1,
-        generator=g,
-        u_before=u[None, :BEFORE],
-    )
+    given = {"dt": DT / 1.25, "particles": 1, "generator": torch.Generator(), "u_before": u[None, :BEFORE]}
+    path = model.sample(x[BEFORE : BEFORE + 1], u[None, BEFORE : BEFORE + 5], **given)
     torch.testing.assert_close(path[0, 0], x[BEFORE : BEFORE + 6], rtol=0, atol=1e-3)
 
 

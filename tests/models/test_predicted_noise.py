@@ -23,10 +23,11 @@ def test_disturbance_is_not_returned_and_starts_in_its_stationary_law() -> None:
         model.clock_scale.fill_(scale)
         tau = float(model.tau) / scale  # on the logged clock
         n = 40_000
-        normal = torch.randn(n, 1, generator=generator(), dtype=torch.float64)
-        z = model.augment(
-            torch.zeros(n, 1, dtype=torch.float64), torch.zeros(n, 1, dtype=torch.float64), normal
+        normal, none = (
+            torch.randn(n, 1, generator=generator(), dtype=torch.float64),
+            torch.zeros(n, 1).double(),
         )
+        z = model.augment(none, none, normal)
         assert z.shape == (n, 2)
         stationary = sigma * math.sqrt(tau / 2)
         assert float(z[:, 1].std()) == pytest.approx(stationary, rel=0.02)
@@ -78,12 +79,6 @@ def test_without_measurement_paths_start_exactly_at_x0_and_have_no_sensor_noise(
 
 def test_other_sensors_noise_replaces_that_of_the_training_data() -> None:
     model = sensing(0.2)
-    out = model.sample(
-        torch.ones(1, 1),
-        torch.zeros(1, 20, 1),
-        dt=DT,
-        particles=20_000,
-        generator=generator(),
-        measurement_std=torch.tensor([0.05]),
-    )
+    given = {"dt": DT, "particles": 20_000, "generator": generator(), "measurement_std": torch.tensor([0.05])}
+    out = model.sample(torch.ones(1, 1), torch.zeros(1, 20, 1), **given)
     assert float(out[:, 0, 20].std()) == pytest.approx(0.05 * math.sqrt(1 + (1 - DT) ** 40), rel=0.03)

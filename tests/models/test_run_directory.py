@@ -40,11 +40,8 @@ def folder(tmp_path: Path) -> Path:
     [
         {},
         {
-            "effects": ("linear_drag", "motor_lag"),
-            "filter_reach": 8,
-            "measurement": True,
-            "disturbance": True,
-            "system_options": {"thrust_degree": 2},
+            **{"effects": ("linear_drag", "motor_lag"), "filter_reach": 8, "measurement": True},
+            **{"disturbance": True, "system_options": {"thrust_degree": 2}},
         },
         {"system": "mass_spring_damper", "declared": (), "sigma_max": (0.001, 0.02), "loss": "paper"},
     ],
@@ -156,19 +153,12 @@ def test_hostile_yaml_is_refused_and_not_run(folder: Path, tmp_path: Path, text:
 @pytest.mark.parametrize(
     "text",
     [
-        "",
-        "just words",
-        "[1, 2",
-        "format: other/9\nspec: {}",
-        "format: nsde_torch/1",
-        "format: nsde_torch/1\nspec: 3",
-        "format: nsde_torch/1\nspec: []",
-        "format: nsde_torch/1\nspec: null",
-        "format: nsde_torch/1\nspec: {}",
-        "format: nsde_torch/1\nspec: {system: hexacopter}",
-        "format: nsde_torch/1\nspec: {1: 2, system: hexacopter}",
-        "[" * 3000,
-        "\ud8ff no text",
+        *("", "just words", "[1, 2", "format: other/9\nspec: {}", "format: nsde_torch/1"),
+        *(
+            f"format: nsde_torch/1\nspec: {spec}"
+            for spec in ("3", "[]", "null", "{}", "{system: hexacopter}")
+        ),
+        *("format: nsde_torch/1\nspec: {1: 2, system: hexacopter}", "[" * 3000, "\ud8ff no text"),
     ],
 )
 def test_a_damaged_configuration_is_refused_by_name(folder: Path, text: str) -> None:
@@ -180,16 +170,9 @@ def test_a_damaged_configuration_is_refused_by_name(folder: Path, text: str) -> 
 @pytest.mark.parametrize(
     "change",
     [
-        {"system": "octocopter"},
-        {"step": "leapfrog"},
-        {"effects": ["warp_drive"]},
-        {"distance_hidden": 5},
-        {"distance_hidden": ["a"]},
-        {"dt": "fast"},
-        {"sigma_max": [1.0, 2.0]},
-        {"system_options": 3},
-        {"colour": "red"},
-        {"filter_reach": -4},
+        *({"system": "octocopter"}, {"step": "leapfrog"}, {"effects": ["warp_drive"]}, {"dt": "fast"}),
+        *({"distance_hidden": 5}, {"distance_hidden": ["a"]}, {"sigma_max": [1.0, 2.0]}),
+        *({"system_options": 3}, {"colour": "red"}, {"filter_reach": -4}),
     ],
 )
 def test_a_configuration_that_describes_no_model_is_refused_by_name(

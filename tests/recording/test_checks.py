@@ -30,12 +30,8 @@ def kinds(data: DataSet) -> list[str]:
 
 def noisy(x: np.ndarray, size: float, seed: int) -> np.ndarray:
     """States with noise on all but the attitude."""
-    return (
-        x
-        + size
-        * np.random.default_rng(seed).standard_normal(x.shape)
-        * np.r_[np.ones(6), np.zeros(4), np.ones(3)]
-    )
+    where = np.r_[np.ones(6), np.zeros(4), np.ones(3)]
+    return x + size * np.random.default_rng(seed).standard_normal(x.shape) * where
 
 
 def test_a_sound_flight_passes_untouched() -> None:
@@ -118,9 +114,8 @@ def test_steps_that_hold_several_rows_have_the_mean_of_what_acted_during_them() 
     np.testing.assert_allclose(there.u, u.reshape(10, 5, 2).mean(1), atol=1e-12)
     # so that what the input moves is what it moved
     moved = np.append(0.0, np.cumsum(there.u[:, 0]) * 0.05)
-    np.testing.assert_allclose(
-        moved[1:-1] + x[0] - u[0, 0] * 0.01, there.x[1:, 0] - u[::5][1:, 0] * 0.01, atol=1e-12
-    )
+    expected = there.x[1:, 0] - u[::5][1:, 0] * 0.01
+    np.testing.assert_allclose(moved[1:-1] + x[0] - u[0, 0] * 0.01, expected, atol=1e-12)
 
 
 def test_duplicates_and_rows_out_of_order_are_mended() -> None:
@@ -292,13 +287,12 @@ def test_runs_on_other_steps_are_brought_to_one() -> None:
     assert half[0].dt == pytest.approx(0.02)
 
 
+def long_enough(v: list[float]) -> bool:
+    return bool(min(np.linalg.norm(v[:4]), np.linalg.norm(v[4:])) > 0.1)
+
+
 @settings(max_examples=50, deadline=None)
-@given(
-    st.lists(st.floats(-1, 1), min_size=8, max_size=8).filter(
-        lambda v: min(np.linalg.norm(v[:4]), np.linalg.norm(v[4:])) > 0.1
-    ),
-    st.floats(0, 1),
-)
+@given(st.lists(st.floats(-1, 1), min_size=8, max_size=8).filter(long_enough), st.floats(0, 1))
 def test_slerp_stays_on_the_sphere_and_halves_the_way(values: list[float], share: float) -> None:
     a, b = (np.array([v]) / np.linalg.norm(v) for v in (values[:4], values[4:]))
     q = slerp(a, b, np.array([share]))

@@ -90,8 +90,7 @@ def test_a_file_may_lack_the_rate_of_a_position_that_it_has(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("header", "columns"),
-    [("t,q_dot,force", (0, 2, 3)), ("t,q,qdot,force", (0, 1, 2, 3))],
+    ("header", "columns"), [("t,q_dot,force", (0, 2, 3)), ("t,q,qdot,force", (0, 1, 2, 3))]
 )
 def test_a_lacking_position_or_another_spelling_is_refused(
     tmp_path: Path, header: str, columns: tuple[int, ...]
@@ -109,10 +108,8 @@ def test_a_rate_that_some_runs_have_is_refused() -> None:
 
 @pytest.mark.parametrize(("rows", "how"), [(2, "backward"), (3, "central"), (11, "filter")])
 def test_what_a_simulated_chain_derives_is_found(rows: int, how: str) -> None:
-    chain = Recording(derived_rate=rows)
-    made = nsde_torch.simulate(
-        "mass_spring_damper", durations=[15.0, 15.0], seed=2, sensor_noise=1.0, recording=chain
-    )
+    options = {"durations": [15.0, 15.0], "seed": 2, "recording": Recording(derived_rate=rows)}
+    made = nsde_torch.simulate("mass_spring_damper", sensor_noise=1.0, **options)
     (found,) = derived_rates(SPRING, made.runs)
     assert how in found.how
     with pytest.raises(ConfigError, match="odd number of rows"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from scipy.interpolate import make_smoothing_spline
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 from scipy.signal import butter, savgol_filter, sosfilt, sosfiltfilt
 
-from nsde_torch.recording.smoothers import fit, likeliest, spectra_of
+from nsde_torch.recording.smoothers import Spectra, fit, likeliest, spectra_of
 
 Array = NDArray[np.float64]
 DT = 0.01
@@ -22,6 +23,10 @@ def sensor(seed: int) -> Array:
     rng = np.random.default_rng(seed)
     motion = np.cumsum(np.cumsum(1e-4 * rng.standard_normal((8000, 2)), axis=0) * 0.02, axis=0)
     return np.asarray(motion + 0.01 * rng.standard_normal((8000, 2)))
+
+
+def seen_in(x: Array) -> Spectra:
+    return cast(Spectra, spectra_of([x], DT))
 
 
 SMOOTHERS: dict[str, tuple[Callable[[Array], Array], str]] = {
@@ -49,8 +54,7 @@ SMOOTHERS: dict[str, tuple[Callable[[Array], Array], str]] = {
 def test_the_family_and_the_frequency_response_are_found(name: str) -> None:
     smooth, family = SMOOTHERS[name]
     x = sensor(3)
-    seen = spectra_of([smooth(x)], DT)
-    assert seen is not None
+    seen = seen_in(smooth(x))
     assert fit(seen, None).deviance > 4.0
     likely = likeliest(seen)
     found = likely.smoother
@@ -68,8 +72,7 @@ def test_the_family_and_the_frequency_response_are_found(name: str) -> None:
 def test_a_rate_made_of_positions_by_a_polynomial_is_told_from_a_smoothed_one() -> None:
     x = sensor(4)
     rate = savgol_filter(x, 11, 3, deriv=1, delta=DT, axis=0)
-    seen = spectra_of([rate], DT)
-    assert seen is not None
+    seen = seen_in(rate)
     found = likeliest(seen, rates=True)
     assert found.smoother.family.name == "Savitzky-Golay derivative"
     assert (found.smoother.order, round(found.smoother.size)) == (4, 11)
@@ -79,14 +82,11 @@ def test_a_rate_made_of_positions_by_a_polynomial_is_told_from_a_smoothed_one() 
 
 def test_a_raw_sensor_has_the_form_that_is_assumed() -> None:
     for seed in range(6):
-        seen = spectra_of([sensor(seed)], DT)
-        assert seen is not None
-        assert fit(seen, None).deviance < 0.8
+        assert fit(seen_in(sensor(seed)), None).deviance < 0.8
 
 
 def test_the_noise_before_the_smoother_is_found() -> None:
-    seen = spectra_of([SMOOTHERS["butterworth twice"][0](sensor(1))], DT)
-    assert seen is not None
+    seen = seen_in(SMOOTHERS["butterworth twice"][0](sensor(1)))
     std = np.sqrt(fit(seen, likeliest(seen).smoother).noise[:, 0] / (2 * DT))
     assert std == pytest.approx(0.01, rel=0.1)
 

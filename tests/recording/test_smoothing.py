@@ -71,15 +71,12 @@ def test_a_first_order_lag_is_no_average(kind: str, time_constant: float) -> Non
         assert smoothing_width([run(lagged)], 4) == 0.0
 
 
-def test_constant_inputs_beside_averaged_ones_are_left_aside() -> None:
+def test_an_average_is_found_beside_constant_inputs_and_under_a_little_noise_of_rounding() -> None:
     u = averaged(commands("red", 0), 40)
-    u[:, 1:3] = 0.4
-    assert smoothing_width([run(u)], 4) == pytest.approx(0.4, abs=1.01 * DT)
-
-
-def test_an_average_is_found_under_a_little_noise_of_rounding() -> None:
-    u = np.round(averaged(commands("red", 0), 40), 4)
-    assert smoothing_width([run(u)], 4) == pytest.approx(0.4, abs=1.01 * DT)
+    beside = u.copy()
+    beside[:, 1:3] = 0.4
+    for made in (beside, np.round(u, 4)):
+        assert smoothing_width([run(made)], 4) == pytest.approx(0.4, abs=1.01 * DT)
 
 
 def held(samples: int) -> Array:
@@ -139,5 +136,4 @@ def test_short_raw_episodes_show_none(kind: str) -> None:
 def test_the_width_is_right_to_the_sample(kind: str, seed: int) -> None:
     u = averaged(commands(kind, seed), 47)
     u = u + 1e-4 * np.random.default_rng(seed).standard_normal(u.shape)
-    run = Run("a", DT * np.arange(N), np.zeros((N, 2)), u)
-    assert smoothing_width([run], 4) == pytest.approx(47 * DT)
+    assert smoothing_width([run(u)], 4) == pytest.approx(47 * DT)

@@ -85,15 +85,9 @@ def test_rest_coarse_sensors_and_slow_ones_are_kept() -> None:
     stop, slow, fine = swing(0.0), swing(0.0), swing(0.0)
     stop[stop[:, 0] > 0.3] = [0.3, 0.0]
     slow[:, 0] = np.repeat(fine[::20, 0], 20)
-    cases = {
-        "rest": moves,
-        "noisy": noisy,
-        "coarse": np.round(noisy / [0.02, 0.05]) * [0.02, 0.05],
-        "biased": biased,
-        "stop": stop,
-        "slow": slow,
-        "tooth": np.round(fine / 0.05) * 0.05,
-    }
+    coarse, tooth = np.round(noisy / [0.02, 0.05]) * [0.02, 0.05], np.round(fine / 0.05) * 0.05
+    cases = {"rest": moves, "noisy": noisy, "coarse": coarse, "biased": biased}
+    cases |= {"stop": stop, "slow": slow, "tooth": tooth}
     for name, x in cases.items():
         assert read(x)[1] == [], name
 

@@ -8,6 +8,7 @@ from tests.helpers.sde_problems import (
     DistanceAware,
     GeometricBrownianMotion,
     Problem,
+    Quiet,
     SquareRoot,
     Tangent,
     slope,
@@ -42,9 +43,8 @@ def test_milstein_is_exact_where_the_solution_is_quadratic_in_the_noise(name: st
 @pytest.mark.parametrize("name", STOCHASTIC)
 def test_the_limit_is_the_closed_form_of_the_stated_calculus_and_not_the_other(name: str) -> None:
     step, problem = make_step(name), GeometricBrownianMotion()
-    fine = brownian(
-        2000, 1, 512, 1, dt=1 / 512, generator=torch.Generator().manual_seed(2), dtype=torch.float64
-    )
+    g = torch.Generator().manual_seed(2)
+    fine = brownian(2000, 1, 512, 1, dt=1 / 512, generator=g, dtype=torch.float64)
     z0, u = torch.ones(1, 1, dtype=torch.float64), torch.zeros(1, 512, 1, dtype=torch.float64)
     end = rollout(problem, z0, u, dt=1 / 512, step=step, noise=fine)[:, :, -1]
     other = {"ito": "stratonovich", "stratonovich": "ito"}[step.calculus]
@@ -55,9 +55,8 @@ def test_the_limit_is_the_closed_form_of_the_stated_calculus_and_not_the_other(n
 @pytest.mark.parametrize("name", ["milstein_ito", "milstein", "heun"])
 def test_the_order_drops_to_half_on_coupled_noise(name: str) -> None:
     problem, step = DistanceAware(), make_step(name)
-    fine = brownian(
-        1500, 1, 4096, 3, dt=1 / 4096, generator=torch.Generator().manual_seed(3), dtype=torch.float64
-    )
+    g = torch.Generator().manual_seed(3)
+    fine = brownian(1500, 1, 4096, 3, dt=1 / 4096, generator=g, dtype=torch.float64)
     z0 = torch.full((1, 3), 0.5, dtype=torch.float64)
 
     def end(factor: int) -> torch.Tensor:
@@ -72,19 +71,11 @@ def test_the_order_drops_to_half_on_coupled_noise(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "order"), [("milstein_heun", 2.0), ("heun", 2.0), ("milstein", 1.0)])
 def test_the_order_in_the_drift_where_there_is_no_noise(name: str, order: float) -> None:
-    class Swing:
+    class Swing(Quiet):
         """theta'' = -sin(theta) + u."""
-
-        calculus = "either"
 
         def drift(self, t: Time, z: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
             return torch.stack((z[:, 1], u[:, 0] - torch.sin(z[:, 0])), -1)
-
-        def diffusion(self, t: Time, z: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
-            return torch.zeros_like(z)
-
-        def project(self, z: torch.Tensor) -> torch.Tensor:
-            return z
 
     z0 = torch.tensor([[1.0, 0.0]], dtype=torch.float64)
 

@@ -27,15 +27,9 @@ VALUES = {"force_gain": 1 / TOTAL, "pole_share": POLE / TOTAL, "half_length": LE
 def accelerations(x: Array, force: float, torque: float = 0.0) -> Array:
     """(x'', theta'') by Lagrange; `torque` acts on the pole [N m]."""
     _, _, theta, rate = x
-    mass = np.array(
-        [
-            [TOTAL, POLE * LENGTH * np.cos(theta)],
-            [POLE * LENGTH * np.cos(theta), 4 / 3 * POLE * LENGTH**2],
-        ]
-    )
-    right = np.array(
-        [force + POLE * LENGTH * rate**2 * np.sin(theta), POLE * G * LENGTH * np.sin(theta) + torque]
-    )
+    arm = POLE * LENGTH
+    mass = np.array([[TOTAL, arm * np.cos(theta)], [arm * np.cos(theta), 4 / 3 * arm * LENGTH]])
+    right = np.array([force + arm * rate**2 * np.sin(theta), arm * G * np.sin(theta) + torque])
     return np.linalg.solve(mass, right)
 
 

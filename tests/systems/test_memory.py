@@ -10,9 +10,10 @@ from torch import Tensor
 
 from nsde_torch.effects import Effect, Parameter, Port
 from nsde_torch.errors import ShapeError
-from nsde_torch.sde import STEPS, Calculus, Time, make_step, rollout
+from nsde_torch.sde import STEPS, make_step, rollout
 from nsde_torch.systems import System, make_system
 from tests.helpers.effect_rows import flying
+from tests.helpers.system_contract import Ode
 
 
 @final
@@ -38,20 +39,12 @@ class Slow(Effect):
 
 
 @final
-class Equation:
-    """A system without noise, as the steps want it."""
-
-    calculus: Calculus = "either"
+class Equation(Ode):
+    """With whole steps of memory, which `Ode` leaves to its formulas."""
 
     def __init__(self, system: System) -> None:
-        self.system = system
-        self.project, self.inner, self.set_step = system.project, system.inner, system.set_step
-
-    def drift(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
-        return self.system.drift(t, z, u)
-
-    def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
-        return torch.zeros_like(z)
+        super().__init__(system)
+        self.inner, self.set_step = system.inner, system.set_step
 
 
 def hexacopter(*effects: str | Effect, **values: float) -> System:
@@ -173,22 +166,9 @@ def test_every_step_gives_the_roll_rate_of_a_lagging_motor_at_steps_of_50_ms(nam
         s.set_step(0.0)
         z = z0
         for k in range(200):
-            z = make_step("rk4").advance(Fine(s), 0.0, z, u[:, k // 50], 0.001, None)
+            z = make_step("rk4").advance(Ode(s), 0.0, z, u[:, k // 50], 0.001, None)
     # torchdiffeq is as exact as its tolerances; without the whole step Euler's steps err by half
     torch.testing.assert_close(path[-1, 10:], z[0, 10:], rtol=1e-4, atol=2e-6)
-
-
-@final
-class Fine:
-    """The formulas by themselves."""
-
-    calculus: Calculus = "either"
-
-    def __init__(self, system: System) -> None:
-        self.drift, self.project = system.drift, system.project
-
-    def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
-        return torch.zeros_like(z)
 
 
 def test_memory_that_knows_no_whole_steps_moves_within_a_step_and_the_other_does_not() -> None:

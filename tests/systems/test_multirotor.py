@@ -13,33 +13,23 @@ from torch import Tensor
 
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import SYSTEMS, System, make_system
+from tests.helpers.effect_rows import flying
 from tests.helpers.system_contract import SystemContract, solve
 
 Array = NDArray[np.float64]
+LEVEL = flying([0.0, 0.0, 0.0])
 
 # Motors as PX4 numbers them: place (forward, left) with the arm as unit, and the sense of the propeller seen
 # from above. A propeller that turns clockwise pushes the body the other way round, about +z.
 S, H = np.sqrt(3) / 2, 0.5
 GEOMETRY: dict[str, list[tuple[float, float, str]]] = {
     "hexacopter": [
-        (0, -1, "cw"),
-        (0, 1, "ccw"),
-        (S, H, "cw"),
-        (-S, -H, "ccw"),
-        (S, -H, "ccw"),
-        (-S, H, "cw"),
+        *((0, -1, "cw"), (0, 1, "ccw"), (S, H, "cw"), (-S, -H, "ccw"), (S, -H, "ccw"), (-S, H, "cw")),
     ],
     "quadrotor": [(1, -1, "ccw"), (-1, 1, "ccw"), (1, 1, "cw"), (-1, -1, "cw")],
 }
-VALUES = {
-    "thrust_gain": 5.1,
-    "thrust_offset": -0.4,
-    "roll_gain": 60.0,
-    "pitch_gain": 45.0,
-    "yaw_gain": 6.0,
-    "inertia_x": 0.6,
-    "inertia_y": 0.9,
-}
+GAINS = {"thrust_gain": 5.1, "roll_gain": 60.0, "pitch_gain": 45.0, "yaw_gain": 6.0}
+VALUES = {**GAINS, "thrust_offset": -0.4, "inertia_x": 0.6, "inertia_y": 0.9}
 
 
 def rigid_body(x: Array, u: Array, name: str) -> Array:
@@ -101,8 +91,7 @@ class MultirotorContract(SystemContract):
     def test_a_command_along_one_row_of_the_mixing_turns_about_that_axis_alone(self, axis: int) -> None:
         s = self.make().double()
         row = torch.tensor(SYSTEMS[self.name].mixing[1 + axis]).double()  # type: ignore[attr-defined]
-        x = torch.zeros(1, 13, dtype=torch.float64)
-        x[0, 6] = 1.0
+        x = LEVEL.double()
         angular = s.drift(0.0, x, (0.4 + 0.1 * row)[None])[0, 10:].detach()
         assert float(angular[axis]) > 0.1
         others = [k for k in range(3) if k != axis]
@@ -120,8 +109,7 @@ class MultirotorContract(SystemContract):
     def test_hover_is_an_equilibrium(self) -> None:
         s = self.make(values=VALUES).double()
         u = torch.full((1, s.nu), (9.81 + 0.4) / 5.1 / s.nu, dtype=torch.float64)
-        x = torch.zeros(1, 13, dtype=torch.float64)
-        x[0, 6] = 1.0
+        x = LEVEL.double()
         torch.testing.assert_close(s.drift(0.0, x, u), torch.zeros_like(x), atol=1e-5, rtol=0)
 
     def test_without_thrust_it_falls_freely_at_any_attitude(self) -> None:
@@ -142,8 +130,7 @@ class MultirotorContract(SystemContract):
 
     def test_a_free_body_keeps_its_energy_and_its_angular_momentum(self) -> None:
         s = self.make(values=VALUES).double()
-        x = torch.zeros(1, 13, dtype=torch.float64)
-        x[0, 6], x[0, 10:] = 1.0, torch.tensor([2.0, 0.3, -1.0])
+        x = flying([0.0, 0.0, 0.0], rates=(2.0, 0.3, -1.0)).double()
         path = solve(s, x, torch.zeros(1, 1000, s.nu).double(), 0.005)[0].numpy()
         inertia, omega = np.array([VALUES["inertia_x"], VALUES["inertia_y"], 1.0]), path[:, 10:13]
         energy = 0.5 * (inertia * omega**2).sum(1)
@@ -156,12 +143,10 @@ class MultirotorContract(SystemContract):
     def test_first_values_find_the_gains(self) -> None:
         x, u, dt = self.simulated()
         found = self.make().start_values(x.numpy(), u.numpy(), dt)
-        for name in ("thrust_gain", "roll_gain", "pitch_gain", "yaw_gain"):
-            assert found[name][0] == pytest.approx(VALUES[name], rel=0.05), name
+        assert {name: found[name][0] for name in GAINS} == pytest.approx(GAINS, rel=0.05)
 
     def test_the_thrust_map_of_degree_two_and_three(self) -> None:
-        x = torch.zeros(1, 13)
-        x[0, 6] = 1.0
+        x = LEVEL
         u = torch.full((1, self.make().nu), 0.5)
         for degree, curve, shape in ((2, [0.4], 0.5 + 0.4 * 0.25), (3, [0.4, -0.2], 0.6 - 0.2 * 0.125)):
             s = self.make(thrust_degree=degree, values={"thrust_gain": 5.0, "thrust_curve": curve})

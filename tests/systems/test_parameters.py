@@ -93,22 +93,17 @@ def test_times_of_a_memory_are_kept_as_long_as_steps_can_follow() -> None:
 
 
 def test_a_width_stays_where_it_matters_at_the_speeds_of_the_data() -> None:
-    vector = ParameterVector(
-        make_system("cartpole", effects=["stribeck_friction", "actuator_deadband", "input_delay"])
-    )
+    effects = ["stribeck_friction", "actuator_deadband", "input_delay"]
+    vector = ParameterVector(make_system("cartpole", effects=effects))
     at = {label: k for k, label in enumerate(vector.labels)}
     before = vector.low.copy(), vector.high.copy()
     vector.limit({"speed[cart]": 2.0, "input": 25.0})
     assert vector.low[at["stribeck_friction[cart].speed"]] == pytest.approx(2.0 * 0.1 / 4)
     assert vector.high[at["stribeck_friction[cart].speed"]] == pytest.approx(2.0 * 0.3 * 4)
     assert vector.low[at["stribeck_friction[cart].width"]] == pytest.approx(2.0 * 0.02 / 4)
-    for name in (
-        "actuator_deadband.width",
-        "input_delay.delay",
-        "stribeck_friction[cart].size",
-        "half_length",
-    ):
-        assert (vector.low[at[name]], vector.high[at[name]]) == (before[0][at[name]], before[1][at[name]])
+    others = ("actuator_deadband.width", "input_delay.delay", "stribeck_friction[cart].size", "half_length")
+    for k in (at[name] for name in others):
+        assert (vector.low[k], vector.high[k]) == (before[0][k], before[1][k])
 
 
 def test_values_lie_inside_bounds_that_are_closer_than_the_usual_margin() -> None:
@@ -122,9 +117,8 @@ def test_values_lie_inside_bounds_that_are_closer_than_the_usual_margin() -> Non
 
 
 def test_a_height_stays_near_those_that_the_effect_is_for() -> None:
-    vector = ParameterVector(
-        make_system("hexacopter", effects=["ground_effect", "constant_wind", "motor_lag"])
-    )
+    effects = ["ground_effect", "constant_wind", "motor_lag"]
+    vector = ParameterVector(make_system("hexacopter", effects=effects))
     at = {label: k for k, label in enumerate(vector.labels)}
     before = vector.low.copy()
     vector.limit({"input": 0.5})

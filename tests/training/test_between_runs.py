@@ -51,15 +51,9 @@ def spring(
 
 
 def fitted(machines: Sequence[Mapping[str, float]], folder: Path, seed: int) -> Fitted:
-    raw = [
-        RawRun(f"run_{k}", H * np.arange(600), *spring(100 * seed + k, **values))
-        for k, values in enumerate(machines)
-    ]
+    made = [spring(100 * seed + k, **values) for k, values in enumerate(machines)]
+    raw = [RawRun(f"run_{k}", H * np.arange(600), *rows) for k, rows in enumerate(made)]
     return fitted_to(raw, folder, SPEC, steps=30)
-
-
-def between(model: NeuralSDE) -> dict[str, Any]:
-    return dict(model.spec.between_runs)
 
 
 @pytest.mark.parametrize(
@@ -73,26 +67,21 @@ def test_what_differs_is_found_alone_and_neither_noise_nor_networks_learn_it(
     key: str, target: str, each: Sequence[float], tmp_path: Path
 ) -> None:
     made = fitted([{key: value} for value in each], tmp_path, 1)
-    model = made.model
-    assert isinstance(model, NeuralSDE)
-    assert list(between(model)) == [target]
+    model, of_all = made.model, np.mean(each) if key == "stiffness" else 0.0
+    assert list(model.spec.between_runs) == [target]
     found = made.facts["between_runs"][target]["of_runs"].values()
-    assert [n for (n,) in found] == pytest.approx(
-        np.array(each) - (np.mean(each) if key == "stiffness" else 0.0), abs=0.05
-    )
+    assert [n for (n,) in found] == pytest.approx(np.array(each) - of_all, abs=0.05)
     assert made.facts["innovations"]["networks"]["force"]["kept"] is False
     # twice the diffusion that is there, 0.03, is the most that a residual without the difference has
     assert made.facts["innovations"]["noise"]["q_dot"]["diffusion"] < 0.06
     assert target in made.said
     value = float(model.system.all_declared()["linear_spring.stiffness"][0])
-    assert value == pytest.approx(np.mean(each) if key == "stiffness" else 4.0, abs=0.1)
+    assert value == pytest.approx(of_all or 4.0, abs=0.1)
 
 
 @pytest.mark.parametrize("seed", [2, 3, 4])
 def test_runs_of_one_machine_differ_in_nothing(seed: int, tmp_path: Path) -> None:
-    model = fitted([{}] * 4, tmp_path, seed).model
-    assert isinstance(model, NeuralSDE)
-    assert between(model) == {}
+    assert fitted([{}] * 4, tmp_path, seed).model.spec.between_runs == {}
 
 
 def test_a_law_that_nobody_declared_is_learned_and_not_taken_for_a_difference(tmp_path: Path) -> None:
@@ -114,6 +103,10 @@ def model_of(system: str, spread: Mapping[str, Sequence[float]], **values: float
     return model.requires_grad_(False)
 
 
+def spring_of(spread: Mapping[str, Sequence[float]], **values: float) -> NeuralSDE:
+    return model_of("mass_spring_damper", spread, **{**VALUES, **values})
+
+
 def path(model: NeuralSDE, x0: torch.Tensor, u: torch.Tensor, draws: Sequence[float]) -> torch.Tensor:
     """Paths (P, B, T + 1, nx) without noise, each with its own number."""
     start = torch.tensor(draws, dtype=torch.float64)[:, None, None].expand(-1, len(x0), 1)
@@ -129,16 +122,14 @@ def rows(width: int, nu: int = 1, count: int = 3) -> tuple[torch.Tensor, torch.T
 
 def test_a_path_with_a_number_is_that_of_the_machine_with_this_parameter() -> None:
     x0, u = rows(2)
-    drawn = path(
-        model_of("mass_spring_damper", {"linear_spring/stiffness": [0.5]}, **VALUES), x0, u, [-1.0, 0.0, 2.0]
-    )
+    drawn = path(spring_of({"linear_spring/stiffness": [0.5]}), x0, u, [-1.0, 0.0, 2.0])
     for own, stiffness in zip(drawn, (3.5, 4.0, 5.0), strict=True):
-        plain = model_of("mass_spring_damper", {}, **{**VALUES, "linear_spring.stiffness": stiffness})
+        plain = spring_of({}, **{"linear_spring.stiffness": stiffness})
         torch.testing.assert_close(own, plain.paths(x0, u, dt=H, noise=torch.zeros(1, 3, 25, 2).double())[0])
 
 
 def test_a_path_with_a_steady_force_ends_where_it_holds_the_spring() -> None:
-    model = model_of("mass_spring_damper", {"run_force": [0.4]}, **VALUES)
+    model = spring_of({"run_force": [0.4]})
     x0, u = torch.zeros(1, 2, dtype=torch.float64), torch.zeros(1, 2500, 1, dtype=torch.float64)
     ends = path(model, x0, u, [-1.0, 0.5])[:, 0, -1, 0]
     torch.testing.assert_close(ends, torch.tensor([-0.1, 0.05], dtype=torch.float64), rtol=1e-3, atol=1e-6)
@@ -155,14 +146,14 @@ def test_a_path_with_another_zero_is_that_of_the_true_angles_read_wrong() -> Non
 
 def test_no_number_takes_a_parameter_beyond_its_bounds() -> None:
     x0, u = rows(2)
-    model = model_of("mass_spring_damper", {"linear_spring/stiffness": [4.0]}, **VALUES)
+    model = spring_of({"linear_spring/stiffness": [4.0]})
     low, least = path(model, x0, u, [-3.0, -0.95])
     torch.testing.assert_close(low, least)
 
 
 def test_paths_of_a_run_that_was_seen_have_its_own_numbers() -> None:
     x0, u = rows(2)
-    model = model_of("mass_spring_damper", {"linear_spring/stiffness": [0.5]}, **VALUES)
+    model = spring_of({"linear_spring/stiffness": [0.5]})
     model.h.log_sigma_max.fill_(-30.0)
     given: dict[str, Any] = {"dt": H, "particles": 3, "generator": torch.Generator().manual_seed(0)}
     own = model.sample(x0, u, numbers=torch.tensor([[1.0], [-2.0], [0.0]]).double(), **given)
@@ -172,8 +163,7 @@ def test_paths_of_a_run_that_was_seen_have_its_own_numbers() -> None:
 
 def test_the_mean_of_all_runs_is_what_is_planned_with_and_what_no_draw_asks_for() -> None:
     x0, u = rows(2)
-    some = model_of("mass_spring_damper", {"linear_spring/stiffness": [0.5]}, **VALUES)
-    plain = model_of("mass_spring_damper", {}, **VALUES)
+    some, plain = spring_of({"linear_spring/stiffness": [0.5]}), spring_of({})
     torch.testing.assert_close(some.drift(0.0, x0, u[:, 0]), plain.drift(0.0, x0, u[:, 0]))
     torch.testing.assert_close(some.paths(x0, u, dt=H, noise=None), plain.paths(x0, u, dt=H, noise=None))
 
@@ -181,7 +171,7 @@ def test_the_mean_of_all_runs_is_what_is_planned_with_and_what_no_draw_asks_for(
 def test_a_run_directory_keeps_what_differs_and_refuses_what_the_machine_does_not_have(
     tmp_path: Path,
 ) -> None:
-    model = model_of("mass_spring_damper", {"run_force": [0.4]}, **VALUES)
+    model = spring_of({"run_force": [0.4]})
     save(model, tmp_path)
     x0, u = rows(2)
     given: dict[str, Any] = {"dt": H, "particles": 4}

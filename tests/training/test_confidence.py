@@ -40,9 +40,8 @@ def spring_run(seed: int, seconds: float = 60.0, push: float = 0.0) -> Run:
 
 def make() -> NeuralSDE:
     spec = SDESpec("mass_spring_damper", dt=DT, horizon=10, step="euler_maruyama")
-    model = NeuralSDE(
-        spec, generator=torch.Generator().manual_seed(0), values={NAMES[0]: STIFFNESS, NAMES[1]: DAMPING}
-    )
+    values = {NAMES[0]: STIFFNESS, NAMES[1]: DAMPING}
+    model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0), values=values)
     with torch.no_grad():
         for network in model.residuals.values():
             network.layers[-1].weight.zero_()  # type: ignore[union-attr, operator, index]

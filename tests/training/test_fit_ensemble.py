@@ -16,7 +16,7 @@ from torch.distributions import Normal
 from nsde_torch.data import Run, Windows
 from nsde_torch.errors import CheckpointError, NonFiniteError
 from nsde_torch.models import EnsembleSpec, GaussianEnsemble
-from nsde_torch.training import LossOptions, TrainerOptions
+from nsde_torch.training import TrainerOptions
 from nsde_torch.training.fit_ensemble import (
     EnsembleLoop,
     Pairs,
@@ -27,7 +27,7 @@ from nsde_torch.training.fit_ensemble import (
 )
 from nsde_torch.training.loop import Loop
 from nsde_torch.training.task import Task
-from tests.helpers.loop_contract import LoopContract, averages_of
+from tests.helpers.loop_contract import LoopContract, averages_of, task_of
 from tests.helpers.toy_systems import DT
 
 DECAY = "tests.helpers.toy_systems:Decay"
@@ -51,17 +51,9 @@ def noisy_runs(count: int = 4, rows: int = 400, seed: int = 0) -> list[Run]:
     return runs
 
 
-def make_model(seed: int = 0, **spec: Any) -> GaussianEnsemble:
-    given: dict[str, Any] = {"members": 3, "hidden": (8, 8), "batch": 8, **spec}
-    return GaussianEnsemble(
-        EnsembleSpec(DECAY, dt=DT, horizon=5, **given), generator=torch.Generator().manual_seed(seed)
-    )
-
-
-def make_loop(
-    *, seed: int = 0, options: TrainerOptions = OPTIONS, steps: int = 12, **spec: Any
-) -> EnsembleLoop:
-    model = make_model(seed, **spec)
+def make_loop(*, seed: int = 0, options: TrainerOptions = OPTIONS, steps: int = 12) -> EnsembleLoop:
+    spec = EnsembleSpec(DECAY, dt=DT, horizon=5, members=3, hidden=(8, 8), batch=8)
+    model = GaussianEnsemble(spec, generator=torch.Generator().manual_seed(seed))
     windows = Windows(noisy_runs(2, 200), DT, 5)
     train, held = windows.held_out(0.2, 2.0, torch.Generator().manual_seed(seed))
     pairs = standardised_pairs(model, train, clock_scale=1.0)
@@ -70,22 +62,9 @@ def make_loop(
 
 
 def make_task(tmp_path: Path, **spec: Any) -> Task:
-    rows: list[int] = []
-    return Task(
-        spec=EnsembleSpec(DECAY, dt=DT, horizon=5, **spec),
-        runs=noisy_runs(),
-        seed=0,
-        name="t",
-        loss=LossOptions(),
-        options=replace(OPTIONS, patience=1000),
-        validation=0.15,
-        clock=1.25,
-        values={},
-        device=torch.device("cpu"),
-        dtype=torch.float32,
-        checkpoint=tmp_path / "c",
-        log=lambda step, row: rows.append(step),
-    )
+    spec = EnsembleSpec(DECAY, dt=DT, horizon=5, **spec)
+    options = replace(OPTIONS, patience=1000)
+    return task_of(spec, noisy_runs(), tmp_path / "c", options, name="t", validation=0.15, clock=1.25)
 
 
 # ---- likelihood and pairs -------------------------------------------------------------------------------
@@ -141,7 +120,6 @@ def test_mean_and_variance_of_a_known_heteroscedastic_system_are_recovered(tmp_p
     options = TrainerOptions(validate_every=100, checkpoint_every=1000)
     task = replace(make_task(tmp_path, steps=1500, members=3), runs=noisy_runs(8, 1000), options=options)
     fit = fit_ensemble(task)
-    assert isinstance(fit.model, GaussianEnsemble)
     x = torch.linspace(-1.2, 1.2, 13).repeat_interleave(5)[:, None]
     u = torch.linspace(-7, 7, 5).repeat(13)[:, None]
     with torch.no_grad():
@@ -236,8 +214,6 @@ class TestEnsembleLoop(LoopContract):
 
     def same(self, a: Loop, b: Loop) -> None:
         super().same(a, b)
-        assert isinstance(a, EnsembleLoop)
-        assert isinstance(b, EnsembleLoop)
         assert torch.equal(a.best_score, b.best_score)
         assert torch.equal(a.best_step, b.best_step)
 

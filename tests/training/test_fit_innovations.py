@@ -16,22 +16,16 @@ from nsde_torch.errors import CheckpointError
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.recording import assemble
 from nsde_torch.systems import make_system
-from nsde_torch.training import LossOptions, TrainerOptions
+from nsde_torch.training import TrainerOptions
 from nsde_torch.training.fit_innovations import fit_innovations
 from nsde_torch.training.late_inputs import identified
-from nsde_torch.training.task import Fitted, Task
+from nsde_torch.training.task import Fitted
 from tests.helpers.encoders import encoder_runs
+from tests.helpers.loop_contract import task_of
 from tests.inference.springs import TRUTH, B, rubbing, small_runs
 
 H = 0.02
-SPEC = SDESpec(
-    "mass_spring_damper",
-    dt=H,
-    horizon=20,
-    step="milstein_heun",
-    measurement=True,
-    learn_lag=True,
-)
+SPEC = SDESpec("mass_spring_damper", dt=H, horizon=20, step="milstein_heun", measurement=True, learn_lag=True)
 
 
 def closed_loop(seed: int, *, lag: float, drag: float = 0.0) -> list[RawRun]:
@@ -76,35 +70,16 @@ def fitted(
     runs = [run for run in raw if isinstance(run, Run)]
     if not runs:
         runs = list(assemble(raw, make_system("mass_spring_damper"), kind="csv").runs)  # type: ignore[arg-type]
-    task = Task(
-        spec=spec,
-        runs=runs,
-        seed=seed,
-        name="train",
-        loss=LossOptions(),
-        options=TrainerOptions(**{"steps": 60, **options}),
-        validation=0.3,
-        clock=1.0,
-        values={},
-        device=torch.device("cpu"),
-        dtype=torch.float32,
-        checkpoint=folder / "train",
-        log=lambda *_: None,
-        near=near,
-    )
-    return fit_innovations(task)
+    own = TrainerOptions(**{"steps": 60, **options})
+    return fit_innovations(task_of(spec, runs, folder / "train", own, seed=seed, near=near))
 
 
 def test_a_controller_in_the_loop_bends_neither_gains_nor_the_lag(tmp_path: Path) -> None:
     found = fitted(closed_loop(0, lag=0.08), tmp_path)
     p = found.parameters()
     assert found.facts["innovations"]["learned_lag"] == "actuator_lag"
-    for name, truth in (
-        ("force_gain", 1.0),
-        ("linear_spring.stiffness", 1.0),
-        ("viscous_friction.damping", 0.5),
-        ("actuator_lag.time_constant", 0.08),
-    ):
+    declared = {"force_gain": 1.0, "linear_spring.stiffness": 1.0, "viscous_friction.damping": 0.5}
+    for name, truth in {**declared, "actuator_lag.time_constant": 0.08}.items():
         (value,), (half,) = p[name]["value"], p[name]["half_width_90"]  # type: ignore[misc]
         assert abs(value - truth) < max(2.0 * half, 0.02 * truth), (name, value, half)
     assert not any(n["kept"] for n in found.facts["innovations"]["networks"].values())
@@ -157,17 +132,14 @@ def test_a_second_call_finds_the_first_one_finished_and_another_task_is_refused(
 @pytest.mark.slow
 def test_a_port_without_declared_physics_is_all_network(tmp_path: Path) -> None:
     found = fitted(closed_loop(4, lag=0.0), tmp_path, replace(SPEC, declared=()), steps=400)
-    model = found.model
-    assert isinstance(model, NeuralSDE)
     x = torch.tensor([[0.3, 0.0], [-0.3, 0.0], [0.0, 0.4]])
-    (push,) = model.residual(x).values()
+    (push,) = found.model.residual(x).values()
     assert torch.allclose(push[:, 0].detach(), torch.tensor([-0.3, 0.3, -0.2]), atol=0.08)
 
 
 def test_sigma_over_the_data_is_that_of_the_law_and_grows_to_what_is_declared(tmp_path: Path) -> None:
     found = fitted(closed_loop(5, lag=0.0), tmp_path)
     model, noise = found.model, found.facts["innovations"]["noise"]
-    assert isinstance(model, NeuralSDE)
     data = assemble(closed_loop(5, lag=0.0), make_system("mass_spring_damper"), kind="csv")
     x = torch.from_numpy(np.concatenate([run.x for run in data.runs])).float()
     sigma = model.diffusion(0.0, x, torch.zeros(len(x), 1)).detach()
@@ -181,7 +153,6 @@ def test_sigma_over_the_data_is_that_of_the_law_and_grows_to_what_is_declared(tm
 
 def network_of(runs: list[Run], folder: Path) -> tuple[NeuralSDE, dict[str, Any]]:
     fit = fitted(runs, folder)
-    assert isinstance(fit.model, NeuralSDE)
     return fit.model, fit.facts["innovations"]["networks"]["force"]
 
 

@@ -75,10 +75,8 @@ def losses_over_sigma(kind: str, factors: list[float], particles: int) -> list[f
         for factor in factors:
             fix_sigma(model, max(sigma * factor, 1e-12))
             path = model.paths(windows[:, 0], u, dt=DT, noise=noise)
-            errors = path[:, :, 1:] - windows[:, 1:]
-            scores.append(
-                float(data_loss(errors, torch.ones(1), kind=kind, early=0.5, paired=kind == "replay"))
-            )
+            errors, given = path[:, :, 1:] - windows[:, 1:], {"early": 0.5, "paired": kind == "replay"}
+            scores.append(float(data_loss(errors, torch.ones(1), kind=kind, **given)))
     return scores
 
 

@@ -88,14 +88,12 @@ def test_error_scale_is_a_share_of_the_error_of_holding_one_per_group() -> None:
     np.testing.assert_allclose(scale, 0.35 * held * np.array([1.0, 5.0]), rtol=0.02)
 
 
-@pytest.mark.parametrize("system", ["hexacopter"])
 @pytest.mark.slow
-def test_first_parameters_of_a_multirotor_come_near_those_of_the_plant(system: str) -> None:
-    data = simulated(system, durations=[10.0], process_noise=0.1, sensor_noise=0.1)
-    spec = SDESpec(system, dt=0.05, horizon=20, step="milstein")
-    first = NeuralSDE(spec, generator=torch.Generator().manual_seed(0))
-    defaults = {k: v.clone() for k, (v, _) in first.system.all_declared().items()}
+def test_first_parameters_of_a_multirotor_come_near_those_of_the_plant() -> None:
+    data = simulated("hexacopter", durations=[10.0], process_noise=0.1, sensor_noise=0.1)
+    spec = SDESpec("hexacopter", dt=0.05, horizon=20, step="milstein")
     model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0))
+    defaults = {k: v.clone() for k, (v, _) in model.system.all_declared().items()}
     runs = list(data.runs)
     prepare(model, runs, Windows(runs, 0.05, 20), clock_scale=data.clock_scale, start=True)
     values = {k: v for k, (v, _) in model.system.all_declared().items()}
@@ -123,9 +121,8 @@ def test_segments_shorter_than_a_step_of_the_model_teach_the_input_filter_nothin
     whole, pieces = [(0, 300)], [(0, 300), *((a, a + 4) for a in range(300, 400, 4))]
     weights = []
     for segments in (whole, pieces):
-        logged, restored = (
-            [Run("a", dt * np.arange(400), np.zeros((400, 2)), v, segments=segments)] for v in (averaged, u)
-        )
+        t, x = dt * np.arange(400), np.zeros((400, 2))
+        logged, restored = ([Run("a", t, x, v, segments=segments)] for v in (averaged, u))
         target = InputFilter(2, 5 * dt)
         fit_filter(target, logged, restored, 1)
         weights.append(target.weights.detach().clone())

@@ -31,17 +31,9 @@ def run(
     raw = [swing(f"swing_{k}", s, k) for k, s in enumerate(seconds)]
     data = assemble(raw, make_system("mass_spring_damper"), kind="csv")
     said: list[str] = []
-    metrics = train(
-        SDESpec("mass_spring_damper", dt=0.02, horizon=horizon, step="euler_maruyama"),
-        data,
-        split(data, test),
-        loss=LossOptions(points=8),
-        options=OPTIONS,
-        seed=0,
-        run_dir=folder,
-        say=said.append,
-        verbose=verbose,
-    )
+    spec = SDESpec("mass_spring_damper", dt=0.02, horizon=horizon, step="euler_maruyama")
+    how: dict[str, Any] = {"loss": LossOptions(points=8), "options": OPTIONS, "seed": 0, "verbose": verbose}
+    metrics = train(spec, data, split(data, test), run_dir=folder, say=said.append, **how)
     return metrics, "\n".join(said)
 
 

@@ -29,25 +29,15 @@ blocks = importlib.import_module("blocks")  # docs/ is no package
 sys.path.pop(0)
 CONTENT = ROOT / "docs" / "content"
 PAGES = sorted(CONTENT.rglob("*.md"))
-OUTSIDE = [
-    ROOT / "README.md",
-    *sorted((ROOT / "benchmarks").glob("*.md")),
-    *sorted(ROOT.glob("examples/*/*.md")),
-]
+OUTSIDE = [ROOT / "README.md", *sorted(ROOT.glob("benchmarks/*.md")), *sorted(ROOT.glob("examples/*/*.md"))]
 """Pages that a code host shows; mkdocs checks the links of the others."""
 
 ALIASES = ("controller",)
 """Other names of a key: `controller=FILE` is `run=FILE`."""
 
 FREE = (
-    "plant.parameters.",
-    "system.parameters.",
-    "system.options.",
-    "model.options.",
-    "data.options.",
-    "options.",
-    "plant.options.",
-    "hydra",
+    *("plant.parameters.", "system.parameters.", "system.options.", "model.options."),
+    *("data.options.", "options.", "plant.options.", "hydra"),
 )
 """Beginnings of keys whose names are not those of the schema."""
 
@@ -148,9 +138,8 @@ def test_a_block_made_anew_keeps_seconds_and_dates_and_takes_every_other_change(
     lines = "$ nsde train", "took 3 s; wrote runs/2026-01-02/03-04-05_cart", "left: {left}", "[...]"
     fence = "\n".join(f"  {line}" for line in ("```text", *lines, "```\n"))
     printed = r"took 9 s; wrote runs/2027-01-02/03-04-05_cart\nleft: 0.06\n1\n2\n"
-    page.write_text(
-        f"  <!-- run: printf '{printed}' | sed '/^.$/c[...]' -->\n{fence.format(left=0.07)}after\n"
-    )
+    mark = f"<!-- run: printf '{printed}' | sed '/^.$/c[...]' -->"
+    page.write_text(f"  {mark}\n{fence.format(left=0.07)}after\n")
     text, failed = blocks.renewed(page)
     assert not failed
     assert text == page.read_text().replace("0.07", "0.06")
@@ -196,7 +185,7 @@ def test_the_fault_of_the_page_is_simulated_found_and_undone(monkeypatch: pytest
     names: dict[str, Any] = {"__name__": __name__}
     monkeypatch.setitem(
         FAULTS, "quantisation", FAULTS["dropout"]
-    )  # whatever the page registers ends with the test
+    )  # what the page registers ends with the test
     exec(compile(fault + register + use, "recording-fault.md", "exec", dont_inherit=True), names)
     made, found, data = names["made"], names["found"], names["data"]
     assert made.truth["recording"] == {"quantisation": {"q": 0.05}}
@@ -207,9 +196,8 @@ def test_the_fault_of_the_page_is_simulated_found_and_undone(monkeypatch: pytest
     assert nsde_torch.diagnose(sound, system="mass_spring_damper").added == []
 
     def off(runs: Sequence[Any]) -> float:
-        return max(
-            float(np.std(run.x[:, 0] - true.x[:, 0])) for run, true in zip(runs, sound.runs, strict=True)
-        )
+        pairs = zip(runs, sound.runs, strict=True)
+        return max(float(np.std(run.x[:, 0] - true.x[:, 0])) for run, true in pairs)
 
     assert off(made.runs) > 0.012  # a step over the square root of twelve
     assert off(found.recorded.runs) < 0.95 * off(made.runs)

@@ -44,9 +44,8 @@ class TestDoublePendulum(SystemContract):
         x, u = self.states(20), self.inputs(20)
         rate = system.drift(0.0, x, u).detach().numpy()
         for row, pushed, found in zip(x.numpy(), u.numpy(), rate, strict=True):
-            np.testing.assert_allclose(
-                found[2:], maker.accelerations(row[:2], row[2:], pushed), rtol=1e-5, atol=1e-5
-            )
+            expected = maker.accelerations(row[:2], row[2:], pushed)
+            np.testing.assert_allclose(found[2:], expected, rtol=1e-5, atol=1e-5)
 
 
 def logs(folder: Path, dry: tuple[float, float], viscous: tuple[float, float]) -> Path:

@@ -28,6 +28,7 @@ from nsde_torch.simulation import Simulation
 from nsde_torch.systems import System, make_system
 from tests.helpers.effect_contract import EffectContract
 from tests.helpers.model_contract import ModelContract
+from tests.helpers.sde_problems import Quiet
 from tests.helpers.system_contract import SystemContract
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "extend"
@@ -97,10 +98,8 @@ def logs(runs: Simulation, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("logs")
     for run in runs.runs:
         rows = zip((1e6 * run.t).round(), 1e3 * run.x, 1e3 * run.u, strict=True)
-        lines = [
-            {"time_us": t, "position_mm": x[0], "speed_mm_s": x[1], "motor_mv": u[0]} for t, x, u in rows
-        ]
-        text = "".join(json.dumps(line) + "\n" for line in lines)
+        names = ("time_us", "position_mm", "speed_mm_s", "motor_mv")
+        text = "".join(json.dumps(dict(zip(names, (t, *x, *u), strict=True))) + "\n" for t, x, u in rows)
         (folder / f"{run.name}.jsonl").write_text(text, encoding="utf-8")
     return folder
 
@@ -163,15 +162,9 @@ def held() -> Simulation:
 
 
 def test_an_effect_is_fitted_where_it_is_declared(held: Simulation, tmp_path: Path) -> None:
-    model = nsde_torch.train(
-        held,
-        system=RAIL,
-        model="sysid",
-        effects=["coulomb_friction", {DETENT: {"size": 0.3, "pitch": 0.05}}],
-        solver="ralston:Ralston",
-        run_dir=tmp_path,
-        say=silent,
-    )
+    effects = ["coulomb_friction", {DETENT: {"size": 0.3, "pitch": 0.05}}]
+    how = {"solver": "ralston:Ralston", "run_dir": tmp_path, "say": silent}
+    model = nsde_torch.train(held, system=RAIL, model="sysid", effects=effects, **how)
     fitted = {name: p["value"][0] for name, p in model.metrics["parameters"].items()}
     assert fitted["detent.size"] == pytest.approx(0.8, rel=0.1)
     assert fitted["detent.pitch"] == pytest.approx(0.05, rel=0.01)
@@ -253,12 +246,13 @@ def test_options_of_a_kind_of_model_are_checked() -> None:
 
     assert model_options(Linear) == LinearOptions("linear_model:Linear")
     assert model_options("linear_model:Linear", ridge=0.5) == LinearOptions("linear_model:Linear", ridge=0.5)
-    with pytest.raises(ConfigError, match="has no option rigde; it has: ridge"):
-        model_options(Linear, rigde=1.0)
-    with pytest.raises(ConfigError, match="`ridge` must be at least 0"):
-        model_options(Linear, ridge=-1.0)
-    with pytest.raises(ConfigError, match=r"must be a subclass of nsde_torch\.models\.ModelKind"):
-        model_options("linear_model:LinearModel")
+    for kind, options, words in (
+        (Linear, {"rigde": 1.0}, "has no option rigde; it has: ridge"),
+        (Linear, {"ridge": -1.0}, "`ridge` must be at least 0"),
+        ("linear_model:LinearModel", {}, r"must be a subclass of nsde_torch\.models\.ModelKind"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            model_options(kind, **options)
 
 
 def test_no_part_of_the_package_asks_for_the_class_of_a_model(root: Path) -> None:
@@ -272,19 +266,11 @@ def test_no_part_of_the_package_asks_for_the_class_of_a_model(root: Path) -> Non
 # ---- a solver --------------------------------------------------------------------------------------------------------
 
 
-class Swing:
+class Swing(Quiet):
     """A pendulum without noise."""
-
-    calculus = "either"
 
     def drift(self, t: Any, z: Tensor, u: Tensor) -> Tensor:
         return torch.cat((z[:, 1:], -torch.sin(z[:, :1])), 1)
-
-    def diffusion(self, t: Any, z: Tensor, u: Tensor) -> Tensor:
-        return torch.zeros_like(z)
-
-    def project(self, z: Tensor) -> Tensor:
-        return z
 
 
 def test_a_solver_has_the_order_it_states_and_the_limit_of_another() -> None:
@@ -311,28 +297,25 @@ def test_what_is_no_solver_is_refused() -> None:
 # ---- a command -------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A package of one's own that is installed and has a command."""
-    shutil.copy(EXAMPLES / "rows.py", tmp_path / "rows_of_a_package.py")
-    about = tmp_path / "my_package-1.0.dist-info"
+def install(folder: Path, module: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A package of one's own that is installed and has a command in a module."""
+    about = folder / "my_package-1.0.dist-info"
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: my_package\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text("[nsde_torch.commands]\nrows = rows_of_a_package\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "rows_of_a_package", raising=False)
+    (about / "entry_points.txt").write_text(f"[nsde_torch.commands]\nrows = {module}\n")
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.delitem(sys.modules, module, raising=False)
 
 
-@pytest.mark.usefixtures("package")
 def test_a_command_of_another_package_is_listed_and_runs(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    shutil.copy(EXAMPLES / "rows.py", tmp_path / "rows_of_a_package.py")
+    install(tmp_path, "rows_of_a_package", monkeypatch)
     monkeypatch.chdir(tmp_path)
     assert main(["--help"]) == 0
-    assert (
-        "rows          How many rows each run of a data set has, and for how long it lasts"
-        in capsys.readouterr().out
-    )
+    line = "rows          How many rows each run of a data set has, and for how long it lasts"
+    assert line in capsys.readouterr().out
     assert query(["row"]) == ["rows"]
     assert query(["rows", "lea"]) == ["least="]
     assert main(["rows", "--help"]) == 0
@@ -344,11 +327,7 @@ def test_a_command_of_another_package_is_listed_and_runs(
 def test_a_command_whose_package_does_not_load_is_a_sentence(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    about = tmp_path / "my_package-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: my_package\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text("[nsde_torch.commands]\nrows = package_that_moved.rows\n")
-    monkeypatch.syspath_prepend(tmp_path)
+    install(tmp_path, "package_that_moved.rows", monkeypatch)
     assert main(["--help"]) == 0
     assert "rows          A command of the package my_package" in capsys.readouterr().out
     assert main(["rows"]) == 2

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from nsde_torch.cli.main import main
+from tests.helpers.diagnosed import assert_interval
 
 
 def run(source: str, names: dict[str, Any]) -> Any:
@@ -33,8 +34,7 @@ def test_the_notebook_runs_from_top_to_bottom(
     names: dict[str, Any] = {}
     shown = [run("".join(c["source"]), names) for c in notebook["cells"] if c["cell_type"] == "code"]
     assert names["found"].added == ["coulomb_friction"]
-    size = names["found"].parameters["coulomb_friction.size"]
-    assert size["interval_90"][0] < 0.3 < size["interval_90"][1]
+    assert_interval(names["found"].parameters, "coulomb_friction.size", 0.3)
     assert Path("diagnosis/report.html").is_file()
     data, found, *_, coverage = shown
     assert all(one._repr_html_() for one in (data, found))

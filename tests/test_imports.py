@@ -11,43 +11,26 @@ from pathlib import Path
 import pytest
 
 # Each part may import itself and what it names here.
-BASE = {
+ALONE = (
     "aligned",
     "arrays",
     "errors",
-    "columns",
-    "rotation",
     "jit",
-    "lookup",
-    "options",
     "lazy",
     "cache",
-    "plain_yaml",
     "progress",
-    "shown",
     "threads",
     "time_limit",
     "whole_files",
-}
+)
+ONLY_ERRORS = ("options", "columns", "lookup", "plain_yaml", "shown")
+BASE = {*ALONE, *ONLY_ERRORS, "rotation"}
 MACHINES = {*BASE, "systems", "effects"}
 LEARNED = {*MACHINES, "data", "recording", "sde", "models", "plots"}
 TRAINED = {"inference", "sysid", "evaluation", "training"}
 MAY_IMPORT = {
-    "aligned": set(),
-    "arrays": set(),
-    "errors": set(),
-    "jit": set(),
-    "lazy": set(),
-    "cache": set(),
-    "progress": set(),
-    "threads": set(),
-    "time_limit": set(),
-    "whole_files": set(),
-    "options": {"errors"},
-    "columns": {"errors"},
-    "lookup": {"errors"},
-    "plain_yaml": {"errors"},
-    "shown": {"errors"},
+    **{name: set() for name in ALONE},
+    **{name: {"errors"} for name in ONLY_ERRORS},
     "rotation": {"errors", "columns"},
     "plots": BASE,
     "effects": {*BASE, "systems"},
@@ -178,25 +161,25 @@ def test_third_party_imports_are_declared_dependencies(root: Path) -> None:
     assert not missing
 
 
+LIGHT = "torch hydra omegaconf numpy"
+MAIN = "from nsde_torch.cli.main import main; main({})"
+
+
 @pytest.mark.parametrize(
     ("statement", "absent"),
     [
         ("import nsde_torch", "torch"),
-        ("from nsde_torch.cli.main import main; main([])", "torch hydra omegaconf yaml numpy"),
-        ("from nsde_torch.cli.main import main; main(['--help'])", "torch hydra omegaconf yaml numpy"),
-        ("from nsde_torch.cli.main import main; main(['train', '--help'])", "torch hydra omegaconf numpy"),
-        (
-            "from nsde_torch.cli.main import main; main(['completion', 'query', 'train', 'sys'])",
-            "torch hydra omegaconf numpy",
-        ),
-        ("from nsde_torch.cli.main import main; main(['sweep-report', '.'])", "torch hydra omegaconf numpy"),
-        ("from nsde_torch.cli.main import main; main(['train', 'trainer.steps=few'])", "torch scipy"),
-        ("from nsde_torch.cli.main import main; main(['diagnose', 'alhpa=0.1'])", "torch scipy"),
+        (MAIN.format([]), f"{LIGHT} yaml"),
+        (MAIN.format(["--help"]), f"{LIGHT} yaml"),
+        (MAIN.format(["train", "--help"]), LIGHT),
+        (MAIN.format(["completion", "query", "train", "sys"]), LIGHT),
+        (MAIN.format(["sweep-report", "."]), LIGHT),
+        (MAIN.format(["train", "trainer.steps=few"]), "torch scipy"),
+        (MAIN.format(["diagnose", "alhpa=0.1"]), "torch scipy"),
     ],
 )
 def test_light_things_stay_light(statement: str, absent: str, tmp_path: Path) -> None:
     check = f"; import sys; bad = [m for m in {absent.split()} if m in sys.modules]; assert not bad, bad"
-    done = subprocess.run(
-        [sys.executable, "-c", statement + check], capture_output=True, text=True, cwd=tmp_path, check=False
-    )
+    command = [sys.executable, "-c", statement + check]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
     assert done.returncode == 0, done.stderr

@@ -36,15 +36,17 @@ def test_pyproject_lists_every_package_of_the_tree(root: Path) -> None:
 def test_constraints_pin_every_direct_dependency(root: Path) -> None:
     text = (root / "pyproject.toml").read_text(encoding="utf-8")
     block = text[text.index("dependencies = [") : text.index("[project.optional-dependencies]")]
-    names = {
-        re.split(r"[~<>=]", item)[0] for item in re.findall(r'^    "([^"]+)"', block, flags=re.MULTILINE)
-    }
-    pinned = {
-        line.split("==")[0]
-        for line in (root / "constraints.txt").read_text(encoding="utf-8").splitlines()
-        if "==" in line
-    }
-    assert names <= pinned
+    named = re.findall(r'^    "([^"]+)"', block, flags=re.MULTILINE)
+    pinned = re.findall(
+        r"^(.+?)==", (root / "constraints.txt").read_text(encoding="utf-8"), flags=re.MULTILINE
+    )
+    assert {re.split(r"[~<>=]", item)[0] for item in named} <= set(pinned)
+
+
+def _pip(*words: str) -> None:
+    command = [sys.executable, "-m", "pip", *words, "--quiet", "--no-deps", "--no-index"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.fixture(scope="module")
@@ -60,20 +62,7 @@ def wheel(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
             shutil.copytree(source, tree / name, ignore=shutil.ignore_patterns("__pycache__"))
         elif source.is_file():
             shutil.copy(source, tree / name)
-    command = [
-        sys.executable,
-        "-m",
-        "pip",
-        "wheel",
-        "--quiet",
-        "--no-deps",
-        "--no-build-isolation",
-        "--no-index",
-    ]
-    done = subprocess.run(
-        [*command, "--wheel-dir", str(out), str(tree)], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
+    _pip("wheel", "--no-build-isolation", "--wheel-dir", str(out), str(tree))
     return next(out.glob("*.whl"))
 
 
@@ -81,19 +70,7 @@ def wheel(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """The environment in which Python sees the installed wheel and not the checkout."""
     target = tmp_path_factory.mktemp("site")
-    command = [
-        sys.executable,
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--no-deps",
-        "--no-index",
-        "--target",
-        str(target),
-    ]
-    done = subprocess.run([*command, str(wheel)], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    _pip("install", "--target", str(target), str(wheel))
     return {**os.environ, "PYTHONPATH": str(target), "NSDE_SITE": str(target)}
 
 
@@ -128,34 +105,26 @@ def test_installed_wheel_is_the_one_that_runs(installed: dict[str, str], tmp_pat
     assert all(line.startswith(installed["NSDE_SITE"]) for line in done.stdout.split())
 
 
-def test_installed_wheel_lists_its_commands(installed: dict[str, str], tmp_path: Path) -> None:
-    done = _nsde(installed, tmp_path, "--help")
-    assert done.returncode == 0, done.stderr
-    assert "sweep-report" in done.stdout
-    assert "benchmark     Run a public measured set by its own protocol" in done.stdout
-    assert "figures       Make the supplement's figures anew" in done.stdout
+@pytest.mark.parametrize(
+    ("words", "status", "told"),
+    [
+        ("--help", 0, ["sweep-report", "benchmark     Run a public measured set by its own protocol",
+                       "figures       Make the supplement's figures anew"]),
+        ("benchmark", 0, ["fetch: biaslab/nsi-silverbox"]),
+        ("figures --cfg job figures=[fig5]", 0, ["settings: fast"]),
+        ("figures figures=[fig99]", 2, ["`figures` must be `all` or of fig5"]),
+        ("train --help", 0, ["hexacopter*"]),
+        ("train --cfg job system=cartpole solver=heun", 0, ["name: cartpole", "name: heun"]),
+    ],
+)  # fmt: skip
+def test_installed_wheel_runs_its_commands_and_those_of_the_plug_ins(
+    installed: dict[str, str], tmp_path: Path, words: str, status: int, told: list[str]
+) -> None:
+    done = _nsde(installed, tmp_path, *words.split())
+    assert done.returncode == status, done.stderr
+    assert [text for text in told if text not in (done.stderr if status else done.stdout)] == []
 
 
-def test_installed_wheel_runs_the_plug_ins(installed: dict[str, str], tmp_path: Path) -> None:
-    listed = _nsde(installed, tmp_path, "benchmark")
-    assert "fetch: biaslab/nsi-silverbox" in listed.stdout, listed.stderr
-    composed = _nsde(installed, tmp_path, "figures", "--cfg", "job", "figures=[fig5]")
-    assert "settings: fast" in composed.stdout, composed.stderr
-    refused = _nsde(installed, tmp_path, "figures", "figures=[fig99]")
-    assert refused.returncode == 2
-    assert "`figures` must be `all` or of fig5" in refused.stderr
-    completed = _nsde(installed, tmp_path, "completion", "query", "figures", "settings=")
-    assert completed.stdout.split() == ["settings=fast", "settings=full"]
-
-
-def test_installed_wheel_shows_the_help_of_train(installed: dict[str, str], tmp_path: Path) -> None:
-    done = _nsde(installed, tmp_path, "train", "--help")
-    assert done.returncode == 0, done.stderr
-    assert "hexacopter*" in done.stdout
-
-
-def test_installed_wheel_composes_its_configuration(installed: dict[str, str], tmp_path: Path) -> None:
-    done = _nsde(installed, tmp_path, "train", "--cfg", "job", "system=cartpole", "solver=heun")
-    assert done.returncode == 0, done.stderr
-    assert "name: cartpole" in done.stdout
-    assert "name: heun" in done.stdout
+def test_installed_wheel_completes_words(installed: dict[str, str], tmp_path: Path) -> None:
+    done = _nsde(installed, tmp_path, "completion", "query", "figures", "settings=")
+    assert done.stdout.split() == ["settings=fast", "settings=full"]

@@ -7,7 +7,6 @@ import math
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +15,10 @@ import pytest
 import torch
 from torch import Tensor
 
+import nsde_torch
 from nsde_torch.recording import read
 from nsde_torch.systems import System, make_system
+from tests.helpers.diagnosed import assert_interval
 from tests.helpers.system_contract import SystemContract, solve
 
 
@@ -49,15 +50,8 @@ class TestPendulum(SystemContract):
 
 def run(words: list[str], folder: Path) -> str:
     """Standard output and error of a command, which must succeed."""
-    done = subprocess.run(
-        words,
-        capture_output=True,
-        text=True,
-        cwd=folder,
-        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
-        timeout=280,
-        check=False,
-    )
+    how = {"cwd": folder, "env": {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}, "timeout": 280}
+    done = subprocess.run(words, capture_output=True, text=True, check=False, **how)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout + done.stderr
 
@@ -73,8 +67,7 @@ def data_folder(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_data_are_read_without_a_complaint(data_folder: Path) -> None:
     data = read("csv", make_system("pendulum:Pendulum"), path=str(data_folder))
     assert data.names == ("run_0", "run_1", "run_2")
-    assert data.dt == pytest.approx(0.01)
-    assert data.clock_scale == 1.0
+    assert (data.dt, data.clock_scale) == (pytest.approx(0.01), 1.0)
     assert [f.kind for f in data.summary.findings] == []
     x = np.concatenate([r.x for r in data.runs])
     assert np.abs(x[:, 0]).max() > 1.0  # the swings are large enough to show sin theta
@@ -96,28 +89,12 @@ def test_the_data_determine_the_declared_parameters(data_folder: Path) -> None:
 
 @pytest.mark.slow
 def test_its_dry_friction_is_named_from_the_catalogue(data_folder: Path) -> None:
-    import nsde_torch
-
     data = nsde_torch.read(data_folder, system="pendulum:Pendulum")
     laws = ["coulomb_friction", "quadratic_damping", "constant_force", "ripple"]
     found = nsde_torch.diagnose(data, system="pendulum:Pendulum", candidates=laws)
     assert found.added == ["coulomb_friction"]
-    size = found.parameters["coulomb_friction.size"]
-    assert size["unit"] == "rad/s2"
-    low, high = size["interval_90"]
-    assert low < 0.6 < high
-
-
-def finite(value: Any) -> Iterator[float]:
-    """All numbers of a JSON tree."""
-    if isinstance(value, dict):
-        for v in value.values():
-            yield from finite(v)
-    elif isinstance(value, list):
-        for v in value:
-            yield from finite(v)
-    elif isinstance(value, float):
-        yield value
+    assert found.parameters["coulomb_friction.size"]["unit"] == "rad/s2"
+    assert_interval(found.parameters, "coulomb_friction.size", 0.6)
 
 
 @pytest.mark.slow
@@ -126,31 +103,26 @@ def test_the_command_of_the_readme_trains_it_and_the_model_loads(
 ) -> None:
     example = root / "examples" / "pendulum"
     words = ["--config-dir", str(example), "system=pendulum", "data=csv", f"data.path={data_folder}"]
-    run(
-        [sys.executable, "-m", "nsde_torch.cli", "train", *words, "trainer=fast", "threads=1", "run_dir=out"],
-        tmp_path,
-    )
+    command = [sys.executable, "-m", "nsde_torch.cli", "train", *words]
+    run([*command, "trainer=fast", "threads=1", "run_dir=out"], tmp_path)
     out = tmp_path / "out"
     for name in ("config.yaml", "model.safetensors", "metrics.json"):
         assert (out / name).is_file(), name
     assert list((out / "plots").glob("*.png"))
-    numbers = list(finite(json.loads((out / "metrics.json").read_text(encoding="utf-8"))))
+    numbers: list[str] = []
+    json.loads(
+        (out / "metrics.json").read_text(encoding="utf-8"),
+        parse_float=numbers.append,
+        parse_constant=pytest.fail,
+    )
     assert numbers
-    assert all(math.isfinite(v) for v in numbers)
-
-    import nsde_torch
 
     model = nsde_torch.load(out)
-    paths = model.sample(
-        torch.tensor([[0.5, 0.0]]),
-        torch.zeros(1, 25, 1),
-        dt=0.02,
-        particles=8,
-        generator=torch.Generator().manual_seed(0),
-    )
+    x0, g = torch.tensor([[0.5, 0.0]]), torch.Generator().manual_seed(0)
+    paths = model.sample(x0, torch.zeros(1, 25, 1), dt=0.02, particles=8, generator=g)
     assert paths.shape == (8, 1, 26, 2)
     assert bool(torch.isfinite(paths).all())
-    eta = model.distance(torch.tensor([[0.5, 0.0]]))
+    eta = model.distance(x0)
     assert eta.shape == (1,)
     assert 0 <= float(eta.detach()) <= 1
 

@@ -39,12 +39,8 @@ def site(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copy(root / "docs" / "content" / "extra.css", folder / "pages")
     (folder / "pages" / "index.md").write_text("# Home\n\nNothing here.\n")
     (folder / "pages" / "machines.md").write_text(PAGE.format(words="word " * 40))
-    config = root / "docs" / "mkdocs.yml"
-    build(
-        load_config(
-            str(config), docs_dir=str(folder / "pages"), site_dir=str(folder / "built"), nav=None, hooks=[]
-        )
-    )
+    where = {"docs_dir": str(folder / "pages"), "site_dir": str(folder / "built")}
+    build(load_config(str(root / "docs" / "mkdocs.yml"), nav=None, hooks=[], **where))
     return folder / "built"
 
 
@@ -84,9 +80,8 @@ def test_the_search_answers_on_a_site_that_was_opened_from_the_disk(site: Path, 
     driver.execute_script("arguments[0].focus()", field)
     field.send_keys("rotor")
     answers = _wait(driver, lambda: driver.find_elements("css selector", ".md-search-result__link"))
-    assert [answer.get_attribute("href").split("/")[-1].split("?")[0] for answer in answers] == [
-        "machines.html"
-    ]
+    pages = [answer.get_attribute("href").split("/")[-1].split("?")[0] for answer in answers]
+    assert pages == ["machines.html"]
 
 
 def test_long_lines_wrap_clear_of_the_button_and_wide_tables_scroll(site: Path, driver: Any) -> None:

@@ -14,14 +14,8 @@ from tests.helpers.ties import BIASED, DT, SIDED, TRUE, Tie
 @pytest.fixture(scope="session")
 def tie() -> Tie:
     """The members, fitted."""
-    made = nsde_torch.simulate(
-        "mass_spring_damper",
-        effects=TRUE,
-        durations=[5.0] * 2,
-        seed=3,
-        dt=DT,
-        options={"force_size": 1.0},
-    )
+    how = {"durations": [5.0] * 2, "seed": 3, "dt": DT, "options": {"force_size": 1.0}}
+    made = nsde_torch.simulate("mass_spring_damper", effects=TRUE, **how)
     system = system_options("mass_spring_damper").make()
     runs = tuple(nsde_torch.read(made, system=system).runs)
     question = Question((BIASED, SIDED))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,15 +18,8 @@ from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.simulation.planned import read_plan
 from tests.helpers.ties import BIASED, DT, SIDED, TRUE, Tie
 
-OPTIONS = DesignOptions(
-    members=(BIASED, SIDED),
-    duration=3.0,
-    samples=2,
-    proposals=8,
-    generations=1,
-    rehearsals=2,
-    hertz=(0.3, 4.0),
-)
+SMALL: dict[str, Any] = {"duration": 3.0, "samples": 2, "proposals": 8, "generations": 1, "rehearsals": 2}
+OPTIONS = DesignOptions(members=(BIASED, SIDED), hertz=(0.3, 4.0), **SMALL)
 
 
 @pytest.fixture(scope="module")
@@ -119,14 +113,7 @@ def test_limits_of_nothing_are_refused(tie: Tie, limits: dict[str, object], mess
 
 
 def test_parameters_of_an_effect_that_is_not_there_are_planned_for(tie: Tie, tmp_path: Path) -> None:
-    asked = DesignOptions(
-        parameters=("quadratic_damping.damping",),
-        duration=3.0,
-        samples=2,
-        proposals=8,
-        generations=1,
-        rehearsals=2,
-    )
+    asked = DesignOptions(parameters=("quadratic_damping.damping",), **SMALL)
     question = question_of({}, tie.system, asked)
     assert question.members == (("quadratic_damping",),)
     made = design(tie.system, tie.runs, question, asked, baselines=False)
@@ -135,9 +122,8 @@ def test_parameters_of_an_effect_that_is_not_there_are_planned_for(tie: Tie, tmp
     assert one["expected_standard_error"] < one["standard_error"]
     assert "quadratic_damping.damping [1/m]" in made.report
     # flown, it tells of the parameter what was expected
-    again = nsde_torch.simulate(
-        "mass_spring_damper", effects=TRUE, seed=9, dt=DT, plan=made.save(tmp_path / "plan")
-    )
+    plan = made.save(tmp_path / "plan")
+    again = nsde_torch.simulate("mass_spring_damper", effects=TRUE, seed=9, dt=DT, plan=plan)
     flown = [Run("flown", r.t, r.x, r.u) for r in again.runs]
     told = obtained(tie.system, tie.runs, flown, question, expected=[expected], trusted=True)
     better = told.parameters["quadratic_damping.damping"]
@@ -150,45 +136,28 @@ def test_parameters_of_an_effect_that_is_not_there_are_planned_for(tie: Tie, tmp
 
 
 def test_the_question_is_the_first_tie_of_effects(tie: Tie) -> None:
-    content = {
-        "findings": [
-            {"name": "coulomb_friction", "kind": "effect"},
-            {"name": "constant_force", "kind": "effect"},
-        ],
-        "ties": [
-            {"effects": ["constant_force", "sensor_bias"], "experiment": ""},
-            {"effects": ["coulomb_friction", "stribeck_friction"], "experiment": ""},
-        ],
-    }
-    question = question_of(content, tie.system, DesignOptions())
-    assert question.members == (
-        ("coulomb_friction", "constant_force"),
-        ("stribeck_friction", "constant_force"),
-    )
+    def asked(found: list[str], *ties: list[str], **more: Any) -> Question:
+        findings = [{"name": name, "kind": "effect"} for name in found]
+        told = [{"effects": names, "experiment": ""} for names in ties]
+        return question_of({"findings": findings, "ties": told, **more}, tie.system, DesignOptions())
+
+    ties = ["constant_force", "sensor_bias"], ["coulomb_friction", "stribeck_friction"]
+    question = asked(["coulomb_friction", "constant_force"], *ties)
+    assert question.members == (BIASED, ("stribeck_friction", "constant_force"))
     assert question.names == ("coulomb_friction", "stribeck_friction")
     assert "sensor_bias is a fault of the recording chain" in question.notes[0]
-    pair = {
-        "findings": [{"name": "asymmetric_friction", "kind": "effect"}],
-        "ties": [{"effects": ["asymmetric_friction", "coulomb_friction + constant_force"], "experiment": ""}],
-    }
-    members = question_of(pair, tie.system, DesignOptions()).members
-    assert members == (("asymmetric_friction",), ("coulomb_friction", "constant_force"))
-    laws = {
-        "findings": [{"name": "quadratic_damping", "kind": "effect"}],
-        "ties": [{"effects": ["quadratic_damping", "force = c1 q_dot^3"], "experiment": ""}],
-    }
-    members = question_of(laws, tie.system, DesignOptions()).members
-    assert members == (("quadratic_damping",), ("force = c1 q_dot^3",))
-    hidden = {
-        "findings": [],
-        "ties": [],
-        "not_shown": [{"parameter": "hysteresis.size"}],
-    }
-    question = question_of(hidden, tie.system, DesignOptions())
+    pair = ["asymmetric_friction", "coulomb_friction + constant_force"]
+    assert asked(["asymmetric_friction"], pair).members == (SIDED, BIASED)
+    law = "force = c1 q_dot^3"
+    assert asked(["quadratic_damping"], ["quadratic_damping", law]).members == (
+        ("quadratic_damping",),
+        (law,),
+    )
+    question = asked([], not_shown=[{"parameter": "hysteresis.size"}])
     assert (question.members, question.parameters) == ((("hysteresis",),), ("hysteresis.size",))
     assert "holds no tie that an input may break" in question.notes[0]
     with pytest.raises(ConfigError, match="nothing to plan"):
-        question_of({"findings": [], "ties": [], "not_shown": []}, tie.system, DesignOptions())
+        asked([], not_shown=[])
 
 
 @pytest.mark.parametrize(

@@ -24,8 +24,6 @@ from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import diagnosed
 from tests.helpers.encoders import encoder_runs
 
-UP = 0.0  # angle of a pole that stands
-
 
 @pytest.fixture(scope="module")
 def found() -> Diagnosis:
@@ -86,14 +84,8 @@ def test_it_is_told_in_the_terminal_and_on_the_page(found: Diagnosis, rehearsal:
 
 @pytest.mark.slow
 def test_what_is_named_wrongly_and_what_could_not_be_made_is_told(rehearsal: Rehearsal) -> None:
-    none: dict[str, Any] = {
-        "verdict": "no_effect",
-        "findings": [],
-        "added": [],
-        "ties": [],
-        "parameters": {},
-        "not_shown": [],
-    }
+    none: dict[str, Any] = {"verdict": "no_effect", "findings": [], "added": [], "ties": []}
+    none |= {"parameters": {}, "not_shown": []}
     wrong = {**none, "added": ["b"], "findings": [{"name": "b", "kind": "effect", "lead": False}]}
     tied = {**wrong, "ties": [{"effects": ["b", "a + c"]}]}
     own = Rehearsal({"a.size": 1.0}, ("a",), False, (none, tied), wrong).content()
@@ -116,26 +108,15 @@ def test_where_a_fit_is_not_to_be_simulated_it_says_so(
 
 
 def test_inputs_that_follow_keep_a_pole_up_which_replayed_ones_lose() -> None:
-    system, dt = make_system("cartpole"), 0.02
-    rest = np.zeros((300, 4))
-    states = [
-        rest,
-        np.array([[0.1, 0.2, 0.1, 0.5], [-0.1, -0.2, -0.1, -0.5]]),
-    ]  # the second says what matters
+    system, dt, moving = make_system("cartpole"), 0.02, np.array([[0.1, 0.2, 0.1, 0.5]])
+    states = [np.zeros((300, 4)), np.concatenate((moving, -moving))]  # the second says what matters
     inputs = [np.zeros((300, 1)), np.array([[1.0], [-1.0]])]
     rollouts = Rollouts(system, dt=dt)
-    theta, start = (
-        np.tile(rollouts.vector.start, (2, 1)),
-        np.array([[0.0, 0.0, UP + 0.05, 0.0], [0.0, 0.0, UP, 0.0]]),
-    )
-    states = [x + np.array([0.0, 0.0, UP, 0.0]) for x in states]
-    ways = {
-        "follow": following(system, states, inputs, dt=dt, copies=1),
-        "replay": replayed(inputs, 1),
-    }
-    left = {name: rollouts.run(theta, start, drive, 299)[0][0, -1, 2] - UP for name, drive in ways.items()}
-    assert abs(left["follow"]) < 0.01
-    assert abs(left["replay"]) > 0.5
+    theta, start = np.tile(rollouts.vector.start, (2, 1)), np.array([[0.0, 0.0, 0.05, 0.0], [0.0] * 4])
+    ways = following(system, states, inputs, dt=dt, copies=1), replayed(inputs, 1)
+    follow, replay = (abs(rollouts.run(theta, start, drive, 299)[0][0, -1, 2]) for drive in ways)
+    assert follow < 0.01
+    assert replay > 0.5
 
 
 @pytest.mark.slow
@@ -143,9 +124,8 @@ def test_positions_alone_are_simulated_without_a_rate() -> None:
     system = make_system("mass_spring_damper")
     options = Options(candidates=("coulomb_friction", "quadratic_damping"))
     data = assemble(encoder_runs("none", runs=3, seconds=6.0), system, kind="test")
-    found = diagnose(
-        system, SysidSpec("mass_spring_damper", dt=data.dt, horizon=10), data, data.runs, options
-    )
+    spec = SysidSpec("mass_spring_damper", dt=data.dt, horizon=10)
+    found = diagnose(system, spec, data, data.runs, options)
     own = rehearse(found, logs=1)
     assert own.why_not == ""
     assert own.content()["effects"] == {"coulomb_friction": {"sure": 1, "lead": 0, "tied": 0}}
@@ -159,9 +139,8 @@ def test_what_reads_time_begins_where_its_stretch_does() -> None:
     theta, start = np.tile(rollouts.vector.start, (2, 1)), np.zeros((2, 2))
     still = replayed([np.zeros((3, 1))], 2)
     states, _, _ = rollouts.run(theta, start, still, 1, times=np.array([0.5, 1.5]))
-    np.testing.assert_allclose(
-        states[:, 1, 1], [0.01, -0.01], rtol=0.02
-    )  # a quarter and three quarters of a period
+    # a quarter and three quarters of a period
+    np.testing.assert_allclose(states[:, 1, 1], [0.01, -0.01], rtol=0.02)
 
 
 def test_channels_that_the_physics_reads_are_no_inputs_of_the_log() -> None:

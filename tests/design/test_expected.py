@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 
-from nsde_torch.design.members import Rollouts
+from nsde_torch.design.members import Rollouts, open_loop
 from nsde_torch.design.proposals import Precision, Separation
 from tests.helpers.ties import DT, Tie
 
@@ -16,10 +15,8 @@ TWICE = 2.0
 
 def _flown(tie: Tie, truth: int, table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     member = tie.members[truth]
-    u = torch.as_tensor(table[None])
-    states, _, inputs = Rollouts(member.system, dt=DT).run(
-        member.theta[None], np.zeros((1, 2)), lambda k, x: u[:, k], len(table)
-    )
+    rollouts, drive = Rollouts(member.system, dt=DT), open_loop(table[None])
+    states, _, inputs = rollouts.run(member.theta[None], np.zeros((1, 2)), drive, len(table))
     return states, inputs
 
 

@@ -27,19 +27,16 @@ def test_no_parameters_are_drawn_with_which_the_machine_is_lost() -> None:
     question = question_of({}, system, asked)
     (member,) = members_of(system, data.runs, question, {}, clock=1.0)
     (only,) = member.branches
-    open_ = replace(
-        member, branches=(replace(only, known=1e-4 * only.known),)
-    )  # runs that leave the gains open
-    dt = member.log.dt
+    # runs that leave the gains open
+    open_, dt = replace(member, branches=(replace(only, known=1e-4 * only.known),)), member.log.dt
     start = first_state(system, data.runs, {})
     drive = FlownPaths(system, dt=dt)
 
     def left(thetas: np.ndarray) -> np.ndarray:
         table = np.zeros((len(thetas), 300, 11))
         table[..., :3] = start[:3] + STEP
-        states, _, _ = Rollouts(member.system, dt=dt).run(
-            thetas, np.tile(start, (len(thetas), 1)), drive(table), 300
-        )
+        begun = np.tile(start, (len(thetas), 1))
+        states, _, _ = Rollouts(member.system, dt=dt).run(thetas, begun, drive(table), 300)
         return np.asarray(np.nan_to_num(np.abs(states[:, -1, :3] - start[:3] - STEP).max(1), nan=np.inf))
 
     wild = left(open_.draws(12, np.random.default_rng(0)))

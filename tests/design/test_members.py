@@ -28,22 +28,21 @@ GAINS = {"thrust_gain": 6.4, "roll_gain": 58.0, "pitch_gain": 58.0}
 pytestmark = pytest.mark.slow  # all look at one flight, whose members take a minute
 
 
+def flown(name: str, folder: Path, t: np.ndarray, *points: np.ndarray, seed: int) -> Run:
+    """A quadrotor whose third motor is weak, along points of place and yaw."""
+    write_plan(folder / "plan.csv", ("p_x", "p_y", "p_z", "yaw"), np.column_stack((t, *points)))
+    how = {"effects": [{"motor_efficiency_loss": {"loss": [0.0, 0.0, LOSS, 0.0]}}], "declared_only": True}
+    (raw,) = nsde_torch.simulate("quadrotor", seed=seed, plan=folder / "plan.csv", **how).runs
+    return Run(name, raw.t, raw.x, raw.u)
+
+
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory: pytest.TempPathFactory) -> tuple[System, list[Run]]:
     """Two gentle flights of a quadrotor whose third motor is weak."""
-    runs = []
+    t, runs = np.arange(9.0), []
     for i in range(2):
-        t = np.arange(9.0)
-        points = [0.5 * np.sin(f * t + i) for f in (0.7, 0.5)]
-        plan = tmp_path_factory.mktemp("plan") / "plan.csv"
-        write_plan(
-            Path(plan), ("p_x", "p_y", "p_z", "yaw"), np.column_stack((t, *points, 2.0 + 0.0 * t, 0.0 * t))
-        )
-        weak = [{"motor_efficiency_loss": {"loss": [0.0, 0.0, LOSS, 0.0]}}]
-        raw = nsde_torch.simulate("quadrotor", effects=weak, declared_only=True, seed=70 + i, plan=plan).runs[
-            0
-        ]
-        runs.append(Run(f"run_{i}", raw.t, raw.x, raw.u))
+        points = (*(0.5 * np.sin(f * t + i) for f in (0.7, 0.5)), 2.0 + 0.0 * t, 0.0 * t)
+        runs.append(flown(f"run_{i}", tmp_path_factory.mktemp("plan"), t, *points, seed=70 + i))
     return system_options("quadrotor").make(), runs
 
 
@@ -78,9 +77,8 @@ def test_no_parameters_are_likelier_than_those_of_a_member(members: list[Member]
         theirs = dict(zip(other.vector.labels, other.theta, strict=True))
         none = np.zeros_like(member.known)
         for values in (true, theirs):
-            theta = np.array(
-                [values.get(k, own) for k, own in zip(member.vector.labels, member.theta, strict=True)]
-            )
+            own = zip(member.vector.labels, member.theta, strict=True)
+            theta = np.array([values.get(label, mine) for label, mine in own])
             (there,) = member.posteriors.at_centres([LogWithPrior(member.log.runs, theta, none)])
             assert there.nats < member.nats + 0.5
 
@@ -103,12 +101,7 @@ def test_a_faster_flight_speaks_for_the_weak_motor(
     system, runs = flights
     t = np.arange(7.0)
     points = [1.5 * np.sin(0.9 * t), 1.5 * np.sin(1.4 * t), 2.0 + 0.5 * np.sin(t), 0.3 * t]
-    write_plan(tmp_path / "plan.csv", ("p_x", "p_y", "p_z", "yaw"), np.column_stack((t, *points)))
-    weak = [{"motor_efficiency_loss": {"loss": [0.0, 0.0, LOSS, 0.0]}}]
-    (raw,) = nsde_torch.simulate(
-        "quadrotor", effects=weak, declared_only=True, seed=75, plan=tmp_path / "plan.csv"
-    ).runs
-    run, question = Run("flown", raw.t, raw.x, raw.u), Question((WEAK, OFFSET))
+    run, question = flown("flown", tmp_path, t, *points, seed=75), Question((WEAK, OFFSET))
     each = fit_all(members, [run])
     told = evidence(system, members, each, runs, [run], question, {}, clock=1.0)
     assert against(told, 0) > 3.0

@@ -24,14 +24,8 @@ START = np.array([0.2, -0.1, 1.0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0], dtype=np.float6
 def paths() -> Paths:
     system = make_system("hexacopter")
     room = np.full(13, 2.0)
-    limits = ExperimentLimits(
-        system.input_names,
-        np.zeros(6),
-        np.ones(6),
-        system.state_names,
-        np.append([-2, -2, 0.5], -room[3:]),
-        room,
-    )
+    inputs, states = (np.zeros(6), np.ones(6)), (np.append([-2, -2, 0.5], -room[3:]), room)
+    limits = ExperimentLimits(system.input_names, *inputs, system.state_names, *states)
     return Paths(limits, DT, 400, START)
 
 
@@ -51,11 +45,8 @@ def test_a_written_plan_is_read_back_as_the_path_that_was_judged(paths: Paths, t
     table = paths.inputs(paths.random(3, np.random.default_rng(1)))[2]
     times = point_times(400 * DT)
     at = np.minimum((times / DT).round().astype(int), 399)
-    write_plan(
-        tmp_path / "plan.csv",
-        ("p_x", "p_y", "p_z", "yaw"),
-        np.column_stack((times, table[at][:, [0, 1, 2, 9]])),
-    )
+    rows = np.column_stack((times, table[at][:, [0, 1, 2, 9]]))
+    write_plan(tmp_path / "plan.csv", ("p_x", "p_y", "p_z", "yaw"), rows)
     with (tmp_path / "plan.csv").open(encoding="utf-8") as file:
         assert len(list(csv.DictReader(file))) == len(times)
     read = from_csv(tmp_path / "plan.csv")
@@ -69,12 +60,8 @@ def test_the_cascade_flies_a_path(paths: Paths) -> None:
     assert isinstance(system, Multirotor)
     table = paths.baselines(np.random.default_rng(0))["lemniscate"][0][:1, :150]
     own = Rollouts(system, dt=DT)
-    states, _, inputs = own.run(
-        own.vector.start[None],
-        START[None],
-        FlownPaths(own.system, dt=DT)(table),
-        150,  # type: ignore[arg-type]
-    )
+    drive = FlownPaths(own.system, dt=DT)(table)  # type: ignore[arg-type]
+    states, _, inputs = own.run(own.vector.start[None], START[None], drive, 150)
     assert torch.isfinite(torch.as_tensor(states)).all()
     assert np.abs(states[0, 1:, :3] - table[0, :, :3]).max() < 0.5
     assert ((inputs >= 0) & (inputs <= 1)).all()

@@ -11,23 +11,15 @@ HEXA = system_options("hexacopter").make()
 
 
 def _value(value: float, half: float | None) -> dict[str, Any]:
-    return {
-        "value": value,
-        "interval_90": None if half is None else [value - half, value + half],
-        "unit": "1",
-    }
+    interval = None if half is None else [value - half, value + half]
+    return {"value": value, "interval_90": interval, "unit": "1"}
 
 
 def _content(**changed: Any) -> dict[str, Any]:
     names = changed.pop("found", ["linear_drag"])
-    return {
-        "findings": [{"name": n, "kind": "effect", "lead": False} for n in names],
-        "ties": [],
-        "not_shown": [],
-        "ranking": [],
-        "parameters": {},
-        **changed,
-    }
+    findings = [{"name": n, "kind": "effect", "lead": False} for n in names]
+    none = {"ties": [], "not_shown": [], "ranking": [], "parameters": {}}
+    return {"findings": findings, **none, **changed}
 
 
 def test_nothing_is_open_where_what_was_found_is_sure_and_untied() -> None:
@@ -58,11 +50,8 @@ def test_what_feedback_may_hide_is_told_and_not_asked() -> None:
 
 def test_motors_that_are_held_at_nothing_beside_a_weak_one_are_not_open() -> None:
     held = {f"motor_efficiency_loss.loss[{i}]": _value(0.0, None) for i in range(1, 6)}
-    content = _content(
-        found=["motor_efficiency_loss"],
-        parameters={"motor_efficiency_loss.loss[0]": _value(0.12, 0.01), **held},
-    )
-    assert standing_of(content).settled
+    parameters = {"motor_efficiency_loss.loss[0]": _value(0.12, 0.01), **held}
+    assert standing_of(_content(found=["motor_efficiency_loss"], parameters=parameters)).settled
 
 
 def test_a_tie_is_asked_before_what_is_wide_and_that_before_what_is_suspected() -> None:

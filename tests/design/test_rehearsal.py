@@ -19,9 +19,8 @@ HOLD = np.repeat([[0.1], [-0.1], [0.0]], 25, 0)
 def _flown(tie: Tie, seed: int) -> Run:
     """An experiment of the first member in the noise of its sensors."""
     member, rng = tie.members[0], np.random.default_rng(seed)
-    x, _, u = Rollouts(member.system, dt=DT).run(
-        member.theta[None], np.zeros((1, 2)), open_loop(HOLD[None]), len(HOLD)
-    )
+    rollouts, drive = Rollouts(member.system, dt=DT), open_loop(HOLD[None])
+    x, _, u = rollouts.run(member.theta[None], np.zeros((1, 2)), drive, len(HOLD))
     return as_run(x[0] + [0.005, 0.01] * rng.standard_normal(x[0].shape), u[0], DT)
 
 

@@ -18,14 +18,9 @@ NARROW = 0.005
 @pytest.fixture(scope="module")
 def fast() -> Member:
     """Fitted to runs that mostly move much faster than friction takes to develop."""
-    made = nsde_torch.simulate(
-        "mass_spring_damper",
-        effects=[{"coulomb_friction": {"size": 0.2, "width": NARROW}}, {"constant_force": {}}],
-        durations=[5.0] * 2,
-        seed=3,
-        dt=DT,
-        options={"force_size": 4.0},
-    )
+    effects = [{"coulomb_friction": {"size": 0.2, "width": NARROW}}, {"constant_force": {}}]
+    how = {"durations": [5.0] * 2, "seed": 3, "dt": DT, "options": {"force_size": 4.0}}
+    made = nsde_torch.simulate("mass_spring_damper", effects=effects, **how)
     system = system_options("mass_spring_damper").make()
     runs = nsde_torch.read(made, system=system).runs
     return members_of(system, runs, Question((BIASED, SIDED)), {}, clock=1.0)[0]

@@ -40,15 +40,8 @@ def problem_of(horizon: Horizon, path: Reference, *, rows: int, off: float = 1.0
     o = horizon.options
     ref = torch.stack([path.window(float(s), dt=o.dt, steps=o.steps) for s in t])
     x = path.at(t)
-    x = torch.cat(
-        (
-            x[:, :3] + draw(3, 0.1),
-            x[:, 3:6] + draw(3, 0.2),
-            turned(x[:, 6:10], draw(3, 0.08)),
-            x[:, 10:] + draw(3, 0.3),
-        ),
-        1,
-    )
+    moved = x[:, :6] + torch.cat((draw(3, 0.1), draw(3, 0.2)), 1)
+    x = torch.cat((moved, turned(x[:, 6:10], draw(3, 0.08)), x[:, 10:] + draw(3, 0.3)), 1)
     last = torch.full((rows, horizon.nu), 0.4, dtype=dtype)
     z0 = horizon.predictor.augment(x.to(dtype), last)
     return Problem(z0, ref.to(dtype), last, torch.zeros(rows, horizon.nd, dtype=dtype))

@@ -28,28 +28,16 @@ def multirotor(name: str, motors: int, exogenous: tuple[str, ...] = ()) -> Stub:
     """State of a multirotor with so many motors."""
     names = ("p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z")
     units = ("m",) * 3 + ("m/s",) * 3 + ("1",) * 4 + ("rad/s",) * 3
-    pairs = tuple((f"p_{a}", f"v_{a}", "world") for a in "xyz")
-    return Stub(
-        name, names, units, tuple(f"u_{k + 1}" for k in range(motors)), slice(6, 10), pairs, exogenous
+    pairs, inputs = (
+        tuple((f"p_{a}", f"v_{a}", "world") for a in "xyz"),
+        tuple(f"u_{k + 1}" for k in range(motors)),
     )
+    return Stub(name, names, units, inputs, slice(6, 10), pairs, exogenous)
 
 
 HEXACOPTER = multirotor("hexacopter", 6)
 QUADROTOR = multirotor("quadrotor", 4)
-CARTPOLE = Stub(
-    "cartpole",
-    ("x", "x_dot", "theta", "theta_dot"),
-    ("m", "m/s", "rad", "rad/s"),
-    ("force",),
-    None,
-    (("x", "x_dot", "world"), ("theta", "theta_dot", "world")),
-)
-MSD = Stub(
-    "mass_spring_damper",
-    ("q", "q_dot"),
-    ("m", "m/s"),
-    ("force",),
-    None,
-    (("q", "q_dot", "world"),),
-    optional_inputs=("force",),
-)
+RAIL, TURN, SPRING = (("x", "x_dot", "world"), ("theta", "theta_dot", "world"), ("q", "q_dot", "world"))
+ALL = ("x", "x_dot", "theta", "theta_dot")
+CARTPOLE = Stub("cartpole", ALL, ("m", "m/s", "rad", "rad/s"), ("force",), None, (RAIL, TURN))
+MSD = Stub("mass_spring_damper", ("q", "q_dot"), ("m", "m/s"), ("force",), None, (SPRING,), (), ("force",))

@@ -39,16 +39,8 @@ def recorded(
     if durations is None:
         durations, short = SHORT[system]
         dt = short if dt is None else dt
-    made = simulate(
-        system,
-        effects=list(effects),
-        durations=durations,
-        seed=seed,
-        sensor_noise=sensor_noise,
-        dt=dt,
-        recording=recording,
-        options=plant,
-    )
+    how: dict[str, Any] = {"seed": seed, "dt": dt, "recording": recording, "options": plant}
+    made = simulate(system, effects=list(effects), durations=durations, sensor_noise=sensor_noise, **how)
     return assemble(list(made.runs), make_system(system), kind="simulated")
 
 
@@ -64,9 +56,8 @@ def diagnosed(
     data = recorded(system, *effects, **making)
     declared = make_system(system)
     spec = SysidSpec(system, dt=data.dt, horizon=declared.defaults.horizon)
-    found = diagnose(
-        declared, spec, data, data.runs, options or Options(), decisions=decisions, budgets=budgets
-    )
+    how: dict[str, Any] = {"decisions": decisions, "budgets": budgets}
+    found = diagnose(declared, spec, data, data.runs, options or Options(), **how)
     return found, found.content()
 
 

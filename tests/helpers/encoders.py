@@ -46,9 +46,8 @@ def encoder_runs(
     out = []
     for i in range(runs):
         rng = np.random.default_rng([seed, i])
-        x, u = spring(
-            SPRING, lambda q, v: -friction * np.tanh(v / 0.01), seconds=seconds, dt=DT, gust=gust, rng=rng
-        )
+        how = {"seconds": seconds, "dt": DT, "gust": gust, "rng": rng}
+        x, u = spring(SPRING, lambda q, v: -friction * np.tanh(v / 0.01), **how)
         q = measured(x[:, 0], noise, counts, rng)
         if rate == "sensor":
             v = x[:, 1] + 10.0 * noise * rng.standard_normal(len(q))

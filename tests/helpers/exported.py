@@ -80,13 +80,12 @@ def flight(controller: Controller, path: Reference) -> Iterator[tuple[list[Tenso
             push = 0.3 * torch.ones(1, p.nd, dtype=torch.float64)
         if trouble == "gone":
             before = None
-        old = (
-            torch.zeros(n, dtype=torch.float64)
-            if before is None
-            else packed(before, float(controller._jumped[0]), float(controller._solves))
-        )
+        jumped, solves = float(controller._jumped[0]), float(controller._solves)
         if before is None:
-            old[2] = float(controller._jumped[0])
+            old = torch.zeros(n, dtype=torch.float64)
+            old[2] = jumped
+        else:
+            old = packed(before, jumped, solves)
         unknown = torch.full((p.nu,), torch.nan, dtype=torch.float64)
         arguments = [
             *(x[0].double(), torch.ones((), dtype=torch.float64), torch.tensor(elapsed, dtype=torch.float64)),

@@ -35,9 +35,8 @@ def leaning_flight(seconds: float, *, dt: float = 0.01, seed: int = 0, yaw: floa
     left /= np.linalg.norm(left, axis=1, keepdims=True)
     matrix = np.stack([np.cross(left, third), left, third], axis=2)
     q = Rotation.from_matrix(matrix).as_quat()[:, [3, 0, 1, 2]]
-    q *= np.where(np.concatenate([[1.0], np.cumprod(np.sign((q[1:] * q[:-1]).sum(1)))]) < 0, -1.0, 1.0)[
-        :, None
-    ]
+    sign = np.cumprod(np.sign((q[1:] * q[:-1]).sum(1)))
+    q *= np.where(np.append(1.0, sign) < 0, -1.0, 1.0)[:, None]
     step = increments(q) / dt
     w = np.concatenate([step[:1], 0.5 * (step[1:] + step[:-1]), step[-1:]])
     u = 0.5 + 0.1 * np.sin(np.outer(t, rng.uniform(1, 5, 4)) + rng.uniform(0, 6, 4))

@@ -27,25 +27,11 @@ def linear(x: Array, y: Array, blocks: NDArray[np.int64]) -> Regression:
     def covariance() -> object:
         return spread(-x[None] @ what.basis, white, blocks, 0)
 
-    return cast(
-        Regression,
-        SimpleNamespace(
-            white=white,
-            slopes=-x[None],
-            theta=theta,
-            shown=what,
-            noises=[SimpleNamespace(std=1.0, parameters=0)],
-            vector=SimpleNamespace(
-                scale=np.ones(k),
-                per_input=[],
-                low=np.full(k, -np.inf),
-                high=np.full(k, np.inf),
-                labels=[f"b_{j}" for j in range(k)],
-                units=["1"] * k,
-            ),
-            spread=covariance,
-        ),
-    )
+    bounds = {"scale": np.ones(k), "low": np.full(k, -np.inf), "high": np.full(k, np.inf)}
+    vector = SimpleNamespace(per_input=[], labels=[f"b_{j}" for j in range(k)], units=["1"] * k, **bounds)
+    found = {"white": white, "slopes": -x[None], "theta": theta, "shown": what, "vector": vector}
+    noises = [SimpleNamespace(std=1.0, parameters=0)]
+    return cast(Regression, SimpleNamespace(noises=noises, spread=covariance, **found))
 
 
 def lasting(rng: np.random.Generator, rows: int, blocks: NDArray[np.int64], share: float) -> Array:

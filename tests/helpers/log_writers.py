@@ -211,27 +211,18 @@ def write_betaflight(path: Path, run: RawRun, *, logs: int = 1) -> Path:
         *(f"gyroADC[{k}]" for k in range(3)),
         *(f"motor[{k}]" for k in range(4)),
     ]
+    fields = {"I name": ",".join(names), "I signed": "0,0,1,1,1,1,1,1,1"}
+    fields |= {f"{frame} predictor": "0,0,0,0,0,0,0,0,0" for frame in "IP"}
+    fields |= {f"{frame} encoding": "1,1,0,0,0,0,0,0,0" for frame in "IP"}
     head = [
-        "H Product:Blackbox flight data recorder by Nicholas Sherlock",
-        "H Data version:2",
-        "H I interval:1",
-        "H P interval:1",
-        "H Firmware type:Cleanflight",
-        "H Firmware revision:Betaflight 4.4.0 (test)",
-        "H minthrottle:1000",
-        "H maxthrottle:2000",
-        "H motorOutput:48,2047",
-        "H gyro_scale:0x3f800000",
-        f"H Field I name:{','.join(names)}",
-        f"H Field I signed:{','.join('0' if k < 2 else '1' for k in range(9))}",
-        f"H Field I predictor:{','.join('0' * 9)}",
-        f"H Field I encoding:{','.join('1' if k < 2 else '0' for k in range(9))}",
-        f"H Field P predictor:{','.join('0' * 9)}",
-        f"H Field P encoding:{','.join('1' if k < 2 else '0' for k in range(9))}",
+        *("Product:Blackbox flight data recorder by Nicholas Sherlock", "Data version:2", "I interval:1"),
+        *("P interval:1", "Firmware type:Cleanflight", "Firmware revision:Betaflight 4.4.0 (test)"),
+        *("minthrottle:1000", "maxthrottle:2000", "motorOutput:48,2047", "gyro_scale:0x3f800000"),
+        *(f"Field {name}:{value}" for name, value in fields.items()),
     ]
     out = bytearray()
     for _ in range(logs):
-        out += ("\n".join(head) + "\n").encode()
+        out += "".join(f"H {line}\n" for line in head).encode()
         for k, t in enumerate(run.t):
             gyro = np.rad2deg(run.x[k, 10:13])
             motors = [48 + 1999 * run.u[k, j] for j in BETAFLIGHT]
@@ -276,25 +267,22 @@ def write_px4_mcap(path: Path, run: RawRun) -> Path:
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
-        schemas = {
-            kind: writer.register_schema(kind, "ros2msg", text.encode()) for kind, text in kinds.items()
-        }
+        schemas = {k: writer.register_schema(k, "ros2msg", text.encode()) for k, text in kinds.items()}
         odometry = writer.register_channel("/fmu/odometry", "cdr", schemas["px4_msgs/msg/VehicleOdometry"])
         motors = writer.register_channel("/fmu/motors", "cdr", schemas["px4_msgs/msg/ActuatorMotors"])
         battery = writer.register_channel("/battery", "json", 0)
         blob = writer.register_channel("/blob", "protobuf", 0)
         for k, t in enumerate(run.t):
             at, stamp = round(t * 1e9) + 10**18, round(t * 1e6) + 5_000_000
-            one = store.types["px4_msgs/msg/VehicleOdometry"](
-                timestamp=stamp + 40,
-                timestamp_sample=stamp,
-                pose_frame=1,
-                position=p[k].astype(np.float32),
-                q=q[k].astype(np.float32),
-                velocity_frame=1,
-                velocity=v[k].astype(np.float32),
-                angular_velocity=w[k].astype(np.float32),
-            )
+            state = {"position": p, "q": q, "velocity": v, "angular_velocity": w}
+            values = {name: column[k].astype(np.float32) for name, column in state.items()}
+            frames = {
+                "timestamp": stamp + 40,
+                "timestamp_sample": stamp,
+                "pose_frame": 1,
+                "velocity_frame": 1,
+            }
+            one = store.types["px4_msgs/msg/VehicleOdometry"](**frames, **values)
             raw = bytes(store.serialize_cdr(one, "px4_msgs/msg/VehicleOdometry"))
             writer.add_message(odometry, at, raw, at)
             control = np.full(12, np.nan, dtype=np.float32)

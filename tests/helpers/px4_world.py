@@ -31,6 +31,8 @@ START = 1000.0
 TICK = 0.01
 SETPOINT = mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET
 
+BRISK = {"height": 1.0, "climb": 1.2, "hold": 0.3, "idle": 0.4, "spool": 0.4, "safe_hold": 0.8, "watch": 15.0}
+
 Line = Callable[[bytes, float], list[tuple[float, bytes]]]
 """What becomes of a frame that was sent at a time: frames and when they arrive."""
 
@@ -53,11 +55,7 @@ class World:
     path: PathPoints = field(default_factory=lambda: PathPoints(shapes.hover(duration=6.0, height=1.0)))
     runner: Runner | None = None
     limits: Limits = field(default_factory=Limits)
-    options: FlightOptions = field(
-        default_factory=lambda: FlightOptions(
-            height=1.0, climb=1.2, hold=0.3, idle=0.4, spool=0.4, safe_hold=0.8, watch=15.0
-        )
-    )
+    options: FlightOptions = field(default_factory=lambda: FlightOptions(**BRISK))
     system: str = "quadrotor"
     key: bytes | None = None
     vehicle_key: bytes | None = None
@@ -71,24 +69,13 @@ class World:
 
     def __post_init__(self) -> None:
         self.body = Body(self.system, seed=self.seed, latency=0.02)
-        self.vehicle = SimulatedAutopilot(
-            self.body,
-            key=self.vehicle_key,
-            seed=self.seed,
-            parameters=self.parameters,
-            heading_error=self.heading_error,
-            errors=self.errors,
-        )
+        faults = {"parameters": self.parameters, "heading_error": self.heading_error, "errors": self.errors}
+        self.vehicle = SimulatedAutopilot(self.body, key=self.vehicle_key, seed=self.seed, **faults)
         self.endpoint = Endpoint(self._up, key=self.key)
         self.says: list[str] = []
-        self.flight = Offboard(
-            self.endpoint,
-            self.runner or Inline(CascadeController(self.path)),
-            self.path,
-            limits=self.limits,
-            options=self.options,
-            say=self.says.append,
-        )
+        runner = self.runner or Inline(CascadeController(self.path))
+        how = {"limits": self.limits, "options": self.options, "say": self.says.append}
+        self.flight = Offboard(self.endpoint, runner, self.path, **how)
         self.now = START
         self.setpoints: list[float] = []
         self.errors: list[float] = []

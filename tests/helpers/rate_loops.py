@@ -99,10 +99,9 @@ def fly(
     idle = np.stack([_wander(r, n, 0.15, dt) for r in rngs], 1)
     steps = n * _LOG_EVERY
     gusts = np.stack([r.standard_normal(steps) for r in rngs], 1)
-    own = (
-        np.stack([r.standard_normal((2, steps)) for r in rngs], 2) * np.array([_ANGLE, _GYRO])[:, None, None]
-    )
-    seen = np.stack([r.standard_normal((2, n)) for r in rngs], 2) * np.array([_ANGLE, _GYRO])[:, None, None]
+    sizes = np.array([_ANGLE, _GYRO])[:, None, None]
+    own = np.stack([r.standard_normal((2, steps)) for r in rngs], 2) * sizes
+    seen = np.stack([r.standard_normal((2, n)) for r in rngs], 2) * sizes
     played = 0.4 * np.stack([_wander(r, n, 0.05, dt) for r in rngs], 1)
     angle, rate, acts = np.zeros(m), np.zeros(m), np.zeros(m)
     gust, keep = _GUST * np.stack([r.standard_normal() for r in rngs]), exp(-_FINE_S / _GUST_S)
@@ -132,12 +131,6 @@ def fly(
         rate = rate + _FINE_S * turn
         gust = keep * gust + _GUST * sqrt(1 - keep**2) * gusts[i]
     t = dt * np.arange(n)
-    return [
-        [
-            Run(
-                f"run_{seed}", t, log_x[:, j], log_u[:, j : j + 1],
-                extra={"stick": log_s[:, j], "idle": idle[:, j]},
-            )
-        ]
-        for j, seed in enumerate(seeds)
-    ]  # fmt: skip
+    extra = [{"stick": log_s[:, j], "idle": idle[:, j]} for j in range(m)]
+    runs = [Run(f"run_{k}", t, log_x[:, j], log_u[:, j, None], extra=extra[j]) for j, k in enumerate(seeds)]
+    return [[run] for run in runs]

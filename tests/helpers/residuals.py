@@ -72,8 +72,7 @@ class MadeResiduals:
         if push is not None:
             white += self._moved(push, here, run)
         drawn = Optimum(with_own_pass(at.of), at.levels, about, replace(here, white=white), at.free)
-        left = PhysicsResiduals(self.search, replace(self.place, at=drawn), self._regression(push))
-        return left
+        return PhysicsResiduals(self.search, replace(self.place, at=drawn), self._regression(push))
 
     def _moved(self, push: Push, here: Pass, run: NDArray[np.int64]) -> torch.Tensor:
         """What a push does to the whitened innovations."""
@@ -83,9 +82,8 @@ class MadeResiduals:
         t = space.chunks.t.numpy()
         force = push(middle[..., 0], middle[..., 1], t, np.broadcast_to(run, t.shape))
         steps = -forced(space, about, 0, torch.from_numpy(np.ascontiguousarray(force)))
-        alone = replace(
-            about, missed=steps, seen=torch.zeros_like(about.seen), first=torch.zeros_like(about.first)
-        )
+        none = {"seen": torch.zeros_like(about.seen), "first": torch.zeros_like(about.first)}
+        alone = replace(about, missed=steps, **none)
         moved = with_gains(space, at.levels, alone, here.whitening, here.gain, space.chunks.counted)
         return moved.white
 

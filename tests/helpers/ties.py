@@ -29,14 +29,7 @@ class Tie:
 
     def rehearsed(self, truth: int, table: np.ndarray, *, count: int, seed: int) -> Rehearsed:
         """A plan (N, 1) from rest, rehearsed with a member true."""
-        (told,) = rehearse(
-            self.members,
-            table[None],
-            truth=truth,
-            count=count,
-            start=np.zeros(2),
-            limits=limits_of(self.system, self.runs, {}),
-            drive=open_loop,
-            rng=np.random.default_rng(seed),
-        )
+        limits, rng = limits_of(self.system, self.runs, {}), np.random.default_rng(seed)
+        how = {"start": np.zeros(2), "limits": limits, "drive": open_loop, "rng": rng}
+        (told,) = rehearse(self.members, table[None], truth=truth, count=count, **how)  # type: ignore[arg-type]
         return told

@@ -58,10 +58,8 @@ def make_model(
     """A model of a system of this module."""
     own = cls.defaults
     options: dict[str, Any] = {"dt": own.dt, "horizon": own.horizon, "step": own.step, **spec}
-    made = NeuralSDE(
-        SDESpec(f"{cls.__module__}:{cls.__name__}", **options), generator=torch.Generator().manual_seed(seed)
-    )
-    return made.to(dtype)
+    made = SDESpec(f"{cls.__module__}:{cls.__name__}", **options)
+    return NeuralSDE(made, generator=torch.Generator().manual_seed(seed)).to(dtype)
 
 
 @torch.no_grad()

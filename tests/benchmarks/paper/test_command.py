@@ -12,13 +12,8 @@ from nsde_torch.cli.main import main
 from nsde_torch.errors import NsdeError
 
 TINY = [
-    "system=mass_spring_damper",
-    "trainer=fast",
-    "trainer.steps=2",
-    "trainer.polish=0",
-    "trainer.calibrate=false",
-    "trainer.compile=off",
-    "data.durations=[3,3,3]",
+    *("system=mass_spring_damper", "data.durations=[3,3,3]", "trainer=fast", "trainer.steps=2"),
+    *("trainer.polish=0", "trainer.calibrate=false", "trainer.compile=off"),
 ]
 
 
@@ -93,9 +88,8 @@ def test_a_mistake_is_one_clean_message(
 def test_every_figure_names_trainings_that_the_command_understands() -> None:
     from nsde_benchmarks.paper.command import chosen
 
-    settings = figure_table.Settings(
-        fast=True, published=None, seeds=1, models=Path("models"), policies=None, seed=0
-    )
+    where = {"published": None, "models": Path("models"), "policies": None}
+    settings = figure_table.Settings(fast=True, seeds=1, seed=0, **where)
     assert chosen(["all"]) == list(figure_table.FIGURES)
     for figure in figure_table.FIGURES.values():
         for words in figure.trainings(settings).values():

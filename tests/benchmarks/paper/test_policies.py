@@ -19,21 +19,10 @@ def study(folder: Path, sde: float, ensemble: float, blackbox: float = 0.5) -> P
         policy.mkdir()
         curve = [{"interactions": n, "truth_reward": n / 10, "environment_reward": n / 9} for n in (0, 100)]
         (policy / "policy.json").write_text(json.dumps({"curve": curve}))
-        rows.append(
-            {
-                "data": "published" if kind in ("truth", "limited") else "random",
-                "truth": "published",
-                "environment": kind,
-                "seeds": 1,
-                "reward": 10 * score,
-                "reward_std_over_seeds": 0.0,
-                "score": score,
-                "score_std_over_seeds": 0.0,
-                "random_reward": -300.0,
-                "truth_reward": 10.0,
-                "policies": [str(policy)],
-            }
-        )
+        data = "published" if kind in ("truth", "limited") else "random"
+        row = {"data": data, "truth": "published", "environment": kind, "seeds": 1, "policies": [str(policy)]}
+        row |= {"reward": 10 * score, "reward_std_over_seeds": 0.0, "score": score}
+        rows.append({**row, "score_std_over_seeds": 0.0, "random_reward": -300.0, "truth_reward": 10.0})
     (folder / "policies.json").write_text(json.dumps({"rows": rows}))
     return folder
 
@@ -42,9 +31,8 @@ def study(folder: Path, sde: float, ensemble: float, blackbox: float = 0.5) -> P
     ("sde", "ensemble", "passed"), [(0.97, 0.3, [True, True]), (0.9, 0.96, [False, False])]
 )
 def test_checks_follow_the_scores(tmp_path: Path, sde: float, ensemble: float, passed: list[bool]) -> None:
-    outcome = learned_in(
-        study(tmp_path, sde, ensemble), ("nsde", "ensemble"), title="policies", source="a claim"
-    )
+    folder = study(tmp_path, sde, ensemble)
+    outcome = learned_in(folder, ("nsde", "ensemble"), title="policies", source="a claim")
     assert [check.passed for check in outcome.checks] == passed
     assert set(outcome.figures) == {"random"}
     assert outcome.values["random"]["limited"]["score"] == 0.2
@@ -54,9 +42,8 @@ def test_checks_follow_the_scores(tmp_path: Path, sde: float, ensemble: float, p
 def test_physics_is_worth_something_where_policies_without_it_earn_less(
     tmp_path: Path, blackbox: float, passed: bool
 ) -> None:
-    outcome = learned_in(
-        study(tmp_path, 0.97, 0.3, blackbox), ("nsde", "blackbox_nsde"), title="policies", source="a claim"
-    )
+    folder = study(tmp_path, 0.97, 0.3, blackbox)
+    outcome = learned_in(folder, ("nsde", "blackbox_nsde"), title="policies", source="a claim")
     assert [check.passed for check in outcome.checks] == [True, passed]
     assert "one seed" in outcome.checks[1].measured
 

@@ -24,6 +24,10 @@ def spring(*, damping: float, step: str = "euler_maruyama", sigma: float = 0.003
     return model
 
 
+def ode(damping: float) -> NeuralSDE:
+    return spring(damping=damping, step="rk4")
+
+
 class Lost(NeuralSDE):
     """A model that leaves the finite numbers after 0.3 s."""
 
@@ -40,11 +44,8 @@ def lost() -> Model:
 
 @pytest.mark.slow
 def test_a_right_sde_passes_every_check_beside_a_wrong_ode_and_a_lost_ensemble() -> None:
-    outcome = state_evolution(
-        {"sde": [spring(damping=0.5)], "ode": [spring(damping=0.9, step="rk4")], "ensemble": [lost()]},
-        title="spring",
-        seed=0,
-    )
+    models = {"sde": [spring(damping=0.5)], "ode": [ode(0.9)], "ensemble": [lost()]}
+    outcome = state_evolution(models, title="spring", seed=0)
     assert [check.passed for check in outcome.checks] == [True, True, True]
     assert "0.3 s" in outcome.checks[2].measured
     assert outcome.passed
@@ -54,16 +55,15 @@ def test_a_right_sde_passes_every_check_beside_a_wrong_ode_and_a_lost_ensemble()
 @pytest.mark.slow
 def test_a_wrong_sde_fails() -> None:
     wrong = [spring(damping=1.5, sigma=1e-5)]
-    outcome = state_evolution(
-        {"sde": wrong, "ode": [spring(damping=0.5, step="rk4")], "ensemble": wrong}, title="spring", seed=0
-    )
+    models = {"sde": wrong, "ode": [ode(0.5)], "ensemble": wrong}
+    outcome = state_evolution(models, title="spring", seed=0)
     assert [check.passed for check in outcome.checks] == [False, False, False]
     assert not outcome.passed
 
 
 @pytest.mark.slow
 def test_several_seeds_are_averaged_and_several_outcomes_joined() -> None:
-    models = {"sde": [spring(damping=d) for d in (0.5, 0.6)], "ode": [spring(damping=0.5, step="rk4")]}
+    models = {"sde": [spring(damping=d) for d in (0.5, 0.6)], "ode": [ode(0.5)]}
     one = state_evolution(models, title="spring; unknown", seed=0)
     joined = together(one, state_evolution(models, title="spring; declared", seed=0))
     assert joined.title == "spring"
@@ -74,11 +74,9 @@ def test_several_seeds_are_averaged_and_several_outcomes_joined() -> None:
 @pytest.mark.slow
 def test_pairs_of_seeds_say_whether_sde_and_ode_differ_by_more_than_seeds_do() -> None:
     sde = [spring(damping=d, sigma=1e-5) for d in (0.50, 0.51)]
-    alike = state_evolution(
-        {"sde": sde, "ode": [spring(damping=d, step="rk4") for d in (0.51, 0.50)]}, title="spring", seed=0
-    )
-    worse = state_evolution(
-        {"sde": sde, "ode": [spring(damping=d, step="rk4") for d in (0.9, 0.91)]}, title="spring", seed=0
+    alike, worse = (
+        state_evolution({"sde": sde, "ode": [ode(d) for d in dampings]}, title="spring", seed=0)
+        for dampings in ((0.51, 0.50), (0.9, 0.91))
     )
     assert "less than twice what seeds account for" in alike.notes[0]
     assert "more than twice what seeds account for" in worse.notes[0]
@@ -86,9 +84,7 @@ def test_pairs_of_seeds_say_whether_sde_and_ode_differ_by_more_than_seeds_do() -
 
 
 def test_one_model_of_each_kind_is_said_to_decide_nothing_between_alike_ones() -> None:
-    one = state_evolution(
-        {"sde": [spring(damping=0.5)], "ode": [spring(damping=0.5, step="rk4")]}, title="spring", seed=0
-    )
+    one = state_evolution({"sde": [spring(damping=0.5)], "ode": [ode(0.5)]}, title="spring", seed=0)
     assert "cannot tell" in one.notes[0]
 
 

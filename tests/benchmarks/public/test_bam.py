@@ -23,14 +23,9 @@ def small(monkeypatch: pytest.MonkeyPatch, diagnosed: Callable[..., list[RawRun]
     """The protocol, on the few short recordings of the tests; what is diagnosed is told by another."""
     found = {"coulomb_friction.size": {"value": 0.1, "interval_90": None, "unit": "N m"}}
     logs = diagnosed("coulomb_friction", parameters=found)
-    for name, value in {
-        "LOGS": {"training": 6, "validation": 2},
-        "ROWS": 90,
-        "THINNED": 1,
-        "DIAGNOSED": 3,
-        "ITERATIONS": (5, 3),
-        "CANDIDATES": {name: bam.CANDIDATES[name] for name in ("input_delay", "coulomb_friction")},
-    }.items():
+    tried = {name: bam.CANDIDATES[name] for name in ("input_delay", "coulomb_friction")}
+    sizes = {"LOGS": {"training": 6, "validation": 2}, "ROWS": 90, "THINNED": 1, "DIAGNOSED": 3}
+    for name, value in {**sizes, "ITERATIONS": (5, 3), "CANDIDATES": tried}.items():
         monkeypatch.setattr(bam, name, value)
     return logs
 
@@ -69,12 +64,10 @@ def test_folders_and_files_of_something_else_are_refused(servo_folder: Path, tmp
     path = folder / bam.HOME / "processed" / "run0.json"
     whole = path.read_text()
     log = json.loads(whole)
+    short = {**log, "entries": log["entries"][:50]}
     for text, message in (
         (whole[:-40], r"run0\.json is no recording of a servo, or is cut off"),
-        (
-            json.dumps({**log, "entries": log["entries"][:50]}),
-            "run0.json has 50 rows, and the protocol needs 90",
-        ),
+        (json.dumps(short), "run0.json has 50 rows, and the protocol needs 90"),
         (json.dumps({**log, "dt": 0.01}), r"run0.json has steps of 0.01 s"),
         (json.dumps({**log, "mass": None}), "run0.json is no recording of a servo"),
     ):

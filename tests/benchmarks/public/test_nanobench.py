@@ -33,10 +33,8 @@ def _record(rows: int = 400) -> VerticalRecord:
 
 def test_the_model_of_the_voltage_is_exact_where_thrust_follows_it_and_the_others_are_not() -> None:
     record, split = _record(), 280
-    left = {
-        name: float(np.abs(model(record, split) - record.vertical[split:]).max())
-        for name, model in THRUST_MODELS.items()
-    }
+    true = record.vertical[split:]
+    left = {name: float(np.abs(model(record, split) - true).max()) for name, model in THRUST_MODELS.items()}
     assert left.pop("voltage-conditioned") < 1e-6
     assert min(left.values()) > 0.05
 
@@ -69,9 +67,8 @@ def test_a_machine_at_rest_under_gravity_is_predicted(nanobench_folder: Path) ->
     flight = read_flight(nanobench_folder / f"{FLIGHTS[0]}.csv")
     system = machine("quadrotor", ["motor_lag"], {"thrust_gain": 3.0})
     predicted = nanobench.predicted_acceleration(system, flight)
-    assert predicted[0] == pytest.approx(
-        3.0 * flight.u[0].sum(), rel=1e-6
-    )  # level, in a steady state of its motors
+    # level, in a steady state of its motors
+    assert predicted[0] == pytest.approx(3.0 * flight.u[0].sum(), rel=1e-6)
     assert abs(float((predicted - 3.0 * flight.u.sum(1)).mean())) < 0.1 * GRAVITY
 
 

@@ -42,14 +42,8 @@ def test_the_cost_never_rises_and_what_is_fixed_stays() -> None:
     x, u = _measured(1e-3)
     system = _spring({"force_gain": 1.1})
     data = windows([x], [u], dt=0.02, length=60, stride=40)
-    made = output_error(
-        system,
-        data,
-        weights=np.array([100.0, 10.0]),
-        fixed=("force_gain",),
-        groups=((0,), (1,)),
-        iterations=6,
-    )
+    how = {"fixed": ("force_gain",), "groups": ((0,), (1,)), "iterations": 6}
+    made = output_error(system, data, weights=np.array([100.0, 10.0]), **how)
     assert made.values["force_gain"] == pytest.approx(1.1)
     assert made.cost[-1] < made.cost[0]
 

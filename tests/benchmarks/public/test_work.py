@@ -30,9 +30,8 @@ def test_an_interrupted_stage_leaves_nothing(tmp_path: Path) -> None:
 
 def test_stages_of_other_files_and_damaged_ones_are_refused(tmp_path: Path) -> None:
     Work(tmp_path, "key", say=silent, tell=print).stage("a", lambda: {"made": 1})
-    with pytest.raises(
-        CheckpointError, match=r"of other files or settings than these. Name another `out_dir`"
-    ):
+    words = r"of other files or settings than these. Name another `out_dir`"
+    with pytest.raises(CheckpointError, match=words):
         Work(tmp_path, "other", say=silent, tell=print).stage("a", lambda: {"made": 2})
     (tmp_path / "stages" / "a.json").write_text('{"key": "key"')
     with pytest.raises(CheckpointError, match="is damaged"):

@@ -49,7 +49,6 @@ class TestDoublePendulum(SystemContract):
 
 
 def logs(folder: Path, dry: tuple[float, float], viscous: tuple[float, float]) -> Path:
-    """Runs of the simulator beside the example."""
     maker = importlib.import_module("make_data")
     maker.write(folder, maker.friction(np.array(dry), np.array(viscous)), seed=11, runs=3, seconds=8.0)
     return folder

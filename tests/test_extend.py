@@ -44,7 +44,6 @@ def _importable() -> Any:
 
 @pytest.fixture(scope="module")
 def runs() -> Simulation:
-    """Runs of the carriage with its dry friction."""
     return nsde_torch.simulate(RAIL, durations=[8.0] * 3, seed=1)
 
 
@@ -94,7 +93,6 @@ def test_a_system_without_a_machine_is_not_simulated() -> None:
 
 @pytest.fixture(scope="module")
 def logs(runs: Simulation, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The runs as a machine of one's own logs them."""
     folder = tmp_path_factory.mktemp("logs")
     for run in runs.runs:
         rows = zip((1e6 * run.t).round(), 1e3 * run.x, 1e3 * run.u, strict=True)
@@ -267,8 +265,6 @@ def test_no_part_of_the_package_asks_for_the_class_of_a_model(root: Path) -> Non
 
 
 class Swing(Quiet):
-    """A pendulum without noise."""
-
     def drift(self, t: Any, z: Tensor, u: Tensor) -> Tensor:
         return torch.cat((z[:, 1:], -torch.sin(z[:, :1])), 1)
 

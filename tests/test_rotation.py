@@ -51,12 +51,6 @@ def test_rotating_to_the_world_and_back_is_scipys_apply() -> None:
     np.testing.assert_allclose(rotate_back(q, rotate(q, torch.from_numpy(v))), v, atol=1e-13)
 
 
-def test_a_quarter_turn_about_z_takes_forward_to_left() -> None:
-    q = torch.tensor([[2**-0.5, 0.0, 0.0, 2**-0.5]], dtype=torch.float64)
-    forward = torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)
-    torch.testing.assert_close(rotate(q, forward), torch.tensor([[0.0, 1.0, 0.0]], dtype=torch.float64))
-
-
 def test_rotations_take_any_leading_axes() -> None:
     q, v = wxyz(attitudes(24)).reshape(2, 3, 4, 4), torch.from_numpy(vectors(24)).reshape(2, 3, 4, 3)
     for function in (rotate, rotate_back, quaternion_rate):

@@ -13,7 +13,6 @@ from tests.helpers.ties import BIASED, DT, SIDED, TRUE, Tie
 
 @pytest.fixture(scope="session")
 def tie() -> Tie:
-    """The members, fitted."""
     how = {"durations": [5.0] * 2, "seed": 3, "dt": DT, "options": {"force_size": 1.0}}
     made = nsde_torch.simulate("mass_spring_damper", effects=TRUE, **how)
     system = system_options("mass_spring_damper").make()

@@ -38,7 +38,6 @@ def flown(name: str, folder: Path, t: np.ndarray, *points: np.ndarray, seed: int
 
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory: pytest.TempPathFactory) -> tuple[System, list[Run]]:
-    """Two gentle flights of a quadrotor whose third motor is weak."""
     t, runs = np.arange(9.0), []
     for i in range(2):
         points = (*(0.5 * np.sin(f * t + i) for f in (0.7, 0.5)), 2.0 + 0.0 * t, 0.0 * t)

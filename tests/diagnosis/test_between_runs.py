@@ -24,7 +24,6 @@ HOME = "double_pendulum:DoublePendulum"
 
 @pytest.fixture(scope="module")
 def folder(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Runs of the double pendulum, by its own simulator."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(root / "examples" / "double_pendulum")
         maker = importlib.import_module("make_data")

@@ -15,7 +15,9 @@ from scipy.stats import ncf
 from nsde_torch.diagnosis.candidates import frequencies_in, starts_of
 from nsde_torch.diagnosis.decisions import DECISIONS
 from nsde_torch.diagnosis.evidence import bonferroni, by_blocks, chance, jackknife, left_out
+from nsde_torch.diagnosis.gram_table import GramTable
 from nsde_torch.diagnosis.outcome import estimated
+from nsde_torch.inference.sensitivity import Grams
 from tests.helpers.linear import lasting, linear
 
 Array = NDArray[np.float64]
@@ -152,3 +154,21 @@ def test_comparisons_count_starts_of_shapes_and_frequencies_of_the_spectrum() ->
     assert frequencies_in(1) == 1.0
     assert starts_of("periodic_force", ["periodic_force.frequency"], 400) == 200.0
     assert starts_of("constant_force", ["constant_force.acceleration"], 400) == 1.0
+
+
+def test_a_number_that_one_fold_alone_shows_stays_where_it_is_in_that_fold() -> None:
+    # of rounding in the other folds it would go anywhere, and take what is left of the fold along
+    rng = np.random.default_rng(0)
+    blocks = []
+    for block in range(8):
+        shared = rng.normal(size=40)
+        own = rng.normal(size=40) * (1.0 if block < 2 else 1e-12)
+        candidate = rng.normal(size=40)
+        error = rng.normal(size=40) + 2.0 * candidate
+        table = np.column_stack((error, shared, own, candidate))
+        blocks.append(table.T @ table)
+    table = GramTable(Grams(np.array(blocks), 320, 3), np.array([1, 2]), np.array([0, 0, 1, 1, 2, 2, 3, 3]))
+    nats, fitted, step = table.gain((0, 3))
+    assert np.isfinite(nats).all()
+    assert abs(step[0] - 2.0) < 0.2
+    assert 0.8 * fitted < nats.sum() < 1.05 * fitted

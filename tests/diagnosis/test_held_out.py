@@ -26,7 +26,6 @@ from nsde_torch.diagnosis.outcome import Found
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.residual_tests import Dependence
 from nsde_torch.diagnosis.search import Search, moved_channels
-from nsde_torch.diagnosis.text import lines
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems import make_system
@@ -218,12 +217,3 @@ def test_what_an_effect_moves_follows_from_its_slopes(flown: tuple[Any, dict[str
     _, moves = flown
     assert moves["angular_damping"] == ("w_x", "w_y", "w_z")
     assert "v_z (body)" in moves["thrust_curve"]
-
-
-@pytest.mark.slow
-def test_the_terminal_tells_residual_and_likelihood_before_predictions_and_says_what_those_are(
-    flown: tuple[dict[str, Any], Any],
-) -> None:
-    said = "\n".join(lines(flown[0]))
-    first, second = said.index("log-likelihood [nat]"), said.index("open-loop, inputs replayed from the log")
-    assert first < second < said.index("position [m]")

@@ -27,14 +27,12 @@ STRIBECK = {"k": 5.06, "b": 0.5, "g": 1.0}
 
 
 def selected(runs: list[Run]) -> JointSelection:
-    """What is selected on a spring."""
     system = make_system("mass_spring_damper")
     search = Search(system, runs, 1.0, Options())
     return JointSearch(search, LogLikelihood(system, runs, run_in=True), system).selected()
 
 
 def two_frictions(seed: int, seconds: float = 8.0) -> list[Run]:
-    """A spring with dry and quadratic friction."""
     effects = {"coulomb": {"size": 0.231}, "quadratic": {"size": 0.224}}
     machine = replace(rubbing(0.0), values=STRIBECK, effects=effects, noise=(0.001, 0.003), gust=0.02)
     return small_runs(machine, 4, seconds, seed=seed)

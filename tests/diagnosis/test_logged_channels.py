@@ -35,7 +35,6 @@ class Supply(Effect):
     sentence = "The force follows the voltage by {sensitivity}."
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        """See `Effect.forward`."""
         return self.value("sensitivity") * (self.channel("supply_voltage", u) - 24.0) * u[:, :1]
 
 

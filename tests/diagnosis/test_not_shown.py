@@ -1,7 +1,8 @@
-"""What data cannot show: standard errors of candidates, and which effects are listed."""
+"""What data cannot show, effects by their standard errors; and rows that the likelihood leaves out."""
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from nsde_torch.diagnosis.evidence import not_shown
 from nsde_torch.diagnosis.joint_selection import JointSelection, Round
+from nsde_torch.diagnosis.result import outlier_warnings
 
 
 def _selected(*errors: float, alone: float = np.inf) -> JointSelection:
@@ -37,3 +39,18 @@ def test_what_declared_parameters_do_as_well_is_told_from_what_moves_nothing() -
 def test_what_was_found_and_what_a_later_look_would_show_is_not_listed() -> None:
     assert not_shown(_selected(1.0), found=("constant_force",), alpha=0.01) == []
     assert not_shown(_selected(1.0, 0.001), found=(), alpha=0.01) == []
+
+
+def _with_outliers(times: dict[int, list[float]]) -> Any:
+    joint = SimpleNamespace(final=SimpleNamespace(at=SimpleNamespace(outlier_times=times)))
+    return SimpleNamespace(outcome=SimpleNamespace(joint=joint), runs=("first", "second"))
+
+
+def test_rows_that_were_left_out_are_said_with_their_run_and_time() -> None:
+    (warning,) = outlier_warnings(cast(Any, _with_outliers({1: [22.41, 22.42, 22.5]})))
+    assert "3 of 'second', from t = 22.41 to 22.5 s" in warning["sentence"]
+    assert warning["kind"] == "outliers"
+
+
+def test_nothing_is_said_of_a_log_without_any() -> None:
+    assert outlier_warnings(_with_outliers({})) == []

@@ -18,13 +18,11 @@ _FRICTIONS = ("asymmetric_friction", "coulomb_friction", "stribeck_friction")
 
 
 def spring(*effects: str) -> System:
-    """The spring with these effects."""
     return make_system(SPRING, effects=effects)
 
 
 @pytest.fixture(scope="module")
 def rubbing() -> Search:
-    """A search in runs of the spring with dry friction."""
     made = recorded(SPRING, FRICTION, seed=3, dt=0.02, durations=(6.0,) * 4)
     return Search(spring(), made.runs, 1.0, Options(candidates=_FRICTIONS))
 

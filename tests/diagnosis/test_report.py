@@ -130,6 +130,9 @@ def test_the_terminal_says_the_same(found: Diagnosed) -> None:
         "input_delay: delay below 0.031 s",
     ):
         assert word in said
+    # residual and likelihood come before predictions, which are called what they are
+    first, second = said.index("log-likelihood [nat]"), said.index("open-loop, inputs replayed from the log")
+    assert first < second < said.index("position [m]")
 
 
 def test_the_content_holds_what_the_schema_promises(found: Diagnosed) -> None:

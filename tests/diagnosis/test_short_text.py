@@ -15,7 +15,6 @@ from nsde_torch.evaluation.report import between_ends, number
 
 @pytest.fixture
 def content() -> dict[str, Any]:
-    """A diagnosis that found something."""
     path = Path(__file__).parents[1] / "golden" / "diagnosis.json"
     return dict(json.loads(path.read_text(encoding="utf-8")))
 

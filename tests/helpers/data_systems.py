@@ -20,7 +20,6 @@ class Stub:
 
     @property
     def input_units(self) -> tuple[str, ...]:
-        """Dimensionless commands."""
         return ("1",) * len(self.input_names)
 
 

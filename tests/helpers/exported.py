@@ -38,7 +38,6 @@ def small_controller(
 
 
 def step_of(controller: Controller, knowledge: NeuralSDE | System) -> ExportedStep:
-    """Its step."""
     return ExportedStep(controller, Predictor(knowledge, dt=SAMPLE, dtype=controller.predictor.dtype))
 
 
@@ -112,6 +111,5 @@ def word_of(answer: Sequence[Tensor], plan: Plan, *, most: float) -> str:
 
 
 def all_kinds(words: set[str]) -> bool:
-    """Whether a flight had a plan and every kind of trouble."""
     trouble = {"bad_state:kept", "bad_state:hover", "bad_reference:kept", "state_jump:kept"}
     return trouble < words and bool(words & {"converged", "improved"})

@@ -31,5 +31,4 @@ def model() -> NeuralSDE:
 
 @pytest.fixture(scope="session")
 def path() -> Reference:
-    """The lemniscate."""
     return Reference(lemniscate())

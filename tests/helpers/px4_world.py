@@ -103,20 +103,16 @@ class World:
 
     @property
     def phase(self) -> Phase:
-        """Of the flight."""
         return self.flight.phase
 
     @property
     def phases(self) -> list[str]:
-        """Those that were gone through."""
         return [p for _, p, _ in self.flight.outcome.actions]
 
     def inject(self, data: bytes) -> None:
-        """Bytes of a stranger, to us."""
         self._queue(self._to_us, [(self.now, data)])
 
     def tick(self) -> None:
-        """One hundredth of a second."""
         for data in self._due(self._to_vehicle):
             self.vehicle.receive(data)
         for data in self.vehicle.advance((self.now - START) * self.speed):
@@ -220,7 +216,6 @@ def false_mode(codec: Codec) -> bytes:
 
 
 def false_state(codec: Codec, stamp: float, p: Vec = (100.0, 0.0, -2.0)) -> bytes:
-    """A state far away."""
     nothing = [0.0] * 21
     return codec.pack(
         mavlink.MAVLink_odometry_message(

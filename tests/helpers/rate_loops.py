@@ -52,14 +52,12 @@ class RateLoop(System):
     PARAMETERS = {"gain": Parameter(60.0, "rad/s2", low=0.0)}
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
-        """See `System.dynamics`."""
         turn = self.value("gain") * u
         if Port.FORCE in forces:
             turn = turn + forces[Port.FORCE]
         return torch.cat((x[:, 1:], turn), 1)
 
     def features(self, x: Tensor) -> Tensor:
-        """The state."""
         return x
 
 

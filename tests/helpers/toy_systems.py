@@ -36,12 +36,10 @@ class Decay(System):
     PARAMETERS = {"rate": Parameter(1.0, "1/s", low=0.0)}
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
-        """See `System.dynamics`."""
         rate = u - self.value("rate") * x
         return rate + forces[Port.FORCE] if Port.FORCE in forces else rate
 
     def features(self, x: Tensor) -> Tensor:
-        """The state."""
         return x
 
 

@@ -32,7 +32,6 @@ class TwoJoints(System):
     PARAMETERS = {"inertia": Parameter((0.5, 0.2), "kg m2", low=0.0)}
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
-        """Each joint for itself."""
         push = u + forces[Port.TORQUE] if Port.TORQUE in forces else u
         acceleration = push / self.value("inertia")
         return torch.cat((acceleration[:, 1:], acceleration[:, :1], x[:, :2]), 1)

@@ -14,7 +14,6 @@ Stretches = tuple[tuple[int, int], ...]
 
 
 def numbered(lengths: tuple[int, ...], gaps: dict[int, Stretches], dt: float) -> list[Run]:
-    """Runs whose columns all hold the number of their row."""
     out, at = [], 0
     for k, n in enumerate(lengths):
         number = np.arange(at, at + n, dtype=np.float64)
@@ -44,29 +43,6 @@ def test_each_row_after_the_first_ones_of_a_stretch_counts_once(case: str, late:
     expected = np.concatenate([run.x[a + 1 + late : b, 0] for run in runs for a, b in run.segments])
     counted = chunks.y[chunks.counted][:, 0].numpy()
     np.testing.assert_array_equal(np.sort(counted), expected)
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_the_rows_of_a_chunk_follow_one_another_with_the_input_and_time_of_each(case: str) -> None:
-    dt = 0.02
-    runs = numbered(*CASES[case], dt)
-    chunks = Chunks(steps_of(spring(), runs, clock=1.0, smooth=False))
-    y, u, t = chunks.y[..., 0].numpy(), chunks.u[..., 0].numpy(), chunks.t.numpy()
-    live = chunks.counted.numpy()
-    for c in range(chunks.count):
-        last = int(np.flatnonzero(live[:, c])[-1])
-        np.testing.assert_array_equal(np.diff(y[: last + 1, c]), 1.0)
-        np.testing.assert_array_equal(u[:last, c], y[:last, c])
-        np.testing.assert_allclose(t[:last, c], dt * y[:last, c], atol=1e-9)
-
-
-def test_what_a_chunk_counts_follows_rows_that_another_one_counted() -> None:
-    runs = numbered((2357, 500), {}, 0.02)
-    chunks = Chunks(steps_of(spring(), runs, clock=1.0, smooth=False))
-    live, y = chunks.counted.numpy(), chunks.y[..., 0].numpy()
-    for c in range(chunks.count):
-        # the filter has forgotten where it began
-        assert y[0, c] in (0.0, 2357.0) or np.flatnonzero(live[:, c])[0] >= 30
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
+from scipy.stats import binom, norm
 
 import nsde_torch
 from nsde_torch.data import Run
@@ -195,3 +196,23 @@ def test_a_sensor_beside_a_far_better_one_says_little_of_the_physics() -> None:
     assert found.driven[1] < 0.02 < 0.3 < found.driven[0]
     assert found.worst(found.driven) < 2.0 + alone.worst(alone.driven)
     assert found.worst(np.ones(2)) > 20.0
+
+
+FRICTION = 0.2
+
+
+@pytest.mark.slow
+def test_standard_errors_hold_the_truth_as_often_as_they_say() -> None:
+    truth, off = {**TRUTH, "coulomb_friction.size": FRICTION}, []
+    for seed in range(10):
+        found = fit(spring("coulomb_friction", values={}), small_runs(rubbing(FRICTION), 3, 15.0, seed=seed))
+        assert found.objections == []
+        at = [found.vector.labels.index(label) for label in truth]
+        off.append((found.theta[at] - list(truth.values())) / found.standard_errors[at])
+    away = np.abs(np.array(off)).reshape(-1)
+    assert np.isfinite(away).all()
+    # neither too narrow nor too wide: by chance outside these once in two hundred
+    for share in (0.5, 0.9):
+        inside = int((away < norm.ppf(0.5 + 0.5 * share)).sum())
+        low, high = binom.ppf((0.0025, 0.9975), len(away), share)
+        assert low <= inside <= high

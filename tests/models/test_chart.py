@@ -14,7 +14,6 @@ SYSTEMS = ("mass_spring_damper", "cartpole", "hexacopter", "quadrotor")
 
 
 def states(name: str, n: int = 64, seed: int = 0) -> torch.Tensor:
-    """Random valid states."""
     system = make_system(name)
     x = torch.randn(n, system.nx, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
     return system.double().project(x)

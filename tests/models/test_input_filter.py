@@ -21,11 +21,6 @@ def make_filter(reach: int, dt: float = 0.05, seed: int | None = 0) -> InputFilt
     return made
 
 
-def test_zero_weights_leave_inputs_as_they_are() -> None:
-    u = inputs(3, 20)
-    assert torch.equal(make_filter(4, seed=None)(u, 0.05), u)
-
-
 @pytest.mark.parametrize("dt", [0.05, 0.02, 0.1])
 def test_constants_pass_unchanged_whatever_the_weights(dt: float) -> None:
     u = torch.tensor([0.3, -2.0], dtype=torch.float64).expand(2, 15, 2)

@@ -29,7 +29,6 @@ def make(dtype: torch.dtype = torch.float32, **spec: Any) -> NeuralSDE:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A run directory of a hexacopter."""
     save(make(), tmp_path / "run")
     return tmp_path / "run"
 

@@ -102,7 +102,6 @@ def test_a_log_in_which_nothing_moves_has_no_clock_of_nothing() -> None:
 
 
 def poles(noise: float = 0.0) -> tuple[Array, Array]:
-    """Times and states of a cart and pole that swing."""
     t = np.arange(600) * 0.02
     x = np.stack((np.sin(t), np.cos(t), 0.3 * np.sin(3 * t), 0.9 * np.cos(3 * t)), 1)
     return t, x + noise * np.random.default_rng(0).normal(size=x.shape)
@@ -169,7 +168,6 @@ def log(command: float, *, noise: float = 0.02, rise: int = 0) -> tuple[Array, A
 
 
 def on_ground(t: Array, x: Array, u: Array, *, system: object = HEXACOPTER) -> tuple[DataSet, list[Finding]]:
-    """The data set of one log, and what was found about the ground."""
     data = assemble([RawRun("log", t, x, u)], system, kind="test", clock="trust")  # type: ignore[arg-type]
     return data, [f for f in data.summary.findings if f.kind == "on_ground"]
 

@@ -81,15 +81,6 @@ def test_innovations_that_are_not_white_leave_the_values_of_the_regression_and_s
     assert any("q_dot" in sentence for sentence in said["objections"])
 
 
-def test_without_an_interval_a_parameter_says_why() -> None:
-    system, data = spring("sensor", runs=1)
-    found = identify_in_loop(system, data.runs)
-    assert found.likelihood_used
-    lost = replace(found, converged=False)
-    assert {p["note"] for p in lost.parameters().values()} == {"no interval: the fit had not settled"}
-    assert all("note" not in p for p in found.parameters().values())
-
-
 def _lagging(tau: float) -> list[RawRun]:
     """Springs whose force lags by a time constant, by small steps of Euler's rule."""
     out, fine = [], 20

@@ -27,6 +27,8 @@ def test_no_interval_is_given_for_a_fit_that_had_not_settled(found: Identificati
     unsettled = replace(found, converged=False)
     assert np.isnan(unsettled.half_widths(0.9)).all()
     assert all(p["half_width_90"] == [None] * len(p["value"]) for p in unsettled.parameters().values())  # type: ignore[arg-type]
+    notes = [{p.get("note") for p in one.parameters().values()} for one in (unsettled, found)]
+    assert notes == [{"no interval: the fit had not settled"}, {None}]
     assert any("no interval is given" in line for line in unsettled.findings)
     assert "had not settled" in summary(unsettled)
 

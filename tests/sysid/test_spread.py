@@ -9,30 +9,6 @@ from nsde_torch.inference.spread import spread
 ROWS, BLOCKS = 600, 60
 
 
-def estimates(seed: int, *, lasting: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Error of a least-squares estimate of two parameters and its standard error by blocks."""
-    rng = np.random.default_rng(seed)
-    x = (
-        np.repeat(rng.normal(size=(1, BLOCKS, 2)), ROWS // BLOCKS, axis=1)
-        if lasting
-        else rng.normal(size=(1, ROWS, 2))
-    )
-    noise = np.repeat(rng.normal(size=BLOCKS), ROWS // BLOCKS) if lasting else rng.normal(size=ROWS)
-    fitted = np.linalg.lstsq(x[0], noise, rcond=None)[0]
-    blocks = np.arange(ROWS) // (ROWS // BLOCKS)
-    sure = spread(x, (noise - x[0] @ fitted)[None], blocks, 0)
-    return fitted, np.sqrt(np.diag(sure.covariance))
-
-
-def test_standard_errors_are_the_spread_of_estimates_also_when_noise_lasts_for_a_block() -> None:
-    for lasting in (False, True):
-        errors, claimed = map(
-            np.array, zip(*(estimates(s, lasting=lasting) for s in range(300)), strict=True)
-        )
-        ratio = np.sqrt(np.square(claimed).mean(0)) / errors.std(0)
-        assert (np.abs(ratio - 1) < 0.15).all(), (lasting, ratio)
-
-
 def test_degrees_of_freedom_are_few_where_one_block_decides() -> None:
     rng = np.random.default_rng(0)
     x = rng.normal(size=(1, ROWS, 2))

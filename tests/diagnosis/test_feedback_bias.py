@@ -1,8 +1,8 @@
-"""What feedback may hide: which effects and which structure count."""
+"""What feedback may hide: which effects, which structure and which gains count, and what is sure behind smoothers."""
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,14 +12,21 @@ from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.feedback_bias import (
     FeedbackBiased,
     allowances,
+    behind_smoothers,
     chance_beyond,
     lengths_of_parameters,
+    not_sure_behind_smoothers,
+    unmeasured_gains,
+    with_suspects,
 )
+from nsde_torch.diagnosis.joint_selection import JointSearch
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.search import Search
+from nsde_torch.inference import LogLikelihood
 from nsde_torch.sysid.feedback_test import FACTOR, Answer, FeedbackTest, leaning
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
+from tests.inference.springs import linear_runs
 
 DRIVEN = {"the input of w_x": ("w_x",), "the input of w_z": ("w_z",)}
 
@@ -173,3 +180,57 @@ def test_feedback_may_make_all_that_it_hides_of_a_channel_differ_between_runs(
     regression: Any = SimpleNamespace(vector=vector)
     lengths = {"w_x": np.array([6.0, 5.0, 3.0])}
     assert decision._hidden(test, lengths, regression, name) == (("w_x",), {"w_x": most}, 3)
+
+
+LABELS = ("thrust_gain", "roll_gain", "inertia_x", "motor_lag.time_constant", "linear_drag.drag[0]")
+
+
+def _outcome(roll_gain: float, *, closed_loop: bool) -> Any:
+    vector = SimpleNamespace(
+        labels=LABELS,
+        low=np.array([0.0, 0.0, 0.3, 0.0, 0.0]),
+        high=np.full(5, np.inf),
+        scale=np.array([4.5, 50.0, 0.7, 0.02, 0.1]),
+    )
+    final = SimpleNamespace(vector=vector, theta=np.array([4.0, roll_gain, 0.3, 0.0, 0.0]))
+    return SimpleNamespace(final=final, test=SimpleNamespace(closed_loop=closed_loop))
+
+
+@pytest.mark.parametrize(
+    ("roll_gain", "closed_loop", "unmeasured"),
+    [(30.0, True, set()), (5e-5, False, set()), (5e-5, True, {"roll_gain"})],
+)
+def test_in_a_loop_only_own_parameters_at_the_bound_of_nothing_were_not_measured(
+    roll_gain: float, closed_loop: bool, unmeasured: set[str]
+) -> None:
+    assert unmeasured_gains(_outcome(roll_gain, closed_loop=closed_loop)) == unmeasured
+
+
+def test_effects_with_memory_on_inputs_are_no_candidates() -> None:
+    system = make_system("mass_spring_damper")
+    search = Search(system, linear_runs(1, 4.0), 1.0, Options())
+    names = behind_smoothers(search, system).candidates
+    assert names is not None
+    assert not {"input_delay", "actuator_lag"} & set(names)
+    assert {"actuator_deadband", "coulomb_friction", "hysteresis"} <= set(names)
+    assert search.candidates is None
+
+
+def test_what_was_found_is_a_lead_where_what_was_no_candidate_would_explain_more() -> None:
+    joint = SimpleNamespace(suspected=())
+    outcome: Any = SimpleNamespace(joint=joint, provisional=lambda why: why(None))
+    assert not_sure_behind_smoothers(outcome) is outcome
+    joint.suspected = ("input_delay",)
+    assert "input_delay" in cast(Any, not_sure_behind_smoothers(outcome))
+
+
+def test_a_lag_is_suspected_beside_what_was_found_without_it() -> None:
+    system = make_system("mass_spring_damper")
+    runs = linear_runs(3, 8.0, seed=1, lag=0.08)
+    search = Search(system, runs, 1.0, Options())
+    some = behind_smoothers(search, system)
+    found = JointSearch(some, LogLikelihood(system, runs, run_in=True), system).selected()
+    assert not {"input_delay", "actuator_lag"} & set(found.selected)
+    assert with_suspects(replace(found, selected={}), search, system).suspected == ()
+    found = replace(found, selected={"coulomb_friction": cast(Any, None)})
+    assert set(with_suspects(found, search, system).suspected) & {"input_delay", "actuator_lag"}

@@ -1,7 +1,5 @@
 """What every test starts from: one torch thread, a folder of its own for caches, no figures on a screen."""
 
-from __future__ import annotations
-
 import gc
 import os
 from collections.abc import Iterator

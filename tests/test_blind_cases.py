@@ -1,7 +1,5 @@
 """Blind cases: what a list holds, and that the files of a case do not say what is in it."""
 
-from __future__ import annotations
-
 import importlib
 import json
 from collections import Counter

@@ -1,7 +1,5 @@
 """examples/body_rates: a Betaflight log, which has rates and motors alone, to a fitted machine."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

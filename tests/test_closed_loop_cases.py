@@ -1,7 +1,5 @@
 """The simulator of the closed-loop cases does what physics says, and its files say nothing."""
 
-from __future__ import annotations
-
 import importlib
 import json
 from dataclasses import replace

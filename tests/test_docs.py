@@ -1,7 +1,5 @@
 """The documentation says what is so: links lead somewhere, commands exist, and the code of the pages runs."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import shlex

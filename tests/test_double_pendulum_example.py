@@ -1,7 +1,5 @@
 """The example of two joints: its class, and frictions that a simulator of its own put into each joint."""
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 from typing import Any
@@ -33,13 +31,8 @@ class TestDoublePendulum(SystemContract):
         low = maker.INERTIA_2 + maker.MASS_2 * maker.CENTRE_2**2
         top = maker.INERTIA_1 + maker.MASS_1 * maker.CENTRE_1**2 + maker.MASS_2 * maker.LENGTH_1**2 + low
         weight = (maker.MASS_1 * maker.CENTRE_1 + maker.MASS_2 * maker.LENGTH_1) * maker.GRAVITY
-        values = {
-            "a": top,
-            "b": far,
-            "d": low,
-            "g1": weight,
-            "g2": maker.MASS_2 * maker.GRAVITY * maker.CENTRE_2,
-        }
+        second = maker.MASS_2 * maker.GRAVITY * maker.CENTRE_2
+        values = {"a": top, "b": far, "d": low, "g1": weight, "g2": second}
         system = self.make(values=values).double()
         x, u = self.states(20), self.inputs(20)
         rate = system.drift(0.0, x, u).detach().numpy()

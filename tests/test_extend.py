@@ -1,7 +1,5 @@
 """The files of examples/extend do what the pages of how-to/extend say: each extension is one file, used end to end."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """What a new user runs first does what is said: the notebook, and the Python of the README."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re

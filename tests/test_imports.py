@@ -1,7 +1,5 @@
 """Imports point one way, and listing the commands imports nothing heavy."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys
@@ -11,18 +9,8 @@ from pathlib import Path
 import pytest
 
 # Each part may import itself and what it names here.
-ALONE = (
-    "aligned",
-    "arrays",
-    "errors",
-    "jit",
-    "lazy",
-    "cache",
-    "progress",
-    "threads",
-    "time_limit",
-    "whole_files",
-)
+TOOLS = ("cache", "lazy", "progress", "threads", "time_limit", "whole_files")
+ALONE = ("aligned", "arrays", "errors", "jit", *TOOLS)
 ONLY_ERRORS = ("options", "columns", "lookup", "plain_yaml", "shown")
 BASE = {*ALONE, *ONLY_ERRORS, "rotation"}
 MACHINES = {*BASE, "systems", "effects"}

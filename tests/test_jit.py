@@ -1,7 +1,5 @@
 """Loops are compiled where nothing can be written, too."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numba.core import caching

@@ -1,7 +1,5 @@
 """The wheel holds all of the tree, and runs the same commands from elsewhere."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import re

@@ -1,7 +1,5 @@
 """The example of a machine of one's own does what its README says, as the commands that it shows."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """Rotations against SciPy's, also for the smallest angles and near half a turn; gradients stay finite."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """The site is read from the disk: its search, its style and its code blocks need no server and no network."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import re

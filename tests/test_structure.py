@@ -1,7 +1,5 @@
 """The house: one class to a name, and control without a simulator."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

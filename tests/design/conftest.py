@@ -1,7 +1,5 @@
 """Members of a tie, fitted once."""
 
-from __future__ import annotations
-
 import pytest
 
 import nsde_torch

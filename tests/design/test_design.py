@@ -1,7 +1,5 @@
 """A plan for the spring's tie, from the question to the files; and what is refused."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A diagnosis rehearsed: what was found is simulated and found again, and all of it is told."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

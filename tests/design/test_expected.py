@@ -1,7 +1,5 @@
 """What an experiment is expected to tell is what it tells: checked by noisy experiments that are fitted."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Parameters of a multirotor are drawn as far as the cascade can fly them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Members of a tie in gusts that the inputs answer: gains near the truth, and the weak motor that is."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

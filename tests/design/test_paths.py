@@ -1,7 +1,5 @@
 """Paths of multirotors: what is written is read back as what was judged, and no path asks for more than it may."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

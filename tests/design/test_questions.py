@@ -1,7 +1,5 @@
 """What a diagnosis leaves open, and what the next experiment is asked."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from nsde_torch.design import open_questions, standing_of

@@ -1,7 +1,5 @@
 """The evidence of an experiment is the density that it had before it was flown."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

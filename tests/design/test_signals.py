@@ -1,7 +1,5 @@
 """Inputs of an open loop: as fine about rest as a dry friction needs, within the range, and smaller on request."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

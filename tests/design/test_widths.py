@@ -1,7 +1,5 @@
 """Widths of frictions that the runs leave open are followed, and those that they show are not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A friction that is developed only beyond the speeds of the data is another law: it is sought, or nothing is sure."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import cast
 

@@ -1,7 +1,5 @@
 """What differs between runs is named with its runs and its sizes; runs of one machine are not said to differ."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -52,13 +50,12 @@ def springs(seed: int, *each: dict[str, float], effects: Sequence[Any] = ()) -> 
     """Runs of one spring with other values in each."""
     runs: list[Run] = []
     for r, values in enumerate(each):
-        made = simulate(
-            "mass_spring_damper",
-            seed=seed,
-            durations=[12.0] * len(each),
-            parameters=values,
-            effects=effects[r] if effects else [],
-        )
+        how = {
+            "durations": [12.0] * len(each),
+            "parameters": values,
+            "effects": effects[r] if effects else [],
+        }
+        made = simulate("mass_spring_damper", seed=seed, **how)
         runs.append(made.runs[r])
     return assemble(runs, make_system("mass_spring_damper"), kind="simulated")
 

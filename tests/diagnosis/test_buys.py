@@ -1,7 +1,5 @@
 """What effects buy on runs left out: their order, the few that matter, and how the others are told."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What functions could still explain: nothing where nothing is missing, else a share beside what the effects do."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from html import unescape
 from itertools import takewhile

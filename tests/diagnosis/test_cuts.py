@@ -1,7 +1,5 @@
 """Cuts of logs, short, still, exact, fast and slow: each ends in an answer or in an error that says what to do."""
 
-from __future__ import annotations
-
 import json
 import warnings
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """Numbers that a diagnosis decides by stand in one place, each is used, and budgets change no verdict."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import fields, replace
 from pathlib import Path

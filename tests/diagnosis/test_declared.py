@@ -1,7 +1,5 @@
 """Declared parameters are told with their intervals; one that the data pull out of its bounds names a turned column."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Where the guard does not believe the final physics, nothing that is found is sure, and the verdict says so."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What drifts, differs between runs or remembers is structure, though no function of the present state shows it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

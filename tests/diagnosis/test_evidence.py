@@ -3,8 +3,6 @@
 Linear regressions with known noise stand for the fits of a diagnosis; every claim is held against many draws.
 """
 
-from __future__ import annotations
-
 from typing import cast
 
 import numpy as np

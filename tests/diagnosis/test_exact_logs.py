@@ -1,7 +1,5 @@
 """Logs of simulations without any noise: what arithmetic leaves of right physics is nothing that is missing."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Runs left out judge an effect by its own channels, step by step, and not by predictions under replayed inputs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast

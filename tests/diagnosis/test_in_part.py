@@ -1,7 +1,5 @@
 """What may stand for a part of an effect, the rest of which stays, is named as a tie."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -9,10 +7,8 @@ import pytest
 from nsde_torch.diagnosis.decisions import Options
 from tests.helpers.diagnosed import diagnosed
 
-NOT_TOLD_APART = [
-    "asymmetric_friction",
-    "coulomb_friction + constant_force",
-]  # the same law at all but the least speeds
+# the same law at all but the least speeds
+NOT_TOLD_APART = ["asymmetric_friction", "coulomb_friction + constant_force"]
 RIVALS = Options(candidates=("constant_wind", "linear_drag", "thrust_misalignment"))
 
 

@@ -1,7 +1,5 @@
 """Effects selected by the joint likelihood, on machines from a simulator that shares no code with the package."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -49,11 +47,8 @@ def test_two_frictions_of_one_speed_are_both_selected_with_their_sizes() -> None
     assert set(found.selected) == {"coulomb_friction", "quadratic_damping"}
     best = found.final.best
     known = dict(zip(best.vector.labels, zip(best.theta, best.standard_errors, strict=True), strict=True))
-    for effect, true in (
-        ("coulomb_friction.size", 0.231),
-        ("quadratic_damping.damping", 0.224),
-        ("viscous_friction.damping", 0.5),
-    ):
+    sizes = {"coulomb_friction.size": 0.231, "quadratic_damping.damping": 0.224}
+    for effect, true in {**sizes, "viscous_friction.damping": 0.5}.items():
         value, error = known[effect]
         assert value == pytest.approx(true, abs=3.0 * error)
         assert error < 0.2 * true

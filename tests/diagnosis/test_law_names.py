@@ -1,7 +1,5 @@
 """A law that the catalogue has takes its name; one that it lacks keeps its own. Behind smoothers, no law is tried."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

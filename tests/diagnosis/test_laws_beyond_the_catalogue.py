@@ -1,7 +1,5 @@
 """Laws that no catalogue has: found, added, verified and written; and silence where there are none."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Effects may read logged columns beside the inputs, each its own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import final
 

@@ -1,7 +1,5 @@
 """What a diagnosis holds at once, in units of the data that it is made of."""
 
-from __future__ import annotations
-
 import platform
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A diagnosis names the effect that a plant has and the model was not told of, and nothing where nothing is missing."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What data cannot show, effects by their standard errors; and rows that the likelihood leaves out."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any, cast
 

@@ -1,7 +1,5 @@
 """One law of friction is told in one name: never beside what it contains."""
 
-from __future__ import annotations
-
 import pytest
 
 from nsde_torch.diagnosis.candidates import candidate_names, effect_of, starts, values_of

@@ -1,7 +1,5 @@
 """What is there in one run only is told as that, and never where every run has it or none."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -3,8 +3,6 @@
 Their simulators share no code with the package.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import final

@@ -1,7 +1,5 @@
 """A log without a rate, or with one that was made of the position, is diagnosed as one with a sensor of it is."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import cast
 

@@ -1,7 +1,5 @@
 """Faults of the recording chain are found by kinematics and spectra alone, and undone before physics is looked at."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

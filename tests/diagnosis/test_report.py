@@ -1,7 +1,5 @@
 """`report.html` is one self-contained page that says what was found, and what was not."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace
@@ -120,15 +118,13 @@ def test_a_page_of_nothing_found_shows_the_residual_and_the_floor(tmp_path: Path
 def test_the_terminal_says_the_same(found: Diagnosed) -> None:
     said = "\n".join(lines(_with_a_blind_spot(found)[1]))
     assert said.startswith("verdict: effect_found")
-    for word in (
-        *(
-            "constant_force.acceleration",
-            "90 % interval",
-            "indistinguishable from sensor_bias",
-            "cannot show",
-        ),
-        "input_delay: delay below 0.031 s",
-    ):
+    said_of = (
+        "constant_force.acceleration",
+        "90 % interval",
+        "indistinguishable from sensor_bias",
+        "cannot show",
+    )
+    for word in (*said_of, "input_delay: delay below 0.031 s"):
         assert word in said
     # residual and likelihood come before predictions, which are called what they are
     first, second = said.index("log-likelihood [nat]"), said.index("open-loop, inputs replayed from the log")

@@ -1,7 +1,5 @@
 """Words for a dependence, on residuals that are made to have it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache

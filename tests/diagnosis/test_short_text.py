@@ -1,7 +1,5 @@
 """What `nsde diagnose` prints at its end: a screen of what matters, with the digits that intervals have."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

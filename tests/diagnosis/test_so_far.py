@@ -1,7 +1,5 @@
 """A diagnosis that is stopped, or goes on, leaves what is known, marked as such; progress names what was found."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -3,8 +3,6 @@
 The innovations of a spring are drawn anew, with what a push does to them.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """A machine that sticks has dry friction, and nothing beside it that tells how friction holds."""
 
-from __future__ import annotations
-
 import pytest
 
 import nsde_torch

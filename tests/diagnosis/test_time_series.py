@@ -1,7 +1,5 @@
 """The log over time in `report.html`: what is shown is what was logged, by a script that a server can allow alone."""
 
-from __future__ import annotations
-
 import base64
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """A flight controller that is mounted askew is named, and its angles are found."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

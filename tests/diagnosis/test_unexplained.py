@@ -1,7 +1,5 @@
 """What no effect of the catalogue explains is called unexplained, or a lead, with its shape."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

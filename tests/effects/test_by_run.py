@@ -1,7 +1,5 @@
 """What differs between runs: each row gets the number of its run, and a run that is not known gets none."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

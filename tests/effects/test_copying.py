@@ -1,7 +1,5 @@
 """Copies of systems are whole, share no number, and agree with what the standard way of copying makes."""
 
-from __future__ import annotations
-
 import copy
 from typing import Any
 

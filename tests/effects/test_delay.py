@@ -1,7 +1,5 @@
 """Delay: the contract, and its phase and amplitude against those of a pure delay."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """The catalogue as a whole: every effect has its contract, and effects of the user's own are found by name."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

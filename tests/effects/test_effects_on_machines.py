@@ -1,7 +1,5 @@
 """Effects whose formula is seen in the motion of their machine: the contract, and what each does to it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

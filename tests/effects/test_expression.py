@@ -1,7 +1,5 @@
 """Effects by expression: the same as a class written by hand, in every use, and the same after a file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,14 +1,12 @@
 """Laws that are written as text: what is of the grammar, and what is refused with its place and the remedy."""
 
-from __future__ import annotations
-
 import pytest
 
 from nsde_torch.effects.expression_grammar import in_text, is_law, latex, parse, sympy_text, valued
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import System, make_system
 
-SPRING = "mass_spring_damper"
+SPRING, HEXA = "mass_spring_damper", "hexacopter"
 
 
 def units(system: str, law: str) -> dict[str, str]:
@@ -78,20 +76,12 @@ def test_what_is_not_of_the_grammar_is_refused_with_its_place(text: str, says: s
     [
         (SPRING, "force = c1 qdot", "'qdot' is no variable .* there are q, q_dot, force.*Did you mean 'q"),
         (SPRING, "forse = c1 q", "'forse' is no port .* there are force, input, rate"),
-        (
-            "hexacopter",
-            "body_moment = c1 w_x",
-            r"written body_moment\[x\], body_moment\[y\], body_moment\[z\]",
-        ),
+        (HEXA, "body_moment = c1 w_x", r"written body_moment\[x\], body_moment\[y\], body_moment\[z\]"),
         (SPRING, "force[y] = c1 q", "is written force = "),
         (SPRING, "force = c1 max(q - q_dot, 0)", "q is in m and q_dot in m/s"),
         (SPRING, "force = c1 expm1(q)", "takes a number without unit; q is in m"),
         (SPRING, "force = c1 sin(q)", r"takes an angle \[rad\]; q is in m. Write sin\(k1 q\)"),
-        (
-            "hexacopter",
-            "input[u_1] = c1 v_body_x",
-            "a law of the input reads states and inputs, not 'v_body_x'",
-        ),
+        (HEXA, "input[u_1] = c1 v_body_x", "a law of the input reads states and inputs, not 'v_body_x'"),
     ],
 )
 def test_what_does_not_fit_the_machine_is_refused_and_what_there_is_is_listed(

@@ -1,7 +1,5 @@
 """Effects that a formula of one row says: the contract of each, and its formula by hand."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

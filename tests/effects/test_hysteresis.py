@@ -1,7 +1,5 @@
 """Hysteresis and play against SciPy's integration and the operator's own definition."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

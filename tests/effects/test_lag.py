@@ -1,7 +1,5 @@
 """Lags: the contract, and the response to a step by hand."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Laws of one coordinate: made for each coordinate of a machine, on its columns, in its units, and nowhere else."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any

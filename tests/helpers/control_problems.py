@@ -1,7 +1,5 @@
 """Problems and controllers for the tests of the controller, without compilation."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

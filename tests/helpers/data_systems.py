@@ -1,7 +1,5 @@
 """Systems as the data layer sees them: names and pairs only, so that data tests need no physics."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

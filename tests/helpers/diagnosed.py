@@ -1,7 +1,5 @@
 """Diagnoses of simulated data sets that take a few seconds each."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

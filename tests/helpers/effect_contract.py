@@ -1,7 +1,5 @@
 """What holds for every effect. A test class of an effect inherits `EffectContract` and names it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 
 import pytest

@@ -1,7 +1,5 @@
 """States and terms of effects that tests work out by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation

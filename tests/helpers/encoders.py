@@ -1,7 +1,5 @@
 """Springs with dry friction by SciPy-free Runge and Kutta, and what encoders and users make of them."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

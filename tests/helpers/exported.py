@@ -1,7 +1,5 @@
 """Small controllers for the tests of the export, and a flight with every kind of trouble."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import pytest

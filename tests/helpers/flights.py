@@ -1,7 +1,5 @@
 """Smooth flights whose position, attitude and rates agree exactly with their derivatives; no physics."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Hostile bytes: random ones, frames with flipped bits, frames cut short, true frames of other senders, and floods."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Machines for tests of the controller and of its exports: declared physics, and a neural SDE that nobody trained."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """A flight of a quadrotor that speeds up where its thrust leans, made without any of the package's physics."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

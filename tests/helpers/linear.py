@@ -1,7 +1,5 @@
 """A linear regression with whitened rows, as evidence and intervals read it: the true model of what they claim."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import cast
 

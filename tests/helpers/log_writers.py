@@ -1,7 +1,5 @@
 """One run written as logs of other formats and conventions, as their programs write them."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What every training loop does: killed anywhere and resumed it ends in the same bits, and so does the same seed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -49,14 +47,7 @@ def task_of(
     spec: Any, runs: Sequence[Run], checkpoint: Path, options: TrainerOptions, **changed: Any
 ) -> Task:
     """A task for a fit on the processor, in single precision."""
-    given: dict[str, Any] = {
-        "seed": 0,
-        "name": "train",
-        "validation": 0.3,
-        "clock": 1.0,
-        "near": None,
-        **changed,
-    }
+    given: dict[str, Any] = {"seed": 0, "name": "train", "validation": 0.3, "clock": 1.0, **changed}
     where: dict[str, Any] = {"device": torch.device("cpu"), "dtype": torch.float32, "checkpoint": checkpoint}
     quiet: dict[str, Any] = {"values": {}, "loss": LossOptions(), "log": lambda *_: None}
     return Task(spec=spec, runs=list(runs), options=options, **given, **where, **quiet)

@@ -1,7 +1,5 @@
 """What holds for every kind of model: its test class inherits `ModelContract` and trains one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

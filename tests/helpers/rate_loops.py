@@ -8,8 +8,6 @@ at the same times on sensors of its own ("other"), or at 1 kHz on sensors of its
 know nothing of the state.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from math import exp, sqrt
 

@@ -1,7 +1,5 @@
 """Residuals of a spring that are made: white innovations, and what a push does to them."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import replace

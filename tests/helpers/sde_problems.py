@@ -1,7 +1,5 @@
 """Equations with closed forms, or with a known limit, for the tests of the solvers."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from typing import Literal, final
 

@@ -1,7 +1,5 @@
 """A mass on a spring that sticks: in each step dry friction takes off what speed there is, up to its size."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from nsde_torch.data.raw import RawRun

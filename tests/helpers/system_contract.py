@@ -1,7 +1,5 @@
 """What holds for every system: its test class inherits `SystemContract` and says how to make one."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A spring whose friction two laws explain, and what may be true of it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

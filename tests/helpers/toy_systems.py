@@ -1,7 +1,5 @@
 """Small systems with closed forms, and runs of them; `SDESpec.system` names them by module and class."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Two joints, each with a motor of its own, whose columns lie in an order of their own."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import torch

@@ -1,7 +1,5 @@
 """Writes small ULog files byte by byte (PX4 user guide, "ULog File Format"); pyulog only copies logs."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path

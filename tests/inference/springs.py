@@ -1,7 +1,5 @@
 """Springs for the tests of the likelihood, in NumPy: exact linear ones, and those of the broken-log study."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A machine with an attitude: a flight of the simulated hexacopter is fitted."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Chunks: every row after the first of each stretch counts once, beside its own input and time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

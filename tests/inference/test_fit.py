@@ -1,7 +1,5 @@
 """The fit climbs, finds what is true with the noise it came with, and objects where it is wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

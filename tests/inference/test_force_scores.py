@@ -1,7 +1,5 @@
 """Scores of forces against differences of the likelihood itself, and against the columns of its Gram matrices."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

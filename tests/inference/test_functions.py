@@ -1,7 +1,5 @@
 """Functions chosen by held-out likelihood, on springs of a simulator of its own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

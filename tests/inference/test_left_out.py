@@ -1,7 +1,5 @@
 """What is left out is predicted as by fits to the rest, and channels together have the density of the row."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What the noise levels do to a pass, against differences of the filter."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

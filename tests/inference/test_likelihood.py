@@ -1,7 +1,5 @@
 """The log likelihood is that of the joint Gaussian of all rows, cut into chunks or whole."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

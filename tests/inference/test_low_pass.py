@@ -1,7 +1,5 @@
 """States and steps below a frequency: what lies below stays, what lies above goes, and steps go with their states."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

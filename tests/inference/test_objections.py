@@ -1,7 +1,5 @@
 """What is wrong is said: smoothed sensors, logs that tell nothing, failed searches; bounds, and what is not shown."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

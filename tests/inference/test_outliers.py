@@ -1,7 +1,5 @@
 """Measurements that nothing explains count as none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Logs side by side, each with parameters and a prior of its own, are what they are one at a time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

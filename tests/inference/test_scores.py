@@ -1,7 +1,5 @@
 """The score from Gram matrices is that of the likelihood, and at the truth it is what standard errors take it for."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

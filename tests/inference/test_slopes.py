@@ -1,7 +1,5 @@
 """Slopes of a step are those of the step itself: differences of Runge and Kutta's, with the machine's own values."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """A drift without physics: scaled by the data, blind to declared parameters, saved and loaded like the others."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

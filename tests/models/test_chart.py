@@ -1,7 +1,5 @@
 """What networks see of a state and predict of its change: full turns and signs of quaternions make no difference."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

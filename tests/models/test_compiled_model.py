@@ -1,7 +1,5 @@
 """The compiled step of the hexacopter: the eager numbers and gradients, one code for all models."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

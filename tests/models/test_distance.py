@@ -1,7 +1,5 @@
 """The distance eta, the distance losses, and the diffusion that eta drives."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor, nn

@@ -1,7 +1,5 @@
 """The Gaussian ensemble: members by themselves, densities, bounds, propagation of particles, refusals."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -152,10 +150,8 @@ def test_members_are_drawn_alike_and_independently_once_for_a_path_or_at_every_s
         expected = held.sum() / 5
         assert float(((held - expected).square() / expected).sum()) < 20.0  # chi-square, 4 degrees: p = 5e-4
     first = members[..., 0]
-    apart = [
-        (first[:, 0], first[:, 1]),
-        (first[1:], first[:-1]),
-    ]  # rows of a particle, neighbouring particles
+    # rows of a particle, neighbouring particles
+    apart = [(first[:, 0], first[:, 1]), (first[1:], first[:-1])]
     if propagation == "fixed":
         assert bool((members == members[..., :1]).all())
     else:

@@ -1,7 +1,5 @@
 """Logged inputs tell what disturbed the machine: the controller is found, and what paths make of it is Bayes' rule."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

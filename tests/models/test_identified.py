@@ -1,7 +1,5 @@
 """The model of system identification: the declared physics, integrated."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

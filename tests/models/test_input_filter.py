@@ -1,7 +1,5 @@
 """The input filter: it leaves gains alone, keeps to its own time grid, and can undo a moving average."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

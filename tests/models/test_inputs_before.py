@@ -1,7 +1,5 @@
 """`u_before`: lags and delays begin where the log had them, for every kind of model."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -134,11 +132,7 @@ def test_a_model_without_memory_predicts_the_same() -> None:
     ("u_before", "error", "words"),
     [
         ([[0.3] * 6], ShapeError, "`u_before` must be a real torch.Tensor or None; got list"),
-        (
-            torch.zeros(1, 6),
-            ShapeError,
-            r"`u_before` must be \(batch, steps, nu=6\); .* Add an axis of steps",
-        ),
+        (torch.zeros(1, 6), ShapeError, r"must be \(batch, steps, nu=6\); .* Add an axis of steps"),
         (torch.zeros(1, 4, 5), ShapeError, r"`u_before` must be \(batch, steps, nu=6\); got \(1, 4, 5\)"),
         (torch.zeros(2, 4, 6), ShapeError, "`x0` has 1 rows and `u_before` has 2"),
         (torch.zeros(1, 0, 6), ShapeError, "`u_before` must hold at least one step"),

@@ -1,7 +1,5 @@
 """Every kind of model of the package holds the contract of kinds of models."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The neural SDE: its drift, its samples, its memory, its sensors, and what it refuses."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

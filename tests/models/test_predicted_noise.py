@@ -1,7 +1,5 @@
 """Disturbances that a neural SDE carries, and the noise of the sensors that it predicts."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Run directories: what is saved comes back bit by bit, and nothing from outside is executed or half read."""
 
-from __future__ import annotations
-
 import pickle
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Faults of recordings are found, and handled or refused; sound recordings pass untouched."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rates that were made of positions are told from sensors, by name, and never the other way round."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which of two channels comes late, and by how much, shows in kinematics alone; what is late can be moved back."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 

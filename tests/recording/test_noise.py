@@ -1,7 +1,5 @@
 """What is no noise of a column: samples and rotor speeds that are off by far, and lines that were interpolated."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

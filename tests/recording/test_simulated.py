@@ -1,7 +1,5 @@
 """Faults of a recording chain, each against what it does to a known signal."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """Smoothers are told by what they leave of white noise: against SciPy's filters, which nothing in the package uses."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import cast
 

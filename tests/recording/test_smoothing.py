@@ -1,7 +1,5 @@
 """Moving averages in logged inputs: found where there is one, at its width, and not found where there is none."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What stands still: frozen logs and sensors at their end are cut out, so is time on the ground; rest is kept."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Streams whose offsets differ between runs are put on one clock; others are left alone."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

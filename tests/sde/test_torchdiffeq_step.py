@@ -1,7 +1,5 @@
 """torchdiffeq as a step: the same paths and gradients as our own steps, with and without the adjoint."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

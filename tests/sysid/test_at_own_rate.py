@@ -1,7 +1,5 @@
 """A longer step hides nothing of what the recording did: it is looked for at the rate of the log."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import butter, filtfilt

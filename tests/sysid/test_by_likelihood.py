@@ -1,7 +1,5 @@
 """Values of largest likelihood, from all sensors and from positions alone: the truth is in their intervals."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A fit is held against simple ones; faults of the log that only physics shows are told by name, sound logs are not."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Friction of logs whose rate no sensor measured is right, and its interval holds; a difference of rows bends it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Smoothers that kinematics speaks against: an attitude on time is behind no filter that makes it late."""
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A fit whose noise model learned a friction is made again over longer boxes, and says so; others stay as they are."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The test of feedback and estimates by instruments, on machines that NumPy flies and whose truth is known."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

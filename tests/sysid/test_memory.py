@@ -1,7 +1,5 @@
 """Memory of effects along measured runs: that of one long integration, segment by segment, after the run-in."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -18,12 +16,8 @@ from nsde_torch.systems.parameters import ParameterVector
 from tests.helpers.diagnosed import recorded
 
 DT, TAU = 0.01, 0.05
-TIMES = {
-    "motor_lag": "time_constant",
-    "actuator_lag": "time_constant",
-    "input_delay": "delay",
-    "actuator_deadband": "width",
-}
+TIMES = {"input_delay": "delay", "actuator_deadband": "width"}
+TIMES |= dict.fromkeys(("motor_lag", "actuator_lag"), "time_constant")
 
 
 class Unknowing(ActuatorLag):

@@ -1,7 +1,5 @@
 """Friction that is developed faster than a search looks for has its size, and the width that it has."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

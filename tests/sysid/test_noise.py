@@ -3,8 +3,6 @@
 Boxes, blocks and lags stay inside stretches of rows; what the past of residuals predicts is known before each row.
 """
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

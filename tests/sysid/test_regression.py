@@ -1,7 +1,5 @@
 """Identification of whole systems: exact without noise, honest with it, and plain about what the data cannot show."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from functools import cache

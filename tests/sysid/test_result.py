@@ -1,7 +1,5 @@
 """What an identification tells of itself."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a regression shows, and what it does not, in words; one step of it within bounds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear

@@ -1,7 +1,5 @@
 """States that were smoothed: found and undone, on a machine that NumPy integrates and SciPy's filters."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -60,12 +58,8 @@ def swings(
             x[k] = q, v
             for _ in range(sub):
                 pushed += (u[k] - pushed) * (0.001 / lag if lag else 1.0)
-                q, v = (
-                    q + 0.001 * v,
-                    v
-                    + 0.001 * (pushed - STIFFNESS * q - DAMPING * v)
-                    + 0.05 * 0.001**0.5 * rng.standard_normal(),
-                )
+                rate = pushed - STIFFNESS * q - DAMPING * v
+                q, v = q + 0.001 * v, v + 0.001 * rate + 0.05 * 0.001**0.5 * rng.standard_normal()
         error = noise * rng.standard_normal(x.shape)
         x += np.column_stack((error[:, 0], rate_noise(error[:, 1])))
         if smooth is not None:
@@ -77,12 +71,8 @@ def swings(
 def in_pieces(runs: list[RawRun], rows: int, smooth: Filter | None = None) -> list[RawRun]:
     """Runs as many short ones of their own, each through a smoother by itself."""
     cut = [(run, slice(a, a + rows)) for run in runs for a in range(0, len(run.t) - rows + 1, rows)]
-    return [
-        RawRun(
-            f"run_{k}", run.t[rows_], run.x[rows_] if smooth is None else smooth(run.x[rows_]), run.u[rows_]
-        )
-        for k, (run, rows_) in enumerate(cut)
-    ]
+    smooth = smooth or (lambda x: x)
+    return [RawRun(f"run_{k}", r.t[at], smooth(r.x[at]), r.u[at]) for k, (r, at) in enumerate(cut)]
 
 
 def told(data: DataSet) -> list[dict[str, object]]:
@@ -92,15 +82,10 @@ def told(data: DataSet) -> list[dict[str, object]]:
 def errors(data: DataSet) -> Array:
     """Deviations from the truth of gain, stiffness and damping in half-widths of 99 % intervals, and relative."""
     found = identify(SPRING, data.runs)
-    true = np.array(
-        [
-            {"force_gain": 1.0, "stiffness": STIFFNESS, "damping": DAMPING}[n.split(".")[-1]]
-            for n in found.vector.labels
-        ]
-    )
-    return np.asarray(
-        [np.abs(found.values / true - 1.0), np.abs(found.values - true) / found.half_widths(0.99)]
-    )
+    truth = {"force_gain": 1.0, "stiffness": STIFFNESS, "damping": DAMPING}
+    true = np.array([truth[n.split(".")[-1]] for n in found.vector.labels])
+    off = np.abs(found.values - true)
+    return np.asarray([off / np.abs(true), off / found.half_widths(0.99)])
 
 
 @pytest.mark.parametrize("name", FILTERS)

@@ -1,7 +1,5 @@
 """Covariance from blocks: right for white noise, right for noise that lasts, honest where few blocks decide."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from nsde_torch.inference.spread import spread

@@ -1,7 +1,5 @@
 """Rows in which dry friction holds the machine are left out, and physics is right without them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Runs cut into steps: both ends of every interval, never across a gap."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -4,8 +4,6 @@ M x'' + m l cos(theta) theta'' = F + m l theta'^2 sin(theta)
 m l cos(theta) x'' + 4/3 m l^2 theta'' = m g l sin(theta)
 """
 
-from __future__ import annotations
-
 from math import pi
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Systems by name: effects, values and options; every mistake is refused with the choices at hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

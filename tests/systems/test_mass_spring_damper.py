@@ -1,7 +1,5 @@
 """The spring against its closed form."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Memory of effects: what inputs before a start leave, and whole steps of held inputs against fine integration."""
 
-from __future__ import annotations
-
 from typing import final
 
 import pytest

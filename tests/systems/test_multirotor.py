@@ -1,7 +1,5 @@
 """Multirotors against their geometry and an independent rigid body in NumPy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Declared parameters as one vector: order, units, bounds, and a drift that is linear in them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

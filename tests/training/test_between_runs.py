@@ -1,7 +1,5 @@
 """What differs between the runs of a training is drawn for a run that was not seen."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Confidence of declared parameters: intervals hold the truth as often as they say, and say when nothing is known."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

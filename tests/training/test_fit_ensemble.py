@@ -1,7 +1,5 @@
 """Fitting an ensemble: its likelihood, what it recovers, members that do not see each other, exact resume."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

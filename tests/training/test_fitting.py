@@ -1,7 +1,5 @@
 """The optimisation: exact resume, determinism, early stopping, checkpoints that do not fit."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Data losses: the fair CRPS, what it is minimised by, and what the paper's loss is minimised by."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """What is set from the data before the first gradient step."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """A whole training through Python: what odd sets of runs do to it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -65,12 +63,8 @@ def test_data_without_a_training_window_are_refused_with_the_remedy(tmp_path: Pa
 def test_a_training_says_what_matters_in_twenty_lines_and_all_when_asked(tmp_path: Path) -> None:
     _, said = run([6.0, 6.0, 6.0], tmp_path, test=None)
     assert len(said.splitlines()) <= 22
-    for word in (
-        "declared parameter",
-        "held out: swing_2",
-        "in 90% interval",
-        "verbose=true prints all tables",
-    ):
+    some = ("declared parameter", "held out: swing_2", "in 90% interval", "verbose=true prints all tables")
+    for word in some:
         assert word in said
     _, all_of_it = run([6.0, 6.0, 6.0], tmp_path, test=None, verbose=True)  # its fits are kept there
     for word in ("channel", "held-out rate of", "constant velocity", "50% interval", "CRPS"):

@@ -1,7 +1,5 @@
 """Maps and evolutions of the cartpole: shapes, and checks that follow the model."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

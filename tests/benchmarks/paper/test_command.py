@@ -1,7 +1,5 @@
 """`nsde figures`: trains what is missing, draws, writes captions, and names what is wrong."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Scores of a policy study become checks that follow the numbers; a folder without one is refused."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The spring's checks tell a right model from a wrong one, and a model that diverges from one that does not."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

@@ -1,7 +1,5 @@
 """Tiny files in the layouts of the public sets, made by steppers of their own; no public data."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """BAM: recordings in the layout of the set are read, simulated and scored; what was put into them is found."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

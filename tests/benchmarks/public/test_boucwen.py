@@ -1,7 +1,5 @@
 """Bouc-Wen: the law with free weights is found from a noisy multisine in the layout of the set."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

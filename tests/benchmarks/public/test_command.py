@@ -1,7 +1,5 @@
 """`nsde benchmark`: the list, a run, and what is said of wrong words."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Wrong folders, missing, cut and foreign files: one sentence each, with the remedy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

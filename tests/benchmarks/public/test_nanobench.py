@@ -1,7 +1,5 @@
 """NanoBench: read, split and scored as its protocol says, on small files whose thrust follows a voltage."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Output-error estimates find the parameters of rollouts, with initial states that nobody measured."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

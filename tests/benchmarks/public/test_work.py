@@ -1,7 +1,5 @@
 """Stages are kept whole, used again, and refused where they are of something else."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -65,13 +65,13 @@ DURATIONS: dict[str, list[float]] = {
 }
 _TURNED = ("frame_misalignment",)
 _OF_THE_LOG = (*_TURNED, "position_bias[pole]")
-_LATER = (
+_LATER = (  # than the committed seeds, whose draws stay what they were
     "rotor_drag",
     "translational_lift",
     "asymmetric_lag",
     "tracked_point",
     "supply_sag",
-)  # than the committed seeds, whose draws stay what they were
+)
 TIES = (
     {"input_delay", "actuator_lag", "motor_lag"},
     {"thrust_sag", "battery_voltage"},

@@ -263,8 +263,8 @@ class JointSearch:
         leaves that to be found beside it (the public drive EMPS).
 
         It begins with `place`; `known` takes the physics before and after an effect is added. Of effects that were
-        selected `before`, only whether they are still needed is asked again: on the published flights, a law beside
-        seven of them took half of the time.
+        selected `before`, only whether they are still needed is asked again: a law beside the seven of the published
+        flights made each be looked at in full once more.
         """
         been: set[frozenset[str]] = set()
         looked = {name: Instead(None, one.ties, one.law) for name, one in (before or {}).items()}

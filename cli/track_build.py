@@ -85,17 +85,8 @@ def set_to(key: str, states: Any, system: System, *, duration: float = 1.0) -> S
 
 _IN_FILES = (
     *("low", "high", "horizon", "steps", "state_weights", "input_weight", "input_centre", "rate_weight"),
-    *(
-        "speed_limit",
-        "tilt_limit",
-        "fence",
-        "limit_weight",
-        "uncertainty_weight",
-        "particles",
-        "iterations",
-        "tolerance",
-    ),
-    *("deadline", "keep", "jump"),
+    *("speed_limit", "tilt_limit", "fence", "limit_weight", "uncertainty_weight", "particles"),
+    *("iterations", "tolerance", "deadline", "keep", "jump"),
 )
 """Keys of `mpc` that are fixed when a controller is exported."""
 _MOTOR_LATENCY = 0.02  # measured best on machines whose motors lag 50 ms

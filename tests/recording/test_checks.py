@@ -218,6 +218,7 @@ def test_a_velocity_that_alone_disagrees_is_reported_and_not_scaled() -> None:
     x[:, 3:6] *= 1.06
     data = one(t, x, u, clock="refuse")
     assert kinds(data) == ["kinematic_mismatch"]
+    assert "read 6.0% too much (multiply them by 0.943" in data.summary.findings[0].message
     assert data.clock_scale == 1.0
 
 

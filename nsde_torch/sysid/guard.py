@@ -179,10 +179,15 @@ def guarded(
 
 
 def _recommended(found: Guarded, rough: Regression) -> Guarded:
-    """The same with least squares, their 90 % intervals (nan where the data show none), and words of them."""
+    """The same with least squares, their 90 % intervals (nan where the data show none), and words of them.
+
+    What is not known to its own size, and to a typical one, is not shown: nobody can use a gravity of -126 to 180.
+    """
     basis, sure = rough.shown.basis, rough.spread()
     error = np.sqrt(np.clip(np.diag(basis @ sure.covariance @ basis.T), 0.0, None))
-    half = np.where(rough.shown.known, stdtrit(sure.degrees(basis).clip(1.0), 0.95) * error, np.nan)
+    half = stdtrit(sure.degrees(basis).clip(1.0), 0.95) * error
+    known = rough.shown.known & (half <= np.maximum(np.abs(rough.theta), rough.vector.scale))
+    half = np.where(known, half, np.nan)
     found = replace(found, half_90=tuple(half.tolist()), units=tuple(rough.vector.units))
     told = []
     for name, own in found.to_use.items():

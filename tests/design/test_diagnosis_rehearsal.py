@@ -89,7 +89,7 @@ def test_what_is_named_wrongly_and_what_could_not_be_made_is_told(rehearsal: Reh
     own = Rehearsal({"a.size": 1.0}, ("a",), False, (none, tied), wrong).content()
     assert own["effects"] == {"a": {"sure": 0, "lead": 0, "tied": 1}}
     text = " ".join(sentences(own))
-    assert "a: found again, surely, in 0 of 2, tied with another in 1." in text
+    assert "a: found again, surely, in 0 of 2, indistinguishable from another in 1." in text
     assert "Named there, surely, and not simulated: b." in text
     assert "these data would name b: be careful with that name" in text
     failed = replace(rehearsal, again=(), nothing=None, why_not="it leaves")

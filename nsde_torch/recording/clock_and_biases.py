@@ -124,8 +124,8 @@ def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:
             f"position and velocity disagree in {', '.join(called(g, axes[g]) for g in off)} but not in every "
             f"group, or not surely enough to blame the clock ({text})"
         )
-        if len(off) == 1 and len(groups) > 1 and clock_like:
-            ((g, p),) = off.items()
+        ((g, p), *more) = off.items()
+        if not more and len(groups) > 1 and IMPLAUSIBLE[0] <= p.value <= IMPLAUSIBLE[1]:
             one = called(g, axes[g])
             disagree += (
                 f"; either rates of {one} read {abs(1 / p.value - 1):.1%} too {'much' if p.value < 1 else 'little'} "

@@ -74,7 +74,7 @@ def _wait(driver: Any, seen: Callable[[], Any]) -> Any:
 
 def test_the_search_answers_on_a_site_that_was_opened_from_the_disk(site: Path, driver: Any) -> None:
     driver.get((site / "index.html").as_uri())
-    field = driver.find_element("css selector", "input.md-search__input")
+    (field,) = _wait(driver, lambda: driver.find_elements("css selector", "input.md-search__input"))
     driver.execute_script("arguments[0].focus()", field)
     field.send_keys("rotor")
     answers = _wait(driver, lambda: driver.find_elements("css selector", ".md-search-result__link"))

@@ -137,7 +137,6 @@ def _sized(name: str, system: str, rng: np.random.Generator) -> dict[str, Any]:
         "flapping_moment": {"gain": [size(0.5, 3.0), size(0.5, 3.0)]},
         "inertia_coupling": {"product": signed(0.03, 0.12, 3)},
         "motor_lag": {"time_constant": size(0.02, 0.07)},
-        "asymmetric_lag": {"rising": 0.02, "falling": 0.06},
         "input_delay": {"delay": round(size(0.01, 0.04), 3)},
         "motor_efficiency_loss": {"loss": loss.tolist()},
         "thrust_sag": {"rate": size(0.0002, 0.0008)},

@@ -56,7 +56,6 @@ SIZES: dict[str, dict[str, int]] = {
     "flapping_moment": {"gain": 2},
     "inertia_coupling": {"product": 3},
     "motor_lag": {"time_constant": 1},
-    "asymmetric_lag": {"rising": 1, "falling": 1},
     "input_delay": {"delay": 1},
     "motor_efficiency_loss": {"loss": MOTORS},
     "thrust_sag": {"rate": 1},
@@ -175,8 +174,7 @@ class Bodies:
         for k, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
             self.inertia[:, i, j] = self.inertia[:, j, i] = self.e["inertia_coupling"]["product"][:, k]
         self.inverse = np.linalg.inv(self.inertia)
-        alike = self.e["motor_lag"]["time_constant"]
-        self.rising, self.falling = (alike + self.e["asymmetric_lag"][way] for way in ("rising", "falling"))
+        self.tau = self.e["motor_lag"]["time_constant"]
         self.drag = self.e["linear_drag"]["drag"] + self.e["constant_wind"]["drag"]
         self.wind = np.concatenate([self.e["constant_wind"]["wind"], np.zeros((n, 1))], 1)
         self.late = np.round(self.e["input_delay"]["delay"][:, 0] / step).astype(int)
@@ -226,8 +224,7 @@ class Bodies:
 
     def _lagged(self, u: Array, time: float) -> Array:
         """Commands behind the lag after a time under constant ones."""
-        tau = np.where(u > self.m, self.rising, self.falling)
-        stays = np.exp(-time / np.maximum(tau, 1e-9)) if time else np.where(tau > 0, 1.0, 0.0)
+        stays = np.exp(-time / np.maximum(self.tau, 1e-9)) if time else np.where(self.tau > 0, 1.0, 0.0)
         return u + stays * (self.m - u)
 
     def rates(

@@ -297,6 +297,8 @@ def _may_be_nothing(outcome: Outcome, found: Found) -> bool:
         if (name := e.name.rpartition(".")[2].partition("[")[0]) in nothing and e.bound != "reference"
     ]
 
+    # what is not shown is no reason to be sure: a steady force of two unknown axes, and of one that may be nothing, of
+    # a quadrotor whose sensor was off its centre (docs/content/results/diagnosis.md, testers)
     def nothing_shown(e: Estimate, null: float) -> bool:
         if e.low is None or e.high is None:
             return e.bound in (None, "below")

@@ -55,6 +55,7 @@ def sources(
     except ExportError as error:
         raise ExportError(f"{error} Take format=torchscript.") from error
     s, system = step.sizes, step.predictor.system
+    units = {entry["name"]: entry["unit"] for entry in about["step"]["inputs"]}
     status = [f"   {k:2d}  {word.replace(':', ', ')}" for k, word in enumerate(about["status"])]
     values: dict[str, Any] = {
         **about,
@@ -86,7 +87,7 @@ def sources(
         "push_doc": _listed(
             f"{port.value}, {width} {'axis' if width == 1 else 'axes'}" for port, width in step.predictor.ports.items()
         )
-        + f" [{about['step']['inputs'][5]['unit']}]",
+        + f" [{units['push']}]",
         "status_doc": "\n".join(status),
     }  # fmt: skip
     source, header = (template(_TEMPLATES / f"controller.{end}", values) for end in "ch")

@@ -135,3 +135,16 @@ def test_the_width_is_right_to_the_sample(kind: str, seed: int) -> None:
     u = averaged(commands(kind, seed), 47)
     u = u + 1e-4 * np.random.default_rng(seed).standard_normal(u.shape)
     assert smoothing_width([run(u)], 4) == pytest.approx(47 * DT)
+
+
+@pytest.mark.parametrize("seed", range(3, 8))
+def test_a_telegraph_at_even_spacing_on_sines_is_no_average(seed: int) -> None:
+    rng, rows, dt = np.random.default_rng(seed), 5000, 0.005
+    t = dt * np.arange(rows)
+    sines = sum(
+        np.sin(2 * np.pi * f * t + p) for f, p in zip((0.3, 0.9, 2.3), rng.uniform(0, 6, 3), strict=True)
+    )
+    telegraph = np.repeat(rng.choice([-1.5, 1.5], rows // 100), 100)
+    u = np.round(0.7 * sines + telegraph, 3)[:, None]
+    made = [Run(str(k), t, np.zeros((rows, 1)), u[:: 1 if k else -1]) for k in (0, 1)]
+    assert smoothing_width(made, 1) == 0.0

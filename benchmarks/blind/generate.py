@@ -71,6 +71,8 @@ _LATER = (  # than the committed seeds, whose draws stay what they were
     "asymmetric_lag",
     "tracked_point",
     "supply_sag",
+    "link_weight[q1]",
+    "link_weight[q2]",
 )
 TIES = (
     {"input_delay", "actuator_lag", "motor_lag"},

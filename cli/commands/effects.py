@@ -161,7 +161,7 @@ def table(rows: Sequence[dict[str, Any]], width: int, *, systems: bool) -> str:
         who = ", ".join(row["systems"])
         if systems and who != heading:
             heading = who
-            lines += ["", f"for {who}:"]
+            lines += ["", f"for {who or 'machines of your own'}:"]
         lines += _wrapped(cell, widths)
         indent = " " * (fixed[0] + len(_GAP))
         said = [f"source: {row['source']}"]

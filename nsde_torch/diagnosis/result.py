@@ -353,6 +353,7 @@ def summary(
         "added": added,
         "names": named([*faults, *shown.few], shown),
         "hidden": outcome.test.hidden,
+        "known": outcome.test.most_known,
         "blind": list(
             dict.fromkeys(n.effect for n in _not_shown(outcome) if n.smallest is None and not n.declared)
         ),

@@ -46,6 +46,8 @@ class Bound:
     words: str
     load: str = ""
     declared: str = ""  # name that the system gives it, of an only one too
+    chain: tuple[tuple[int, int], ...] = ()
+    """Row and column of the position of each angle from the first of its port to its own; empty of an only one."""
 
     @property
     def place(self) -> tuple[int | None, int, Port, int, int]:

@@ -85,6 +85,38 @@ class Ripple(Law):
         return self.value("sine") * torch.sin(angle) + self.value("cosine") * torch.cos(angle)
 
 
+@final
+class LinkWeight(Law):
+    """Weight of one link of a planar chain of joints, which turns its own joint and all before it.
+
+    The angle of each joint counts from the link before it, so that link k leans by the sum of the first k angles. An
+    arm whose controller makes up for a wrong weight, or that carries a load, was five provisional terms without it.
+    """
+
+    name = "link_weight"
+    kinds = ("joint", "axis")
+    reads_position = reads_chain = True
+    formula = "a sin(s) + b cos(s) on this and all joints before, s = q1 + ... + q"
+    source = "gravity terms of a planar arm; Craig, Introduction to Robotics (2005), chapter 6"
+    PARAMETERS = {
+        "sine": Parameter(0.0, "force", scale=0.1, help="part that is nothing at the origin"),
+        "cosine": Parameter(0.0, "force", scale=0.1, help="part that is largest at the origin"),
+    }
+    amplitudes = ("sine", "cosine")
+    sentence = "The link of {it} weighs more or less than declared (sine {sine}, cosine {cosine})."
+    separate = "hold the arm still in many postures"
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        lean = x[:, [position for _, position in self.at.chain]].sum(1, keepdim=True)
+        return self.value("sine") * torch.sin(lean) + self.value("cosine") * torch.cos(lean)
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """See `Effect.forward`."""
+        rows = torch.zeros(self.at.width, dtype=x.dtype, device=x.device)
+        rows[[row for row, _ in self.at.chain]] = 1.0
+        return self.term(t, x, u, memory) * rows
+
+
 # Springs on one coordinate; q is its position.
 #
 # A spring that hardens or softens adds a cube (Duffing, Erzwungene Schwingungen bei veraenderlicher

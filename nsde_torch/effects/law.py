@@ -54,6 +54,7 @@ class Law(Effect):
     kinds: ClassVar[tuple[str, ...]] = ()  # kinds of coordinates that it is for; empty: all
     reads_position: ClassVar[bool] = False  # whether it is for coordinates whose position is known alone
     reads_load: ClassVar[bool] = False  # whether it is for coordinates that say their load (`self.load(u)`)
+    reads_chain: ClassVar[bool] = False  # whether it is for one of several angles (`at.chain`)
     dry: ClassVar[bool] = False
     """Whether it is a dry friction: it holds what stands, and is a function of the speed of what moves alone."""
     _declared: ClassVar[Mapping[str, Parameter]] = {}
@@ -79,6 +80,7 @@ class Law(Effect):
             (not cls.kinds or at.kind in cls.kinds)
             and (at.position is not None or not cls.reads_position)
             and (bool(at.load) or not cls.reads_load)
+            and (bool(at.chain) or not cls.reads_chain)
         )
 
     def q(self, x: Tensor) -> Tensor:
@@ -111,6 +113,7 @@ def law_at(law: type[Law], at: Bound) -> type[Law]:
     law = law.law
     if not law.suits(at):
         what = f"that has a {'`load`' if law.reads_load else '`position`'}"
+        what = "that is one of several angles [rad] of a port" if law.reads_chain else what
         what = f"of kind {' or '.join(law.kinds)}" if law.kinds and at.kind not in law.kinds else what
         raise ConfigError(
             f"effect {law.name!r} is for a coordinate {what}; {at.declared or at.name!r} is of kind {at.kind}."
@@ -149,7 +152,16 @@ def unplaced(law: type[Law], coordinate: str) -> type[Law]:
 
     Its columns and units are not those of the machine: nothing is computed with it.
     """
-    return _made(law.law, replace(PLAIN, name=coordinate, words=coordinate, load="load" * law.reads_load))
+    return _made(
+        law.law,
+        replace(
+            PLAIN,
+            name=coordinate,
+            words=coordinate,
+            load="load" * law.reads_load,
+            chain=((0, 0),) * law.reads_chain,
+        ),
+    )
 
 
 def _in_units(declared: Mapping[str, Parameter], at: Bound) -> dict[str, Parameter]:

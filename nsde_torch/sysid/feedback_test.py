@@ -181,6 +181,15 @@ class FeedbackTest:
         return any(a.chance < ALPHA for a in self.knowledge)
 
     @property
+    def most_known(self) -> str:
+        """What inputs surely predict most of, in words; empty if nothing."""
+        said = [
+            f"{a.input} predicts {a.share:.0%} of the innovation of {a.channel}"
+            for a in _surely(self.knowledge)
+        ]
+        return said[0] if said else ""
+
+    @property
     def predicted(self) -> float:
         """Shares of the innovations of channels that inputs surely predict, summed."""
         return sum(a.share for a in self.knowledge if a.chance < ALPHA)

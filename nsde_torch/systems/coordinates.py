@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -36,7 +37,7 @@ def bound_coordinates(cls: type[System]) -> tuple[Bound, ...]:
     if twice:
         raise ConfigError(f"system {cls.name!r} has two coordinates called {twice[0]!r}; names are unique.")
     port_units = {port: residual.unit for port, residual in cls.residual_ports.items()}
-    out = []
+    out: list[Bound] = []
     for c in declared:
         _check(c, cls)
         velocity = states.index(c.velocity)
@@ -49,7 +50,16 @@ def bound_coordinates(cls: type[System]) -> tuple[Bound, ...]:
         of = (("position", where), ("speed", speed), ("force", force))
         place = (position, velocity, c.port, c.row, cls.ports[c.port])
         out.append(Bound(name, *place, c.kind, of, words, c.load, c.name))
-    return tuple(out)
+    return tuple(replace(at, chain=_chain(out, at)) for at in out)
+
+
+def _chain(declared: Sequence[Bound], at: Bound) -> tuple[tuple[int, int], ...]:
+    angles = [
+        b for b in declared if b.port == at.port and b.kind != "rail" and dict(b.units)["position"] == "rad"
+    ]
+    if at not in angles or len(angles) < 2 or any(b.position is None for b in angles):
+        return ()
+    return tuple((b.row, b.position) for b in angles[: angles.index(at) + 1] if b.position is not None)
 
 
 def _check(c: Coordinate, cls: type[System]) -> None:

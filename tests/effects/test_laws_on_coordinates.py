@@ -92,6 +92,19 @@ class TestRipple(EffectContract):
         torch.testing.assert_close(term(effect, X), torch.stack([torch.zeros(()), expected])[None])
 
 
+class TestLinkWeight(EffectContract):
+    name, system = "link_weight[q2]", HOME
+
+    @pytest.mark.parametrize("link", [1, 2])
+    def test_it_is_another_weight_in_the_equations_of_a_double_pendulum(self, link: int) -> None:
+        home = "examples.double_pendulum.double_pendulum:DoublePendulum"
+        x, u = torch.tensor([[0.3, -0.8, 0.5, 1.0], [2.0, 0.7, -0.4, 0.2]]), torch.full((2, 2), 0.1)
+        sound = make_system(home, values={f"g{link}": 2.0}).drift(0.0, x, u)
+        name, lighter = f"link_weight[q{link}]", {f"g{link}": 2.3, f"link_weight[q{link}].sine": 0.3}
+        same = make_system(home, effects=[name], values=lighter).drift(0.0, x, u)
+        torch.testing.assert_close(same.detach(), sound.detach())
+
+
 TestJointFriction = contract("coulomb_friction[q2]", HOME, size=0.01)
 
 
@@ -171,6 +184,7 @@ def test_a_law_of_ones_own_is_an_effect_on_every_coordinate() -> None:
         (HOME, "coulomb_friction[q3]", ["'q3' is none", "coulomb_friction[q1]"]),
         (HOME, "input_delay[q1]", ["no law of one coordinate", "leave out [q1]"]),
         (HOME, "load_friction[q2]", ["`load`", "'q2'"]),
+        ("cartpole", "link_weight[pole]", ["one of several angles", "'pole'"]),
         ("cartpole", "cubic_stiffness[pole]", ["rail or joint", "'pole' is of kind axis"]),
         ("quadrotor", "coulomb_friction", ["does not act on", "Coordinate("]),
         (HOME, f"{__name__}:Narrow", ["1", "port 'torque'", "has 2", "Law"]),

@@ -10,7 +10,7 @@ from . import groups
 
 _FLAGS = ("--help", "--config-dir", "--multirun", "--cfg", "--info")
 _HYDRA_GROUPS = {
-    "hydra/launcher": ("basic", "joblib", "submitit_local", "submitit_slurm", "ray"),
+    "hydra/launcher": ("basic", "batched", "joblib", "submitit_local", "submitit_slurm", "ray"),
     "hydra/sweeper": ("basic", "optuna"),
 }
 

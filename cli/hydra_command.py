@@ -130,6 +130,10 @@ class HydraCommand:
 
         LAST.reset()
         store(self)
+        if "hydra/launcher=batched" in words:
+            from .batched import register
+
+            register()
         # Hydra prints errors and exits by itself unless asked to raise them, which lets us word them.
         os.environ["HYDRA_FULL_ERROR"] = "1"
         old, sys.argv = sys.argv, [f"nsde {self.name}", *words]

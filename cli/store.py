@@ -28,6 +28,8 @@ def store(command: HydraCommand) -> None:
     if _TOLD and _TOLD[0] is known.repo:
         return  # these are of no command alone, and take Hydra a tenth of a second
     _TOLD[:] = [known.repo]
+    launcher = {"_target_": "hydra_plugins.nsde_torch.Batched", "n_jobs": 0}  # see `cli.batched`
+    known.store(group="hydra/launcher", name="batched", node=launcher, provider="nsde_torch")
     for group_name in {**CHOICES, **NAMES}:
         for choice, node in without_file(group_name).items():
             known.store(group=group_name, name=choice, node=node)

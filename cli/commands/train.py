@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nsde_torch.recall import recall
 from nsde_torch.training.options import LossOptions, TrainerOptions
 
 from ..hydra_command import HydraCommand
@@ -60,6 +61,7 @@ COMMAND = HydraCommand(
         ("resume=runs/first", "continue an interrupted run"),
         ("--config-dir DIR system=mine", "your own DIR/system/mine.yaml, modules in DIR"),
         ("-m loss=paper,replay seed=0,1,2", "a sweep, one job for each combination"),
+        ("-m hydra/launcher=batched seed=0,1", "what jobs share is worked out once, on all cores"),
         ("-m hydra/launcher=joblib ...", "in parallel (also submitit_local, submitit_slurm, ray)"),
         ("-m hydra/sweeper=optuna 'trainer.lr=tag(log,interval(0.001,0.1))'", ""),
     ),
@@ -81,6 +83,7 @@ def fit(config: DictConfig, run_dir: Path, *, about: dict[str, Any]) -> dict[str
     The configuration is composed and checked, its effects files expanded; `about` is the one that is recorded.
     """
     import torch
+    from omegaconf import OmegaConf
 
     import nsde_torch
 
@@ -88,8 +91,12 @@ def fit(config: DictConfig, run_dir: Path, *, about: dict[str, Any]) -> dict[str
 
     machine = build.system_options(config.system)
     system = machine.make()
+    data = recall(
+        (OmegaConf.to_yaml(config.data), OmegaConf.to_yaml(config.system)),
+        lambda: build.dataset(config.data, system),
+    )
     model = nsde_torch.train(
-        build.dataset(config.data, system),
+        data,
         system=machine,
         model=build.model_options(config.model),
         loss=LossOptions(**build.options(config.loss)),

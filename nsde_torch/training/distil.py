@@ -53,17 +53,21 @@ class Distilled:
     chosen: list[dict[str, Any]]  # the groups of functions, as plain values: port, its row, variables, kind
 
 
-def fit_functions(
-    model: NeuralSDE, at: Optimum, left: Residuals, *, among: Sequence[Mapping[str, Any]] | None = None
-) -> Distilled:
-    """Fit residual networks, in place, to what the likelihood finds beside the optimum of the physics.
+def functions_of(
+    model: NeuralSDE, at: Optimum, *, among: Sequence[Mapping[str, Any]] | None = None
+) -> Functions:
+    """What the likelihood finds beside the optimum of the physics.
 
-    `left` is what the physics leaves, for the size of the doubt; functions are chosen `among` groups
-    (`Distilled.chosen`), or among all that there are.
+    Functions are chosen `among` groups (`Distilled.chosen`), or among all that there are.
     """
-    space, system = at.of.space, at.of.vector.system
+    space = at.of.space
     ports = [k for k, (port, _) in enumerate(space.disturbances) if port in model.residual_ports]
-    found = learned(at, seen_by_networks(system), ports, among=_groups(among, space.disturbances))
+    return learned(at, seen_by_networks(at.of.vector.system), ports, among=_groups(among, space.disturbances))
+
+
+def fit_functions(model: NeuralSDE, found: Functions, at: Optimum, left: Residuals) -> Distilled:
+    """Fit residual networks, in place, to functions; `left` is what the physics leaves, for the size of the doubt."""
+    space, system = at.of.space, at.of.vector.system
     names = system.network_names
     seen = system.network_features(left.states.double()).numpy()
     values = {name: seen[:, k] for k, name in enumerate(names)}

@@ -46,6 +46,7 @@ from nsde_torch.inference.estimate import nearly_maximised
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.steps import steps_of
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
+from nsde_torch.recall import recall
 from nsde_torch.recording.smoothing import as_applied
 from nsde_torch.rotation import rotation_between
 from nsde_torch.sysid.feedback_test import feedback_summary
@@ -56,7 +57,7 @@ from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 from nsde_torch.training import between_runs
-from nsde_torch.training.distil import Distilled, fit_functions, silence
+from nsde_torch.training.distil import Distilled, fit_functions, functions_of, silence
 from nsde_torch.training.late_inputs import Identified, identified
 from nsde_torch.training.loop import Loop, read_checkpoint, write_checkpoint
 from nsde_torch.training.losses import fit_distance
@@ -90,7 +91,10 @@ def fit_innovations(task: Task) -> Fitted:
     found = None
     if set(machine.residual_ports) <= machine.physics_ports:  # no port is all network
         method = "weak" if spec.filter_reach == 0 else "differences"
-        found = identified(spec, runs, clock=task.clock, values=values, method=method)
+        found = recall(
+            ("identified", task.before_seed),
+            lambda: identified(spec, runs, clock=task.clock, values=values, method=method),
+        )
     generator = torch.Generator().manual_seed(task.seed)
     model = NeuralSDE(found.spec if found else spec, generator=generator, values=values)
     about = _from_checkpoint(model, task)
@@ -135,7 +139,8 @@ class _Fit:
         model.clock_scale.fill_(task.clock)
         if found is not None:
             self.physics = found.regression.physics
-            self.known = self._identified(found) if task.near is None else self._near(found)
+            identify = self._identified if task.near is None else self._near
+            self.known = recall(("known", task.before_seed), lambda: identify(found))
             self.theta = self.known.values
         else:
             vector = ParameterVector(model.system)
@@ -151,7 +156,7 @@ class _Fit:
         left = residuals(self.physics, self.theta, model.residual_ports)
         model.residual_inputs.fit(model.system.network_features(left.states.float()))
         model.eta.standardise.fit(model.system.features(left.states.float()))
-        at = self._optimum() if left.ports else None
+        at = recall(("optimum", self.task.before_seed), self._optimum) if left.ports else None
         learned = self._networks(at, left)
         numbers = self._by_run(at, learned)
         if numbers is not None:
@@ -220,7 +225,10 @@ class _Fit:
         if at is None or self.found is None or self.task.near is not None or self.model.spec.filter_reach > 0:
             return None
         try:
-            targets = between_runs.differing(at, learned.functions if learned else None)
+            functions = learned.functions if learned else None
+            targets = recall(
+                ("differing", self.task.before_seed), lambda: between_runs.differing(at, functions)
+            )
             if not targets:
                 return None
             runs = between_runs.numbered(self.runs, self.model.system)
@@ -260,7 +268,9 @@ class _Fit:
                 silence(network)
             blind_to_places(model)
             return None
-        made = fit_functions(model, at, left, among=self.near.get("functions"))
+        key = ("functions", self.task.before_seed, self.physics is self.declared)
+        found = recall(key, lambda: functions_of(model, at, among=self.near.get("functions")))
+        made = fit_functions(model, found, at, left)
         levels = {f.name: getattr(at.levels, f.name).tolist() for f in fields(at.levels)}
         self.begin = {"relied": self.relied, "levels": levels, "functions": made.chosen}
         if made.functions.groups or self.relied or self.found is None:

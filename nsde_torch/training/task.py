@@ -55,6 +55,27 @@ class Task:
             "runs": [run.content_hash for run in self.runs],
             "clock": self.clock,
         }
+        return self._hash(facts)
+
+    @property
+    def before_seed(self) -> str:
+        """What a fit finds before any seed or setting of an optimiser matters depends on this, as a hash."""
+        facts = {
+            "spec": self.spec.as_dict(),
+            "values": dict(self.values),
+            "runs": [run.content_hash for run in self.runs],
+            "clock": self.clock,
+            "near": None
+            if self.near is None
+            else [
+                self.near.begin,
+                self.near.model.spec.as_dict(),
+                {k: v.tolist() for k, (v, _) in self.near.model.system.all_declared().items()},
+            ],
+        }
+        return self._hash(facts)
+
+    def _hash(self, facts: dict[str, Any]) -> str:
         if self.instruments:
             facts["instruments"] = list(self.instruments)
         return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()

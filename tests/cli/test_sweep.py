@@ -151,10 +151,12 @@ def test_ctrl_c_says_how_to_go_on(seed: int, advice: str, tmp_path: Path) -> Non
     assert (tmp_path / "r" / "failed.json").exists() == (seed == 98)  # then the folder is free again
 
 
-@pytest.mark.parametrize("launcher", ["basic", "joblib", "submitit_local"])
-@pytest.mark.slow
+_SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("basic", "joblib", "submitit_local")]
+
+
+@pytest.mark.parametrize("launcher", ["batched", *_SLOW])
 def test_a_failed_job_does_not_take_the_others_along(launcher: str, probe: Probe, tmp_path: Path) -> None:
-    if launcher != "basic":
+    if launcher not in ("basic", "batched"):
         _needs(f"hydra_{launcher.split('_')[0]}_launcher")
     words = [] if launcher == "basic" else [f"hydra/launcher={launcher}"]
     if launcher == "joblib":

@@ -1,0 +1,98 @@
+"""`hydra/launcher=batched`: jobs of a sweep that share what they have in common, on all cores of one machine.
+
+The first job runs in this process, and what does not depend on its seed or its trainer is kept (`nsde_torch.recall`).
+The others are forked from it, so that they find that in memory, as many at a time as there are cores.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from hydra.core.plugins import Plugins
+from hydra.core.utils import JobReturn, configure_log, filter_overrides, run_job, setup_globals
+from hydra.plugins.launcher import Launcher
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig, open_dict
+
+from nsde_torch.recall import remembering
+
+log = logging.getLogger(__name__)
+
+
+class BatchedConfig:
+    """Settings of the launcher."""
+
+    _target_: str = f"{__name__}.Batched"
+    n_jobs: int = 0  # jobs at a time; 0: one for each core
+
+
+class Batched(Launcher):
+    """See above. Where processes cannot be forked (Windows), jobs run one after the other, and share all the same.
+
+    Args:
+        n_jobs: Jobs at a time; 0: one for each core.
+    """
+
+    __module__ = "hydra_plugins.nsde_torch"  # see `register`
+
+    def __init__(self, n_jobs: int = 0) -> None:
+        self.n_jobs = n_jobs or os.cpu_count() or 1
+
+    def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
+        """Keep what jobs are made of."""
+        self.context, self.task, self.config = hydra_context, task_function, config
+
+    def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
+        """Run jobs; returns what each returned, in their order."""
+        setup_globals()
+        configure_log(self.config.hydra.hydra_logging, self.config.hydra.verbose)
+        Path(str(self.config.hydra.sweep.dir)).mkdir(parents=True, exist_ok=True)
+        jobs = [(initial_job_idx + k, list(words)) for k, words in enumerate(job_overrides)]
+        with remembering():
+            done = [self._run(*job) for job in jobs[:1]]
+            if self.n_jobs > 1 and "fork" in multiprocessing.get_all_start_methods():
+                global _LAUNCHER
+                _LAUNCHER = self
+                with multiprocessing.get_context("fork").Pool(self.n_jobs, maxtasksperchild=1) as pool:
+                    done += pool.starmap(_forked, jobs[1:], chunksize=1)
+            else:
+                done += [self._run(*job) for job in jobs[1:]]
+        configure_log(self.config.hydra.hydra_logging, self.config.hydra.verbose)
+        return done
+
+    def _run(self, number: int, words: list[str]) -> JobReturn:
+        log.info(f"\t#{number} : {' '.join(filter_overrides(words))}")
+        config = self.context.config_loader.load_sweep_config(self.config, words)
+        with open_dict(config):
+            config.hydra.job.id = number
+            config.hydra.job.num = number
+        return run_job(
+            hydra_context=self.context,
+            task_function=self.task,
+            config=config,
+            job_dir_key="hydra.sweep.dir",
+            job_subdir_key="hydra.sweep.subdir",
+        )
+
+
+_LAUNCHER: Any = None
+"""The launcher of this process, which its forks find here: what Hydra keeps is not made to be pickled."""
+
+
+def _forked(number: int, words: list[str]) -> JobReturn:
+    done: JobReturn = _LAUNCHER._run(number, words)
+    return done
+
+
+def register() -> None:
+    """Let Hydra know of the launcher, which it takes from the package `hydra_plugins` alone."""
+    Plugins.instance().register(Batched)
+    parent = sys.modules.setdefault("hydra_plugins", ModuleType("hydra_plugins"))
+    sys.modules[Batched.__module__] = parent.nsde_torch = sys.modules[__name__]  # type: ignore[attr-defined]

@@ -261,6 +261,8 @@ class _LawSearch:
         search = self._search
         for name in filter(is_law, list(found.selected)):
             place = found.final
+            if name not in place.system.effect_names:  # it was dropped as another law got its name
+                continue
             same = same_effect(place.at.of.space.steps, place.system, name)
             if same is None:
                 continue

@@ -19,7 +19,7 @@ things are measured, with intervals from resampling blocks of time (evaluation.b
   (docs/content/theory/evidence.md).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -275,6 +275,11 @@ class HeldOut:
     # a step given them says nothing of causes: the residual alone judges.
     inputs: bool = True
     predictions: Predictions | None = None  # None where nothing could be predicted
+
+    def smaller(self, channels: Collection[str]) -> bool:
+        """Whether the residual of one of these is surely smaller with the effects; True where nothing was measured."""
+        of = [one for name, one in self.content["residual"].items() if name in channels]
+        return not of or any(one["high_90"] is None or one["high_90"] < 0 for one in of)
 
     def against(self, effect: str) -> str:
         """What runs left out say against an effect that was found, in words; empty if nothing."""

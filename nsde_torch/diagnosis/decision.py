@@ -5,6 +5,7 @@ and nothing is left. All differences of log-likelihood are in nats; the tests of
 in noise, which is taken off first.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -37,6 +38,7 @@ from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import split_name
 from nsde_torch.sysid.feedback_test import FeedbackTest
 from nsde_torch.sysid.guard import Guarded, doubts_the_fit, guarded
+from nsde_torch.sysid.readings import LESS
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
@@ -255,7 +257,10 @@ def guard_of(log: Log, outcome: Outcome) -> Guarded:
     # laws make up for an angle that is counted from the other side (tests/diagnosis/test_declared.py)
     alone = outcome.declared
     without = guarded(alone, log.runs, clock=clock, first=alone.vector.first_values(known))
-    return without if any(o.kind == "reading" for o in without.objections) else found
+    # a law that leaves much less than the other reading does is none that makes up for it: a cable on a pendulum
+    share = sum(math.log(max(c.fit, 1e-12) / max(c.measured, 1e-12)) for c in found.channels)
+    other = [o for o in without.objections if o.kind == "reading" and o.share < share + math.log(LESS)]
+    return without if other else found
 
 
 def doubted(outcome: Outcome, guard: Guarded) -> Outcome:
@@ -308,5 +313,14 @@ def _may_be_nothing(outcome: Outcome, found: Found) -> bool:
 
 
 def judged_on_runs_left_out(outcome: Outcome, errors: HeldOut) -> Outcome:
-    """The outcome, its effects provisional where runs left out speak against them."""
-    return outcome.provisional(lambda f: errors.against(f.name))
+    """The outcome, its effects provisional where runs left out speak against them.
+
+    Where structure is left and no residual there is smaller than without any effect, what was found stands for
+    something else, and the verdict is `unexplained`: a drive with play and a shaft that twists was a lag, surely.
+    """
+    outcome = outcome.provisional(lambda f: errors.against(f.name))
+    moved = {name for f in outcome.found for name in f.moves}
+    if errors.smaller(moved) or not any(d.channel in moved for d in outcome.structured):
+        return outcome
+    why = "the residual on runs left out is no smaller with what was found, and structure is left in it"
+    return replace(outcome.provisional(lambda _: why), verdict="unexplained")

@@ -86,6 +86,38 @@ class Ripple(Law):
 
 
 @final
+class EndStops(Law):
+    """Stops, or a spring with play: nothing between two ends, and a spring with damping beyond each.
+
+    A spring that was slack within 0.06 m was a peak, a cube, a sign and a sine without it, two of them sure.
+    """
+
+    name = "end_stops"
+    kinds = ("rail", "joint")
+    reads_position = True
+    formula = "-k d - b v (d != 0), d = q - clip(q, low, high)"
+    source = "contact as spring and damper; Hunt, Crossley, Journal of Applied Mechanics 42 (1975)"
+    PARAMETERS = {
+        "stiffness": Parameter(1.0, "force/position", low=0.0, help="of the stops"),
+        "damping": Parameter(0.1, "force/speed", low=0.0, help="beyond the ends"),
+        "low": Parameter(-1.0, "position", help="lower end"),
+        "high": Parameter(1.0, "position", help="upper end"),
+    }
+    along = "position"
+    amplitudes = ("stiffness", "damping")
+    # one stop alone: the other end lies beyond the data
+    shapes = {"low": (-1.5, -0.9, -0.7, -0.45, -0.2), "high": (0.2, 0.45, 0.7, 0.9, 1.5)}
+    relative = {"low": "position", "high": "position"}
+    sentence = "Stops hold {it} below {low} and above {high}, with {stiffness} and {damping}."
+    separate = "move slowly up to the ends and beyond"
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        q = self.q(x)
+        beyond = q - torch.maximum(torch.minimum(q, self.value("high")), self.value("low"))
+        return -self.value("stiffness") * beyond - self.value("damping") * self.v(x) * (beyond != 0)
+
+
+@final
 class LinkWeight(Law):
     """Weight of one link of a planar chain of joints, which turns its own joint and all before it.
 

@@ -32,6 +32,7 @@ EFFECTS: dict[str, type[Effect]] = {
         forces.CubicStiffness,
         friction.Hysteresis,
         forces.Ripple,
+        forces.EndStops,
         forces.LinkWeight,
         forces.PositionBias,
         # the input of any system

@@ -189,6 +189,7 @@ def _much_better(system: System, runs: Sequence[Run], clock: float, rough: Regre
         "reading",
         f"With {words} the declared physics leaves much less of the rates ({told})",
         " or ".join(dict.fromkeys(one.remedy for one in alike)),
+        share=share_left(after),
     )
 
 

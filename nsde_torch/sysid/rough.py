@@ -65,13 +65,16 @@ class Objection:
     sentence: str
     remedy: str
     channels: tuple[str, ...] = ()  # those that it speaks of; empty: all
+    share: float = 0.0  # of another reading: sum over channels of log(left / measured) in that
 
     def __str__(self) -> str:
         return f"{self.sentence}; {self.remedy}"
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for JSON."""
-        return {**asdict(self), "channels": list(self.channels)}
+        out = {**asdict(self), "channels": list(self.channels)}
+        del out["share"]
+        return out
 
 
 @dataclass(frozen=True)

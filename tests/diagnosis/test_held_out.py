@@ -17,7 +17,7 @@ from nsde_torch.diagnosis.cross_validation import (
     one_step,
     own,
 )
-from nsde_torch.diagnosis.decision import provisional_reason
+from nsde_torch.diagnosis.decision import judged_on_runs_left_out, provisional_reason
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import Evidence, fitted_at
 from nsde_torch.diagnosis.outcome import Found
@@ -27,7 +27,7 @@ from nsde_torch.diagnosis.search import Search, moved_channels
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems import make_system
-from tests.helpers.diagnosed import recorded
+from tests.helpers.diagnosed import diagnosed, recorded
 
 SPRING = "mass_spring_damper"
 
@@ -175,6 +175,22 @@ def test_structure_that_is_left_where_an_effect_does_not_act_does_not_make_it_a_
 
 
 # ---- feedback -----------------------------------------------------------------------------------------
+
+
+def test_what_makes_no_residual_smaller_where_structure_is_left_explains_nothing() -> None:
+    few = Options(candidates=("coulomb_friction",))
+    found = diagnosed(SPRING, {"coulomb_friction": {"size": 0.5}}, options=few)[0]
+    errors, outcome = found.errors, found.outcome
+    (channel,) = outcome.found[0].moves
+    assert errors.smaller({channel})
+    left = replace(outcome, structured=[Dependence(channel, "q", 1e-6, 0.05, 0.5, 40.0, 4)])
+    assert judged_on_runs_left_out(left, errors) == left, "its residual is smaller"
+    none = errors.content | {"residual": {channel: {"high_90": 0.01}}}
+    same = replace(errors, content=none)
+    assert judged_on_runs_left_out(outcome, same) == outcome, "nothing is left"
+    judged = judged_on_runs_left_out(left, same)
+    assert judged.verdict == "unexplained"
+    assert "no smaller with what was found" in judged.found[0].provisional
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,8 @@
 """Where the guard does not believe the final physics, nothing that is found is sure, and the verdict says so."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -8,10 +10,14 @@ from scipy.signal import butter, sosfiltfilt
 
 import nsde_torch
 from nsde_torch.data import RawRun
+from nsde_torch.diagnosis import decision
 from nsde_torch.diagnosis.decision import doubted, sized
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.outcome import Outcome
-from nsde_torch.sysid.guard import Guarded, Objection
+from nsde_torch.diagnosis.reading import Log
+from nsde_torch.sysid.guard import Compared, Guarded, Objection
+from nsde_torch.systems import make_system
+from nsde_torch.systems.parameters import ParameterVector
 from tests.helpers.diagnosed import diagnosed
 
 
@@ -71,3 +77,33 @@ def test_an_effect_that_may_be_nothing_by_its_interval_is_a_lead(sure: Outcome) 
     assert sized(sure).found == sure.found
     wide = replace(sure, of_band=np.full(len(sure.final.vector), 10.0))
     assert [f.provisional for f in sized(wide).found] == ["its size may be nothing by its interval"]
+
+
+@pytest.mark.parametrize(("share", "believed"), [(-4.4, True), (-1.5, False)])
+def test_a_reading_is_believed_where_it_leaves_about_as_little_as_the_laws_in_its_place(
+    share: float, believed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A cable on a pendulum: in degrees the declared physics leaves e^-1.5 of the rate, its law e^-4.6."""
+    reading = Objection("reading", "With the angle in degrees less is left", "convert it", share=share)
+    channel = Compared("theta_dot", "rad/s2", measured=10.0, fit=0.1, least_squares=0.1, first_values=9.0)
+    law = Guarded(channels=(channel,))
+
+    def guarded(regression: object, runs: object, **given: object) -> Guarded:
+        return law if regression is final else Guarded(objections=(reading,))
+
+    monkeypatch.setattr(decision, "guarded", guarded)
+    system = make_system("mass_spring_damper")
+    final, declared = (
+        SimpleNamespace(shown=SimpleNamespace(basis=np.eye(3)), vector=ParameterVector(system))
+        for _ in range(2)
+    )
+    outcome = SimpleNamespace(
+        final=final,
+        declared=declared,
+        spread=SimpleNamespace(covariance=np.eye(3)),
+        found=[SimpleNamespace(name="force = c1 q")],
+        inputs=True,
+    )
+    log = SimpleNamespace(system=system, runs=(), recorded=SimpleNamespace(clock=1.0))
+    found = decision.guard_of(cast(Log, log), cast(Outcome, outcome))
+    assert [o.kind for o in found.objections] == ["reading"] * believed

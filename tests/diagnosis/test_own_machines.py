@@ -233,17 +233,6 @@ def test_a_stop_on_one_side_is_found_with_its_place() -> None:
     assert found.parameters["end_stops.low"]["interval_90"] is None, "nothing was seen there"
 
 
-@pytest.mark.slow
-def test_a_law_that_leaves_much_less_than_another_unit_is_no_wrong_unit() -> None:
-    def cable(q: float, v: float) -> float:
-        return -2.5 * (q - 0.4) - 0.8 * (q - 0.4) ** 3
-
-    runs = turned(cable, seconds=10.0, dt=0.01, size=1.0)
-    found = nsde_torch.diagnose(runs, system=PENDULUM, candidates=["cubic_stiffness"], say=False)
-    assert found.verdict == "effect_found"
-    assert not found.content()["guard"]["objections"]
-
-
 def test_an_encoder_whose_zero_is_off_is_named_and_no_ripple() -> None:
     runs = turned(lambda q, v: 0.0, seconds=15.0, dt=0.005, size=1.0)
     biased = [RawRun(run.name, run.t, run.x + np.array([0.04, 0.0]), run.u) for run in runs]

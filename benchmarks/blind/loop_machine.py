@@ -52,7 +52,7 @@ SIZES: dict[str, dict[str, int]] = {
     "thrust_misalignment": {"tilt": 2},
     "angular_damping": {"damping": 3},
     "com_offset": {"offset": 2},
-    "gyroscopic_moment": {"momentum": 1},
+    "gyroscopic_moment": {"momentum": 2},
     "flapping_moment": {"gain": 2},
     "inertia_coupling": {"product": 3},
     "motor_lag": {"time_constant": 1},
@@ -253,9 +253,12 @@ class Bodies:
         turning = times(self.inverse, self.diagonal * own - cross(w, times(self.inertia, w)))
         turning = turning + push[:, 3:] - e["angular_damping"]["damping"] * w
         offset, flap = e["com_offset"]["offset"], e["flapping_moment"]["gain"]
-        spin = e["gyroscopic_moment"]["momentum"][:, 0] * (self.signs[:, 2] * s).sum(1)
-        turning[:, 0] += -offset[:, 1] * thrust + flap[:, 0] * still[:, 1] + spin * w[:, 1]
-        turning[:, 1] += offset[:, 0] * thrust - flap[:, 1] * still[:, 0] - spin * w[:, 0]
+        spin = (
+            e["gyroscopic_moment"]["momentum"]
+            * (self.signs[:, 2] * np.sqrt(np.maximum(s, 0.0))).sum(1)[:, None]
+        )
+        turning[:, 0] += -offset[:, 1] * thrust + flap[:, 0] * still[:, 1] + spin[:, 0] * w[:, 1]
+        turning[:, 1] += offset[:, 0] * thrust - flap[:, 1] * still[:, 0] - spin[:, 1] * w[:, 0]
         half = 0.5 * product(q, np.concatenate([np.zeros((len(w), 1)), w], 1))
         return v, acceleration, half, turning
 

@@ -329,21 +329,26 @@ class GyroscopicMoment(Effect):
     name = "gyroscopic_moment"
     port = Port.BODY_MOMENT
     quantities = {"spin": 1}
-    formula = "h S (omega_y, -omega_x, 0), S = sum of signed u_i"
-    source = TUTORIAL + "; rotor speed in proportion to its command"
+    # a sum of the commands themselves left three laws of rates and yaw command beside it, in two simulators
+    formula = "S (h_x omega_y, -h_y omega_x, 0), S = sum of signed sqrt(u_i)"
+    source = TUTORIAL + "; rotor speed in proportion to the root of its thrust"
     PARAMETERS = {
         "momentum": Parameter(
-            1.0, "1/s", low=0.0, help="angular momentum of a rotor at full command over the machine's inertia"
+            (1.0, 1.0),
+            "1/s",
+            low=0.0,
+            help="angular momentum of a rotor at full command over the machine's inertia, roll and pitch",
         )
     }
     amplitudes = ("momentum",)
-    sentence = "The spinning rotors act as a gyroscope of {momentum}."
+    sentence = "The spinning rotors act as a gyroscope of {momentum} (over the inertia of roll and of pitch)."
     separate = "roll and pitch fast while turning in yaw both ways"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         wx, wy, _ = columns(x[:, 10:13])
-        size = self.value("momentum") * self.channel("spin", u)[:, 0]
-        return stack_columns((size * wy, -size * wx, torch.zeros_like(wx)))
+        spin = self.channel("spin", u)[:, 0]
+        about_x, about_y = self.value("momentum").unbind(0)
+        return stack_columns((about_x * spin * wy, -about_y * spin * wx, torch.zeros_like(wx)))
 
 
 @final

@@ -41,6 +41,9 @@ from nsde_torch.systems.values import Defaults, ErrorGroup, ResidualPort
 
 _DEGREES = 180.0 / pi
 _PARTS = (3, 3, 4, 3)  # position, velocity, quaternion, rates
+_STILL = (
+    1e-6  # share of the full thrust below which a rotor stands still: the slope of a root has no end there
+)
 
 
 class Multirotor(System):
@@ -146,18 +149,23 @@ class Multirotor(System):
         return join_columns((v, acceleration, quaternion_rate(q, omega), angular))
 
     def quantity(self, name: str, x: Tensor, u: Tensor) -> Tensor:
-        if name == "spin":
-            return (u * self.mix[:, 3]).sum(1, keepdim=True)
+        if name == "spin":  # speeds of rotors go with the roots of their thrusts
+            return (torch.sqrt(self._thrusts(u).clamp_min(_STILL)) * self.mix[:, 3]).sum(1, keepdim=True)
         if name == "inertia":
             return torch.cat((self.value("inertia_x"), self.value("inertia_y"))).expand(len(x), 2)
         thrust, moments = self._thrust_and_moments(u)
         return thrust if name == "thrust" else self._angular(x[:, 10:13], moments)
 
-    def _thrust_and_moments(self, u: Tensor) -> tuple[Tensor, Tensor]:
-        """Thrust over mass (N, 1) and mixed commands of roll, pitch and yaw (N, 3)."""
+    def _thrusts(self, u: Tensor) -> Tensor:
+        """What each motor makes of its command (N, nu), as a share of its thrust at full command."""
         if self.thrust_degree > 1:
             curve = self.value("thrust_curve")
             u = u + sum(curve[k] * u ** (k + 2) for k in range(self.thrust_degree - 1))
+        return u
+
+    def _thrust_and_moments(self, u: Tensor) -> tuple[Tensor, Tensor]:
+        """Thrust over mass (N, 1) and mixed commands of roll, pitch and yaw (N, 3)."""
+        u = self._thrusts(u)
         collective, moments = split_columns(u @ self.mix if few() else (self.mix.T @ u.T).T, 1, 3)
         return self.value("thrust_gain") * collective + self.value("thrust_offset"), moments
 

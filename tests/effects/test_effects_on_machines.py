@@ -137,9 +137,9 @@ class TestGyroscopicMoment(EffectContract):
 
     def test_it_is_the_rate_of_change_of_the_angular_momentum_of_the_rotors(self) -> None:
         # a rotor that spins with +z turns the body by -z: the yaw sign of its motor is -1
-        commands, rates, full = np.array([0.2, 0.3, 0.6, 0.7]), np.array([0.5, -1.0, 2.0]), 2.0
-        momentum = np.array([0.0, 0.0, -(np.array([-1.0, -1.0, 1.0, 1.0]) * commands).sum() * full])
-        expected = torch.from_numpy(-np.cross(rates, momentum)).float()
+        commands, rates, full = np.array([0.2, 0.3, 0.6, 0.7]), np.array([0.5, -1.0, 2.0]), [2.0, 2.5]
+        momentum = np.array([0.0, 0.0, -(np.array([-1.0, -1.0, 1.0, 1.0]) * commands**0.5).sum()])
+        expected = torch.from_numpy(-np.cross(rates, momentum) * [*full, 0.0]).float()
         s = self.machine(values={"gyroscopic_moment.momentum": full})
         x, u = flying([0.0, 0.0, 0.0], rates=(0.5, -1.0, 2.0)), torch.from_numpy(commands).float()[None]
         change = s.drift(0.0, x, u) - type(s)().drift(0.0, x, u)

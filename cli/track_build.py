@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from nsde_torch.control import feasible, shapes
 from nsde_torch.control.autopilots import (
@@ -161,14 +161,16 @@ def envelope(config: DictConfig, path: Reference, known: Model | System) -> feas
     if not config.reference.check:
         return feasible.envelope(path, predictor)
     tilt = config.reference.tilt_limit
-    return feasible.check(path, predictor, low=options.low, high=options.high, tilt=tilt)
+    return feasible.check(path, predictor, options, tilt=tilt)
 
 
 def problem(config: DictConfig, system: System | None = None) -> ProblemOptions:
     """What a plan pays for, of a machine; None: with what is not given as a multirotor has it."""
-    given = {name: value for name, value in build.shared(ProblemOptions, config).items() if value is not None}
-    if "state_weights" in given:
-        given["state_weights"] = tuple(given["state_weights"])
+    given: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, ListConfig) else value
+        for name, value in build.shared(ProblemOptions, config).items()
+        if value is not None
+    }
     if "fence" in given:
         given["fence"] = build.fence(config, "mpc", 3 if isinstance(system, Multirotor) else None)
     return ProblemOptions(**given) if system is None else problem_of(system, **given)

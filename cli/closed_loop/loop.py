@@ -56,7 +56,7 @@ class ClosedLoop:
         """
         problem, tilt = track_build.problem(self.config.mpc), self.config.reference.tilt_limit
         predictor = Predictor(physics(self.config, []), dt=problem.dt)
-        feasible.check(self.reference, predictor, low=problem.low, high=problem.high, tilt=tilt)
+        feasible.check(self.reference, predictor, problem, tilt=tilt)
 
     def fly_logged(self) -> StoppedLoop | None:
         """The flights that are diagnosed; why there is none, where a person is to fly them."""

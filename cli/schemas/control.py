@@ -60,20 +60,29 @@ class MpcConfig:
     steps: int = of(ProblemOptions, "steps")
     period: float = key(0.02, "time between plans, a multiple of the plant's sample", unit="s", above=0)
     state_weights: list[float] | None = of(ProblemOptions, "state_weights", default=None, help=_WEIGHTS)
-    input_weight: float | None = of(
-        ProblemOptions, "input_weight", default=None, help="R, of every input; null: 1, and 0.1 at its end"
+    input_weight: Any = of(
+        ProblemOptions,
+        "input_weight",
+        default=None,
+        help="R, of every input, or [1,2] with a number for each; null: 1, and 0.1 at its end",
     )
-    input_centre: float | None = of(
+    input_centre: Any = of(
         ProblemOptions,
         "input_centre",
         default=None,
-        help="input that R measures from; null: 0, and the middle",
+        help="input that R measures from, or a number for each; null: 0, and the middle",
     )
-    low: float | None = of(
-        ProblemOptions, "low", default=None, help="lowest input; null: 0, and what the machine says"
+    low: Any = of(
+        ProblemOptions,
+        "low",
+        default=None,
+        help="lowest input, or [-50,-20] with a number for each; null: 0, and what the machine says",
     )
-    high: float | None = of(
-        ProblemOptions, "high", default=None, help="highest input; null: 1, and what the machine says"
+    high: Any = of(
+        ProblemOptions,
+        "high",
+        default=None,
+        help="highest input, or a number for each; null: 1, and what the machine says",
     )
     rate_weight: float = of(ProblemOptions, "rate_weight")
     speed_limit: float | None = of(ProblemOptions, "speed_limit", default=None)

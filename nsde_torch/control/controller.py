@@ -187,8 +187,7 @@ class Controller:
         self.horizon = Horizon(self.predictor, self.options)
         self.solver = Solver(self.horizon, solver or SolverOptions(), batch=batch, say=say, clock=clock)
         self.batch, self.dtype = batch, dtype
-        low, high = self.options.low, self.options.high
-        self.hover = hover_input(self.predictor).clamp(low, high)
+        self.hover = hover_input(self.predictor).clamp(self.horizon.low, self.horizon.high)
         if not bool(torch.isfinite(self.hover).all()):
             raise ConfigError("the model has no hovering input: its rates are not finite. Train it anew.")
         self._jumped, self._solves = [0] * batch, 0
@@ -303,7 +302,7 @@ class Controller:
         z = choose(made.z, start.z, torch.where(known, stays, still.z))
         return replace(
             made,
-            u=choose(made.u, start.u, still.u).clamp(self.options.low, self.options.high),
+            u=choose(made.u, start.u, still.u).clamp(self.horizon.low, self.horizon.high),
             x=z[:, 0, :, : self.predictor.nx],
             cost=choose(made.cost, start.cost, still.cost),
             gap=choose(made.gap, start.gap, still.gap),

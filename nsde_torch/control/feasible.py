@@ -12,6 +12,7 @@ from math import isfinite
 import torch
 from torch import Tensor
 
+from nsde_torch.control.options import ProblemOptions
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.reference import Reference, at_rest
 from nsde_torch.errors import ConfigError
@@ -24,7 +25,7 @@ from nsde_torch.systems import Multirotor
 # of least norm.
 
 _STEPS = 6
-_RESERVE = 0.05  # share of the range of the inputs that must be left on both sides
+_RESERVE = 0.05  # share of the range of an input that must be left on both sides
 
 
 @torch.no_grad()
@@ -73,10 +74,18 @@ class Envelope:
 
 def envelope(reference: Reference, predictor: Predictor) -> Envelope:
     """What a reference asks of a machine, by the model's own account."""
-    x = reference.states
-    a = torch.from_numpy(reference.path.a)
+    return _envelope(reference, _inputs_along(reference, predictor))
+
+
+def _inputs_along(reference: Reference, predictor: Predictor) -> Tensor:
+    """Inputs (T, nu) that fly a reference."""
+    x, a = reference.states, torch.from_numpy(reference.path.a)
     angular = torch.gradient(x[:, 10:13], spacing=reference.dt, dim=0)[0]
-    u = inputs_for(predictor, x, torch.cat((a, angular), 1)).double()
+    return inputs_for(predictor, x, torch.cat((a, angular), 1)).double()
+
+
+def _envelope(reference: Reference, u: Tensor) -> Envelope:
+    x = reference.states
     tilt = torch.rad2deg(torch.arccos((1 - 2 * (x[:, 7] ** 2 + x[:, 8] ** 2)).clamp(-1, 1)))
     values = {
         "speed": x[:, 3:6].norm(dim=1),
@@ -93,9 +102,8 @@ def envelope(reference: Reference, predictor: Predictor) -> Envelope:
 def check(
     reference: Reference,
     predictor: Predictor,
+    options: ProblemOptions,
     *,
-    low: float,
-    high: float,
     tilt: float = 60.0,
 ) -> Envelope:
     """Refuse a reference that the machine cannot fly.
@@ -103,14 +111,16 @@ def check(
     Args:
         reference: Where to fly.
         predictor: What knows the machine.
-        low, high: Bounds of the inputs.
+        options: Bounds of the inputs.
         tilt: Largest tilt [deg].
 
     Raises:
         ConfigError: names what is too much, when, and the remedy.
     """
-    found = envelope(reference, predictor)
-    margin, name = _RESERVE * (high - low), reference.name
+    inputs, name = predictor.system.input_names, reference.name
+    low, high = (torch.tensor(options.of_inputs(k, inputs), dtype=torch.float64) for k in ("low", "high"))
+    u, margin = _inputs_along(reference, predictor), _RESERVE * (high - low)
+    found = _envelope(reference, u)
     remedy = "Fly slower, or give it more time; reference.check=false flies it all the same."
     if not all(isfinite(value) for key, value in vars(found).items() if key != "when"):
         raise ConfigError(f"reference {name!r} is not finite. {remedy}")
@@ -119,16 +129,13 @@ def check(
             f"reference {name!r} tilts to {found.tilt:.0f} deg at {found.when['tilt']:.2f} s, beyond the limit of "
             f"{tilt:g} deg. {remedy}"
         )
-    if found.input_high > high - margin:
-        raise ConfigError(
-            f"reference {name!r} needs a command of {found.input_high:.2f} at {found.when['input_high']:.2f} s; the "
-            f"largest is {high:g}, of which {margin:g} are kept to control with. {remedy}"
-        )
-    if found.input_low < low + margin:
-        raise ConfigError(
-            f"reference {name!r} needs a command of {found.input_low:.2f} at {found.when['input_low']:.2f} s; the "
-            f"least is {low:g}, and {margin:g} above it are kept to control with. {remedy}"
-        )
+    for word, end, beyond in (("largest", high, u - (high - margin)), ("least", low, low + margin - u)):
+        row, i = divmod(int(beyond.argmax()), len(inputs))
+        if beyond[row, i] > 0:
+            raise ConfigError(
+                f"reference {name!r} needs a command of {u[row, i]:.2f} ({inputs[i]}) at {row * reference.dt:.2f} s; "
+                f"the {word} is {end[i]:g}, and {margin[i]:g} beside it are kept to control with. {remedy}"
+            )
     if found.lowest < 0:
         raise ConfigError(
             f"reference {name!r} goes {-found.lowest:.2f} m below the ground (p_z = 0) at {found.when['lowest']:.2f} "

@@ -101,10 +101,9 @@ class GaussNewton(nn.Module):
 
         That is a step (N, K nu) and the value of the quadratic there (N,).
         """
-        o = self.horizon.options
+        h = self.horizon
         hessian, gradient, cost = self.quadratic(z0, u, z, ref, last, d)
-        flat = u.flatten(1)
-        low, high = o.low - flat, o.high - flat
+        low, high = (h.low - u).flatten(1), (h.high - u).flatten(1)
         # along the scaled gradient, as far as the quadratic falls: poor, but never worse than no step
         scale = torch.diagonal(hessian, dim1=1, dim2=2)
         step = torch.minimum(torch.maximum(-gradient / scale, low), high)
@@ -166,9 +165,9 @@ class GaussNewton(nn.Module):
 
     def tries(self, u: Tensor, step: Tensor) -> Tensor:
         """Inputs (N S, K, nu) after S shares of a step (N, K nu) from inputs (N, K, nu), the last of them those."""
-        o, n, k, nu = self.horizon.options, *u.shape
+        h, (n, k, nu) = self.horizon, u.shape
         tried = u.flatten(1)[:, None] + self.shares[:, None] * step[:, None]
-        return tried.clamp(o.low, o.high).view(n * len(self.shares), k, nu)
+        return tried.view(n * len(self.shares), k, nu).clamp(h.low, h.high)
 
     def choose(self, paths: Tensor, tried: Tensor, ref: Tensor, last: Tensor, least: Tensor) -> Iterate:
         """The best candidate, of states (N S, P, K + 1, nz) that inputs (N S, K, nu) lead to.
@@ -213,7 +212,7 @@ class GaussNewton(nn.Module):
         gram = w[..., 1:].transpose(1, 2) @ w / p
         cost = (w[..., 0] * w[..., 0]).sum(1) / p + h.input_cost(u, last)
         # the weights are tensors: machine code is made once for all their values
-        weights = h.input_weight * self.eye + h.rate_weight * (self.change.T @ self.change)
+        weights = h.input_weight.repeat(k) * self.eye + h.rate_weight * (self.change.T @ self.change)
         hessian = gram[..., 1:] + weights
         return hessian, gram[..., 0] + self.input_gradient(u, last), cost
 
@@ -302,15 +301,15 @@ class AcceleratedGradient(nn.Module):
         self, arguments: Sequence[Tensor], memory: tuple[Tensor, ...]
     ) -> tuple[Iterate, tuple[Tensor, ...]]:
         """Roll out steps of several sizes, and keep the best plan; see `GaussNewton.iterate`."""
-        h, o = self.horizon, self.horizon.options
+        h = self.horizon
         z0, u, _, ref, last, d = arguments
         before, counter, size = memory
         n, s = len(u), len(FACTORS) + 1
         later = 0.5 * (1.0 + torch.sqrt(1.0 + 4.0 * counter * counter))
-        y = (u + ((counter - 1.0) / later)[:, None, None] * (u - before)).clamp(o.low, o.high)
+        y = (u + ((counter - 1.0) / later)[:, None, None] * (u - before)).clamp(h.low, h.high)
         gradient = self.gradient(z0, y, ref, last, d)
         steps = size[:, None] * self.factors
-        tried = (y[:, None] - steps[..., None, None] * gradient[:, None]).clamp(o.low, o.high)
+        tried = (y[:, None] - steps[..., None, None] * gradient[:, None]).clamp(h.low, h.high)
         candidates = torch.cat((tried, u[:, None]), 1).flatten(0, 1)
         paths = h.rollout(_repeat(z0, s), candidates, _repeat(d, s))
         costs = h.cost(paths, candidates, _repeat(ref, s), _repeat(last, s)).view(n, s)
@@ -323,8 +322,8 @@ class AcceleratedGradient(nn.Module):
         chosen = torch.cat((self.factors, self.factors[-1:]))[best] * size
         chosen = chosen.clamp(1e-7, 1.0)
         # the input terms alone curve J by 2 R, which bounds what is left by the projected gradient; a loose bound
-        moved = (y - (y - gradient * chosen[:, None, None]).clamp(o.low, o.high)) / chosen[:, None, None]
-        left = (moved * moved).flatten(1).sum(1) / (4.0 * h.input_weight).clamp_min(1e-6)
+        moved = (y - (y - gradient * chosen[:, None, None]).clamp(h.low, h.high)) / chosen[:, None, None]
+        left = (moved * moved / (4.0 * h.input_weight).clamp_min(1e-6)).flatten(1).sum(1)
         gap = left / cost.abs().clamp_min(1e-9)
         counter = torch.where(stuck, torch.ones_like(later), later)
         kept = torch.where(stuck[:, None, None], new, u)

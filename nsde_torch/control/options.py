@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
+from typing import Any
 
 from nsde_torch.errors import ConfigError
 from nsde_torch.options import check, documented, key
 
 STATE_WEIGHTS = (100.0, 100.0, 200.0, 5.0, 5.0, 10.0, 1.0, 1.0, 100.0, 1.0, 1.0, 1.0)
 """The supplement's Q."""
+PerInput = float | Sequence[float]
+"""A number for all inputs, or one for each; options hold sequences as tuples."""
 
 
 @documented
@@ -26,11 +30,11 @@ class ProblemOptions:
     state_weights: tuple[float, ...] = key(
         STATE_WEIGHTS, "Q of each error channel: position, velocity, attitude, rates of a multirotor", low=0
     )
-    input_weight: float = key(1.0, "R, of every input", low=0)
-    input_centre: float = key(0.0, "input that R measures from")
+    input_weight: PerInput = key(1.0, "R, of every input, or a number for each", low=0)
+    input_centre: PerInput = key(0.0, "input that R measures from, or a number for each")
     rate_weight: float = key(0.0, "weight of changes of the inputs from step to step", low=0)
-    low: float = key(0.0, "lowest input")
-    high: float = key(1.0, "highest input")
+    low: PerInput = key(0.0, "lowest input, or a number for each")
+    high: PerInput = key(1.0, "highest input, or a number for each")
     speed_limit: float = key(inf, "speed beyond which a plan pays; null: none", unit="m/s", above=0)
     tilt_limit: float = key(inf, "tilt beyond which a plan pays; null: none", unit="deg", above=0, high=89)
     fence: tuple[tuple[float, float], ...] | None = key(
@@ -43,9 +47,12 @@ class ProblemOptions:
 
     def __post_init__(self) -> None:
         check(type(self), vars(self))
-        if not self.low < self.high:
+        for name in ("input_weight", "input_centre", "low", "high"):
+            object.__setattr__(self, name, _numbers(name, getattr(self, name)))
+        n = max(len(_each(end, 1)) for end in (self.low, self.high))
+        if not all(a < b for a, b in zip(_each(self.low, n), _each(self.high, n), strict=False)):
             raise ConfigError(f"`low` must lie below `high`; got {self.low!r} and {self.high!r}.")
-        if self.input_weight + self.rate_weight <= 0:
+        if min(_each(self.input_weight, 1)) + self.rate_weight <= 0:
             raise ConfigError(
                 "`input_weight` or `rate_weight` must be above 0: the best plan is not one else."
             )
@@ -54,6 +61,32 @@ class ProblemOptions:
     def dt(self) -> float:
         """Step of the plan [s]."""
         return self.horizon / self.steps
+
+    def of_inputs(self, name: str, inputs: Sequence[str]) -> tuple[float, ...]:
+        """`low`, `high`, `input_weight` or `input_centre` of each of the inputs named so.
+
+        Raises:
+            ConfigError: there are numbers for more or fewer inputs.
+        """
+        values = _each(getattr(self, name), len(inputs))
+        if len(values) != len(inputs):
+            raise ConfigError(
+                f"`{name}` takes a number for all inputs or {len(inputs)} ({', '.join(inputs)}); got {len(values)}."
+            )
+        return values
+
+
+def _each(value: PerInput, n: int) -> tuple[float, ...]:
+    """A number n times; several as they are."""
+    return tuple(value) if isinstance(value, Sequence) else (value,) * n
+
+
+def _numbers(name: str, given: object) -> float | tuple[float, ...]:
+    """A number, or a tuple of them; ConfigError for anything else."""
+    values: tuple[Any, ...] = tuple(given) if isinstance(given, (list, tuple)) else (given,)
+    if not values or not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values):
+        raise ConfigError(f"`{name}` takes a number, or one for each input as in [1,2]; got {given!r}.")
+    return tuple(map(float, values)) if isinstance(given, (list, tuple)) else float(values[0])
 
 
 @documented

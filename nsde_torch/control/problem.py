@@ -18,6 +18,7 @@ from __future__ import annotations
 from math import cos, inf, radians
 from typing import Any, final
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -26,6 +27,7 @@ from nsde_torch.control.options import ProblemOptions
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import Multirotor, System
+from nsde_torch.systems.machine import ends_of
 from nsde_torch.systems.machines import MACHINES
 
 _PARTS = (3, 3, 4, 3)
@@ -44,18 +46,22 @@ def problem_of(system: System, **given: Any) -> ProblemOptions:
     if isinstance(system, Multirotor):
         return ProblemOptions(**given)
     own = MACHINES.get(system.name) or system.machine
-    limits = (None, None) if own is None or own.limits is None else own.limits
-    low, high = (given.pop(name, end) for name, end in zip(("low", "high"), limits, strict=True))
+    ends = (None, None) if own is None or own.limits is None else ends_of(own.limits, system.input_names)
+    low, high = (given.pop(name, end) for name, end in zip(("low", "high"), ends, strict=True))
     if low is None or high is None:
         raise ConfigError(
             f"system {system.name!r} does not say where its inputs end: give mpc.low and mpc.high, or `limits` of its "
             "`machine`."
         )
+    box = ProblemOptions(low=low, high=high)
+    for name in ("low", "high"):
+        box.of_inputs(name, system.input_names)
+    low, high = np.array(box.low), np.array(box.high)
     velocities = {v for _, v, _ in system.position_derivatives}
     weights = tuple(0.1 if name in velocities else 10.0 for name in system.error_names)
-    half = 0.5 * (high - low) or 1.0  # ends that are equal are refused with the other options
-    plain = {"state_weights": weights, "input_weight": 0.1 / half**2, "input_centre": 0.5 * (low + high)}
-    return ProblemOptions(**{**plain, "low": low, "high": high, **given})
+    weight, centre = 0.1 / (0.5 * (high - low)) ** 2, 0.5 * (low + high)
+    plain = {"state_weights": weights, "input_weight": weight.tolist(), "input_centre": centre.tolist()}
+    return ProblemOptions(**{**plain, "low": box.low, "high": box.high, **given})
 
 
 @final
@@ -158,8 +164,12 @@ class Horizon(nn.Module):
 
     Attributes:
         steps, nx, nu, nz, nd: Steps, states, inputs, states with memory, pushes.
+        low, high, input_weight, input_centre: Of each input (nu,).
         particles: Paths of a plan.
         noise: Increments of the paths (K, P, nx), zero for a single one.
+
+    Raises:
+        ConfigError: numbers for another number of inputs, or see `Residual`.
     """
 
     def __init__(self, predictor: Predictor, options: ProblemOptions) -> None:
@@ -170,11 +180,15 @@ class Horizon(nn.Module):
         self.nx, self.nu, self.nz, self.nd = predictor.nx, predictor.nu, predictor.nz, predictor.nd
         self.noise: Tensor
         self.register_buffer("noise", _increments(options, self.nx, predictor.dtype))
+        self.low: Tensor
+        self.high: Tensor
         self.input_weight: Tensor
         self.input_centre: Tensor
         self.rate_weight: Tensor
-        for name in ("input_weight", "input_centre", "rate_weight"):
-            self.register_buffer(name, torch.tensor(getattr(options, name), dtype=predictor.dtype))
+        for name in ("low", "high", "input_weight", "input_centre"):
+            values = options.of_inputs(name, predictor.system.input_names)
+            self.register_buffer(name, torch.tensor(values, dtype=predictor.dtype))
+        self.register_buffer("rate_weight", torch.tensor(options.rate_weight, dtype=predictor.dtype))
 
     def advance(self, z: Tensor, u: Tensor, d: Tensor, noise: Tensor | None = None) -> Tensor:
         """States after a step (N, nz); `noise` (N, nx) are Brownian increments."""

@@ -7,7 +7,7 @@ its checks and its fallback are those of `step`, as loops over arrays of fixed s
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -16,7 +16,7 @@ from nsde_torch.control.autopilots import Estimator
 from nsde_torch.control.codegen import scalar
 from nsde_torch.control.codegen.code import Networks, function, number
 from nsde_torch.control.codegen.sources import estimator, put, scalars, solver, template
-from nsde_torch.control.options import EstimatorOptions
+from nsde_torch.control.options import EstimatorOptions, ProblemOptions
 from nsde_torch.control.reference import at_rest
 from nsde_torch.errors import ConfigError, ExportError
 from nsde_torch.export.step import ExportedStep
@@ -69,7 +69,6 @@ def sources(
         "origin": ", ".join(map(number, at_rest(system, step.dtype).tolist())),
         "at_rest": about["status"][-1].partition(":")[2],
         "anew": step.loops.anew,
-        **{k: number(getattr(step.options, k)) for k in ("low", "high")},
         "tolerance": number(step.loops.tolerance),
         "PREDICTION": "\n".join((*for_step, parts["PREDICTION"])),
         "NAME": name,
@@ -83,7 +82,7 @@ def sources(
         "past": times.past,
         "ahead": times.ahead,
         "state_doc": _listed(f"{n} [{unit}]" for n, unit in zip(system.state_names, system.state_units, strict=True)),
-        "input_doc": _listed(system.input_names),
+        "input_doc": _listed(_boxed(step.options, system.input_names)),
         "push_doc": _listed(
             f"{port.value}, {width} {'axis' if width == 1 else 'axes'}" for port, width in step.predictor.ports.items()
         )
@@ -104,6 +103,15 @@ def _functions(step: ExportedStep, networks: Networks) -> list[str]:
         (lift,) = scalars(lambda x, u: (flown.quantity("thrust", x, u),), sizes, step.dtype)[1]
         made.append(function("static real lift(const real *x, const real *u)", [("", lift[0])], networks))
     return [*networks.code(), *made]
+
+
+def _boxed(options: ProblemOptions, names: Sequence[str]) -> list[str]:
+    """Inputs with their bounds, which are said once where they are those of all."""
+    ends = zip(*(options.of_inputs(k, names) for k in ("low", "high")), strict=True)
+    within = [f"within [{number(low)}, {number(high)}]" for low, high in ends]
+    if len(set(within)) == 1:
+        return [*names[:-1], f"{names[-1]}, {within[0]}"]
+    return [f"{name} {words}" for name, words in zip(names, within, strict=True)]
 
 
 def _listed(words: Iterable[str]) -> str:

@@ -122,7 +122,7 @@ class ExportedStep(nn.Module):
         head, old_u, old_z = self._unpacked(before)
         late = torch.where(torch.isfinite(elapsed), elapsed, torch.zeros_like(elapsed)).clamp_min(0.0)
         steps = late / self.options.dt
-        u = _shift(old_u, steps).clamp(self.options.low, self.options.high)
+        u = _shift(old_u, steps).clamp(self.horizon.low, self.horizon.high)
         z = _shift(old_z, steps, axis=2)
         # a plan that the host has not kept as it was is none
         known = (head[KNOWN] > 0.5) & torch.isfinite(elapsed) & ~torch.isnan(head).any()
@@ -219,7 +219,7 @@ class ExportedStep(nn.Module):
         trouble: Tensor,
     ) -> tuple[Tensor, ...]:
         """From the best plan to what leaves, or what takes its place; see `layout.step_outputs`."""
-        s, o, dtype = self.sizes, self.options, torch.float64
+        s, dtype = self.sizes, torch.float64
         safe = (trouble < 0.5) & torch.isfinite(cost).all() & torch.isfinite(found_u).all()
         trouble = torch.where(trouble < 0.5, float(len(TROUBLES)), trouble)
         usable = (head[KNOWN] > 0.5) & (head[AGE].to(self.dtype) <= self.safety.keep)
@@ -234,7 +234,7 @@ class ExportedStep(nn.Module):
             return torch.where(safe, new, torch.where(usable, old, rest))
 
         infinite = torch.full_like(head[AGE], torch.inf)
-        u = chosen(found_u, start_u, self.hover_u).clamp(o.low, o.high)
+        u = chosen(found_u, start_u, self.hover_u).clamp(self.horizon.low, self.horizon.high)
         z = chosen(found_z, start_z, rest_z)
         own_cost = chosen(cost[0].to(dtype), head[COST], infinite)
         own_gap = chosen(gap[0].to(dtype), head[GAP], infinite)

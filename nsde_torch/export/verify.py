@@ -240,6 +240,9 @@ def attack(
     """Give a file numbers that no sensor should send, near sound ones along a reference, and look at every answer."""
     g, s, o = torch.Generator().manual_seed(seed), exported.sizes, exported.options
     at, names = exported.known.quaternion, [e["name"] for e in exported.record["step"]["outputs"]]
+    inputs = exported.known.input_names
+    # in the precision of the file, whose bounds these are
+    ends = [torch.tensor(o.of_inputs(k, inputs), dtype=exported.dtype) for k in ("low", "high")]
 
     def draw(*shape: int) -> Tensor:
         return torch.randn(*shape, generator=g, dtype=torch.float64)
@@ -288,15 +291,18 @@ def attack(
                 given["valid"] = odd[pick(len(odd))].clone()
         answer = exported.step(*given.values())
         before = answer[-1]
-        wrong = unsafe(dict(zip(names, answer, strict=True)), o.low, o.high)
+        wrong = unsafe(dict(zip(names, answer, strict=True)), *ends)
         if wrong is not None:
             out.unsafe.append(f"sample {k}: {wrong}")
             before = torch.zeros_like(before)
         out.adversarial += 1
 
 
-def unsafe(answer: Mapping[str, Tensor], low: float, high: float) -> str | None:
-    """What is wrong with what a step returned, by name (`layout.step_outputs`), if anything."""
+def unsafe(answer: Mapping[str, Tensor], low: Tensor, high: Tensor) -> str | None:
+    """What is wrong with what a step returned, by name (`layout.step_outputs`), if anything.
+
+    `low` and `high` are the bounds of its inputs (nu,).
+    """
     u, status = answer["inputs"], float(answer["status"])
     for name, value in answer.items():
         if name not in ("cost", "gap", "after") and not bool(torch.isfinite(value).all()):

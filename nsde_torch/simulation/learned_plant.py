@@ -12,6 +12,7 @@ from nsde_torch.models import Model
 from nsde_torch.models.capabilities import is_equation
 from nsde_torch.sde import make_step
 from nsde_torch.simulation.noise import Sensor
+from nsde_torch.systems.machine import Limits, ends_of
 
 
 @final
@@ -25,7 +26,7 @@ class LearnedPlant:
         dt, generator, sensor_std, sensor_noise, limits: See `Plant`.
 
     Raises:
-        ConfigError: the model is no neural SDE.
+        ConfigError: the model is no neural SDE, or limits of another number of inputs.
     """
 
     def __init__(
@@ -38,7 +39,7 @@ class LearnedPlant:
         process_noise: float = 1.0,
         sensor_noise: float = 1.0,
         latency: float = 0.0,
-        limits: tuple[float, float] | None = (0.0, 1.0),
+        limits: Limits | None = (0.0, 1.0),
     ) -> None:
         if not is_equation(model):
             raise ConfigError(
@@ -46,7 +47,9 @@ class LearnedPlant:
             )
         self.model, self.dt, self._generator = model, dt, generator
         self._step = model.step if not model.step.deterministic else make_step("rk4")
-        self._noise, self._limits, self._delay = process_noise, limits, round(latency / dt)
+        self._noise, self._delay = process_noise, round(latency / dt)
+        ends = () if limits is None else ends_of(limits, model.system.input_names)
+        self._limits = [model.clock_scale.new_tensor(end) for end in ends]
         std = (0.0,) * len(model.system.error_names) if sensor_std is None else sensor_std
         self._sensor = Sensor(model.system, std, scale=sensor_noise, generator=generator)
         self._z, self._commands = torch.empty(0), [torch.empty(0)]
@@ -72,7 +75,7 @@ class LearnedPlant:
         """See `Plant.step`."""
         m = self.model
         u = u.to(m.clock_scale)
-        self._commands = [*self._commands[1:], u if self._limits is None else u.clamp(*self._limits)]
+        self._commands = [*self._commands[1:], u.clamp(*self._limits) if self._limits else u]
         # a sample of physical time is 1 / clock_scale samples of the model's clock
         dt = self.dt / float(m.clock_scale)
         m.set_step(dt)

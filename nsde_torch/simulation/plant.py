@@ -20,7 +20,7 @@ from nsde_torch.sde import Calculus, Time, make_step
 from nsde_torch.simulation.noise import Gusts, Sensor
 from nsde_torch.systems import System
 from nsde_torch.systems.frozen import frozen
-from nsde_torch.systems.machine import Gust
+from nsde_torch.systems.machine import Gust, Limits, ends_of
 
 
 @final
@@ -65,12 +65,12 @@ class Plant:
         process_noise: Factor on all gusts.
         sensor_noise: Factor on all sensor noise.
         latency: Time from a command to its effect [s], >= 0, rounded to fine steps.
-        limits: Lowest and highest command; commands beyond are clipped. None: no limits.
+        limits: Lowest and highest command, of all inputs or of each; commands beyond are clipped. None: no limits.
         check: Raise when a state is not finite; otherwise the caller looks after it.
         dtype: Precision.
 
     Raises:
-        ConfigError: a time or factor out of range.
+        ConfigError: a time or factor out of range, or limits of another number of inputs.
 
     Example:
         >>> plant = make_plant("hexacopter", generator=torch.Generator().manual_seed(0))
@@ -91,7 +91,7 @@ class Plant:
         process_noise: float = 1.0,
         sensor_noise: float = 1.0,
         latency: float = 0.0,
-        limits: tuple[float, float] | None = None,
+        limits: Limits | None = None,
         check: bool = True,
         dtype: torch.dtype = torch.float64,
     ) -> None:
@@ -109,7 +109,9 @@ class Plant:
             if isinstance(effect, Effect) and effect.jumps:
                 effect.step = self._fine
         self._delay = round(latency / self._fine)
-        self._limits, self._check, self._dtype = limits, check, dtype
+        ends = () if limits is None else ends_of(limits, system.input_names)
+        self._limits = [torch.tensor(end, dtype=dtype, device=generator.device) for end in ends]
+        self._check, self._dtype = check, dtype
         self._generator = generator
         self._gusts = Gusts(
             gusts or {}, system.ports, dt=dt, scale=process_noise, generator=generator, dtype=dtype
@@ -266,7 +268,7 @@ class Plant:
         return value
 
     def _clipped(self, u: Tensor) -> Tensor:
-        if self._limits is None:
+        if not self._limits:
             return u
         nu = self.system.nu
         command = u[:, :nu].clamp(*self._limits)

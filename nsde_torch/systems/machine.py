@@ -2,11 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 from nsde_torch.effects.base import Port
+from nsde_torch.errors import ConfigError
+
+Limits = tuple[float, float] | Sequence[tuple[float, float]]
+"""Lowest and highest command [its unit]: of all inputs, or of each."""
+
+
+def ends_of(limits: Limits, inputs: Sequence[str]) -> tuple[Any, Any]:
+    """Lowest and highest command: a number for all inputs, or a tuple with one for each of those named so.
+
+    Raises:
+        ConfigError: limits of another number of inputs, or no pairs.
+    """
+    pairs = cast("Sequence[Any]", limits)
+    if not any(isinstance(pair, Sequence) for pair in pairs) and len(pairs) == 2:
+        return pairs[0], pairs[1]
+    if len(pairs) != len(inputs) or not all(isinstance(pair, Sequence) and len(pair) == 2 for pair in pairs):
+        raise ConfigError(
+            f"`limits` of a machine take a lowest and a highest command for all inputs, or such a pair for each of "
+            f"{len(inputs)} ({', '.join(inputs)}); got {limits!r}."
+        )
+    low, high = zip(*pairs, strict=True)
+    return low, high
 
 
 @dataclass(frozen=True)
@@ -44,7 +66,7 @@ class Machine:
     effects: Mapping[str, Mapping[str, float | list[float]]] = field(default_factory=dict)
     """Effects that the machine has beyond the declared physics, with their parameters."""
     gusts: Mapping[Port, Gust] = field(default_factory=dict)  # what pushes the ports; empty: no process noise
-    limits: tuple[float, float] | None = None  # lowest and highest command, or None
+    limits: Limits | None = None  # lowest and highest command, one pair or one for each input, or None
     latency: float = 0.0  # time from a command to its effect [s]
     excitation: Excitation | None = None  # how runs of it are made, where it has no recording of its own
     recording: Callable[..., Any] | None = None

@@ -10,6 +10,7 @@ import torch
 from scipy.interpolate import BSpline, make_interp_spline
 
 from nsde_torch.control import feasible
+from nsde_torch.control.options import ProblemOptions
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.control.shapes import circle, from_csv, hover, lemniscate, waypoints
@@ -137,7 +138,7 @@ def test_flights_shorter_than_their_ramps_and_free_fall_are_refused() -> None:
 
 
 def test_the_envelope_of_hovering_is_the_hover_command(declared: System) -> None:
-    found = feasible.check(Reference(hover()), Predictor(declared, dt=0.05), low=0.0, high=1.0)
+    found = feasible.check(Reference(hover()), Predictor(declared, dt=0.05), ProblemOptions())
     # thrust 4.6 sum(u) - 1 = 9.81
     assert found.input_low == pytest.approx((9.81 + 1.0) / 4.6 / 6, abs=1e-4)
     assert found.input_high == pytest.approx(found.input_low, abs=1e-4)
@@ -156,4 +157,4 @@ def test_what_a_machine_cannot_fly_is_refused_with_what_and_when(
     declared: System, path: FlightPath, words: str
 ) -> None:
     with pytest.raises(ConfigError, match=words):
-        feasible.check(Reference(path), Predictor(declared, dt=0.05), low=0.0, high=1.0, tilt=50.0)
+        feasible.check(Reference(path), Predictor(declared, dt=0.05), ProblemOptions(), tilt=50.0)

@@ -110,14 +110,16 @@ def solver(method: GaussNewton, networks: Networks) -> dict[str, str]:
         ),
         products(a, b, q, h.nz),
     ]
-    weights = ("low", "high", "input_weight", "input_centre", "rate_weight")
+    rows = {"low": h.steps, "high": h.steps, "input_weight": 1, "input_centre": 1}
+    names = h.predictor.system.input_names
     height = h.nz + h.nu * rate
     return _filled(
         ("sizes.h", "work.h", "common.c", "solver.c"),
         {
             **_sizes(h.predictor),
             **{name: max(len(m.entries), 1) for name, m in (("na", a), ("nb", b), ("nq", q))},
-            **{k: number(float(getattr(o, k))) for k in weights},
+            **{k: ", ".join(map(number, o.of_inputs(k, names) * n)) for k, n in rows.items()},
+            "rate_weight": number(float(o.rate_weight)),
             **{"steps": h.steps, "rows": height, "stride": -(-height // 4) * 4},
             **{"changes": CHANGES, "left": number(LEFT)},
             "shares": ", ".join(map(number, (*SHARES, 0.0))),

@@ -67,7 +67,7 @@ int nsde_step(nsde_work *w, const nsde_real state[NSDE_NX], int valid, nsde_real
     real cost_before = known ? plan->cost : 0, gap_before = known ? plan->gap : 0, solves = known ? plan->solves : 0;
     augment(ORIGIN, HOVER, still);
     for (int k = 0; k <= K; k++) {
-        for (int i = 0; i < NU && k < K; i++) w->u[k][i] = known ? clamped(w->u[k][i], LOW, HIGH) : HOVER[i];
+        for (int i = 0; i < NU && k < K; i++) w->u[k][i] = known ? clamped(w->u[k][i], LOW[i], HIGH[i]) : HOVER[i];
         if (!known) copy(still, w->z[k], NZ);
     }
     copy(last && finite(last, NU) ? last : w->u[0], w->last, NU);
@@ -159,7 +159,7 @@ int nsde_step(nsde_work *w, const nsde_real state[NSDE_NX], int valid, nsde_real
         copy(w->z[k], plan->z[k], NZ);
         copy(w->z[k], out->states[k], NX);
         if (k == K) break;
-        for (int i = 0; i < NU; i++) plan->u[k][i] = out->inputs[k][i] = clamped(w->u[k][i], LOW, HIGH);
+        for (int i = 0; i < NU; i++) plan->u[k][i] = out->inputs[k][i] = clamped(w->u[k][i], LOW[i], HIGH[i]);
     }
 #if FLIES
     out->thrust = 0;

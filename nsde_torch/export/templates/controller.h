@@ -7,7 +7,7 @@
    Frames: @frames@.
 
    state      @state_doc@
-   inputs     @input_doc@, within [@low@, @high@]
+   inputs     @input_doc@
    push       @push_doc@
    reference  states to track at the ends of the @steps@ steps of @step_s@ s: at t + @step_s@, t + 2 * @step_s@, ...
    memory     states of the model's effects beyond those of the machine (@memory@ here)

@@ -21,7 +21,7 @@ static real improve(nsde_work *w, int first, memory *m, real *cost, real *before
     int best = 0;
     copy(u, start, N);
     for (int i = 0; i < N; i++) {
-        u[i] = clamped(start[i] + share * (start[i] - (&m->u[0][0])[i]), LOW, HIGH);
+        u[i] = clamped(start[i] + share * (start[i] - (&m->u[0][0])[i]), LOW[i], HIGH[i]);
         (&w->step[0][0])[i] = 0;
     }
     copy(w->z0, w->z[0], NZ);
@@ -30,7 +30,7 @@ static real improve(nsde_work *w, int first, memory *m, real *cost, real *before
     slope_at(w, w->step, w->gradient); /* half the gradient */
     for (int s = 0; s <= N_FACTORS; s++) { /* the last is the plan as it was */
         for (int i = 0; i < N; i++)
-            tried[i] = s < N_FACTORS ? clamped(u[i] - 2 * FACTORS[s] * m->size * slope[i], LOW, HIGH) : start[i];
+            tried[i] = s < N_FACTORS ? clamped(u[i] - 2 * FACTORS[s] * m->size * slope[i], LOW[i], HIGH[i]) : start[i];
         copy(w->z0, w->rolled[0], NZ);
         *before = rolled(w, w->tried, w->rolled);
         if (s && !(*before < *cost || (isnan(*cost) && !isnan(*before)))) continue;
@@ -42,12 +42,12 @@ static real improve(nsde_work *w, int first, memory *m, real *cost, real *before
     m->size = clamped(FACTORS[SMALLER(best, N_FACTORS - 1)] * m->size, R(1e-7), 1);
     /* the input terms alone curve the cost, which bounds what is left by the projected gradient; a loose bound */
     for (int i = 0; i < N; i++) {
-        real moved = (u[i] - clamped(u[i] - 2 * m->size * slope[i], LOW, HIGH)) / m->size;
-        sum += moved * moved;
+        real moved = (u[i] - clamped(u[i] - 2 * m->size * slope[i], LOW[i], HIGH[i])) / m->size;
+        sum += moved * moved / LARGER(4 * INPUT_WEIGHT[i % NU], R(1e-6));
     }
     m->counter = best == N_FACTORS ? 1 : later; /* nothing was better: without momentum from here */
     copy(start, &m->u[0][0], N);
     copy(&w->found[0][0], u, N);
     copy(&w->path[0][0], &w->z[0][0], (K + 1) * NZ);
-    return sum / LARGER(4 * INPUT_WEIGHT, R(1e-6)) / LARGER(F(fabs)(*cost), R(1e-9));
+    return sum / LARGER(F(fabs)(*cost), R(1e-9));
 }

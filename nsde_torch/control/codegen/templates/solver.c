@@ -12,9 +12,9 @@ enum {
     LD = NSDE_STRIDE,   /* their number, rounded up for vector instructions */
 };
 
-static const real LOW = R(@low@), HIGH = R(@high@);
-static const real INPUT_WEIGHT = R(@input_weight@), INPUT_CENTRE = R(@input_centre@), RATE_WEIGHT = R(@rate_weight@);
-static const real LEFT = R(@left@);
+static const real LOW[N] = {@low@}, HIGH[N] = {@high@}; /* of every step: loops over a plan take them in turn */
+static const real INPUT_WEIGHT[NU] = {@input_weight@}, INPUT_CENTRE[NU] = {@input_centre@};
+static const real RATE_WEIGHT = R(@rate_weight@), LEFT = R(@left@);
 static const real SHARES[] = {@shares@};
 enum { CHANGES = @changes@, N_SHARES = (int)(sizeof SHARES / sizeof *SHARES) };
 
@@ -28,8 +28,8 @@ static real input_cost(real (*u)[NU], const real *last)
     real sum = 0;
     for (int k = 0; k < K; k++)
         for (int i = 0; i < NU; i++) {
-            real centred = u[k][i] - INPUT_CENTRE, change = u[k][i] - (k ? u[k - 1][i] : last[i]);
-            sum += INPUT_WEIGHT * centred * centred + RATE_WEIGHT * change * change;
+            real centred = u[k][i] - INPUT_CENTRE[i], change = u[k][i] - (k ? u[k - 1][i] : last[i]);
+            sum += INPUT_WEIGHT[i] * centred * centred + RATE_WEIGHT * change * change;
         }
     return sum;
 }
@@ -82,7 +82,7 @@ static real slope_at(nsde_work *w, real (*du)[NU], real (*slope)[NU])
         for (int i = 0; i < NU; i++) {
             real now = change_at(w, k, i) + du[k][i] - (k ? du[k - 1][i] : 0);
             real later = k < K - 1 ? change_at(w, k + 1, i) + du[k + 1][i] - du[k][i] : 0;
-            slope[k][i] += INPUT_WEIGHT * (w->u[k][i] + du[k][i] - INPUT_CENTRE) + RATE_WEIGHT * (now - later);
+            slope[k][i] += INPUT_WEIGHT[i] * (w->u[k][i] + du[k][i] - INPUT_CENTRE[i]) + RATE_WEIGHT * (now - later);
         }
     }
     return sum;
@@ -102,7 +102,7 @@ static void diagonal(nsde_work *w)
         add_q(w->q[k], m);
         b_times(w->b[k], m, by_input);
         times_b(by_input, w->b[k], own);
-        for (int i = 0; i < NU; i++) w->scale[k][i] = own[i][i] + INPUT_WEIGHT + RATE_WEIGHT * (k < K - 1 ? 2 : 1);
+        for (int i = 0; i < NU; i++) w->scale[k][i] = own[i][i] + INPUT_WEIGHT[i] + RATE_WEIGHT * (k < K - 1 ? 2 : 1);
         a_times(w->a[k], m, s);
         times_a(s, w->a[k], m);
         mirror(m);
@@ -136,8 +136,8 @@ static void recursion(nsde_work *w, int k)
     back_a(w->a[k], v, hx);
     back_b(w->b[k], v, hu);
     for (int i = 0; i < NU; i++) {
-        huu[i][i] += INPUT_WEIGHT + RATE_WEIGHT;
-        hu[i] += INPUT_WEIGHT * (w->u[k][i] - INPUT_CENTRE) + RATE_WEIGHT * change_at(w, k, i);
+        huu[i][i] += INPUT_WEIGHT[i] + RATE_WEIGHT;
+        hu[i] += INPUT_WEIGHT[i] * (w->u[k][i] - INPUT_CENTRE[i]) + RATE_WEIGHT * change_at(w, k, i);
     }
 #if NSDE_ROWS > NSDE_NZ
     for (int i = 0; i < NU; i++) {
@@ -147,7 +147,7 @@ static void recursion(nsde_work *w, int k)
     }
 #endif
     for (int i = 0; i < NU; i++) {
-        real held = w->held[k][i] < 0 ? LOW - w->u[k][i] : w->held[k][i] > 0 ? HIGH - w->u[k][i] : 0;
+        real held = w->held[k][i] < 0 ? LOW[i] - w->u[k][i] : w->held[k][i] > 0 ? HIGH[i] - w->u[k][i] : 0;
         w->feed[k][i] = -held;
         if (held == 0) continue;
         for (int j = 0; j < NU; j++) hu[j] += huu[j][i] * held;
@@ -221,7 +221,7 @@ static real box_step(nsde_work *w)
     real along = 0, curve = 0, least, cost = slope_at(w, w->step, w->gradient) + input_cost(w->u, w->last);
     diagonal(w);
     /* along the scaled gradient, as far as the quadratic falls: poor, but never worse than no step */
-    for (int i = 0; i < N; i++) best[i] = clamped(-g[i] / scale[i], LOW - u[i], HIGH - u[i]);
+    for (int i = 0; i < N; i++) best[i] = clamped(-g[i] / scale[i], LOW[i] - u[i], HIGH[i] - u[i]);
     slope_at(w, w->best, w->slope);
     for (int i = 0; i < N; i++) {
         along += g[i] * best[i];
@@ -236,14 +236,14 @@ static real box_step(nsde_work *w)
         real value = 0, left = 0;
         for (int i = 0; i < N; i++) {
             real aim = step[i] - slope[i] / scale[i];
-            signed char now = (signed char)(aim < LOW - u[i] ? -1 : aim > HIGH - u[i] ? 1 : 0);
+            signed char now = (signed char)(aim < LOW[i] - u[i] ? -1 : aim > HIGH[i] - u[i] ? 1 : 0);
             if (now != held[i]) from = i / NU;
             held[i] = now;
         }
         newton(w, from, w->step);
         slope_at(w, w->step, w->slope);
         for (int i = 0; i < N; i++) {
-            inside[i] = clamped(step[i], LOW - u[i], HIGH - u[i]);
+            inside[i] = clamped(step[i], LOW[i] - u[i], HIGH[i] - u[i]);
             outside |= inside[i] != step[i];
         }
         if (outside)
@@ -252,7 +252,8 @@ static real box_step(nsde_work *w)
             copy(slope, tangent, N);
         /* a convex quadratic lies above its tangents: no step on the box is better than `inside` by more than `left` */
         for (int i = 0; i < N; i++) {
-            real to_low = tangent[i] * (inside[i] - (LOW - u[i])), to_high = tangent[i] * (inside[i] - (HIGH - u[i]));
+            real to_low = tangent[i] * (inside[i] - (LOW[i] - u[i]));
+            real to_high = tangent[i] * (inside[i] - (HIGH[i] - u[i]));
             value += inside[i] * (tangent[i] + g[i]);
             left += 2 * LARGER(to_low, to_high);
         }
@@ -280,7 +281,7 @@ static real iteration(nsde_work *w, real *cost, int known, real *before)
     for (int s = 0; s < N_SHARES; s++) { /* the last share is none of the step */
         int again = s == N_SHARES - 1 && known;
         real *u = &w->u[0][0], *step = &w->best[0][0], *tried = &w->tried[0][0];
-        for (int i = 0; i < N; i++) tried[i] = clamped(u[i] + SHARES[s] * step[i], LOW, HIGH);
+        for (int i = 0; i < N; i++) tried[i] = clamped(u[i] + SHARES[s] * step[i], LOW[i], HIGH[i]);
         copy(w->z0, w->rolled[0], NZ);
         real own = again ? *before : rolled(w, w->tried, w->rolled);
         if (s == N_SHARES - 1) *before = own;

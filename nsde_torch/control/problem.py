@@ -38,10 +38,11 @@ def problem_of(system: System, **given: Any) -> ProblemOptions:
 
     A multirotor has the supplement's weights. Others have 0.1 for errors of velocities that belong to positions and 10
     for all others, in their units, and pay 0.1 for an input at its end: what the swing-ups and the arm of
-    docs/content/results/tracking.md were measured with. Inputs end where `Machine.limits` says.
+    docs/content/results/tracking.md were measured with. Inputs end where `Machine.limits` says; where they do not all
+    end alike, weights and centres are those of each.
 
     Raises:
-        ConfigError: nobody says where the inputs end, or an option is out of range.
+        ConfigError: nobody says where the inputs end, another number of them is meant, or an option is out of range.
     """
     if isinstance(system, Multirotor):
         return ProblemOptions(**given)

@@ -108,7 +108,7 @@ def _functions(step: ExportedStep, networks: Networks) -> list[str]:
 def _boxed(options: ProblemOptions, names: Sequence[str]) -> list[str]:
     """Inputs with their bounds, which are said once where they are those of all."""
     ends = zip(*(options.of_inputs(k, names) for k in ("low", "high")), strict=True)
-    within = [f"within [{number(low)}, {number(high)}]" for low, high in ends]
+    within = [f"within [{low:g}, {high:g}]" for low, high in ends]
     if len(set(within)) == 1:
         return [*names[:-1], f"{names[-1]}, {within[0]}"]
     return [f"{name} {words}" for name, words in zip(names, within, strict=True)]

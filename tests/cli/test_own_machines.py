@@ -197,6 +197,34 @@ def test_a_machine_of_ones_own_is_simulated_from_its_class(double: list[str]) ->
     assert white == pytest.approx(0.001, rel=0.3)
 
 
+def test_motors_of_an_arm_have_limits_of_their_own(root: Path, shown: Said, refused: Said) -> None:
+    home = ["--config-dir", str(root / "examples" / "double_pendulum")]
+    arm = [
+        *home,
+        "run=declared",
+        "plant=own",
+        "plant.system=double_pendulum:DoublePendulum",
+        "mpc.compile=off",
+    ]
+    ends, small = ["mpc.low=[-4,-0.5]", "mpc.high=[4,1]"], ["mpc.steps=6", "mpc.horizon=0.3"]
+    goal = ["reference=setpoint", "reference.states={q1: 1, q2: -1}", "reference.duration=0.3"]
+    shown("track", *arm, *ends, *small, *goal, "machines=2", "at_once=2", "out_dir=out")
+    rows = np.loadtxt("out/log/flight_0.csv", delimiter=",", skiprows=1)[:, 5:]
+    assert bool(((rows >= [-4.0, -0.5]) & (rows <= [4.0, 1.0])).all())
+    assert rows[:, 0].max() == 4.0  # beyond what the second motor gives
+    shown("export", *arm, *ends, *small, "format=c", "out=arm.c")
+    verified = ["verify", "arm.c", *home, "run=declared", *goal, "states=20", "adversarial=20"]
+    assert "passed" in shown(*verified)
+    flown = ["track", "controller=arm.c", *arm[:2], *arm[3:], *goal, "out_dir=no"]
+    assert "`mpc.low` is (-4.0, -1.0)" in refused(*flown, "mpc.low=[-4,-1]")
+    for wrong, says in (
+        ("mpc.low=[-4,-1,0]", "`low` takes a number for all inputs or 2 (tau1, tau2); got 3"),
+        ("mpc.input_weight=[1]", "`input_weight` takes a number for all inputs or 2 (tau1, tau2); got 1"),
+        ("mpc.high=[4,much]", "`high` takes a number, or one for each input"),
+    ):
+        assert says in refused("track", *arm, *ends, *small, *goal, "out_dir=no", wrong)
+
+
 def test_a_controller_from_a_small_file_closes_the_loop(double: list[str]) -> None:
     assert main([*double, "options.controller=hold:hold", "out=held"]) == 0
     assert main([*double, "out=free"]) == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -20,6 +21,7 @@ from nsde_torch.systems import System, make_plant_system
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 HANGING, UP = {"theta": 3.1}, {"theta": 0.0}
+ARM = "examples.double_pendulum.double_pendulum:DoublePendulum"
 
 
 @pytest.fixture(scope="module")
@@ -82,13 +84,47 @@ def test_every_tenth_solve_of_a_file_starts_at_rest_too(cart: System, tmp_path: 
     assert float(ours.cost) < 0.95 * float(alone.cost)
 
 
+@pytest.mark.parametrize(("name", "kind"), [("arm.c", "c"), ("arm.ts", "torchscript")])
+def test_each_input_has_limits_of_its_own_in_a_file_too(tmp_path: Path, name: str, kind: str) -> None:
+    arm = make_plant_system(ARM)
+    ends = {"low": (-4.0, -0.5), "high": (4.0, 1.0)}
+    problem = problem_of(arm, **ends)
+    made: dict[str, Any] = {"problem": problem, "solver": SolverOptions(iterations=4)}
+    made |= {"safety": SafetyOptions(), "dtype": torch.float64}
+    times: dict[str, Any] = {"sample": 0.01, "period": 0.02, "latency": 0.0}
+    export(arm, tmp_path / name, name=ARM, kind=kind, **times, **made)
+    file, controller = ExportedController(tmp_path / name), controller_of(arm, **made)
+    assert file.options == problem
+    path, out = setpoint(arm, {}, duration=2.0), verify.Verification()
+    x, ahead = torch.tensor([1.0, 1.0, -6.0, 6.0], dtype=torch.float64), path.window(0.0, dt=0.05, steps=20)
+    verify.compare(file, controller, [(x, ahead)] * 3, out, elapsed=0.02)
+    assert out.passed
+    assert out.worst < 1e-8
+    u = file.plan(x[None], ahead[None]).u[0]
+    assert (u.amin(0).tolist(), u.amax(0).tolist()) == ([-4.0, -0.5], [4.0, 1.0])
+    verify.attack(file, path, 60, out)
+    assert not out.unsafe
+    if kind == "c":
+        assert "tau1 within [-4, 4], tau2 within [-0.5, 1]" in (tmp_path / "arm.h").read_text()
+
+
+def test_limits_that_single_precision_rounds_are_no_trouble(cart: System, tmp_path: Path) -> None:
+    ends = problem_of(cart, low=-0.1, high=0.1)  # -0.1 is below itself by 1.5e-9 there
+    made: dict[str, Any] = {"problem": ends, "solver": SolverOptions(), "safety": SafetyOptions()}
+    times: dict[str, Any] = {"sample": 0.01, "period": 0.02, "latency": 0.0}
+    export(cart, tmp_path / "cart.c", kind="c", **times, **made, dtype=torch.float32)
+    out = verify.Verification()
+    verify.attack(ExportedController(tmp_path / "cart.c"), setpoint(cart, UP, duration=2.0), 100, out)
+    assert not out.unsafe
+
+
 @pytest.mark.parametrize("precision", ["NSDE_DOUBLE", "NSDE_FLOAT"])
 def test_the_file_in_c_compiles_without_a_warning(cart: System, tmp_path: Path, precision: str) -> None:
     exported(cart, tmp_path / "cart.c", "c")
     flags = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-D{precision}")
     subprocess.run([str(compiler()), *flags, "-c", "cart.c", "-o", "cart.o"], cwd=tmp_path, check=True)
     header = (tmp_path / "cart.h").read_text()
-    for part in ("within [(-10), 10]", " 9  diverged, rest", "force, 1 axis, torque, 1 axis"):
+    for part in ("within [-10, 10]", " 9  diverged, rest", "force, 1 axis, torque, 1 axis"):
         assert part in header
     assert "rates[3]" not in header
 

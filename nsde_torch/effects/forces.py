@@ -87,7 +87,7 @@ class Ripple(Law):
 
 @final
 class EndStops(Law):
-    """Stops, or a spring with play: nothing between two ends, and a spring with damping beyond each.
+    """Stops, or a spring with play: nothing between two ends, and a spring whose damping grows beyond each.
 
     A spring that was slack within 0.06 m was a peak, a cube, a sign and a sine without it, two of them sure.
     """
@@ -95,11 +95,11 @@ class EndStops(Law):
     name = "end_stops"
     kinds = ("rail", "joint")
     reads_position = True
-    formula = "-k d - b v (d != 0), d = q - clip(q, low, high)"
+    formula = "-k d - b |d| v, d = q - clip(q, low, high)"
     source = "contact as spring and damper; Hunt, Crossley, Journal of Applied Mechanics 42 (1975)"
     PARAMETERS = {
         "stiffness": Parameter(1.0, "force/position", low=0.0, help="of the stops"),
-        "damping": Parameter(0.1, "force/speed", low=0.0, help="beyond the ends"),
+        "damping": Parameter(0.1, "force/(speed position)", low=0.0, help="beyond the ends, by depth"),
         "low": Parameter(-1.0, "position", help="lower end"),
         "high": Parameter(1.0, "position", help="upper end"),
     }
@@ -114,7 +114,7 @@ class EndStops(Law):
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         q = self.q(x)
         beyond = q - torch.maximum(torch.minimum(q, self.value("high")), self.value("low"))
-        return -self.value("stiffness") * beyond - self.value("damping") * self.v(x) * (beyond != 0)
+        return -self.value("stiffness") * beyond - self.value("damping") * beyond.abs() * self.v(x)
 
 
 @final

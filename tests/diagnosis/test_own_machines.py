@@ -222,7 +222,7 @@ def test_teeth_of_any_number_have_a_name() -> None:
 
 def test_a_stop_on_one_side_is_found_with_its_place() -> None:
     def stop(q: float, v: float) -> float:
-        return -60.0 * (q - 0.3) - 1.5 * v if q > 0.3 else 0.0
+        return -(60.0 + 8.0 * v) * (q - 0.3) if q > 0.3 else 0.0
 
     few = ["end_stops", "cubic_stiffness", "position_dependent_friction"]
     runs = turned(stop, seconds=15.0, dt=0.005, size=0.4)

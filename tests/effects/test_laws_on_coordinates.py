@@ -96,7 +96,7 @@ class TestEndStops(EffectContract):
     name, system = "end_stops[q2]", HOME
     values = {"stiffness": 2.0, "damping": 0.5, "low": -0.2, "high": 0.1}
 
-    @pytest.mark.parametrize(("q", "force"), [(-0.5, 0.6 - 0.15), (0.0, 0.0), (0.4, -0.6 - 0.15)])
+    @pytest.mark.parametrize(("q", "force"), [(-0.5, 0.6 - 0.045), (0.0, 0.0), (0.4, -0.6 - 0.045)])
     def test_it_pushes_back_beyond_each_end_alone(self, q: float, force: float) -> None:
         x = torch.tensor([[0.3, 0.0, q, 0.0]])
         expected = torch.tensor([[0.0, force]])

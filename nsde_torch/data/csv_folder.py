@@ -16,6 +16,7 @@ from nsde_torch.data import places
 from nsde_torch.data.places import LONGEST, NOTHING, files_of, log_place
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.run import DataSet
+from nsde_torch.data.streams import from_date
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import DataError
 
@@ -39,6 +40,10 @@ def csv_rows(path: Path, needed: Sequence[str], *, what: str, remedy: str) -> li
 
 
 TIME = "t"
+
+
+def _needed(system: SystemInfo) -> tuple[str, ...]:
+    return (TIME, *system.state_names, *system.input_names, *system.exogenous)
 
 
 def _header(path: Path, system: SystemInfo) -> list[str]:
@@ -67,7 +72,7 @@ def _header(path: Path, system: SystemInfo) -> list[str]:
         raise DataError(f"{path}:1: column {names.index('') + 1} of the header has no name.")
     places.check_names(names, f"{path}:1")
     optional = (*system.optional_inputs, *_inferable(system, names))
-    needed = (TIME, *system.state_names, *system.input_names, *system.exogenous)
+    needed = _needed(system)
     missing = [n for n in needed if n not in names and n not in optional]
     if missing:
         free = {n.lower(): n for n in names if n not in needed}
@@ -86,7 +91,7 @@ def _inferable(system: SystemInfo, names: Sequence[str]) -> list[str]:
     if system.quaternion is not None:
         return []
     pairs = [(position, rate) for position, rate, _ in system.position_derivatives]
-    known = (TIME, *system.state_names, *system.input_names, *system.exogenous)
+    known = _needed(system)
     free = [name.lower() for name in names if name not in known]
     lacking = [(position, rate) for position, rate in pairs if rate not in names]
     if any(p not in names or difflib.get_close_matches(r.lower(), free, n=1) for p, r in lacking):
@@ -111,7 +116,21 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _explain(path: Path, names: Sequence[str]) -> DataError:
+def _value(cell: str) -> float:
+    return np.nan if cell.strip() in NOTHING else float(cell)
+
+
+def _further(cell: str) -> float:
+    """Of a column that the system does not need: words (a flight mode) are missing, and the run is read."""
+    return _value(cell) if _is_number(cell.strip()) else np.nan
+
+
+def _when(cell: str) -> float:
+    date = from_date(cell)
+    return _value(cell) if date is None else date
+
+
+def _explain(path: Path, names: Sequence[str], needed: Sequence[str]) -> DataError:
     """Goes through a file that NumPy refused, cell by cell, for the place of the first fault."""
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
         file.readline()
@@ -125,7 +144,10 @@ def _explain(path: Path, names: Sequence[str]) -> DataError:
                     "be cut short, or a decimal comma splits a number."
                 )
             for name, cell in zip(names, cells, strict=True):
-                if cell not in NOTHING and not _is_number(cell):
+                read = (
+                    _is_number(cell) or name not in needed or (name == TIME and from_date(cell) is not None)
+                )
+                if cell not in NOTHING and not read:
                     return DataError(
                         f"{path}:{number}: column {name!r} holds {cell!r}; expected a number or `nan`."
                     )
@@ -134,7 +156,7 @@ def _explain(path: Path, names: Sequence[str]) -> DataError:
     )
 
 
-def _table(path: Path, names: Sequence[str]) -> Array:
+def _table(path: Path, names: Sequence[str], needed: Sequence[str]) -> Array:
     """The numbers of a file, (n, columns); an empty cell is missing."""
     places.refuse_larger(path, 8.0 * places.count_rows(path) * len(names))
     read = partial(np.loadtxt, path, delimiter=",", skiprows=1, ndmin=2, comments=None, encoding="utf-8-sig")
@@ -145,14 +167,18 @@ def _table(path: Path, names: Sequence[str]) -> Array:
                 raise DataError(f"{path} has a header and no rows; a run needs at least two rows.")
         try:
             table = read()
-        except ValueError:  # empty cells are rare: only then the slower way through Python
-            table = read(quotechar='"', converters=lambda c: np.nan if c.strip() in NOTHING else float(c))
+        except ValueError:  # empty cells, dates and words are rare: only then the slower way through Python
+            of = {
+                k: _when if name == TIME else _value if name in needed else _further
+                for k, name in enumerate(names)
+            }
+            table = read(quotechar='"', converters=of)
     except DataError:
         raise
     except (ValueError, IndexError) as error:
-        raise _explain(path, names) from error
+        raise _explain(path, names, needed) from error
     if table.shape[1] != len(names):
-        raise _explain(path, names)
+        raise _explain(path, names, needed)
     return np.asarray(table, dtype=np.float64)
 
 
@@ -163,7 +189,8 @@ def read_csv_file(path: str | Path, system: SystemInfo) -> RawRun:
     """
     path = Path(path)
     names = _header(path, system)
-    table = _table(path, names)
+    needed = _needed(system)
+    table = _table(path, names, needed)
     if len(table) < 2:
         raise DataError(
             f"{path} has {len(table)} row; a run needs at least two. Remove the file or record longer."

@@ -7,6 +7,7 @@ missing beyond the ends of its stream and in pauses (longer than 0.25 s and than
 from __future__ import annotations
 
 import difflib
+import itertools
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -95,6 +96,36 @@ def disorder(t: Array, name: str) -> tuple[int, str]:
     )
 
 
+_HELD = 1 / 3
+"""Share of rows that must repeat a time with other values before the clock is taken to be coarser than the rows."""
+_OFF_TICKS = 1.2
+"""Ticks of a coarse clock within which rows at one step lie about their times: rounding alone makes it one."""
+
+
+def unrounded(t: Array, values: Array) -> Array | None:
+    """Increasing times of rows (n, k) that came at one step, and faster than their clock `t` ticks; None of others.
+
+    Keeping the first row of each time would lose what the inputs did in between.
+    """
+    both = np.isfinite(values[1:]) & np.isfinite(values[:-1])
+    changed = ((values[1:] != values[:-1]) & both).any(axis=1) & (np.diff(t) == 0)
+    if changed.sum() <= _HELD * len(t) or (np.diff(t) < 0).any():
+        return None
+    first = np.flatnonzero(np.diff(t, prepend=-np.inf))
+    ticks = np.diff(t[first])
+    if len(ticks) < 2:
+        return None
+    tick = float(np.median(ticks))
+    edges = [0, *first[1:][ticks > 1.5 * tick].tolist(), len(t)]  # between pauses
+    stretches = list(itertools.pairwise(edges))
+    a, b = max(stretches, key=lambda ends: ends[1] - ends[0])
+    step = float(np.polyfit(np.arange(b - a), t[a:b] - t[a], 1)[0])
+    out = np.concatenate([t[a:b].mean() + step * (np.arange(b - a) - (b - a - 1) / 2) for a, b in stretches])
+    if step <= 0 or max(np.ptp(out[a:b] - t[a:b]) for a, b in stretches) > _OFF_TICKS * tick:
+        return None
+    return out if (np.diff(out) > 0).all() else None
+
+
 def pause_mask(stream: Stream, t: Array) -> NDArray[np.bool_]:
     """Times that lie outside a stream or in a pause of it."""
     limit = max(PAUSE_S, _STEPS / stream.rate)
@@ -168,6 +199,24 @@ class ClockOf:
     rate: float | None = None  # rows a second, of a table without a clock [Hz]
 
 
+_DATE = re.compile(
+    r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d(?:[.,]\d{1,9})?)?) ?(?:(Z)|([+-]\d\d):?(\d\d)?)?"
+)
+
+
+def from_date(text: str) -> float | None:
+    """Seconds since 1970 of a date with a time of day, as ISO 8601 and pandas write it; None of anything else."""
+    said = _DATE.fullmatch(text.strip())
+    if said is None:
+        return None
+    try:
+        seconds = float(np.datetime64(f"{said[1]}T{said[2].replace(',', '.')}", "ns").astype(np.int64)) * 1e-9
+    except ValueError:
+        return None
+    east = 0.0 if said[4] is None else float(said[4]) * 60.0 + float(f"{said[4][0]}{said[5] or 0}")
+    return seconds - 60.0 * east
+
+
 def time_column(names: Mapping[str, object] | list[str]) -> str | None:
     """The column whose name says that it is the time; None where none does."""
     for name in names:
@@ -208,8 +257,13 @@ def _ticks(name: str, values: Array) -> bool:
     return bool((steps > 0).all()) and even
 
 
-def timed(name: str, fields: dict[str, Array], clock: ClockOf, *, source: str) -> Stream:
-    """A table with its clock taken out of its columns, all of one length; a DataError where it is no clock."""
+def timed(
+    name: str, fields: dict[str, Array], clock: ClockOf, *, source: str, notes: list[str] | None = None
+) -> Stream:
+    """A table with its clock taken out of its columns, all of one length; a DataError where it is no clock.
+
+    `notes` takes what was assumed of the times.
+    """
     rows = len(next(iter(fields.values())))
     if clock.rate is not None:
         return Stream(name, np.arange(rows) / clock.rate, fields)
@@ -231,6 +285,12 @@ def timed(name: str, fields: dict[str, Array], clock: ClockOf, *, source: str) -
     if shuffled:
         raise DataError(f"{source}: {shuffled}")
     kept = {key: v[good] for key, v in fields.items() if key != column}
+    even = unrounded(times, np.stack(list(kept.values()), axis=1)) if kept else None
+    if even is not None:
+        if notes is not None:
+            said = f"{len(times)} rows have {len(np.unique(times))} times"
+            notes.append(f"{said} in {column!r}: they are taken to be {np.diff(even)[0] * 1e3:.4g} ms apart")
+        times = even
     return ordered(Stream(name, times, kept))
 
 

@@ -15,7 +15,7 @@ from nsde_torch.arrays import Array, Labels
 from nsde_torch.data.quaternion import slerp
 from nsde_torch.data.raw import Finding, RawRun, Report, holes
 from nsde_torch.data.run import DataSet, Run, fingerprint
-from nsde_torch.data.streams import disorder
+from nsde_torch.data.streams import disorder, unrounded
 from nsde_torch.data.summary import summarise
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import DataError
@@ -51,6 +51,14 @@ def order(run: RawRun, report: Report) -> None:
             raise DataError(f"{run.where(int(back[0]) + 1)}: {refused}")
         report(Finding("out_of_order", run.name, late, f"{late} rows out of order in time", "sorted"))
         run.rows(np.argsort(run.t, kind="stable"))
+    even = unrounded(run.t, np.concatenate((run.x, run.u), axis=1))
+    if even is not None:
+        text = (
+            f"{len(run.t)} rows have {len(np.unique(run.t))} times: the clock ticks slower than rows came, and they "
+            f"are taken to be {np.diff(even)[0] * 1e3:.4g} ms apart"
+        )
+        report(Finding("rounded_time", run.name, len(run.t), text, "spread"))
+        run.t = even
     again = np.flatnonzero(np.diff(run.t, prepend=-np.inf) <= 0)
     if len(again):
         differ = int((run.x[again] != run.x[again - 1]).any(axis=1).sum())

@@ -76,6 +76,14 @@ def test_cells_that_say_nothing_are_missing_values(tmp_path: Path, cell: str) ->
     assert [f.kind for f in data.summary.findings] == ["missing_values"]
 
 
+def test_dates_are_times_and_words_of_further_columns_are_missing(tmp_path: Path) -> None:
+    rows = [f"2026-11-28 13:59:59.{r[2:4]}0{r[4:]},manual" for r in ROWS]
+    data = read("csv", MSD, path=folder(tmp_path, lines(HEADER + ",mode", rows)))
+    assert data.dt == pytest.approx(0.01)
+    assert len(data[0].t) == len(ROWS)
+    assert [f.kind for f in data.summary.findings] == ["empty_channel"]
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

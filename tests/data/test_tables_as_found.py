@@ -64,6 +64,27 @@ def test_a_table_without_a_header_has_numbers_of_columns(tmp_path: Path) -> None
     assert np.allclose(run.x, np.column_stack([Q, V]))
 
 
+@pytest.mark.parametrize("zone", ["", "Z", "+02:00"])
+def test_dates_are_seconds_since_1970(tmp_path: Path, zone: str) -> None:
+    rows = [f"2026-11-28T14:00:0{t:.3f}{zone},{r.split(',', 1)[1]}" for t, r in zip(T, ROWS, strict=True)]
+    text = "\n".join([NAMES.replace("t,", "stamp,", 1), *rows])
+    (tmp_path / "run.csv").write_text(text + "\n", encoding="utf-8")
+    (stream,) = open_table(tmp_path / "run.csv").streams
+    began = 1795874400.0 - (7200.0 if zone == "+02:00" else 0.0)
+    np.testing.assert_allclose(stream.t, began + T, rtol=0.0, atol=1e-6)
+    assert np.array_equal(stream.fields["q"], Q)
+
+
+def test_rows_of_a_clock_that_ticks_slower_are_spread_and_none_is_lost(tmp_path: Path) -> None:
+    rows = [f"{np.floor(t * 5) / 5:.1f},{r.split(',', 1)[1]}" for t, r in zip(T, ROWS, strict=True)]
+    (tmp_path / "run.csv").write_text("\n".join([NAMES, *rows]) + "\n", encoding="utf-8")
+    log = open_table(tmp_path / "run.csv")
+    (stream,) = log.streams
+    np.testing.assert_allclose(np.diff(stream.t), 0.05, rtol=1e-2)
+    assert np.array_equal(stream.fields["q"], Q)
+    assert "40 rows have 10 times in 't'" in log.notes[0]
+
+
 def test_words_in_a_column_of_numbers_are_missing(tmp_path: Path) -> None:
     cells = [[*row.split(","), "land" if k % 3 else "hover"] for k, row in enumerate(ROWS)]
     cells[3][1], cells[4][1], cells[30][2] = "NA", "n/a", "ERR"
@@ -77,7 +98,7 @@ def test_words_in_a_column_of_numbers_are_missing(tmp_path: Path) -> None:
     assert log.notes == ["cells of 'q_dot' that are no number are missing: 1, the first 'ERR' in line 32"]
     found = nsde_torch.inspect(tmp_path, system="mass_spring_damper", physics=False)
     assert (found.kind, found.usable) == ("table", True)
-    assert any("'mode' holds 'hover'" in note for note in found.notes)
+    assert any("'q_dot' holds 'ERR'" in note for note in found.notes)
     (tmp_path / "mapping.yaml").write_text(found.yaml, encoding="utf-8")
     assert nsde_torch.read(tmp_path, system="mass_spring_damper").runs
 

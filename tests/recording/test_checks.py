@@ -126,6 +126,22 @@ def test_duplicates_and_rows_out_of_order_are_mended() -> None:
     np.testing.assert_allclose(data[0].x, x, atol=1e-12)
 
 
+def test_rows_that_came_faster_than_their_clock_ticks_are_all_kept() -> None:
+    t, x, u = flight(20.0)
+    keep = np.r_[0:700, 830:2001]  # with a pause
+    data = one(np.round(t[keep], 1), x[keep], u[keep])
+    assert kinds(data)[0] == "rounded_time"
+    assert sum(b - a for a, b in data[0].segments) > 0.99 * len(keep)
+    assert data.dt == pytest.approx(0.01, rel=1e-2)
+
+
+def test_rows_that_repeat_a_time_with_the_same_values_are_no_faster_rows() -> None:
+    t, x, u = flight(5.0)
+    data = one(np.repeat(t, 3), np.repeat(x, 3, axis=0), np.repeat(u, 3, axis=0))
+    assert kinds(data) == ["duplicate_time"]
+    np.testing.assert_allclose(data[0].x, x, atol=1e-12)
+
+
 def test_a_clock_that_starts_again_is_refused() -> None:
     t, x, u = flight(5.0)
     with pytest.raises(DataError, match=r"goes back from 4.99 s to 0 s .* split the recording"):

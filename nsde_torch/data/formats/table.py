@@ -27,6 +27,7 @@ from nsde_torch.data.streams import (
     ClockOf,
     StreamLog,
     found,
+    from_date,
     optional,
     parsing,
     time_column,
@@ -177,13 +178,16 @@ def read_parquet(path: Path) -> Arrays:
     out: Arrays = {}
     with parsing(path, "Parquet file"), parquet.ParquetFile(path, memory_map=True) as file:
         kinds, schema = pyarrow.types, file.schema_arrow
-        numbers = (kinds.is_floating, kinds.is_integer, kinds.is_boolean, kinds.is_timestamp)
+        moments = (kinds.is_timestamp, kinds.is_duration)
+        numbers = (kinds.is_floating, kinds.is_integer, kinds.is_boolean, *moments)
         wanted = [f.name for f in schema if any(is_one(f.type) for is_one in numbers)]
         refuse_larger(path, 8 * file.metadata.num_rows * len(wanted))
         for name in wanted:  # one at a time: a table and its copy would be twice the memory
             column = file.read(columns=[name]).column(0)
-            if kinds.is_timestamp(schema.field(name).type):
-                nanoseconds = column.cast(pyarrow.timestamp("ns")).to_numpy().astype(np.int64)
+            kind = schema.field(name).type
+            if any(is_one(kind) for is_one in moments):
+                whole = pyarrow.duration("ns") if kinds.is_duration(kind) else pyarrow.timestamp("ns")
+                nanoseconds = column.cast(whole).to_numpy().astype(np.int64)
                 out[name] = nanoseconds.astype(np.float64) * 1e-9
             else:
                 out[name] = column.to_numpy().astype(np.float64)
@@ -385,11 +389,11 @@ def _width(cells: list[str], mark: str) -> int:
 
 
 def _number(cell: str, mark: str) -> float | None:
-    """The number in a cell, with a decimal comma where no comma separates columns."""
+    """The number in a cell, with a decimal comma where no comma separates columns; of a date its seconds."""
     try:
         return float(cell.replace(",", ".") if mark != "," and _DECIMAL.fullmatch(cell) else cell)
     except ValueError:
-        return None
+        return from_date(cell)
 
 
 def _list(cell: str) -> list[float] | None:
@@ -427,7 +431,7 @@ def open_table(path: Path, *, clock: ClockOf | None = None) -> StreamLog:
         }
     else:
         tables = _columns(path, notes)
-    streams = [timed(name, fields, clock, source=str(path)) for name, fields in tables.items()]
+    streams = [timed(name, fields, clock, source=str(path), notes=notes) for name, fields in tables.items()]
     if not streams:
         raise DataError(f"{path} holds no table of numbers with two rows or more.")
     clocks = [found(fields, clock) for fields in tables.values()]

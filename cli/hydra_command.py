@@ -82,7 +82,7 @@ class HydraCommand:
             print(f"nsde {self.name}: {error}", file=sys.stderr)
             return error.status
         except NsdeError as error:
-            return self._user_error(error, messages.in_keys(str(error)))
+            return self._user_error(error, messages.in_keys(str(error), self.schema.__dataclass_fields__))  # type: ignore[attr-defined]
         except Exception as error:
             message = messages.explain(error, self.name, words)
             if message is None:
@@ -180,7 +180,7 @@ class HydraCommand:
             line += f" Finished jobs are in {LAST.sweep_dir}; see: {_report(LAST.sweep_dir)}"
         elif LAST.run_dir is not None and _holds_no_work(LAST.run_dir):
             # recorded as failed, so that its folder is free again
-            record(KeyboardInterrupt("interrupted"), Job(LAST.run_dir, sweep=False))
+            record(KeyboardInterrupt(), Job(LAST.run_dir, sweep=False), "interrupted")
             line += " There is nothing to continue yet: start the same command again."
         elif LAST.run_dir is not None and groups.has(self.name, "resume"):
             line += f" Continue with: {as_typed('nsde', self.name, paths={'resume': LAST.run_dir})}"

@@ -22,7 +22,7 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from nsde_torch.errors import ConfigError
+from nsde_torch.errors import ConfigError, NsdeError
 from nsde_torch.progress import LOG as PROGRESS_LOG
 
 from . import messages
@@ -102,10 +102,11 @@ class HydraJob:
             return objective
         except Exception as error:
             LAST.error = error
+            message = messages.in_keys(str(error), config) if isinstance(error, NsdeError) else str(error)
             if self.folder:
-                record(error, job)
+                record(error, job, message)
             if job.sweep:
-                log.error("job failed: %s", error)  # a single run's error is printed by the command
+                log.error("job failed: %s", message)  # a single run's error is printed by the command
             return None
 
 
@@ -159,10 +160,10 @@ def see_user_modules(hydra: Any) -> None:
             sys.path.insert(0, source.path)
 
 
-def record(error: BaseException, job: Job) -> None:
+def record(error: BaseException, job: Job, message: str) -> None:
     """Write why a job ended into its folder."""
     text = "".join(traceback.format_exception(type(error), error, error.__traceback__))
-    content = {"error": type(error).__name__, "message": str(error), "traceback": text}
+    content = {"error": type(error).__name__, "message": message, "traceback": text}
     job.run_dir.mkdir(parents=True, exist_ok=True)
     (job.run_dir / FAILED).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 

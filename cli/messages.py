@@ -23,12 +23,15 @@ _KEYS = {
     "dt_model": "system.dt",
     "horizon": "system.horizon",
     "dt": "data.dt",
+    "gap": "data.gap",
+    "test": "data.test",
 }
 # What the system says of a path that cannot be written to, or is none.
 _NO_PLACE = {
     *(errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.EPERM),
-    *(errno.ELOOP, errno.ENAMETOOLONG, errno.ENOSPC, errno.EROFS),
+    *(errno.ELOOP, errno.ENAMETOOLONG, errno.EROFS),
 }
+_FULL = {errno.ENOSPC, errno.EDQUOT}
 _TYPES = {"Float": "a number, without its unit", "Integer": "a whole number", "Boolean": "true or false"}
 _POINTER = "`nsde {command} --help` lists groups and keys."
 _NO_GROUP = re.compile(r"Could not override '(?P<group>[^'@]+)'. No match in the defaults list")
@@ -72,6 +75,8 @@ def explain(error: Exception, command: str, words: Sequence[str]) -> str | None:
     if isinstance(error, (HydraException, OmegaConfBaseException)):
         text = re.sub(r"\n?See https?://\S+.*", "", str(error)).strip()
         return f"{text}\n{_POINTER.format(command=command)}"
+    if isinstance(error, OSError) and error.errno in _FULL:  # of a write, no file is named
+        return "The disk is full, and what was being written is incomplete. Free some space, or write to another disk."
     if isinstance(error, OSError) and error.errno in _NO_PLACE and error.filename is not None:
         return f"{error.filename}: {error.strerror}. Name another folder or file."
     return None
@@ -92,9 +97,10 @@ def _wrong_type(error: Exception) -> str:
     return f"cannot be set: {reason}"
 
 
-def in_keys(text: str) -> str:
-    """A message of the library with its arguments under the names of their keys."""
-    return re.sub(r"`(\w+)`", lambda found: f"`{_KEYS.get(found[1], found[1])}`", text)
+def in_keys(text: str, own: Collection[str] = ()) -> str:
+    """A message of the library with its arguments under the names of their keys, but for the command's `own`."""
+    keys = {name: key for name, key in _KEYS.items() if name not in own}
+    return re.sub(r"`(\w+)`", lambda found: f"`{keys.get(found[1], found[1])}`", text)
 
 
 def _no_group(group: str, command: str) -> str:

@@ -111,7 +111,11 @@ def _read_job(folder: Path) -> SweepJob:
     except json.JSONDecodeError:  # cut short: the process died while it wrote
         return SweepJob(folder, overrides, UNFINISHED)
     scale = " ".join(f"{key}={content[key]}" for key in _SCALE if isinstance(content.get(key), str))
-    return SweepJob(folder, overrides, DONE, metrics=dict(numbers(content)), scale=scale)
+    metrics_of = dict(numbers(content))
+    spread = [value for name, value in metrics_of.items() if name.startswith("test.spread.")]
+    if spread and not any(spread):  # one path: no interval, which is not one that holds nothing
+        metrics_of = {name: v for name, v in metrics_of.items() if not name.startswith("test.coverage")}
+    return SweepJob(folder, overrides, DONE, metrics=metrics_of, scale=scale)
 
 
 def _reason(path: Path) -> str:

@@ -36,6 +36,7 @@ MISTAKES = {
         ("system.dt=0.1s", "`system.dt` must be a number, without its unit; got '0.1s'."),
         ("data.path=nowhere", "`data.path`: nowhere does not exist; expected a log or a folder of logs."),
         ("data.path=", "`data.path` is empty"),
+        ("system=mass_spring_damper data.durations=[2]", "or set `data.test` to []"),
         ("data.path=null", "`data.path` must be given; it cannot be null."),
         ("seed=ü", "`seed=ü` is not in Hydra's grammar."),
         ("hydra.output_subdir=../../x", "`hydra.output_subdir` must be a name in the folder of the run"),
@@ -120,6 +121,7 @@ MISTAKES = {
         ("out=data plant.effect=[linear_drag]", "plant.effects"),
         ("out=data recording.dropout=2", "recording.dropout"),
         ("", "`out` must be given"),
+        ("out=data system=cartpole dt=0", "`dt` must be above 0"),
         ("out=data system=cartpole recording.frame_misalignment=[1,0,0]", "frame_misalignment"),
     ],
     "effects": [

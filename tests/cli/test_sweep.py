@@ -27,6 +27,10 @@ def run(config, job):
         raise DataError("`seed` 13 has no data.")
     if config.seed == 14:
         raise RuntimeError("bug")
+    if config.seed == 15:
+        raise DataError("`path` and `seed`")
+    if config.seed == 16:
+        raise OSError(28, "No space left on device")
     if config.seed in (98, 99):
         if config.seed == 99:
             (job.run_dir / "checkpoint.safetensors").touch()
@@ -101,6 +105,19 @@ def test_a_users_error_is_one_message_and_is_recorded(probe: Probe, tmp_path: Pa
     failed = json.loads((tmp_path / "r" / "failed.json").read_text())
     assert failed["error"] == "DataError"
     assert "Traceback" in failed["traceback"]
+
+
+def test_a_recorded_error_names_keys_as_the_message_does(probe: Probe, tmp_path: Path) -> None:
+    done = probe("-m", "seed=15", "sweep_dir=sweep")
+    assert "job failed: `data.path` and `seed`" in done.stdout + done.stderr
+    (failed,) = (tmp_path / "sweep").glob("*/failed.json")
+    assert json.loads(failed.read_text())["message"] == "`data.path` and `seed`"
+
+
+def test_a_full_disk_is_no_fault_of_ours(probe: Probe) -> None:
+    done = probe("seed=16", "run_dir=r")
+    assert done.returncode == 2
+    assert done.stderr.startswith("nsde train: The disk is full")
 
 
 def test_a_fault_of_ours_shows_its_traceback(probe: Probe) -> None:

@@ -93,6 +93,17 @@ def test_a_score_that_is_not_finite_ranks_last(tmp_path: Path) -> None:
     assert content["ranking"][1]["mean"]["score"] is None
 
 
+def test_a_model_without_intervals_has_none_and_not_some_that_hold_nothing(
+    tmp_path: Path, shown: Said
+) -> None:
+    test = {"spread": {"position": {"1": 0.0}}, "coverage": {"0.9": {"position": {"1": 0.0}}}}
+    _job(tmp_path, 0, ["model=sysid"], {**_metrics(1.0), "test": test})
+    assert "90 % holds" not in shown("sweep-report", str(tmp_path))
+    test["spread"]["position"]["1"] = 0.1
+    _job(tmp_path, 1, ["model=nsde"], {**_metrics(1.0), "test": test})
+    assert "90 % holds position 1 s" in shown("sweep-report", str(tmp_path))
+
+
 def test_jobs_that_differ_in_the_seed_alone_are_one_group(tmp_path: Path, shown: Said) -> None:
     for seed in (0, 1):
         _job(tmp_path, seed, [f"seed={seed}"], _metrics(1.0 + seed))

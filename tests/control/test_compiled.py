@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -253,6 +255,29 @@ def test_without_a_compiler_the_solver_says_so_and_runs(
     assert bool(torch.isfinite(solver.solve(p, u, h.rollout(p.z0, u, p.d)).cost).all())
     with pytest.raises(ConfigError, match="compile=off"):
         Solver(h, SolverOptions(compile="on", cache=str(tmp_path)))
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda x: torch.cat(x.split(1, -1)[::-1], -1),
+        lambda x: torch.cat(x.split(3, -1)[::-1], -1),
+        lambda x: torch.cat(x.chunk(2, -1)[::-1], -1),
+        lambda x: x[:, [2, 0]],
+        lambda x: x.flip(-1),
+        lambda x: x.prod(-1, keepdim=True),
+        lambda x: x @ torch.arange(4.0, dtype=x.dtype),
+        lambda x: torch.hypot(x[:, :1], x[:, 1:2]),
+        lambda x: torch.nn.functional.softplus(30.0 * x),
+        *(torch.sinh, torch.cosh, torch.ceil),
+    ],
+)
+def test_operations_of_machines_of_ones_own_are_those_of_torch(
+    function: Callable[[Tensor], Tensor],
+) -> None:
+    x = torch.linspace(-1.4, 1.1, 8, dtype=torch.float64).reshape(2, 4)
+    (made,) = scalar.run(lambda x: [function(x)], [np.array(x.tolist(), object)])
+    np.testing.assert_allclose(made.astype(float), function(x).numpy(), rtol=1e-12)
 
 
 def test_what_c_does_not_hold_runs_in_torch_and_is_said(

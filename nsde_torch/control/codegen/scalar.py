@@ -492,8 +492,9 @@ def _slice(x: Table, dim: int = 0, start: int | None = None, end: int | None = N
     return x[tuple(cut)]
 
 
-def _split(x: Table, sizes: Sequence[int], dim: int = 0) -> list[Table]:
-    return np.split(x, np.cumsum(sizes)[:-1].tolist(), dim)
+def _split(x: Table, sizes: Sequence[int] | int, dim: int = 0) -> list[Table]:
+    cuts = range(sizes, x.shape[dim], sizes) if isinstance(sizes, int) else np.cumsum(sizes)[:-1].tolist()
+    return np.split(x, list(cuts), dim)
 
 
 def _sum(x: Table, dim: Any = None, keepdim: bool = False, **_: Any) -> Table:
@@ -516,6 +517,21 @@ def _sigmoid(x: Table) -> Table:
     return 1.0 / (1.0 + _each("exp")(-x))
 
 
+def _softplus(x: Table, beta: float = 1.0, threshold: float = 20.0) -> Table:
+    # of the smaller one, so that no exponential overflows
+    low = _each("min")(beta * x, threshold)
+    return _each("where")(_each("lt")(threshold, beta * x), x, _each("log1p")(_each("exp")(low)) / beta)
+
+
+def _prod(x: Table, dim: int | None = None, keepdim: bool = False, **_: Any) -> Table:
+    return np.asarray(np.prod(x, axis=dim, keepdims=keepdim), object)
+
+
+def _at(x: Table, places: Sequence[Table | None]) -> Table:
+    """Rows and columns by lists of their numbers."""
+    return x[tuple(slice(None) if k is None else k.astype(int) for k in places)]
+
+
 _ASKED = {"lt", "le", "gt", "ge", "eq", "ne"} | {
     f"{a}_{b}" for a in ("logical", "bitwise") for b in ("and", "or", "not")
 }
@@ -534,6 +550,11 @@ _RULES: Mapping[str, Callable[..., Any]] = {
     **dict.fromkeys(("bitwise_or", "logical_or"), lambda a, b: _each("max")(a, b)),
     **dict.fromkeys(("bitwise_not", "logical_not"), lambda a: 1.0 - a),
     "sgn": _each("sign"),
+    "ceil": lambda a: -_each("floor")(-a),
+    "cosh": lambda a: (_each("exp")(a) + _each("exp")(-a)) / 2.0,
+    "sinh": lambda a: (_each("expm1")(a) - _each("expm1")(-a)) / 2.0,
+    "hypot": lambda a, b: _each("sqrt")(a * a + b * b),
+    "softplus": _softplus,
     "maximum": _each("max"),
     "minimum": _each("min"),
     "gt": lambda a, b: _each("lt")(b, a),
@@ -559,6 +580,7 @@ _RULES: Mapping[str, Callable[..., Any]] = {
     "mm": _product,
     "addmm": lambda bias, a, b: _product(a, b, bias),
     "bmm": lambda a, b: np.stack([_product(x, y) for x, y in zip(a, b, strict=True)]),
+    "mv": lambda a, b: _product(a, b[:, None])[:, 0],
     "t": lambda x: x.T,
     "permute": lambda x, order: x.transpose(order),
     "transpose": lambda x, a, b: x.swapaxes(a, b),
@@ -569,12 +591,15 @@ _RULES: Mapping[str, Callable[..., Any]] = {
     "squeeze": lambda x, dim=None: np.squeeze(x, dim),
     "select": lambda x, dim, k: np.take(x, k, axis=dim),
     "slice": _slice,
-    "split_with_sizes": _split,
+    **dict.fromkeys(("split", "split_with_sizes"), _split),
     "unbind": lambda x, dim=0: [np.take(x, k, axis=dim) for k in range(x.shape[dim])],
     "cat": lambda parts, dim=0: np.concatenate(parts, dim),
     "stack": lambda parts, dim=0: np.stack(parts, dim),
     "roll": lambda x, by, dim: np.roll(x, by[0], dim[0]),
     "index_select": lambda x, dim, rows: np.take(x, rows.astype(int), axis=dim),
+    "index": _at,
+    "flip": lambda x, dims: np.flip(x, dims),
+    "prod": _prod,
     "sum": _sum,
     "mean": lambda x, dim=None, keepdim=False, **_: (s := _sum(x, dim, keepdim)) / (x.size / s.size),
     "linalg_vector_norm": _norm,

@@ -137,6 +137,11 @@ class Coverage:
         return far
 
 
+def falls_short(log_factor: float) -> bool:
+    """Whether intervals hold too little by any factor that is tried."""
+    return log_factor >= _BRACKET[1]
+
+
 def extrapolate(fitted: float, new: Sequence[float], n_runs: int) -> float:
     """log kappa for a run that is new to a model of `n_runs` runs, see above; `new` is empty where there is one."""
     if not new:

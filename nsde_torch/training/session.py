@@ -15,7 +15,7 @@ from tqdm.auto import tqdm
 from nsde_torch.data import DataSet, Run, Split
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.evaluation import report, seen
-from nsde_torch.evaluation.figures import Coverage, extrapolate, widen
+from nsde_torch.evaluation.figures import Coverage, extrapolate, falls_short, widen
 from nsde_torch.evaluation.metrics import evaluate, horizons_of
 from nsde_torch.evaluation.one_step import one_step_table
 from nsde_torch.models.capabilities import is_equation, is_stochastic, learns_sensors
@@ -219,6 +219,10 @@ class Training:
             + (", each with its own numbers" if numbers else "")
             + ")"
         )
+        if falls_short(fitted):
+            self._say(
+                "warning: by no factor up to that do intervals hold 90 % of the fitted runs: they are too narrow"
+            )
         return {"factor": factor, "fitted": math.exp(fitted), "left_out": [math.exp(f) for f in new]}
 
     @staticmethod

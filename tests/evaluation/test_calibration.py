@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from nsde_torch.data import Run
-from nsde_torch.evaluation.figures import Coverage, extrapolate, widen
+from nsde_torch.evaluation.figures import Coverage, extrapolate, falls_short, widen
 from tests.helpers.toy_systems import Decay, decay_runs, fix_sigma, make_model
 
 SIGMA = 0.5
@@ -46,6 +46,8 @@ def test_the_factor_stays_at_one_where_the_intervals_hold_already() -> None:
 
     assert Fixed(0.91).log_factor() == 0.0
     assert Fixed(0.89).log_factor() == pytest.approx(math.log(6.0))
+    assert falls_short(Fixed(0.89).log_factor())
+    assert not falls_short(Fixed(0.91).log_factor())
 
 
 def test_coverage_rises_with_the_factor_is_nine_tenths_at_the_truth_and_one_where_paths_diverge(

@@ -107,7 +107,8 @@ def _what_is_wrong(folder: Path) -> str:
         )
     if (folder / FAILED).is_file():
         return f"this training failed (see {folder / FAILED}); train again."
-    if (folder / "train.log").is_file() or (folder / CONFIG).is_file():  # and no flight, which nothing continues
+    # a flight has .hydra too, and nothing continues it
+    if (folder / "train.log").is_file() or (folder / CONFIG).is_file():
         command = as_typed("nsde", "train", paths={"resume": folder})
         return f"this training has not finished (no {METRICS}); finish it with `{command}`."
     return f"this is no run directory (no {METRICS}); give the folder that `nsde train` printed."

@@ -51,6 +51,7 @@ def solved(self, z0: Tensor, u: Tensor, z: Tensor, ref: Tensor, now: Tensor,
         hessian, gradient, low, high, value, best, least = self.prepare(z0, u, z, ref, now, d)
         step = self.no_step
         slope = gradient
+        left = least
         change = 0
         changing = True
         while changing:
@@ -58,7 +59,10 @@ def solved(self, z0: Tensor, u: Tensor, z: Tensor, ref: Tensor, now: Tensor,
                 hessian, gradient, low, high, value, step, slope, best, least)
             change += 1
             changing = change < {changes} and not bool(left <= {left!r})
+        before = cost
         u, z, cost, gap = self.finish(z0, u, ref, now, d, best, least)
+        if bool(left > {left!r}):
+            gap = torch.maximum(gap, (before - cost) / torch.clamp(torch.abs(cost), min=1e-9))
         iterations += 1
         going = iterations < {iterations} and not bool(gap <= {tolerance!r})
     return u, z, cost, gap, iterations

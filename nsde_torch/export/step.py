@@ -20,7 +20,7 @@ import torch
 from torch import Tensor, nn
 
 from nsde_torch.control.controller import Controller, Plan
-from nsde_torch.control.gauss_newton import CHANGES, LEFT, GaussNewton
+from nsde_torch.control.gauss_newton import CHANGES, LEFT, GaussNewton, saved
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import _repeat
 from nsde_torch.errors import ConfigError
@@ -325,6 +325,7 @@ def run(stages: Mapping[str, Stage], loops: Loops, *given: Tensor) -> tuple[Tens
     no_step = torch.zeros_like(u).flatten(1)
 
     def solved(u: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        cost = torch.full((1,), torch.inf, dtype=u.dtype)
         for count in itertools.count(1):
             quadratic = list(stages["prepare"](z0, u, z, ref, last, d))
             fixed, (best, least) = quadratic[:5], quadratic[5:]
@@ -333,7 +334,10 @@ def run(stages: Mapping[str, Stage], loops: Loops, *given: Tensor) -> tuple[Tens
                 step, slope, best, least, left = stages["active_set"](*fixed, step, slope, best, least)
                 if float(left) <= loops.left:
                     break
+            before = cost
             u, z, cost, gap = finish(z0, u, ref, last, d, best, least)
+            if float(left) > loops.left:  # see `GaussNewton.iterate`
+                gap = torch.maximum(gap, saved(before, cost))
             if float(gap) <= loops.tolerance or count >= loops.iterations:
                 break
         return u, z, cost, gap, torch.tensor(float(count), dtype=torch.float64)

@@ -141,3 +141,16 @@ def test_a_path_is_held_against_the_limits_of_each_motor(declared: System) -> No
         feasible.check(path, known, ProblemOptions(high=(1.0, 1.0, 0.4, 1.0, 1.0, 1.0)))
     with pytest.raises(ConfigError, match=r"\(u_2\) .* the least is 0\.38"):
         feasible.check(path, known, ProblemOptions(low=(0.0, 0.38, 0.0, 0.0, 0.0, 0.0)))
+
+
+@pytest.mark.parametrize("compiled", ["off", pytest.param("on", marks=needs_compiler)])
+def test_a_plan_whose_active_set_was_not_found_has_not_converged(compiled: str) -> None:
+    """From rest, an iteration of two joints found half of its active set and said that it had converged: 701 of 305."""
+    arm = TwoJoints()
+    problem = problem_of(arm, low=-3.0, high=5.0)
+    controller = Controller(
+        arm, problem=problem, solver=SolverOptions(compile=compiled), batch=1, dtype=torch.float64
+    )
+    wanted = torch.tensor([0.0, 0.0, 1.0, 2.0], dtype=torch.float64).expand(1, problem.steps, 4)
+    plan = controller.plan(torch.zeros(1, 4, dtype=torch.float64), wanted)
+    assert float(plan.cost[0]) == pytest.approx(305.30, rel=0.005)

@@ -208,8 +208,9 @@ static void newton(nsde_work *w, int from, real (*step)[NU])
     }
 }
 
-/* The best step on the box that was found, in w->best, and what the quadratic saves by it. */
-static real box_step(nsde_work *w)
+/* The best step on the box that was found, in w->best, and what the quadratic saves by it; `solved` says whether a
+   better one could add next to nothing. */
+static real box_step(nsde_work *w, int *solved)
 {
     real *u = &w->u[0][0], *g = &w->gradient[0][0], *scale = &w->scale[0][0], *best = &w->best[0][0];
     real *step = &w->step[0][0], *slope = &w->slope[0][0], *inside = &w->inside[0][0], *tangent = &w->tangent[0][0];
@@ -261,7 +262,8 @@ static real box_step(nsde_work *w)
             least = value;
             copy(inside, best, N);
         }
-        if ((value + left - least) / (R(0.1) * F(fabs)(cost) - least) <= LEFT) break;
+        *solved = (value + left - least) / (R(0.1) * F(fabs)(cost) - least) <= LEFT;
+        if (*solved) break;
     }
     return least;
 }
@@ -271,13 +273,14 @@ static real box_step(nsde_work *w)
 static real iteration(nsde_work *w, real *cost, int known, real *before)
 {
     real chosen = 0;
+    int solved = 0;
     *before = *cost;
     for (int i = 0; i < NR; i++) { /* nothing is to go after the last step */
         w->pv[K][i] = 0;
         for (int j = 0; j < LD; j++) w->p[K][i][j] = 0;
     }
     linearise(w);
-    real least = box_step(w);
+    real least = box_step(w, &solved);
     for (int s = 0; s < N_SHARES; s++) { /* the last share is none of the step */
         int again = s == N_SHARES - 1 && known;
         real *u = &w->u[0][0], *step = &w->best[0][0], *tried = &w->tried[0][0];
@@ -295,5 +298,8 @@ static real iteration(nsde_work *w, real *cost, int known, real *before)
     copy(&w->path[0][0], &w->z[0][0], (K + 1) * NZ);
     *cost = chosen;
     /* near the optimum the quadratic keeps its promise, up to the second order */
-    return F(fabs)(-least - (*before - chosen)) / LARGER(F(fabs)(chosen), R(1e-9));
+    real gap = F(fabs)(-least - (*before - chosen)) / LARGER(F(fabs)(chosen), R(1e-9));
+    /* a quadratic that is not solved keeps its promise too: go on while something is saved */
+    real more = (*before - chosen) / LARGER(F(fabs)(chosen), R(1e-9));
+    return solved ? gap : LARGER(more, gap);
 }

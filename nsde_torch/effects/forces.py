@@ -85,36 +85,58 @@ class Ripple(Law):
         return self.value("sine") * torch.sin(angle) + self.value("cosine") * torch.cos(angle)
 
 
-@final
-class EndStops(Law):
-    """Stops, or a spring with play: nothing between two ends, and a spring whose damping grows beyond each.
+class _Stop(Law):
+    """A stop: nothing on one side of its end, and a spring whose damping grows with the depth on the other.
 
-    A spring that was slack within 0.06 m was a peak, a cube, a sign and a sine without it, two of them sure.
+    A spring that was slack within 0.06 m was a peak, a cube, a sign and a sine without stops, two of them sure. One
+    effect with two ends found one of them (springs between stops, seeds 1 and 2 of ten).
     """
 
-    name = "end_stops"
     kinds = ("rail", "joint")
     reads_position = True
-    formula = "-k d - b |d| v, d = q - clip(q, low, high)"
     source = "contact as spring and damper; Hunt, Crossley, Journal of Applied Mechanics 42 (1975)"
     PARAMETERS = {
-        "stiffness": Parameter(1.0, "force/position", low=0.0, help="of the stops"),
-        "damping": Parameter(0.1, "force/(speed position)", low=0.0, help="beyond the ends, by depth"),
-        "low": Parameter(-1.0, "position", help="lower end"),
-        "high": Parameter(1.0, "position", help="upper end"),
+        "stiffness": Parameter(1.0, "force/position", low=0.0, help="of the stop"),
+        "damping": Parameter(0.1, "force/(speed position)", low=0.0, help="beyond the end, by depth"),
+        "end": Parameter(0.0, "position", scale=0.1, help="where it begins"),
     }
     along = "position"
     amplitudes = ("stiffness", "damping")
-    # one stop alone: the other end lies beyond the data
-    shapes = {"low": (-1.5, -0.9, -0.7, -0.45, -0.2), "high": (0.2, 0.45, 0.7, 0.9, 1.5)}
-    relative = {"low": "position", "high": "position"}
-    sentence = "Stops hold {it} below {low} and above {high}, with {stiffness} and {damping}."
-    separate = "move slowly up to the ends and beyond"
+    relative = {"end": "position"}
+    separate = "move slowly up to the end and beyond"
+
+    def _beyond(self, x: Tensor) -> Tensor:
+        raise NotImplementedError
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        q = self.q(x)
-        beyond = q - torch.maximum(torch.minimum(q, self.value("high")), self.value("low"))
+        beyond = self._beyond(x)
         return -self.value("stiffness") * beyond - self.value("damping") * beyond.abs() * self.v(x)
+
+
+@final
+class StopAbove(_Stop):
+    """A stop at the upper end, or one side of a spring with play."""
+
+    name = "stop_above"
+    formula = "-k d - b |d| v, d = max(q - end, 0)"
+    shapes = {"end": (-0.4, -0.1, 0.1, 0.25, 0.4, 0.6, 0.8, 0.95)}
+    sentence = "A stop holds {it} above {end}, with {stiffness} and {damping}."
+
+    def _beyond(self, x: Tensor) -> Tensor:
+        return torch.relu(self.q(x) - self.value("end"))
+
+
+@final
+class StopBelow(_Stop):
+    """A stop at the lower end, or one side of a spring with play."""
+
+    name = "stop_below"
+    formula = "-k d - b |d| v, d = min(q - end, 0)"
+    shapes = {"end": tuple(-share for share in StopAbove.shapes["end"])}
+    sentence = "A stop holds {it} below {end}, with {stiffness} and {damping}."
+
+    def _beyond(self, x: Tensor) -> Tensor:
+        return -torch.relu(self.value("end") - self.q(x))
 
 
 @final

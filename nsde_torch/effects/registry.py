@@ -32,7 +32,8 @@ EFFECTS: dict[str, type[Effect]] = {
         forces.CubicStiffness,
         friction.Hysteresis,
         forces.Ripple,
-        forces.EndStops,
+        forces.StopAbove,
+        forces.StopBelow,
         forces.LinkWeight,
         forces.PositionBias,
         # the input of any system

@@ -92,15 +92,26 @@ class TestRipple(EffectContract):
         torch.testing.assert_close(term(effect, X), torch.stack([torch.zeros(()), expected])[None])
 
 
-class TestEndStops(EffectContract):
-    name, system = "end_stops[q2]", HOME
-    values = {"stiffness": 2.0, "damping": 0.5, "low": -0.2, "high": 0.1}
+class TestStopAbove(EffectContract):
+    name, system = "stop_above[q2]", HOME
+    values = {"stiffness": 2.0, "damping": 0.5, "end": 0.1}
 
-    @pytest.mark.parametrize(("q", "force"), [(-0.5, 0.6 - 0.045), (0.0, 0.0), (0.4, -0.6 - 0.045)])
-    def test_it_pushes_back_beyond_each_end_alone(self, q: float, force: float) -> None:
+    @pytest.mark.parametrize(("q", "force"), [(-0.5, 0.0), (0.1, 0.0), (0.4, -0.6 - 0.045)])
+    def test_it_pushes_back_beyond_its_end_alone(self, q: float, force: float) -> None:
         x = torch.tensor([[0.3, 0.0, q, 0.0]])
         expected = torch.tensor([[0.0, force]])
         torch.testing.assert_close(term(self.make(self.values), x), expected, atol=1e-6, rtol=0.0)
+
+    def test_a_stop_below_is_its_mirror_image(self) -> None:
+        above, below = self.make(self.values), make_system(HOME).make_effect("stop_below[q2]", None)
+        for name, value in {**self.values, "end": -0.1}.items():
+            below.set_value(name, value)
+        for q in (-0.5, 0.0, 0.3):
+            x = torch.tensor([[0.3, 0.0, q, 0.0]])
+            torch.testing.assert_close(term(below, -x), -term(above, x))
+
+
+TestStopBelow = contract("stop_below[q2]", HOME)
 
 
 class TestLinkWeight(EffectContract):

@@ -132,7 +132,7 @@ class StopBelow(_Stop):
 
     name = "stop_below"
     formula = "-k d - b |d| v, d = min(q - end, 0)"
-    shapes = {"end": tuple(-share for share in StopAbove.shapes["end"])}
+    shapes = {"end": (0.4, 0.1, -0.1, -0.25, -0.4, -0.6, -0.8, -0.95)}
     sentence = "A stop holds {it} below {end}, with {stiffness} and {damping}."
 
     def _beyond(self, x: Tensor) -> Tensor:

@@ -1,12 +1,7 @@
 """Springs with dry friction by SciPy-free Runge and Kutta, and what encoders and users make of them."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks" / "blind"))
 from position_machines import measured, rates, spring
 
 from nsde_torch.data.raw import RawRun

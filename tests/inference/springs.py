@@ -1,22 +1,18 @@
 """Springs for the tests of the likelihood, in NumPy: exact linear ones, and those of the broken-log study."""
 
-import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.linalg import expm
+from small_machines import Small, run
 
 from nsde_torch.data import Run
 from nsde_torch.inference import MaximumLikelihood
 from nsde_torch.inference.levels import Levels
 from nsde_torch.systems import System, make_system
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks" / "blind"))
-from small_machines import Small, run
 
 Array = NDArray[np.float64]
 K, B, G = "linear_spring.stiffness", "viscous_friction.damping", "force_gain"

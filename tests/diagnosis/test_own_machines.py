@@ -265,3 +265,30 @@ def test_a_leak_is_a_constant_of_a_machine_without_coordinates() -> None:
     found = nsde_torch.diagnose(runs, system=Tank, say=False)
     assert found.added == ["force = c1"]
     assert_interval(found.parameters, "force = c1.c1", -0.006, slack=2e-4, width=0.002)
+
+
+def test_the_damping_of_two_stops_does_not_end_at_nothing() -> None:
+    """While the second stop is missing its work passes for noise, and sizes can end at their bound."""
+    runs, dt, fine = [], 0.01, 100
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        t = dt * np.arange(800)
+        u = np.repeat(rng.normal(size=20), 40) * 3.0
+        u += sum(2.0 * np.sin(2 * np.pi * f * t + p) for f, p in rng.uniform((0.1, 0), (2.5, 6), (5, 2)))
+        x, q, v = np.empty((len(t), 2)), 0.0, 0.0
+        pushes = rng.normal(size=(len(t), fine)) * 0.02 / np.sqrt(dt / fine)
+        for k, force in enumerate(u):
+            x[k] = q, v
+            for push in pushes[k]:
+                d = max(q - 0.29, 0.0) + min(q + 0.42, 0.0)
+                v += dt / fine * (-5.7 * q - 0.6 * v + 1.3 * force - 83.0 * d - 29.0 * abs(d) * v + push)
+                q += dt / fine * v
+        x += rng.normal(size=x.shape) * (0.0005, 0.005)
+        runs.append(RawRun(f"run_{seed}", t, x, u[:, None]))
+    few = ["stop_above", "stop_below"]
+    found = nsde_torch.diagnose(runs, system="mass_spring_damper", candidates=few, say=False)
+    assert sorted(found.added) == ["stop_above", "stop_below"]
+    for side, end in (("above", 0.29), ("below", -0.42)):
+        assert_interval(found.parameters, f"stop_{side}.stiffness", 83.0, slack=0.8)
+        assert_interval(found.parameters, f"stop_{side}.damping", 29.0, slack=0.8)
+        assert_interval(found.parameters, f"stop_{side}.end", end, slack=0.001)

@@ -26,13 +26,6 @@ from nsde_torch.recall import remembering
 log = logging.getLogger(__name__)
 
 
-class BatchedConfig:
-    """Settings of the launcher."""
-
-    _target_: str = f"{__name__}.Batched"
-    n_jobs: int = 0  # jobs at a time; 0: one for each core
-
-
 class Batched(Launcher):
     """See above. Where processes cannot be forked (Windows), jobs run one after the other, and share all the same.
 

@@ -84,8 +84,8 @@ def _power(runs: Sequence[Run], n_inputs: int, dt: float) -> tuple[Array, Array]
 def _standing_alone(changes: Array) -> Array:
     """Mean fourth power of changes (N, n) over the mean product of the squares of neighbours (n,); noise gives 3.
 
-    A step that is averaged over n rows changes n rows in a row. A step in one row was not averaged:
-    a telegraph signal every 0.5 s on a sum of sines was taken for a mean over 0.1 s.
+    A step that is averaged over n rows changes n rows in a row, and a step in one row was not averaged: a telegraph
+    signal every 0.5 s on a sum of sines was taken for a mean over 0.1 s.
     """
     square = changes**2
     return np.asarray((square**2).mean(0) / ((square[1:] * square[:-1]).mean(0) + 1e-300))

@@ -41,9 +41,8 @@ from nsde_torch.systems.values import Defaults, ErrorGroup, ResidualPort
 
 _DEGREES = 180.0 / pi
 _PARTS = (3, 3, 4, 3)  # position, velocity, quaternion, rates
-_STILL = (
-    1e-6  # share of the full thrust below which a rotor stands still: the slope of a root has no end there
-)
+_STILL = 1e-6
+"""Share of the full thrust below which a rotor stands still: the slope of a root has no end there."""
 
 
 class Multirotor(System):

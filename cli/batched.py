@@ -11,9 +11,10 @@ import multiprocessing
 import os
 import sys
 from collections.abc import Sequence
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn, configure_log, filter_overrides, run_job, setup_globals
@@ -51,14 +52,40 @@ class Batched(Launcher):
         with remembering():
             done = [self._run(*job) for job in jobs[:1]]
             if self.n_jobs > 1 and "fork" in multiprocessing.get_all_start_methods():
-                global _LAUNCHER
-                _LAUNCHER = self
-                with multiprocessing.get_context("fork").Pool(self.n_jobs, maxtasksperchild=1) as pool:
-                    done += pool.starmap(_forked, jobs[1:], chunksize=1)
+                done += self._forked(jobs[1:])
             else:
                 done += [self._run(*job) for job in jobs[1:]]
         configure_log(self.config.hydra.hydra_logging, self.config.hydra.verbose)
         return done
+
+    def _forked(self, jobs: Sequence[tuple[int, list[str]]]) -> list[JobReturn]:
+        """The same in processes forked from this one. A pool forks from a thread of its own, and may stop for ever."""
+        context, waiting = multiprocessing.get_context("fork"), list(jobs)
+        running: dict[Connection, int] = {}
+        processes: dict[int, BaseProcess] = {}
+        done: dict[int, JobReturn] = {}
+        while waiting or running:
+            while waiting and len(running) < self.n_jobs:
+                number, words = waiting.pop(0)
+                ours, theirs = context.Pipe(duplex=False)
+                process = context.Process(target=self._sent, args=(theirs, number, words))
+                process.start()
+                theirs.close()
+                running[ours], processes[number] = number, process
+            for ready in wait(list(running)):
+                assert isinstance(ready, Connection)
+                number = running.pop(ready)
+                try:
+                    done[number] = ready.recv()
+                except EOFError:
+                    processes[number].join()
+                    status = processes[number].exitcode
+                    raise RuntimeError(f"job {number} ended with exit status {status}.") from None
+                processes[number].join()
+        return [done[number] for number, _ in jobs]
+
+    def _sent(self, to: Connection, number: int, words: list[str]) -> None:
+        to.send(self._run(number, words))
 
     def _run(self, number: int, words: list[str]) -> JobReturn:
         log.info(f"\t#{number} : {' '.join(filter_overrides(words))}")
@@ -73,15 +100,6 @@ class Batched(Launcher):
             job_dir_key="hydra.sweep.dir",
             job_subdir_key="hydra.sweep.subdir",
         )
-
-
-_LAUNCHER: Any = None
-"""The launcher of this process, which its forks find here: what Hydra keeps is not made to be pickled."""
-
-
-def _forked(number: int, words: list[str]) -> JobReturn:
-    done: JobReturn = _LAUNCHER._run(number, words)
-    return done
 
 
 def register() -> None:

@@ -39,7 +39,7 @@ def two_frictions(seed: int, seconds: float = 8.0) -> list[Run]:
 def test_nothing_is_selected_where_nothing_is_missing() -> None:
     found = selected(small_runs(rubbing(0.0), 3, 8.0, seed=4))
     assert not found.selected
-    assert max(p.nats for p in found.rounds[0].look) < 3.0
+    assert max(p.nats for p in found.rounds[0].look) < 5.0
 
 
 def test_two_frictions_of_one_speed_are_both_selected_with_their_sizes() -> None:

@@ -201,6 +201,8 @@ def not_shown(
             if level or least <= decisions.detectable_share * usual:
                 continue
             size = least if isfinite(error) and least < never else None
+            if size is None and cls.local:
+                continue
             by_declared = (
                 size is None and decisions.detectable_errors * alone <= decisions.detectable_share * usual
             )

@@ -261,6 +261,8 @@ class Effect(Parametrised, ABC):
     along: ClassVar[str] = ""
     """The one variable that it is a law of (`speed`, `position`), if there is one: two of one variable on one port may
     together represent a third that nobody listed."""
+    local: ClassVar[bool] = False
+    """Whether it acts in one place alone. The data may never have reached it: that they do not show it says nothing."""
     sentence: ClassVar[str] = ""
     """What it means, for who runs the machine; {parameter} is replaced by a value with its unit."""
     separate: ClassVar[str] = ""  # the experiment that would distinguish it from similar effects

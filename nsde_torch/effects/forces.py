@@ -101,6 +101,7 @@ class _Stop(Law):
         "end": Parameter(0.0, "position", scale=0.1, help="where it begins"),
     }
     along = "position"
+    local = True
     amplitudes = ("stiffness", "damping")
     relative = {"end": "position"}
     separate = "move slowly up to the end and beyond"

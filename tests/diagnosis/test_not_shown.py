@@ -34,6 +34,15 @@ def test_what_declared_parameters_do_as_well_is_told_from_what_moves_nothing() -
     assert not listed.declared
 
 
+def test_a_stop_that_nothing_reached_is_not_listed_and_one_that_is_hardly_seen_is() -> None:
+    def stop(error: float) -> JointSelection:
+        errors = {"stop_above": {"stop_above.stiffness": (error, np.inf)}}
+        return JointSelection(cast(Any, None), cast(Any, None), {}, (Round((), ""),), errors)
+
+    assert not_shown(stop(np.inf), found=(), alpha=0.01) == []
+    assert not_shown(stop(0.5), found=(), alpha=0.01)[0].effect == "stop_above"
+
+
 def test_what_was_found_and_what_a_later_look_would_show_is_not_listed() -> None:
     assert not_shown(_selected(1.0), found=("constant_force",), alpha=0.01) == []
     assert not_shown(_selected(1.0, 0.001), found=(), alpha=0.01) == []

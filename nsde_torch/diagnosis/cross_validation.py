@@ -244,6 +244,8 @@ _NOTHING: dict[str, Any] = {
 }
 _SHOWN_S = 1.0  # longest of the predictions that are shown over time, one after another
 _SHOWN = 20  # steps of each that are kept
+LARGER = "the residual on runs left out is larger with what was found"
+"""Why effects are provisional that make worse what they were not fitted to."""
 Fitted = Callable[[System, Folds], LeftOut]
 """Physics, its values near the optimum, fitted without each fold and scored on it."""
 
@@ -280,6 +282,11 @@ class HeldOut:
         """Whether the residual of one of these is surely smaller with the effects; True where nothing was measured."""
         of = [one for name, one in self.content["residual"].items() if name in channels]
         return not of or any(one["high_90"] is None or one["high_90"] < 0 for one in of)
+
+    def larger(self, channels: Collection[str]) -> bool:
+        """Whether the residual of each of these is surely larger with the effects."""
+        of = [one for name, one in self.content["residual"].items() if name in channels]
+        return bool(of) and all(one["low_90"] is not None and one["low_90"] > 0 for one in of)
 
     def against(self, effect: str) -> str:
         """What runs left out say against an effect that was found, in words; empty if nothing."""

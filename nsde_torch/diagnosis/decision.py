@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.ceiling import Ceiling
-from nsde_torch.diagnosis.cross_validation import HeldOut
+from nsde_torch.diagnosis.cross_validation import LARGER, HeldOut
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
 from nsde_torch.diagnosis.evidence import nats_by_channel
 from nsde_torch.diagnosis.feedback_bias import (
@@ -42,6 +42,8 @@ from nsde_torch.sysid.readings import LESS
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
+
+_NO_SMALLER = "the residual on runs left out is no smaller with what was found, and structure is left in it"
 
 
 def selection(search: Search, joint: JointSelection | None, system: System) -> Outcome:
@@ -315,12 +317,19 @@ def _may_be_nothing(outcome: Outcome, found: Found) -> bool:
 def judged_on_runs_left_out(outcome: Outcome, errors: HeldOut) -> Outcome:
     """The outcome, its effects provisional where runs left out speak against them.
 
-    Where structure is left and no residual there is smaller than without any effect, what was found stands for
-    something else, and the verdict is `unexplained`: a drive with play and a shaft that twists was a lag, surely.
+    Where structure is left and no residual there is smaller than without any effect, or all are larger, what was found
+    stands for something else, and the verdict is `unexplained`: a drive with play and a shaft that twists was a lag, an
+    arm with an elastic joint an input without strength, both surely.
     """
     outcome = outcome.provisional(lambda f: errors.against(f.name))
     moved = {name for f in outcome.found for name in f.moves}
-    if errors.smaller(moved) or not any(d.channel in moved for d in outcome.structured):
+    structured, larger = any(d.channel in moved for d in outcome.structured), errors.larger(moved)
+    if errors.smaller(moved) or not (structured or larger):
         return outcome
-    why = "the residual on runs left out is no smaller with what was found, and structure is left in it"
+    how = (
+        "larger with what was found"
+        if larger
+        else "no smaller with what was found, and structure is left in it"
+    )
+    why = f"the residual on runs left out is {how}"
     return replace(outcome.provisional(lambda _: why), verdict="unexplained")

@@ -13,7 +13,7 @@ from typing import Any, TypedDict
 from nsde_torch.data import DataSet
 from nsde_torch.diagnosis.candidates import effect_of, values_of
 from nsde_torch.diagnosis.ceiling import Ceiling
-from nsde_torch.diagnosis.cross_validation import HeldOut
+from nsde_torch.diagnosis.cross_validation import LARGER, HeldOut
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.effect_importance import (
     BY_RESIDUAL,
@@ -354,6 +354,7 @@ def summary(
         "names": named([*faults, *shown.few], shown),
         "hidden": outcome.test.hidden,
         "known": outcome.test.most_known,
+        "larger": any(f.provisional == LARGER for f in outcome.found),
         "blind": list(
             dict.fromkeys(n.effect for n in _not_shown(outcome) if n.smallest is None and not n.declared)
         ),

@@ -185,12 +185,16 @@ def test_what_makes_no_residual_smaller_where_structure_is_left_explains_nothing
     assert errors.smaller({channel})
     left = replace(outcome, structured=[Dependence(channel, "q", 1e-6, 0.05, 0.5, 40.0, 4)])
     assert judged_on_runs_left_out(left, errors) == left, "its residual is smaller"
-    none = errors.content | {"residual": {channel: {"high_90": 0.01}}}
+    none = errors.content | {"residual": {channel: {"low_90": -0.01, "high_90": 0.01}}}
     same = replace(errors, content=none)
     assert judged_on_runs_left_out(outcome, same) == outcome, "nothing is left"
     judged = judged_on_runs_left_out(left, same)
     assert judged.verdict == "unexplained"
     assert "no smaller with what was found" in judged.found[0].provisional
+    more = replace(errors, content=errors.content | {"residual": {channel: {"low_90": 0.1, "high_90": 0.2}}})
+    judged = judged_on_runs_left_out(outcome, more)
+    assert judged.verdict == "unexplained"
+    assert "larger with what was found" in judged.found[0].provisional
 
 
 @pytest.fixture(scope="module")

@@ -326,10 +326,5 @@ def judged_on_runs_left_out(outcome: Outcome, errors: HeldOut) -> Outcome:
     structured, larger = any(d.channel in moved for d in outcome.structured), errors.larger(moved)
     if errors.smaller(moved) or not (structured or larger):
         return outcome
-    how = (
-        "larger with what was found"
-        if larger
-        else "no smaller with what was found, and structure is left in it"
-    )
-    why = f"the residual on runs left out is {how}"
+    why = LARGER if larger else _NO_SMALLER
     return replace(outcome.provisional(lambda _: why), verdict="unexplained")

@@ -40,6 +40,7 @@ from nsde_torch.sysid.feedback_test import FeedbackTest
 from nsde_torch.sysid.guard import Guarded, doubts_the_fit, guarded
 from nsde_torch.sysid.readings import LESS
 from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.rough import log_share
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 
@@ -260,7 +261,7 @@ def guard_of(log: Log, outcome: Outcome) -> Guarded:
     alone = outcome.declared
     without = guarded(alone, log.runs, clock=clock, first=alone.vector.first_values(known))
     # a law that leaves much less than the other reading does is none that makes up for it: a cable on a pendulum
-    share = sum(math.log(max(c.fit, 1e-12) / max(c.measured, 1e-12)) for c in found.channels)
+    share = sum(log_share(c.fit, c.measured) for c in found.channels)
     other = [o for o in without.objections if o.kind == "reading" and o.share < share + math.log(LESS)]
     return without if other else found
 

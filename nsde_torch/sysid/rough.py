@@ -92,7 +92,12 @@ class Left:
     @property
     def share(self) -> float:
         """log(left / measured), without unit."""
-        return log(max(self.left, 1e-12) / max(self.measured, 1e-12))
+        return log_share(self.left, self.measured)
+
+
+def log_share(left: float, measured: float) -> float:
+    """log(left / measured) of root mean squares, of nothing too."""
+    return log(max(left, 1e-12) / max(measured, 1e-12))
 
 
 def left_at(rough: Regression, theta: Array, *, damped: bool = False) -> list[Left]:

@@ -5,6 +5,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +58,7 @@ class Task:
         }
         return self._hash(facts)
 
-    @property
+    @cached_property
     def before_seed(self) -> str:
         """What a fit finds before any seed or setting of an optimiser matters depends on this, as a hash."""
         facts = {

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.optimize import brentq
 from torch import Tensor
 
 from nsde_torch import plots
@@ -43,7 +44,8 @@ _MOST = 0.92
 _RANKED_PARTICLES = 39
 _STARTS = 256
 _BRACKET = (math.log(0.25), math.log(6.0))
-_HALVINGS = 9
+_FIRST_STEP = 0.1
+_RESOLUTION = 0.005
 
 
 class Coverage:
@@ -124,17 +126,20 @@ class Coverage:
         now = self(0.0)
         if _LEVEL <= now <= _MOST:
             return 0.0
-        near, far = 0.0, _BRACKET[1] if now < _LEVEL else _BRACKET[0]
-        if now > _MOST and self(far) > _MOST:
-            return 0.0
-        for _ in range(_HALVINGS):
-            middle = (near + far) / 2
-            held = self(middle)
-            if (held >= _LEVEL) if now < _LEVEL else (held <= _MOST):
-                far = middle
-            else:
-                near = middle
-        return far
+        level, end = (_LEVEL, _BRACKET[1]) if now < _LEVEL else (_MOST, _BRACKET[0])
+        held, near, far = {0.0: now}, 0.0, math.copysign(_FIRST_STEP, end)
+        while True:  # from 1 on: most factors are near it, and each call is a rollout of all starts
+            held[far] = self(far)
+            if (held[far] - level) * (now - level) <= 0:
+                break
+            if far == end:
+                return end if now < _LEVEL else 0.0
+            near, far = far, math.copysign(min(2 * abs(far), abs(end)), end)
+
+        def excess(log_factor: float) -> float:
+            return (held[log_factor] if log_factor in held else self(log_factor)) - level
+
+        return float(brentq(excess, near, far, xtol=_RESOLUTION))
 
 
 def falls_short(log_factor: float) -> bool:

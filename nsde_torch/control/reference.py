@@ -16,7 +16,6 @@ from typing import final
 
 import numpy as np
 import torch
-from scipy.interpolate import PchipInterpolator
 from torch import Tensor
 
 from nsde_torch.arrays import Array
@@ -179,6 +178,8 @@ def course(system: System, file: str | Path) -> StateReference:
     for k, name in enumerate(names, start=1):  # an angle that was wrapped goes on
         if system.state_units[system.state_names.index(name)] == "rad":
             table[:, k] = np.unwrap(table[:, k])
+    from scipy.interpolate import PchipInterpolator  # half a second, which a circle does not need
+
     grid = np.arange(0.0, t[-1] + 0.5 * GRID, GRID)
     x = at_rest(system, torch.float64).repeat(len(grid), 1).numpy()
     through = PchipInterpolator(t, table[:, 1:])  # monotone between rows: a step does not ring

@@ -15,7 +15,6 @@ from math import radians, sqrt, tan
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from nsde_torch.arrays import Array
 from nsde_torch.control.options import CircleOptions, HoverOptions, LemniscateOptions, WaypointOptions
@@ -219,6 +218,8 @@ def _checked(times: Sequence[float], n: int, name: str) -> Array:
 
 
 def _through(table: Array, times: Array, name: str) -> FlightPath:
+    from scipy.interpolate import make_interp_spline  # half a second, which a circle does not need
+
     spline = make_interp_spline(times, table, k=7, bc_type=(_REST, _REST))
     n = int(np.floor(times[-1] / GRID + 1e-9)) + 1
     t = np.minimum(GRID * np.arange(n + 1), times[-1])  # the last row stands at the last point

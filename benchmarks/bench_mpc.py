@@ -1,10 +1,11 @@
 """Plans of both solvers against CasADi + IPOPT on the same discretised problem: optimality, cost against time, flight.
 
-    python benchmarks/bench_mpc.py RUN [--states 200] [--seconds 40]
+    python benchmarks/bench_mpc.py RUN [--states 200] [--seconds 40] [--only peers]
 
 RUN is the run directory of a hexacopter (model=nsde without effects, solver=default). CasADi (pip install casadi) gets
 the model's equations and weights written down a second time, in double precision, and IPOPT solves multiple shooting
-from the same cold start (hovering). States are drawn along both references, off them by the errors that a flight has.
+from the same cold start (hovering); `peers` has CasADi's other solvers beside it, cost reached against time, on at
+most 40 states. States are drawn along both references, off them by the errors that a flight has.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -53,34 +55,67 @@ def problems(horizon: Horizon, count: int) -> Problem:
     )
 
 
-class Peer:
-    """The problem in CasADi, solved by IPOPT."""
+PEERS: dict[str, tuple[str, dict[str, Any]]] = {
+    "ipopt": ("ipopt", {"ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-8, "max_iter": 500}}),
+    "fatrop": ("fatrop", {"structure_detection": "auto", "fatrop": {"print_level": 0, "max_iter": 500}}),
+    "sqp, osqp": ("sqpmethod", {"qpsol": "osqp", "qpsol_options": {"osqp": {"verbose": False}}}),
+    "sqp, hpipm": ("sqpmethod", {"qpsol": "hpipm"}),
+}
+"""CasADi's solvers from its wheel. Their functions are interpreted, not compiled."""
+REPEATS = 3  # of each solve, of which the shortest counts
+HESSIAN = ["x", "p", "lam_f", "lam_g"]
+SQP = {"print_header": False, "print_iteration": False, "print_status": False, "error_on_fail": False}
 
-    def __init__(self, horizon: Horizon) -> None:
+
+class Peer:
+    """The problem in CasADi, by one of its solvers: multiple shooting, stage after stage, as fatrop and HPIPM have it.
+
+    Args:
+        horizon: Ours.
+        name: Of `PEERS`.
+        iterations: At most so many; None: until it converges.
+    """
+
+    def __init__(self, horizon: Horizon, name: str = "ipopt", iterations: int | None = None) -> None:
         import casadi as ca
 
         self.steps, p = horizon.steps, horizon.predictor
         z, u, ref = ca.SX.sym("z", 13), ca.SX.sym("u", 6), ca.SX.sym("ref", 13)
         step = ca.Function("step", [z, u], [self._step(ca, p, z, u)])
         e = self._error(ca, z, ref)
-        weights = np.array(horizon.options.state_weights)
-        stage = ca.Function(
-            "stage", [z, u, ref], [ca.dot(weights * e, e) + horizon.options.input_weight * ca.dot(u, u)]
-        )
-        states, inputs = ca.SX.sym("Z", 13, self.steps), ca.SX.sym("U", 6, self.steps)
+        weights = np.sqrt(np.array(horizon.options.state_weights))
+        rest = ca.vertcat(weights * e, np.sqrt(horizon.options.input_weight) * u)
+        stage = ca.Function("stage", [z, u, ref], [rest])
         given = ca.SX.sym("p", 13 + 13 * self.steps)
-        total, equal, before = 0, [], given[:13]
+        state, rests = ca.SX.sym("z0", 13), []
+        variables, equal = [state], [state - given[:13]]
         for k in range(self.steps):
-            equal.append(states[:, k] - step(before, inputs[:, k]))
-            total += stage(states[:, k], inputs[:, k], given[13 * (k + 1) : 13 * (k + 2)])
-            before = states[:, k]
-        self.variables = ca.vertcat(ca.vec(inputs), ca.vec(states))
-        nlp = {"x": self.variables, "p": given, "f": total, "g": ca.vertcat(*equal)}
-        options = {
-            "print_time": False,
-            "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-8, "max_iter": 500},
-        }
-        self.solver = ca.nlpsol("peer", "ipopt", nlp, options)
+            u, after = ca.SX.sym(f"u{k}", 6), ca.SX.sym(f"z{k + 1}", 13)
+            equal.insert(-1 if k == 0 else len(equal), after - step(state, u))
+            rests.append(stage(after, u, given[13 * (k + 1) : 13 * (k + 2)]))
+            variables += [u, after]
+            state = after
+        x, g, rest = ca.vertcat(*variables), ca.vertcat(*equal), ca.vertcat(*rests)
+        nlp = {"x": x, "p": given, "f": ca.sumsqr(rest), "g": g}
+        method, own = PEERS[name]
+        options: dict[str, Any] = {"print_time": False, "error_on_fail": False, **own}
+        if method == "sqpmethod":
+            # of Gauss and Newton, as ours: the exact Hessian is indefinite here, and made definite it takes 50 steps
+            slope, f, lam = ca.jacobian(rest, x), ca.SX.sym("f"), ca.SX.sym("lam", g.shape[0])
+            hessian = ca.Function(
+                "curvature",
+                [x, given, f, lam],
+                [2 * f * slope.T @ slope],
+                HESSIAN,
+                ["hess_gamma_x_x"],
+            )
+            options |= SQP | {"max_iter": iterations or 50, "hess_lag": hessian}
+            options["qpsol_options"] = {**own.get("qpsol_options", {}), "error_on_fail": False}
+        elif iterations is not None:
+            options[method] = {**own[method], "max_iter": iterations}
+        if method == "fatrop":
+            options["equality"] = [True] * int(nlp["g"].shape[0])
+        self.solver = ca.nlpsol("peer", method, nlp, options)
         self.step = step
 
     @staticmethod
@@ -115,7 +150,7 @@ class Peer:
         angular = gains * moments + coupling * product
         if p._learned is not None:
             up = ca.vertcat(2 * (x * q - w * y), 2 * (y * q + w * x))
-            y_in = ca.vertcat(rotate(v, -1.0), omega, up)
+            y_in = ca.vertcat(rotate(v, -1.0), omega, up, *(z[k] for k in p.system.places))
             standard = p._learned.residual_inputs
             y_in = (y_in - standard.mean.double().numpy()) / standard.scale.double().numpy()
             for port, network in p._learned.residuals.items():
@@ -138,19 +173,60 @@ class Peer:
     def solve(self, problem: Problem, row: int, start: np.ndarray) -> tuple[float, float, bool, np.ndarray]:
         """Cost, seconds, success and inputs (K, 6) of one problem."""
         given = np.concatenate((problem.z0[row].double().numpy(), problem.ref[row].double().numpy().ravel()))
-        n = 6 * self.steps
-        low = np.concatenate((np.zeros(n), np.full(13 * self.steps, -np.inf)))
-        high = np.concatenate((np.ones(n), np.full(13 * self.steps, np.inf)))
-        states, z = [], given[:13]
+        bounds = [np.full(13, np.inf), *(np.concatenate((np.ones(6), np.full(13, np.inf))),) * self.steps]
+        high = np.concatenate(bounds)
+        low = np.where(np.isinf(high), -np.inf, 0.0)
+        z, guess = given[:13], [given[:13]]
         for k in range(self.steps):
             z = np.asarray(self.step(z, start[k])).ravel()
-            states.append(z)
-        guess = np.concatenate((start.ravel(), np.concatenate(states)))
+            guess += [start[k], z]
         began = time.perf_counter()
-        found = self.solver(x0=guess, p=given, lbx=low, ubx=high, lbg=0, ubg=0)
+        found = self.solver(x0=np.concatenate(guess), p=given, lbx=low, ubx=high, lbg=0, ubg=0)
         seconds = time.perf_counter() - began
-        u = np.asarray(found["x"]).ravel()[:n].reshape(self.steps, 6)
+        u = np.asarray(found["x"]).ravel()[13:].reshape(self.steps, 19)[:, :6]
         return float(found["f"]), seconds, bool(self.solver.stats()["success"]), u
+
+
+def peers(model: Any, count: int) -> dict[str, Any]:
+    """Cost above the optimum against time: ours by iteration, and CasADi's solvers, from the same cold starts."""
+    horizon = Horizon(Predictor(model, dt=0.05, dtype=torch.float64), ProblemOptions())
+    given = problems(horizon, count)
+    start = given.last[:, None].repeat(1, horizon.steps, 1)
+    paths = horizon.rollout(given.z0, start, given.d)
+
+    def costs(plans: Sequence[np.ndarray]) -> Any:
+        u = torch.tensor(np.stack(plans)).clamp(0.0, 1.0)
+        return horizon.cost(horizon.rollout(given.z0, u, given.d), u, given.ref, given.last).numpy()
+
+    tried: dict[str, tuple[Any, list[float], int]] = {}
+    for name in PEERS:
+        for iterations in (1, 2, 3, 5, 10, None) if name.startswith("sqp") else (None,):
+            peer = Peer(horizon, name, iterations)
+            rows = [[peer.solve(given, k, start[k].numpy()) for _ in range(REPEATS)] for k in range(count)]
+            failed = sum(not r[0][2] for r in rows) if iterations is None else 0
+            label = name if iterations is None else f"{name}, {iterations} iterations"
+            tried[label] = costs([r[0][3] for r in rows]), [min(t[1] for t in r) for r in rows], failed
+    for iterations in (1, 2, 3, 5, 10):
+        options = SolverOptions(iterations=iterations, tolerance=0.0, compile="on")
+        solver, plans, seconds = Solver(horizon, options), [], []
+        for k in range(count):
+            row = Problem(*(x[k : k + 1].contiguous() for x in given))
+            cold = start[k : k + 1].contiguous(), paths[k : k + 1].contiguous()
+            found = [solver.solve(row, *cold) for _ in range(REPEATS)]
+            plans.append(found[0].u[0].numpy())
+            seconds.append(min(f.seconds for f in found))
+        tried[f"ours, {iterations} iterations"] = costs(plans), seconds, 0
+    best = np.min([np.where(np.isfinite(c), c, np.inf) for c, _, _ in tried.values()], axis=0)
+    return {
+        label: {
+            "ms_p50": 1e3 * float(np.median(seconds)),
+            "ms_max": 1e3 * float(np.max(seconds)),
+            "over_best_median": float(np.median(cost / best - 1.0)),
+            "over_best_max": float(np.max(cost / best - 1.0)),
+            "not_converged": failed,
+        }
+        for label, (cost, seconds, failed) in tried.items()
+    }
 
 
 def optimality(model: Any, count: int) -> dict[str, Any]:
@@ -239,7 +315,7 @@ def main() -> None:
     parser.add_argument("run", type=Path)
     parser.add_argument("--states", type=int, default=200)
     parser.add_argument("--seconds", type=float, default=40.0)
-    parser.add_argument("--only", choices=("optimality", "loop"), default=None)
+    parser.add_argument("--only", choices=("optimality", "peers", "loop"), default=None)
     parser.add_argument("--solvers", nargs="*", default=list(ITERATIONS))
     parser.add_argument("--out", type=Path, default=None)
     given = parser.parse_args()
@@ -250,6 +326,11 @@ def main() -> None:
         with torch.no_grad():
             out["optimality"] = optimality(model, given.states)
         print(json.dumps(out["optimality"], indent=1), flush=True)
+    if given.only in (None, "peers"):
+        with torch.no_grad():
+            out["peers"] = peers(model, min(given.states, 40))
+        for label, row in out["peers"].items():
+            print(f"{label:24s}", "  ".join(f"{k} {v:.3g}" for k, v in row.items()), flush=True)
     if given.only in (None, "loop"):
         loops = {"gauss_newton": SolverOptions(compile="on", iterations=5, tolerance=5e-3)}
         loops["apg"] = SolverOptions(name="apg", compile="on", iterations=20, tolerance=5e-3)

@@ -81,6 +81,12 @@ class Files(DataConfig):
     derived_rates: str = key(
         "infer", "what to do with rates that were made of positions", choices=("infer", "keep")
     )
+    most_rows: int | None = key(
+        None,
+        "rows in all that are used of a longer log, in stretches spread over each run; null: as many as hold 1.5 "
+        "million states and inputs",
+        low=2,
+    )
     stream_offsets: str = key(
         "undo", "what to do with streams whose offsets differ between runs", choices=("undo", "keep")
     )

@@ -47,6 +47,7 @@ def read(
     state_smoothing: str = "restore",
     stream_offsets: str = "undo",
     derived_rates: str = "infer",
+    most_rows: int | None = None,
     **faults: Mapping[str, float] | None,
 ) -> DataSet:
     """Read and check runs: units, times, gaps, kinematics; of files also signs and order, by the physics.
@@ -66,6 +67,8 @@ def read(
         stream_offsets: What to do with streams whose offsets against others differ between runs: "undo" or "keep".
         derived_rates: What to do with rates that were made of positions, and that no sensor measured: "infer" them
             again from the positions, or "keep".
+        most_rows: Rows in all that are used of a longer log, in stretches spread over each run; None: as many as hold
+            1.5 million states and inputs.
         faults: What the recording did, to take out, by name of the fault and of the states: `sensor_bias` (what sensors
             read too much, in the unit of the state), `sensor_delay` (by how much states are logged late [s]),
             `sensor_lag` (time constants of filters that states went through [s]); see
@@ -93,6 +96,7 @@ def read(
         system_options(system).make() if isinstance(system, str | type | SystemOptions) else system
     )
     given = {"dt": dt, "own_rate": True, "gap": gap, "clock": clock, "derived_rates": derived_rates, **faults}
+    given |= {"most_rows": most_rows}
     found = _assembled(data, machine, kind, options or {}, given)
     found = undone_at_own_rate(
         found,

@@ -44,8 +44,8 @@ def read(kind: Kind, system: SystemInfo, *, path: str, dt: float | None = None, 
         system: The system that the data belong to.
         path: File or folder, as the kind says.
         dt: Step [s]; default: the data's own (the nominal step of a published file, else the median).
-        options: Those of `assemble`: `gap`, `clock`, `derived_rates`, `own_rate`, and what the recording did, to take
-            out (`sensor_bias={"q": 0.1}`, see `RemedyOptions`); and further options of the kind.
+        options: Those of `assemble`: `gap`, `clock`, `derived_rates`, `own_rate`, `most_rows`, and what the recording
+            did, to take out (`sensor_bias={"q": 0.1}`, see `RemedyOptions`); and further options of the kind.
 
     Returns:
         The data set with its summary.
@@ -55,7 +55,11 @@ def read(kind: Kind, system: SystemInfo, *, path: str, dt: float | None = None, 
         DataError: data that cannot be used; the message says where and what to do.
     """
     make, name = reader(kind), name_of(kind)
-    how = {own: options.pop(own) for own in ("gap", "clock", "derived_rates", "own_rate") if own in options}
+    how = {
+        own: options.pop(own)
+        for own in ("gap", "clock", "derived_rates", "own_rate", "most_rows")
+        if own in options
+    }
     asked = {fault: options.pop(fault) for fault in remedies() if fault in options}
     if dt is not None and name in READERS and READERS[name].takes_step:
         options["dt"] = dt
@@ -152,6 +156,7 @@ def assemble(
     clock: str = "rescale",
     derived_rates: str = "infer",
     own_rate: bool = False,
+    most_rows: int | None = None,
     **faults: Mapping[str, float] | None,
 ) -> DataSet:
     """Checks raw runs and joins them to a data set. The raw runs are used up.
@@ -165,6 +170,8 @@ def assemble(
         clock: What to do about a clock that disagrees with the kinematics: `rescale`, `trust` or `refuse`.
         derived_rates: What to do with rates that were made of positions: `infer` or `keep`.
         own_rate: Whether the step stays that of the log where `dt` is longer, for `on_longer_step` to come later.
+        most_rows: Rows in all that are used, at the step that was asked for, in stretches spread over each run; None:
+            as many as hold 1.5 million states and inputs.
         faults: What the recording did, to take out: `sensor_delay={"p": 0.01}` (see `RemedyOptions`).
 
     Returns:
@@ -177,6 +184,8 @@ def assemble(
     """
     if not raw:
         raise DataError("the data set holds no runs.")
+    if most_rows is not None and not most_rows >= 2:
+        raise ConfigError(f"`most_rows` must be 2 rows or more; got {most_rows!r}.")
     for name, value in (("dt", dt), ("gap", gap)):
         if value is not None and not value > 0:
             raise ConfigError(f"`{name}` must be a positive time in seconds; got {value!r}.")
@@ -270,4 +279,7 @@ def assemble(
         input_names=(*system.input_names, *system.exogenous),
         kind=kind,
     )
+    width = len(data.state_names) + len(data.input_names)
+    most = (times.LONG // width if most_rows is None else most_rows) * (wanted / step if later else 1.0)
+    data = times.no_longer(data, whole, most)
     return times.on_longer_step(data, whole, wanted) if later and not own_rate else data

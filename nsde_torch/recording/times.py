@@ -29,6 +29,13 @@ FINEST_S = 0.005
 """Time into which rows of fast logs are taken together [s]: at 1 kHz a diagnosis had found nothing in 10 minutes."""
 _ENOUGH = 1000
 """Rows that such a log keeps: a short one has no time to win (tests/diagnosis/test_cuts.py, 60 rows at 2 kHz)."""
+LONG = 1_500_000
+"""Numbers of states and inputs that are used of a log. Of one hour (360,006 rows) a spring's diagnosis took 4.3 GB; a
+hexacopter's training took 3.3 GB of ten minutes (60,000 rows)."""
+_STRETCH_S, _SHORTEST_S = (
+    30.0,
+    3.0,
+)  # how long a stretch of a longer log is, where runs are long and where they are short
 _WHOLE_RATE = 5e-4
 _ROUNDED = 0.4
 """Share of a step by which the time between two rows may be off a whole number of steps, for the mean step."""
@@ -291,6 +298,45 @@ def no_finer(data: DataSet, system: SystemInfo) -> DataSet:
     finding = Finding("short_step", "", every, text, "resampled", {"step_s": data.dt, "rows": every})
     told = replace(data.summary, findings=(*data.summary.findings, finding))
     return on_longer_step(replace(data, summary=told), system, every * data.dt)
+
+
+def no_longer(data: DataSet, system: SystemInfo, most: float) -> DataSet:
+    """The data set with at most about so many rows, in stretches spread evenly over each run, which is a finding."""
+    rows = sum(b - a for run in data.runs for a, b in run.segments)
+    if rows <= most:
+        return data
+    runs = [_thinned(run, most / rows) for run in data.runs]
+    kept = sum(map(len, runs))
+    text = (
+        f"{rows:,} rows are more than a training or a diagnosis holds in memory: {kept:,} of them are used, in "
+        f"stretches spread over each run (data.most_rows=N for another number)"
+    )
+    finding = Finding("long_log", "", rows, text, "left out", {"rows": rows, "used": kept})
+    about, own = data.summary, {"dt": data.dt, "clock_scale": data.clock_scale}
+    told = (*about.findings, finding)
+    summary = summarise(
+        runs, system, kind=data.kind, slopes=about.slopes, rank=about.input_rank, findings=told, **own
+    )
+    mark = fingerprint(runs, system_name=data.system_name, **own)
+    return replace(data, runs=runs, summary=summary, fingerprint=mark)
+
+
+def _thinned(run: Run, share: float) -> Run:
+    """A run with that share of its rows, or with a few seconds of it if that is longer."""
+    used = np.concatenate([np.arange(a, b) for a, b in run.segments])
+    few = min(max(share * len(used), _SHORTEST_S / run.dt), len(used))
+    count = max(1, round(few * run.dt / _STRETCH_S))
+    firsts = np.linspace(0, len(used) - few / count, count).round().astype(int)
+    at = np.concatenate([used[first : first + max(int(few / count), 2)] for first in firsts])
+    last = np.zeros(len(run), dtype=bool)
+    last[[b - 1 for _, b in run.segments]] = (
+        True  # rows with a gap behind them, though the next number follows
+    )
+    broken = np.append((np.diff(at) != 1) | last[at[:-1]], True)
+    cuts = [0, *(np.flatnonzero(broken) + 1).tolist()]
+    segments = tuple((a, b) for a, b in itertools.pairwise(cuts) if b - a >= 2)
+    extra = {name: values[at] for name, values in run.extra.items()}
+    return replace(run, t=run.t[at], x=run.x[at], u=run.u[at], extra=extra, segments=segments, unbroken=())
 
 
 def _resampled(run: Run, system: SystemInfo, dt: float) -> Run:

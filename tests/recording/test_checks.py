@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from nsde_torch.data import DataSet, RawRun
 from nsde_torch.data.kinematics import Slope, clock_slopes
 from nsde_torch.data.quaternion import conjugate, rotate, rotation_vector, slerp
-from nsde_torch.errors import DataError
+from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import assemble
 from nsde_torch.recording.times import no_finer, resample
 from nsde_torch.systems import make_system
@@ -357,6 +357,28 @@ def test_rows_of_a_long_log_that_are_closer_than_needed_become_one(
     assert data.dt == pytest.approx(rows * dt)
     told = [f.values for f in data.summary.findings if f.kind == "short_step"]
     assert told == ([] if rows == 1 else [{"step_s": pytest.approx(dt), "rows": rows}])
+
+
+def test_of_a_long_log_stretches_spread_over_each_run_are_used() -> None:
+    t, x, u = flight(120.0)
+    keep = np.r_[0:1503, 1603 : len(t)]
+    runs = [RawRun("long", t[keep], x[keep], u[keep]), RawRun("short", t[:150], x[:150] + 1e-9, u[:150])]
+    data = assemble(runs, HEXACOPTER, kind="test", most_rows=6000)
+    assert kinds(data) == ["time_gap", "long_log"]
+    long, short = data.runs
+    assert len(short) == 150
+    assert len(long) == pytest.approx(6000 * len(keep) / (len(keep) + 150), abs=3)
+    assert len(long.segments) == 3  # two stretches, one of them on both sides of the gap
+    assert long.t[-1] == pytest.approx(t[-1], abs=0.02)
+    assert all(np.diff(long.t[a:b]).max() < 0.011 for a, b in long.segments)
+    np.testing.assert_allclose(long.x, x[np.round(long.t / 0.01).astype(int)], atol=1e-12)
+    rows = {f.kind: f.values for f in data.summary.findings}["long_log"]
+    assert rows == {"rows": len(keep) + 150, "used": len(long) + 150}
+    longer = assemble([RawRun("long", t, x, u)], HEXACOPTER, kind="test", most_rows=600, dt=0.1)
+    assert longer.dt == 0.1
+    assert len(longer[0]) == pytest.approx(600, abs=5)
+    with pytest.raises(ConfigError, match="most_rows"):
+        assemble([RawRun("long", t, x, u)], HEXACOPTER, kind="test", most_rows=1)
 
 
 # ---- conventions -------------------------------------------------------------------------------------------

@@ -28,7 +28,7 @@ from nsde_torch.diagnosis.explanation import Explanation, declared
 from nsde_torch.diagnosis.outcome import Estimate, Found, Outcome
 from nsde_torch.diagnosis.residual_tests import Dependence
 from nsde_torch.diagnosis.search import channels_of
-from nsde_torch.diagnosis.shape import Shape, called, rates_width, symmetry
+from nsde_torch.diagnosis.shape import ChannelResidual, Shape, called, rates_width, symmetry
 from nsde_torch.diagnosis.stages import NotDone, SoFar, StoppedError, declared_model
 from nsde_torch.diagnosis.text import lines, rendered, short_lines, small, with_space
 from nsde_torch.effects import effect_class, key_of
@@ -220,6 +220,9 @@ class Diagnosis:
         return folder / REPORT
 
 
+_FAR_ABOVE = (
+    3.0  # times white noise from which on it is said: of friction that began at 11 s, 8 times were left
+)
 _DEPENDENCES = 12  # tests of structure that are listed
 _SHORT = "shorter than a step of the log: taken into account, and not named"
 TWINS = {"constant_force": ("sensor_bias",)}
@@ -264,7 +267,7 @@ class Content(TypedDict, total=False):
 def content(found: Diagnosis) -> Content:
     """The content of `diagnosis.json`."""
     o, left, shown, errors = found.outcome, found.explanation, found.shown, found.errors
-    functions, faults = ceiling_content(left.ceiling, o), [f.name for f in found.faults]
+    functions, faults = ceiling_content(left.ceiling, o, left.channels), [f.name for f in found.faults]
     short = [(f.name, f.sentence, f.reason or _SHORT) for f in found.recorded.faults if f.short]
     short += [(name, sentence(o, name), _SHORT) for name in o.aside]
     hidden = [(h.name, f"{h.name} would explain something, and is not named.", h.reason) for h in o.hidden]
@@ -557,8 +560,10 @@ def _where(d: Dependence, runs: Sequence[str]) -> str | None:
     return f"{name} only" if d.moment is None else f"{name}, {d.moment:.1f} s"
 
 
-def ceiling_content(found: Ceiling, outcome: Outcome) -> dict[str, Any]:
-    """The key `flexible` of `diagnosis.json`."""
+def ceiling_content(
+    found: Ceiling, outcome: Outcome, channels: Sequence[ChannelResidual] = ()
+) -> dict[str, Any]:
+    """The key `flexible` of `diagnosis.json`; `channels`: what is left, said where it is far above white noise."""
     rows = [
         {
             "row": r.row,
@@ -582,9 +587,16 @@ def ceiling_content(found: Ceiling, outcome: Outcome) -> dict[str, Any]:
         "rows": rows,
     }
     left = outcome.structured[0].variable if outcome.structured else ""
-    said = rendered(
-        "ceiling.txt", out, found=bool(outcome.found), functions=_functions_of(rows), structured=left
-    ).splitlines()
+    far = [c for c in channels if c.after > _FAR_ABOVE * c.floor > 0.0]
+    most = max(far, key=lambda c: c.after / c.floor, default=None)
+    above = {} if most is None else {"channel": most.name, "times": most.after / most.floor}
+    given = {
+        "found": bool(outcome.found),
+        "functions": _functions_of(rows),
+        "structured": left,
+        "above": above,
+    }
+    said = rendered("ceiling.txt", out, **given).splitlines()
     return out | {"sentence": said[0], "remedy": said[1] if rows else None}
 
 

@@ -34,7 +34,15 @@ from nsde_torch.inference.filtering import Pass, filtered, forced, with_paramete
 from nsde_torch.inference.force_scores import FunctionScores, force_scores
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.maximum import likeliest
-from nsde_torch.inference.sensitivity import Grams, WhitenedRows, grams, inverted, rows_of, solved
+from nsde_torch.inference.sensitivity import (
+    Grams,
+    WhitenedRows,
+    bounded_step,
+    grams,
+    inverted,
+    rows_of,
+    solved,
+)
 from nsde_torch.inference.smooth import EXTENDED, Kind, Scale, functions
 from nsde_torch.inference.state_space import StateSpace
 from nsde_torch.systems import System
@@ -49,6 +57,9 @@ MOST_GROUPS = 4  # groups of one row of a port
 _ROUNDS = 2  # choices, the second under noise levels found beside the first
 _VARIANCES = np.geomspace(1.0, 1e4, 13)  # tau, in units that move the rows by one standard deviation in all
 _ROUNDING = 1e-10
+_WIDEST = (
+    1e3  # times a standard error alone: a parameter of which the data say nothing has none to compare with
+)
 # without it parameters that one fold alone shows (a ground effect) go anywhere in the other ones, and what keeps them
 # passes for thousands of nats (blind hexacopter case_000, seed 8124)
 _KNOWN = 1e-3  # share of the information on a declared parameter that holds it at its optimum in every fold
@@ -116,6 +127,7 @@ class Functions:
     blocks: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
     """Log density of each block of time (B,) without and with the functions, each fitted to other blocks."""
     levels: Levels | None = None  # noise levels found beside the functions; None where there are none
+    errors: Array = field(default_factory=lambda: np.zeros(1))  # standard errors of theta beside them (k,)
 
     def importance(self, port: int) -> dict[str, float]:
         """Log likelihood that is lost without the functions of each variable on a row [nats], the most first."""
@@ -565,14 +577,21 @@ class _Choice:
         for s, value in zip(slices, fit.ridge, strict=True):
             weights[s.start - 1 : s.stop - 1] = value
         total = fit.blocks.sum(0)
-        step = solved(total, weights)
         first = slices[0].start - 1
-        inner = total[1:, 1:] + np.diag(weights)
+        joint = np.linalg.pinv(total[1:, 1:] + np.diag(weights), rcond=_ROUNDING, hermitian=True)
         whole = block_diag(*turns)
-        covariance = whole @ np.linalg.pinv(inner, rcond=_ROUNDING, hermitian=True)[first:, first:] @ whole.T
+        covariance = whole @ joint[first:, first:] @ whole.T
+        errors = np.sqrt(np.diag(joint)[:first].clip(0.0))
+        # what parameters and functions can both do is done by either: held as in every fold, and between bounds, beyond
+        # which functions made up for it (a damping cut at 0 from below lost all that a spring's friction wins, of 10 h)
+        weights[:first] = _KNOWN * np.diag(total)[1 : 1 + first]
+        low, high = (end - start for end in space.vector.reach(start))
+        free = np.full(len(weights) - first, np.inf)
+        inner = total[1:, 1:] + np.diag(weights)
+        step = bounded_step(inner, total[1:, 0], 0.0, np.append(low, -free), np.append(high, free))
         own = tuple(turn @ step[s.start - 1 : s.stop - 1] for s, turn in zip(slices, turns, strict=True))
         theta = space.vector.inside(start + step[:first])
-        return Functions(fit.groups, own, covariance, self._scaled, theta)
+        return Functions(fit.groups, own, covariance, self._scaled, theta, errors=errors)
 
     def _judged(self, fit: _Fit) -> Functions:
         """The functions, and what they bring under the noise found beside them."""

@@ -133,7 +133,7 @@ def _filtered(parts: Sequence[tuple[Array, Array, Array]]) -> str | None:
         if count < _FEWEST * 2 * reach:
             break
         every = max(1, count // _MOST)
-        z, y = np.concatenate(rows)[::every], np.concatenate(wanted)[::every]
+        z, y = (np.concatenate([part[::every] for part in each]) for each in (rows, wanted))
         b = np.linalg.lstsq(z, y, rcond=None)[0]
         left = float(np.square(y - z @ b).sum() / (len(y) - len(b)))
         weights = np.diff(np.concatenate([[0.0], b, [0.0]])) / dt

@@ -275,6 +275,11 @@ class _Fit:
         self.begin = {"relied": self.relied, "levels": levels, "functions": made.chosen}
         if made.functions.groups or self.relied or self.found is None:
             self._use(made.functions.theta)
+            if self.known is not None:  # what functions can do too is known the less of a parameter
+                alone = np.sqrt(np.diag(self.known.covariance))
+                wider = np.fmax(made.functions.errors, alone) / np.where(alone > 0, alone, 1.0)
+                wider = np.where(alone > 0, wider, 1.0)
+                self.known = replace(self.known, covariance=self.known.covariance * wider[:, None] * wider)
         return made
 
     def _optimum(self) -> Optimum | None:

@@ -32,6 +32,7 @@ from nsde_torch.diagnosis.residual_tests import (
     overview,
 )
 from nsde_torch.diagnosis.search import Search, bent_shape, fitted_system, moved_channels
+from nsde_torch.diagnosis.shape import channel_residuals
 from nsde_torch.effects import effect_class
 from nsde_torch.effects.by_run import BY_RUN, target_of
 from nsde_torch.effects.expression_grammar import is_law
@@ -151,9 +152,11 @@ def decide(search: Search, chosen: Outcome, alone: FittedPhysics | None = None) 
     rest = max((d.excess for d in left), default=0.0)
     brought = nats_by_channel(declared, base)
     found = [replace(f, moves=moved_channels(base, f.name)) for f in found]
+    abrupt = abrupt_changes(declared, base, found, search.decisions)
     for i, f in enumerate(found):
         why = _bent(bent_shape(base, f.name)) or provisional_reason(f, left, brought, search.decisions)
         why = why or _unshown(base, f.name) or _slow(search, base, f.name) or _of_many(f, chosen.test)
+        why = why or next((text for channel, text in abrupt.items() if channel in f.moves), "")
         found[i] = replace(f, provisional=why)
     verdict: Verdict = "effect_found" if found else "no_effect"
     if rest > explained if found else left:
@@ -230,6 +233,25 @@ def _unshown(regression: Regression, name: str) -> str:
     """Why an effect whose sizes are all unknown is provisional: losses of six motors, inputs of four dimensions."""
     sizes = regression.vector.sizes(name)
     return "" if not sizes or regression.shown.known[sizes].any() else "these data show none of its values"
+
+
+def far_above_noise(before: Regression, after: Regression, decisions: Decisions) -> dict[str, float]:
+    """Channels of which much more is left than white noise leaves, and how many times as much."""
+    channels = channel_residuals(before, after)
+    far = decisions.far_above_noise
+    return {c.name: c.after / max(c.floor, 1e-300) for c in channels if c.after > far * c.floor}
+
+
+def abrupt_changes(
+    before: Regression, after: Regression, found: Sequence[Found], decisions: Decisions
+) -> dict[str, str]:
+    """Why what acts on a channel beside a drift is provisional: what changes at once leaves much of a drift."""
+    drifting = {name for f in found if is_law(f.name) and "time" in f.name.split() for name in f.moves}
+    return {
+        name: f"something changes with time, and {times:.0f} times white noise is left: it may change at a moment"
+        for name, times in (far_above_noise(before, after, decisions).items() if drifting else ())
+        if name in drifting
+    }
 
 
 def _slow(search: Search, regression: Regression, name: str) -> str:

@@ -133,6 +133,11 @@ class Decisions:
         "share of what effects bring to its channels, or it alone brings, above which structure, or what functions "
         "explain, makes one provisional",
     )
+    # without it the damping of two stops is 0, surely, and dry friction that begins at 11 s is 39 % too small beside a
+    # drift of the damping, both surely (160 times white noise left)
+    far_above_noise: float = key(
+        10.0, "times white noise that is left, from which sizes at bounds and drifts are doubted", low=1
+    )
     late_sensor_share: float = key(
         0.1, "share of the structure, in nats, that a late sensor may leave to stand for the effects"
     )

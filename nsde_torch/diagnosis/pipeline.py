@@ -38,6 +38,7 @@ from nsde_torch.diagnosis.cross_validation import HeldOut, cross_validated, none
 from nsde_torch.diagnosis.decision import (
     decide,
     doubted,
+    far_above_noise,
     guard_of,
     judged_by_the_ceiling,
     judged_on_runs_left_out,
@@ -126,7 +127,6 @@ _ROUNDS: Mapping[str, float] = {  # in order, and how long each takes, in rounds
 }
 _ORDER = list(_ROUNDS)
 _UNFINISHED = "the diagnosis is not finished"
-_FAR = 10.0  # times what white noise leaves that is left, from which on a size at its bound is doubted
 
 
 @final
@@ -457,8 +457,7 @@ def _begun_anew(search: Search, joint: JointSelection) -> JointSelection:
         if name in final.vector.system.effect_names
         for j in final.vector.sizes(name)
     ]
-    far = any(one.after > _FAR * one.floor for one in channel_residuals(declared, final))
-    if not (far and at_bounds(final)[sizes].any()):
+    if not (far_above_noise(declared, final, search.decisions) and at_bounds(final)[sizes].any()):
         return joint
     system = fitted_system(search.quick(fitted_system(final)))
     other = fitted_at(joint.final.at.of.of(system), system, None)

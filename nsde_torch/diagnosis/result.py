@@ -220,9 +220,7 @@ class Diagnosis:
         return folder / REPORT
 
 
-_FAR_ABOVE = (
-    3.0  # times white noise from which on it is said: of friction that began at 11 s, 8 times were left
-)
+_FAR_ABOVE = 3.0  # times white noise, from which on what is left is said to be above it
 _DEPENDENCES = 12  # tests of structure that are listed
 _SHORT = "shorter than a step of the log: taken into account, and not named"
 TWINS = {"constant_force": ("sensor_bias",)}

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from nsde_torch.diagnosis.ceiling import Ceiling, RowGain
-from nsde_torch.diagnosis.decision import judged_by_the_ceiling
+from nsde_torch.diagnosis.decision import abrupt_changes, judged_by_the_ceiling
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Options
 from nsde_torch.diagnosis.evidence import nats_by_channel
 from nsde_torch.diagnosis.outcome import Outcome
@@ -55,6 +55,22 @@ def test_functions_that_explain_no_more_are_not_said_to_explain_all_where_struct
 def friction() -> Diagnosed:
     options = Options(candidates=("coulomb_friction",))
     return diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5}}, options=options)
+
+
+def test_beside_a_drift_that_leaves_much_nothing_is_sure(friction: Diagnosed) -> None:
+    outcome = friction[0].outcome
+    declared, final, (dry,) = outcome.declared, outcome.final, outcome.found
+    drift, strict = replace(dry, name="force = c1 time q_dot"), replace(DECISIONS, far_above_noise=4.0)
+    (why,) = abrupt_changes(declared, declared, [dry, drift], strict).values()
+    assert "4 times white noise is left: it may change at a moment" in why
+    assert not abrupt_changes(declared, declared, [dry, drift], DECISIONS)
+    assert not abrupt_changes(declared, declared, [dry], strict)
+    assert not abrupt_changes(declared, final, [dry, drift], strict)
+    assert not dry.provisional
+    channels = [replace(c, after=c.before) for c in friction[0].explanation.channels]
+    of = friction[0].explanation.ceiling, outcome
+    assert "times white noise" not in ceiling_content(*of, friction[0].explanation.channels)["sentence"]
+    assert "times white noise: a disturbance that lasts" in ceiling_content(*of, channels)["sentence"]
 
 
 @pytest.mark.slow

@@ -220,7 +220,6 @@ class Diagnosis:
         return folder / REPORT
 
 
-_FAR_ABOVE = 3.0  # times white noise, from which on what is left is said to be above it
 _DEPENDENCES = 12  # tests of structure that are listed
 _SHORT = "shorter than a step of the log: taken into account, and not named"
 TWINS = {"constant_force": ("sensor_bias",)}
@@ -585,7 +584,7 @@ def ceiling_content(
         "rows": rows,
     }
     left = outcome.structured[0].variable if outcome.structured else ""
-    far = [c for c in channels if c.after > _FAR_ABOVE * c.floor > 0.0]
+    far = [c for c in channels if c.after > outcome.decisions.far_above_noise * c.floor > 0.0]
     most = max(far, key=lambda c: c.after / c.floor, default=None)
     above = {} if most is None else {"channel": most.name, "times": most.after / most.floor}
     given = {

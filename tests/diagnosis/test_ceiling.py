@@ -67,7 +67,7 @@ def test_beside_a_drift_that_leaves_much_nothing_is_sure(friction: Diagnosed) ->
     assert not abrupt_changes(declared, declared, [dry], strict)
     assert not abrupt_changes(declared, final, [dry, drift], strict)
     assert not dry.provisional
-    channels = [replace(c, after=c.before) for c in friction[0].explanation.channels]
+    channels = [replace(c, after=11.0 * c.floor) for c in friction[0].explanation.channels]
     of = friction[0].explanation.ceiling, outcome
     assert "times white noise" not in ceiling_content(*of, friction[0].explanation.channels)["sentence"]
     assert "times white noise: a disturbance that lasts" in ceiling_content(*of, channels)["sentence"]

@@ -41,16 +41,24 @@ def test_a_training_after_another_seed_gives_the_same_numbers(
 ) -> None:
     from nsde_torch.training import fit_innovations
 
-    identifications: list[int] = []
+    identifications: list[int] = []  # of all training runs, and without each of them
     identified = fit_innovations.identified
 
     def counted(*args: Any, **options: Any) -> Any:
         identifications.append(1)
         return identified(*args, **options)
 
+    distances: list[int] = []
+    fit_distance = fit_innovations.fit_distance
+
+    def fitted(*args: Any, **options: Any) -> None:
+        distances.append(1)
+        fit_distance(*args, **options)
+
     monkeypatch.setattr(fit_innovations, "identified", counted)
+    monkeypatch.setattr(fit_innovations, "fit_distance", fitted)
     data = nsde_torch.simulate(
-        "mass_spring_damper", durations=[3.0] * 2, seed=1, effects=["quadratic_damping"]
+        "mass_spring_damper", durations=[3.0] * 3, seed=1, effects=["quadratic_damping"]
     )
 
     def metrics(seed: int, name: str) -> dict[str, Any]:
@@ -60,9 +68,12 @@ def test_a_training_after_another_seed_gives_the_same_numbers(
         return {k: v for k, v in made.metrics.items() if k != "seconds"}
 
     alone = metrics(1, "alone")
+    assert alone["calibration"]["left_out"]
     count = len(identifications)
     with remembering():
         metrics(0, "first")
         assert len(identifications) == 2 * count
+        assert len(distances) == 2 * 3
         assert metrics(1, "second") == alone
+        assert len(distances) == 2 * 3 + 1, "fits without a run were made again"
         assert len(identifications) == 2 * count, "what does not depend on the seed was worked out again"

@@ -6,6 +6,7 @@ import struct
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,6 +24,7 @@ from nsde_torch.models.kind import model_kind
 from nsde_torch.models.model import Model, ModelSpec
 from nsde_torch.models.run_directory import METRICS, save
 from nsde_torch.progress import no_bar
+from nsde_torch.recall import recall
 from nsde_torch.recording.clock_and_biases import of_runs
 from nsde_torch.recording.smoothing import smoothing_width
 from nsde_torch.sysid.feedback_test import feedback_summary
@@ -34,7 +36,10 @@ from nsde_torch.training.task import Fitted, Progress, Task
 from nsde_torch.whole_files import json_text
 
 _LEFT_OUT = 3  # training runs that calibration leaves out in turn, at most
-_AUXILIARY_SHARE = 0.5  # of the gradient steps
+_AUXILIARY_SHARE, _AUXILIARY_SEED = (
+    0.5,
+    1000,
+)  # of the gradient steps, and the first seed, of fits without a run
 
 
 @dataclass(kw_only=True, eq=False)
@@ -80,7 +85,7 @@ class Training:
             raise DataError(
                 f"the test runs ({names}) are too short for a horizon of 0.1 s; hold out longer ones."
             )
-        fit = self._fit(self.split.train, self.seed, "train", self.options)
+        fit = self._fit(self._task(self.split.train, self.seed, "train", self.options))
         model, p = fit.model, fit.progress
         fitted = time.perf_counter()
         ended = "validation no longer fell" if p.stopped else "all steps done"
@@ -135,11 +140,15 @@ class Training:
 
     # ---- stages ---------------------------------------------------------------------------------------
 
-    def _fit(
+    def _fit(self, task: Task) -> Fitted:
+        fitted: Fitted = model_kind(self.spec.kind).fit(task)
+        return fitted
+
+    def _task(
         self, runs: Sequence[Run], seed: int, name: str, options: TrainerOptions, near: Fitted | None = None
-    ) -> Fitted:
+    ) -> Task:
         clock = of_runs(self.data.summary.slopes, [r.name for r in runs], measured=self.data.clock_scale)
-        task = Task(
+        return Task(
             spec=self.spec,
             runs=runs,
             seed=seed,
@@ -157,8 +166,6 @@ class Training:
             quiet=self.quiet,
             near=near,
         )
-        fitted: Fitted = model_kind(self.spec.kind).fit(task)
-        return fitted
 
     def _feedback(self, model: Model) -> dict[str, Any]:
         """What the training runs say of the loop that they were recorded in."""
@@ -201,15 +208,13 @@ class Training:
         bar = tqdm(turns, desc="calibrating", unit="run", disable=no_bar(self.quiet), leave=False)
         for turn, k in enumerate(bar):
             others = [run for i, run in enumerate(runs) if i != k]
-            name = f"calibrate {turn + 1} of {count}"
+            # of seeds of its own: what runs left out say of sigma is the same for all jobs of a sweep
+            task = self._task(others, _AUXILIARY_SEED + turn, f"calibrate {turn + 1} of {count}", short, fit)
+            key = ("left out", task.identity, task.before_seed, runs[k].content_hash)
             try:
-                auxiliary = self._fit(others, self.seed + 1000 + turn, name, short, fit).model
-                assert is_stochastic(auxiliary)
-                coverage = Coverage(auxiliary, [runs[k]], seed=self.seed, compile=self.compile)
+                new.append(recall(key, partial(self._left_out, task, runs[k])))
             except (DataError, NonFiniteError) as error:
                 self._say(f"calibration without {runs[k].name!r} left out: {error}")
-                continue
-            new.append(coverage.log_factor())
         total = extrapolate(fitted, new, len(runs))
         widen(model, total)
         factor = math.exp(total)
@@ -224,6 +229,12 @@ class Training:
                 "warning: by no factor up to that do intervals hold 90 % of the fitted runs: they are too narrow"
             )
         return {"factor": factor, "fitted": math.exp(fitted), "left_out": [math.exp(f) for f in new]}
+
+    def _left_out(self, task: Task, run: Run) -> float:
+        """log of the factor at which intervals of a fit to other runs hold as much of a run as they should."""
+        auxiliary = self._fit(task).model
+        assert is_stochastic(auxiliary)
+        return Coverage(auxiliary, [run], seed=0, compile=self.compile).log_factor()
 
     @staticmethod
     def _numbers(fit: Fitted) -> dict[str, list[float]]:

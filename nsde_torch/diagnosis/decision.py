@@ -247,11 +247,9 @@ def abrupt_changes(
 ) -> dict[str, str]:
     """Why what acts on a channel beside a drift is provisional: what changes at once leaves much of a drift."""
     drifting = {name for f in found if is_law(f.name) and "time" in f.name.split() for name in f.moves}
-    return {
-        name: f"something changes with time, and {times:.0f} times white noise is left: it may change at a moment"
-        for name, times in (far_above_noise(before, after, decisions).items() if drifting else ())
-        if name in drifting
-    }
+    far = far_above_noise(before, after, decisions) if drifting else {}
+    text = "something changes with time, and {:.0f} times white noise is left: it may change at a moment"
+    return {name: text.format(times) for name, times in far.items() if name in drifting}
 
 
 def _slow(search: Search, regression: Regression, name: str) -> str:

@@ -587,13 +587,8 @@ def ceiling_content(
     far = [c for c in channels if c.after > outcome.decisions.far_above_noise * c.floor > 0.0]
     most = max(far, key=lambda c: c.after / c.floor, default=None)
     above = {} if most is None else {"channel": most.name, "times": most.after / most.floor}
-    given = {
-        "found": bool(outcome.found),
-        "functions": _functions_of(rows),
-        "structured": left,
-        "above": above,
-    }
-    said = rendered("ceiling.txt", out, **given).splitlines()
+    of = {"functions": _functions_of(rows), "structured": left, "above": above}
+    said = rendered("ceiling.txt", out, found=bool(outcome.found), **of).splitlines()
     return out | {"sentence": said[0], "remedy": said[1] if rows else None}
 
 

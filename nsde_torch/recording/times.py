@@ -32,10 +32,7 @@ _ENOUGH = 1000
 LONG = 1_500_000
 """Numbers of states and inputs that are used of a log. Of one hour (360,006 rows) a spring's diagnosis took 4.3 GB; a
 hexacopter's training took 3.3 GB of ten minutes (60,000 rows)."""
-_STRETCH_S, _SHORTEST_S = (
-    30.0,
-    3.0,
-)  # how long a stretch of a longer log is, where runs are long and where they are short
+_STRETCH_S, _SHORTEST_S = 30.0, 3.0  # a stretch of a longer log, and the least that is used of a run
 _WHOLE_RATE = 5e-4
 _ROUNDED = 0.4
 """Share of a step by which the time between two rows may be off a whole number of steps, for the mean step."""
@@ -329,9 +326,7 @@ def _thinned(run: Run, share: float) -> Run:
     firsts = np.linspace(0, len(used) - few / count, count).round().astype(int)
     at = np.concatenate([used[first : first + max(int(few / count), 2)] for first in firsts])
     last = np.zeros(len(run), dtype=bool)
-    last[[b - 1 for _, b in run.segments]] = (
-        True  # rows with a gap behind them, though the next number follows
-    )
+    last[[b - 1 for _, b in run.segments]] = True  # a gap is behind them, though the next number follows
     broken = np.append((np.diff(at) != 1) | last[at[:-1]], True)
     cuts = [0, *(np.flatnonzero(broken) + 1).tolist()]
     segments = tuple((a, b) for a, b in itertools.pairwise(cuts) if b - a >= 2)

@@ -276,9 +276,8 @@ class _Fit:
         if made.functions.groups or self.relied or self.found is None:
             self._use(made.functions.theta)
             if self.known is not None:  # what functions can do too is known the less of a parameter
-                alone = np.sqrt(np.diag(self.known.covariance))
-                wider = np.fmax(made.functions.errors, alone) / np.where(alone > 0, alone, 1.0)
-                wider = np.where(alone > 0, wider, 1.0)
+                alone = np.sqrt(np.diag(self.known.covariance).clip(1e-300))  # 0 and nan stay
+                wider = np.fmax(made.functions.errors / alone, 1.0)
                 self.known = replace(self.known, covariance=self.known.covariance * wider[:, None] * wider)
         return made
 

@@ -36,10 +36,8 @@ from nsde_torch.training.task import Fitted, Progress, Task
 from nsde_torch.whole_files import json_text
 
 _LEFT_OUT = 3  # training runs that calibration leaves out in turn, at most
-_AUXILIARY_SHARE, _AUXILIARY_SEED = (
-    0.5,
-    1000,
-)  # of the gradient steps, and the first seed, of fits without a run
+_AUXILIARY_SHARE = 0.5  # of the gradient steps
+_AUXILIARY_SEED = 1000  # of the first fit without a run
 
 
 @dataclass(kw_only=True, eq=False)

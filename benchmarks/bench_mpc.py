@@ -64,7 +64,7 @@ PEERS: dict[str, tuple[str, dict[str, Any]]] = {
 """CasADi's solvers from its wheel. Their functions are interpreted, not compiled."""
 REPEATS = 3  # of each solve, of which the shortest counts
 HESSIAN = ["x", "p", "lam_f", "lam_g"]
-SQP = {"print_header": False, "print_iteration": False, "print_status": False, "error_on_fail": False}
+SQP = {"print_header": False, "print_iteration": False, "print_status": False}
 
 
 class Peer:
@@ -73,7 +73,7 @@ class Peer:
     Args:
         horizon: Ours.
         name: Of `PEERS`.
-        iterations: At most so many; None: until it converges.
+        iterations: At most so many of SQP's; None: until it converges.
     """
 
     def __init__(self, horizon: Horizon, name: str = "ipopt", iterations: int | None = None) -> None:
@@ -111,8 +111,6 @@ class Peer:
             )
             options |= SQP | {"max_iter": iterations or 50, "hess_lag": hessian}
             options["qpsol_options"] = {**own.get("qpsol_options", {}), "error_on_fail": False}
-        elif iterations is not None:
-            options[method] = {**own[method], "max_iter": iterations}
         if method == "fatrop":
             options["equality"] = [True] * int(nlp["g"].shape[0])
         self.solver = ca.nlpsol("peer", method, nlp, options)

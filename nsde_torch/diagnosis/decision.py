@@ -237,9 +237,8 @@ def _unshown(regression: Regression, name: str) -> str:
 
 def far_above_noise(before: Regression, after: Regression, decisions: Decisions) -> dict[str, float]:
     """Channels of which much more is left than white noise leaves, and how many times as much."""
-    channels = channel_residuals(before, after)
-    far = decisions.far_above_noise
-    return {c.name: c.after / max(c.floor, 1e-300) for c in channels if c.after > far * c.floor}
+    each = {c.name: c.times_noise for c in channel_residuals(before, after)}
+    return {name: times for name, times in each.items() if times > decisions.far_above_noise}
 
 
 def abrupt_changes(

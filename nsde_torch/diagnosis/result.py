@@ -5,6 +5,7 @@ All texts are made of the content of `diagnosis.json` (keys: docs/content/refere
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -584,9 +585,9 @@ def ceiling_content(
         "rows": rows,
     }
     left = outcome.structured[0].variable if outcome.structured else ""
-    far = [c for c in channels if c.after > outcome.decisions.far_above_noise * c.floor > 0.0]
-    most = max(far, key=lambda c: c.after / c.floor, default=None)
-    above = {} if most is None else {"channel": most.name, "times": most.after / most.floor}
+    far = [c for c in channels if outcome.decisions.far_above_noise < c.times_noise < math.inf]
+    most = max(far, key=lambda c: c.times_noise, default=None)
+    above = {} if most is None else {"channel": most.name, "times": most.times_noise}
     of = {"functions": _functions_of(rows), "structured": left, "above": above}
     said = rendered("ceiling.txt", out, found=bool(outcome.found), **of).splitlines()
     return out | {"sentence": said[0], "remedy": said[1] if rows else None}

@@ -163,6 +163,11 @@ class ChannelResidual:
         above = self.before**2 - self.floor**2
         return float(np.clip((self.before**2 - self.after**2) / above, 0.0, 1.0)) if above > 0 else 0.0
 
+    @property
+    def times_noise(self) -> float:
+        """What is left, over what white noise leaves; infinite where that is nothing."""
+        return self.after / self.floor if self.floor > 0 else (float("inf") if self.after > 0 else 0.0)
+
     def as_dict(self) -> dict[str, str | float]:
         """Plain containers, for JSON."""
         out = asdict(self) | {"explained": self.explained}

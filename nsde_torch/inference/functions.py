@@ -57,9 +57,6 @@ MOST_GROUPS = 4  # groups of one row of a port
 _ROUNDS = 2  # choices, the second under noise levels found beside the first
 _VARIANCES = np.geomspace(1.0, 1e4, 13)  # tau, in units that move the rows by one standard deviation in all
 _ROUNDING = 1e-10
-_WIDEST = (
-    1e3  # times a standard error alone: a parameter of which the data say nothing has none to compare with
-)
 # without it parameters that one fold alone shows (a ground effect) go anywhere in the other ones, and what keeps them
 # passes for thousands of nats (blind hexacopter case_000, seed 8124)
 _KNOWN = 1e-3  # share of the information on a declared parameter that holds it at its optimum in every fold

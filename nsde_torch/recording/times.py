@@ -278,6 +278,13 @@ def on_longer_step(data: DataSet, system: SystemInfo, dt: float, *, late: Sequen
             findings = [f for f in findings if f.kind != "late_sensor"]
             findings += latency_findings(late, action="taken out")
     runs = [_resampled(run, system, dt) for run in runs]
+    return _holding(data, system, runs, findings, dt)
+
+
+def _holding(
+    data: DataSet, system: SystemInfo, runs: Sequence[Run], findings: Sequence[Finding], dt: float
+) -> DataSet:
+    """The data set with other runs and findings, on a step."""
     rank, slopes = data.summary.input_rank, data.summary.slopes
     own = {"dt": dt, "clock_scale": data.clock_scale}
     summary = summarise(runs, system, kind=data.kind, slopes=slopes, rank=rank, findings=findings, **own)
@@ -309,13 +316,7 @@ def no_longer(data: DataSet, system: SystemInfo, most: float) -> DataSet:
         f"stretches spread over each run (data.most_rows=N for another number)"
     )
     finding = Finding("long_log", "", rows, text, "left out", {"rows": rows, "used": kept})
-    about, own = data.summary, {"dt": data.dt, "clock_scale": data.clock_scale}
-    told = (*about.findings, finding)
-    summary = summarise(
-        runs, system, kind=data.kind, slopes=about.slopes, rank=about.input_rank, findings=told, **own
-    )
-    mark = fingerprint(runs, system_name=data.system_name, **own)
-    return replace(data, runs=runs, summary=summary, fingerprint=mark)
+    return _holding(data, system, runs, (*data.summary.findings, finding), data.dt)
 
 
 def _thinned(run: Run, share: float) -> Run:

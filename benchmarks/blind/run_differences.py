@@ -3,7 +3,8 @@
     python benchmarks/blind/run_differences.py --seed 1 --count 32 --out runs/differences
 
 Machines are those of `small_machines`. What differs, by how much and in which of three to six runs is drawn; in a third
-of the cases one run alone differs. Nulls have runs of one machine.
+of the cases one run alone differs. Nulls have runs of one machine. `--within` lets it change in the middle of runs of
+30 s: in one of two runs, in both at moments of their own, or in a single run.
 """
 
 from __future__ import annotations
@@ -11,11 +12,11 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
@@ -24,6 +25,7 @@ from small_machines import STATES, Small, run
 from study import answers, options, save
 
 Json = dict[str, Any]
+Draw: TypeAlias = Callable[[str, int], "Made"]
 SPRING, CART = "mass_spring_damper", "cartpole"
 VALUES = {SPRING: {"k": 4.0, "b": 0.5, "g": 1.0}, CART: {"g": 1.0, "s": 0.2, "l": 0.5}}
 NOISE = {SPRING: (0.001, 0.003), CART: (0.0005, 0.005, 0.001, 0.01)}
@@ -78,6 +80,8 @@ class Made:
     each: tuple[float, ...]  # value of what differs in each run, in its unit
     machines: tuple[Small, ...] = field(repr=False, default=())
     zeros: tuple[float, ...] = ()
+    moments: tuple[float, ...] = ()
+    """Of `within`: when each run changes [s]; machines, values and zeros are then those before and after, by turns."""
 
 
 def made(name: str, seed: int) -> Made:
@@ -99,6 +103,24 @@ def made(name: str, seed: int) -> Made:
         each.append(is_now)
         zeros.append(zero)
     return Made(kind, tuple(each), tuple(machines), tuple(zeros))
+
+
+def within(name: str, seed: int) -> Made:
+    """Draw the machines of runs that change at a moment."""
+    kind = KINDS[name]
+    rng = np.random.default_rng([seed, list(KINDS).index(name), 3])
+    count, alone = ((1, True), (2, True), (2, False))[rng.integers(3)]
+    size = float(np.exp(rng.uniform(np.log(max(kind.least, 0.05)), np.log(max(kind.most, 0.1)))))
+    size *= 1.0 if "coulomb" in kind.effect else float(rng.choice((-1.0, 1.0)))
+    moments = [float(rng.uniform(8.0, 22.0)) for _ in range(count)]
+    machine = Small(kind.system, dict(VALUES[kind.system]), {}, NOISE[kind.system])
+    parts = []
+    for r in range(count):
+        differs = size if kind.effect and not (alone and r) else 0.0
+        for by in (0.0, differs):
+            parts.append(changed(machine, kind.effect, float(np.exp(by)) if kind.relative else by))
+    machines, each, zeros = zip(*parts, strict=True)
+    return Made(kind, each, machines, zeros, tuple(moments))
 
 
 def changed(machine: Small, effect: str, by: float) -> tuple[Small, float, float]:
@@ -124,7 +146,13 @@ def changed(machine: Small, effect: str, by: float) -> tuple[Small, float, float
 def write(case: Made, folder: Path, seed: int, seconds: float = 12.0) -> None:
     """Write the runs of a case as CSV files."""
     folder.mkdir(parents=True, exist_ok=True)
-    for r, machine in enumerate(case.machines):
+    for r, moment in enumerate(case.moments):
+        before, after = case.machines[2 * r : 2 * r + 2]
+        t, y, u = run(before, 30.0, 0.01, 1009 * seed + r, after, moment)
+        if any(case.zeros):
+            y[:, 2] += np.where(t < moment, *case.zeros[2 * r : 2 * r + 2])
+        save(folder / f"run_{r}.csv", ("t", *STATES[before.system], "force"), [t + 100 * r, y, u], "%.7f")
+    for r, machine in enumerate(() if case.moments else case.machines):
         t, y, u = run(machine, seconds, 0.01, seed=1009 * seed + r)
         if case.zeros[r]:
             y[:, 2] += case.zeros[r]
@@ -132,14 +160,14 @@ def write(case: Made, folder: Path, seed: int, seconds: float = 12.0) -> None:
         save(folder / f"run_{r}.csv", columns, [t + 100 * r, y, u], "%.7f")
 
 
-def diagnosed(name: str, seed: int, keep: Path | None = None) -> Json:
+def diagnosed(name: str, seed: int, keep: Path | None = None, draw: Draw = made) -> Json:
     """Simulate a case and diagnose it; its runs are kept in a folder, if asked for."""
     import torch
 
     import nsde_torch
 
     torch.set_num_threads(1)
-    case = made(name, seed)
+    case = draw(name, seed)
     with tempfile.TemporaryDirectory() as temporary:
         folder = (keep or Path(temporary)) / f"{name.replace(': ', '_')}_{seed}"
         write(case, folder, seed)
@@ -154,7 +182,9 @@ def diagnosed(name: str, seed: int, keep: Path | None = None) -> Json:
         for k, p in content["parameters"].items()
         if k.startswith(f"{case.kind.effect}.") and "run" in p
     ]
+    moments = [(case.moments[int(run[4:])], *times) for run, times in content["data"]["moments"].items()]
     return {
+        "moments": [[round(v % 100, 2) for v in times] for times in moments],
         "kind": name,
         "seed": seed,
         "verdict": content["verdict"],
@@ -175,11 +205,13 @@ def _holds(p: Mapping[str, Any], case: Made) -> bool | None:
     if p["interval_90"] is None:
         return None
     of = {f"run_{r}": value for r, value in enumerate(case.each)}
-    true = of[p["run"]]
-    if p["against"] and "mass" in case.kind.effect:
-        true = true / of[p["against"]] - 1.0
-    elif p["against"]:
-        true -= of[p["against"]]
+    if case.moments:
+        of = {f"run_{k // 2} {('before', 'from')[k % 2]}": value for k, value in enumerate(case.each)}
+        of |= {f"run_{k // 2}": value for k, value in enumerate(case.each) if k % 2 == 0}
+    true, against = (of.get(" ".join((p[key] or "").split()[:2])) for key in ("run", "against"))
+    assert true is not None
+    if against is not None:
+        true = true / against - 1.0 if "mass" in case.kind.effect else true - against
     low, high = p["interval_90"]
     return bool(low <= true <= high)
 
@@ -193,7 +225,7 @@ def line(answer: Json) -> str:
     found = ", ".join(answer["found"]) or "nothing"
     return (
         f"{answer['kind']:18} {answer['seed']} {grade} {answer['held']}/{answer['intervals']} {answer['verdict']}: "
-        f"{found}{leads} {answer['each']} ({answer['seconds']:.0f} s)"
+        f"{found}{leads} {answer['each']} {answer['moments'] or ''} ({answer['seconds']:.0f} s)"
     )
 
 
@@ -202,13 +234,17 @@ def main() -> None:
     names = list(KINDS)
     parser = options(__doc__ or "", count=len(names))
     parser.add_argument("--keep", type=Path, default=None, help="folder that the runs are kept in")
+    parser.add_argument("--within", action="store_true", help="let runs change at a moment")
     given = parser.parse_args()
+    draw = within if given.within else made
     cases = []
     for i in range(given.first, given.first + given.count):
         name, seed = names[i % len(names)], given.seed + i // len(names)
         wrong = {"kind": name, "seed": seed, "found": [], "exact": False, "right": False, "wrong": []}
         wrong |= {"held": 0, "intervals": 0}
-        cases.append((f"{name.replace(': ', '_')}_{seed}", partial(diagnosed, name, seed, given.keep), wrong))
+        cases.append(
+            (f"{name.replace(': ', '_')}_{seed}", partial(diagnosed, name, seed, given.keep, draw), wrong)
+        )
     rows = answers(given.out, cases, line)
     some = [r for r in rows if KINDS[r["kind"]].effect]
     nulls = [r for r in rows if not KINDS[r["kind"]].effect]

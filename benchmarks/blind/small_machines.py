@@ -60,8 +60,10 @@ def small(system: str, rng: np.random.Generator, effect: bool) -> Small:
     return Small(system, {k: float(v) for k, v in values.items()}, held, tuple(level * n for n in noise))
 
 
-def run(machine: Small, seconds: float, dt: float, seed: int) -> tuple[Array, Array, Array]:
-    """One run: times from nothing (n,), measured states (n, nx), forces (n, 1)."""
+def run(
+    machine: Small, seconds: float, dt: float, seed: int, then: Small | None = None, moment: float = np.inf
+) -> tuple[Array, Array, Array]:
+    """One run: times from nothing (n,), measured states (n, nx), forces (n, 1); of another machine from a moment on."""
     rng = np.random.default_rng([seed, 7])
     t = dt * np.arange(round(seconds / dt) + 1)
     cart = machine.system == "cartpole"
@@ -74,6 +76,8 @@ def run(machine: Small, seconds: float, dt: float, seed: int) -> tuple[Array, Ar
     noise = np.array(machine.noise)
     rows, forces = np.empty((len(t), len(y))), np.empty((len(t), 1))
     for k in range(len(t)):
+        if then is not None and t[k] >= moment:
+            machine = then
         rows[k] = y + noise * rng.standard_normal(len(y))
         u = push[k] - (4.0 * rows[k, 0] + 3.0 * rows[k, 1]) / machine.values["g"] if cart else push[k]
         forces[k] = u

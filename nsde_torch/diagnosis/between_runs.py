@@ -14,51 +14,46 @@ that were restored it is not asked, as of functions (`ceiling`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import log
 
 import numpy as np
-import torch
 from scipy.special import chdtrc
 
 from nsde_torch.arrays import Array, Labels
 from nsde_torch.data import Run
-from nsde_torch.diagnosis.candidates import candidate_names, effect_of, joined, starts
+from nsde_torch.diagnosis.candidates import effect_of, joined
 from nsde_torch.diagnosis.ceiling import silent
-from nsde_torch.diagnosis.decision import feedback_made
+from nsde_torch.diagnosis.decision import far_above_noise, feedback_made
 from nsde_torch.diagnosis.evidence import bonferroni, sum_error
-from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSearch, JointSelection, fitted, sure_nats
+from nsde_torch.diagnosis.joint_selection import (
+    FittedPhysics,
+    JointSearch,
+    JointSelection,
+    fitted,
+    fitted_at,
+    sure_nats,
+)
 from nsde_torch.diagnosis.outcome import Outcome
+from nsde_torch.diagnosis.possible_differences import ColumnsBeside, PossibleDifference, columns_beside
 from nsde_torch.diagnosis.reading import Concluded, Log
 from nsde_torch.diagnosis.regressors import MOST_RUNS
-from nsde_torch.diagnosis.search import Search
-from nsde_torch.effects import Effect, Port
-from nsde_torch.effects.by_run import BY_RUN, MASS, OF_EACH_RUN, RUN, ByRun
+from nsde_torch.diagnosis.search import Search, repeats_seldom
+from nsde_torch.diagnosis.within_runs import cut_where_it_changes
+from nsde_torch.effects import Effect
+from nsde_torch.effects.by_run import BY_RUN, RUN, ByRun
 from nsde_torch.effects.expression_grammar import is_law
-from nsde_torch.effects.law import joined_name, split_name
-from nsde_torch.errors import NsdeError
+from nsde_torch.effects.law import split_name
 from nsde_torch.inference import LogLikelihood
-from nsde_torch.inference.sensitivity import grams, half_squares, solved
+from nsde_torch.inference.sensitivity import half_squares, solved
 from nsde_torch.sysid.guard import Guarded
 from nsde_torch.sysid.standstill import moving
 from nsde_torch.systems import System
-from nsde_torch.systems.in_run import OVER_MASS, difference_on, may_differ
+from nsde_torch.systems.in_run import difference_on
 
 _TRIED = 3  # candidates that are fitted to the end
 _MOST = 3  # differences that are looked for
-_ROWS = 5  # of the data, at which formulas are asked whether a parameter may differ between rows
-
-
-@dataclass(frozen=True)
-class PossibleDifference:
-    """Something that may differ between runs."""
-
-    system: System  # the physics; with what is no part of it yet
-    # parameter that differs (`RunDifference.target`), or name of an effect with a size for each run
-    target: str
-    turn: Array  # columns of the table that change together (K, k)
-    new: bool  # whether the first run has numbers too: of what is no part of the physics yet
 
 
 @dataclass(frozen=True)
@@ -101,11 +96,21 @@ def asked_for(outcome: Outcome, guard: Guarded) -> bool:
     make a law of the time (carts of `benchmarks/blind/run_differences.py`, seed 3).
     """
     one_is_odd = any(o.kind == "odd_run" for o in guard.objections)
-    return bool(outcome.structured or outcome.test.hidden or one_is_odd or _laws(outcome.joint))
+    return bool(outcome.structured or outcome.test.hidden or one_is_odd)
 
 
-def _laws(joint: JointSelection | None) -> list[str]:
-    return [] if joint is None else [name for name in joint.selected if is_law(name)]
+def _instead(search: Search, joint: JointSelection) -> list[str]:
+    """What was selected and may be there in the place of a difference: laws, what drifts, and what hardly repeats.
+
+    A gain that falls at a moment was a drift, surely, and a force that begins half a slow wave.
+    """
+    best = joint.final.best
+    drifting = {e.name for e in joint.final.system.effects if isinstance(e, Effect) and e.drifts}
+    return [
+        name
+        for name in joint.selected
+        if is_law(name) or name in drifting or repeats_seldom(search, best.vector, best.theta, name)
+    ]
 
 
 def with_differences(
@@ -115,34 +120,43 @@ def with_differences(
     log, search, outcome = now
     joint = outcome.joint
     # of the published flights, whose inputs know the future, five minutes of differences came to nothing
-    if joint is None or silent(log) or not 1 < len(log.runs) <= MOST_RUNS or not asked_for(outcome, guard):
+    if joint is None or silent(log) or len(log.runs) > MOST_RUNS:
+        return now
+    # they come back where they are needed: of zeros of an angle that differ laws made four, provisional ones
+    instead = _instead(search, joint)
+    asked = bool(instead) or asked_for(outcome, guard)
+    # a friction that begins after a third of a run left 105 times white noise in which no test saw a structure
+    if not asked and not far_above_noise(outcome.declared, outcome.final, search.decisions):
         return now
     log.say("what differs between runs", 0, _MOST)
-    # laws come back where they are needed: of zeros of an angle that differ they made four, provisional ones
-    laws = _laws(joint)
-    begun = joint.final if not laws else fitted(joint.final.system.without_effects(*laws), joint.final)
-    first = _best(search, begun)
-    if not first:
+    begun = joint.final
+    if instead:
+        begun = fitted(joint.final.system.without_effects(*instead), joint.final)
+    apart = joint.final.at.of.apart_s
+    columns = columns_beside(begun)
+    first = _best(search, begun, columns)
+    parts = cut_where_it_changes(log, search, begun, columns, first[0].nats if first else 0.0)
+    if parts is not log:
+        log, search = parts, parts.search(parts.runs).apart(apart)
+        begun = fitted_at(_likelihood(log, begun), begun.system, None)
+        first = _best(search, begun, columns_beside(begun))
+    if not first or not (asked or log.moments):
         return now
     # the run in the middle is the reference: where one run has another load, that one is named
     there = sorted(set(begun.at.of.space.steps.runs))
     middle = there[int(np.argsort(first[0].each[:, 0], kind="stable")[(len(there) - 1) // 2])]
     numbered, names = _numbered(log, [middle, *(r for r in there if r != middle)])
-    apart = joint.final.at.of.apart_s
     again = numbered.search(numbered.runs).apart(apart)
     declared = joint.declared.system.reading(RUN)
-    problem = LogLikelihood(declared, numbered.runs, log.recorded.clock, run_in=True, apart=apart)
-    if log.slowest and len(problem.space.steps) != len(begun.at.of.space.steps):  # without rows at standstill
-        runs = moving(numbered.runs, log.slowest)[0]
-        problem = LogLikelihood(declared, runs, log.recorded.clock, run_in=True, apart=apart)
+    problem = _likelihood(numbered, begun, declared)
     made = JointSearch(again, problem, declared, aside=joint.aside)
     place = made.fitted(begun.system.reading(RUN), made.declared)
-    other = made.fitted(joint.final.system.reading(RUN), place) if laws else place
+    other = made.fitted(joint.final.system.reading(RUN), place) if instead else place
     ties: dict[str, tuple[str, ...]] = {}
-    timed = any("time" in law for law in laws)
+    timed = any("time" in law for law in instead)
     for count in range(_MOST):
         log.say("what differs between runs", count, _MOST)
-        better, alike = _with_one(made, place, _best(again, place), names)
+        better, alike = _with_one(made, place, _best(again, place, columns_beside(place)), names)
         # of a quadrotor's flights half of the time went into differences of gains that feedback may have made. Beside a
         # law of the time they are no worse than that (cart of seed 203, a force of each run)
         if better is None or (not timed and feedback_made(again, numbered, place, better)):
@@ -156,6 +170,17 @@ def with_differences(
         return now
     named = {n: replace(one, ties=(*one.ties, *ties.get(n, ()))) for n, one in selected.selected.items()}
     return Concluded(numbered, again, conclude(numbered, again, made, replace(selected, selected=named)))
+
+
+def _likelihood(log: Log, like: FittedPhysics, system: System | None = None) -> LogLikelihood:
+    """That of a log, in rows as far apart as those of some physics, and without those at standstill where it is."""
+    of, physics, clock = like.at.of, system or like.system, log.recorded.clock
+    made = [LogLikelihood(physics, log.runs, clock, run_in=True, apart=of.apart_s)]
+    if log.slowest:
+        made.append(
+            LogLikelihood(physics, moving(log.runs, log.slowest)[0], clock, run_in=True, apart=of.apart_s)
+        )
+    return min(made, key=lambda one: abs(len(one.space.steps) - len(of.space.steps)))
 
 
 def _of_runs(system: System) -> set[str]:
@@ -218,101 +243,16 @@ def _with_one(
 # ---- what each would explain ---------------------------------------------------------------------------
 
 
-@torch.no_grad()
-def _best(search: Search, place: FittedPhysics) -> list[ExplainedDifference]:
+def _best(search: Search, place: FittedPhysics, columns: ColumnsBeside) -> list[ExplainedDifference]:
     """What surely would explain something, the best start of each, the best first."""
-    space, about, vector = place.at.of.space, place.at.about, place.best.vector
-    tables = [space.columns(about.x, about.slopes, range(len(vector)), about.after)]
-    known = dict(zip(vector.labels, place.best.theta.tolist(), strict=True))
-    new: list[tuple[str, System, int, int]] = []
-    at = len(vector)
-    for target, system, label in _not_there(place):
-        own = place.at.of.of(system)
-        own.space.use(own.vector.inside(own.vector.first_values(known)))
-        labels = [(name, name.partition("[")[0]) for name in own.vector.labels]
-        columns = [j for j, names in enumerate(labels) if label in names]
-        tables.append(own.space.columns(about.x, about.slopes, columns, about.after).float())
-        new.append((target, system, at, len(columns)))
-        at += len(columns)
-    space.use(place.best.theta)
-    apart = [slice(1 + a, 1 + a + k) for _, _, a, k in new]
-    table = torch.cat([t.float() for t in tables], -1)
-    held = grams(space, place.at.levels, about, place.at.at, table, apart=apart)
-    owner, _ = space.chunks.places()
-    of_runs = np.stack([held.blocks[owner == run].sum(0) for run in np.unique(owner)])
-    candidates = [PossibleDifference(s, target, np.eye(at)[:, a : a + k], True) for target, s, a, k in new]
-    candidates += _of_the_physics(place, at)
+    owner, _ = place.at.of.space.chunks.places()
+    of_runs = np.stack([columns.blocks[owner == run].sum(0) for run in np.unique(owner)])
     best: dict[str, ExplainedDifference] = {}
-    for one in candidates:
-        found = _explained(search, place, of_runs, one, len(candidates))
+    for one in columns.candidates:
+        found = _explained(search, place, of_runs, one, len(columns.candidates))
         if found is not None and (one.target not in best or found.nats > best[one.target].nats):
             best[one.target] = found
     return sorted(best.values(), key=lambda d: -d.nats)
-
-
-def _not_there(place: FittedPhysics) -> Iterator[tuple[str, System, str]]:
-    """What is no part of the physics and has one size: what differs, the physics with it, and the label of its size."""
-    system = place.system
-    for name in candidate_names(system):
-        cls = system.effect_class(name)
-        (law, coordinate), found = split_name(name), starts(system, name, place.at.of.sizes, ())
-        simpler = next((system.effect_class(n) for n in cls.includes if n in system.effect_names), None)
-        if simpler is None:
-            sizes = cls.size_names()
-        else:  # what it has beyond a part of the physics, at which it is that part: the wind, beside the drag
-            shared = cls.shared(simpler)
-            sizes = tuple(key for key in cls.PARAMETERS if key not in shared)
-            found = [{**start, **dict.fromkeys(sizes, 0.0)} for start in found[-1:]]
-        if len(sizes) != 1 or cls.exogenous or cls.port is Port.INPUT:
-            continue
-        each = OF_EACH_RUN.get(law)
-        target = f"{name}/{sizes[0]}" if each is None else joined_name(each, coordinate)
-        for start in found:
-            try:
-                there = joined(system, name, start)
-            except NsdeError:
-                continue
-            if effect_of(there, name).n_memory or (each is None and not _may_differ(place, there, target)):
-                break
-            yield target, there, f"{name}.{sizes[0]}"
-
-
-def _may_differ(place: FittedPhysics, system: System, target: str) -> bool:
-    """Whether the formulas of a system take a number for each row of some parameter."""
-    steps = place.at.of.space.steps
-    some = torch.linspace(0, len(steps) - 1, _ROWS).long()
-    plain = system.without_effects(*(str(e.name) for e in system.effects if isinstance(e, ByRun)))
-    u = steps.u[some, : system.nu + len(plain.exogenous)]
-    return may_differ(plain, target, steps.x0[some, : system.nx].double(), u.double())
-
-
-def _of_the_physics(place: FittedPhysics, whole: int) -> Iterator[PossibleDifference]:
-    """Parameters of the machine, sizes of its effects, and its mass, of a table of so many columns."""
-    system, vector, theta = place.system, place.best.vector, place.best.theta
-    differing = {getattr(e, "target", "") for e in system.effects}
-    mass, every = np.zeros((whole, 1)), np.eye(whole)
-    for at in vector.places:
-        name, dot, own = at.name.rpartition(".")
-        effect = effect_of(system, name) if dot else None
-        if effect is not None and (not _may_differ_in(effect, own) or is_law(name)):
-            continue
-        if own in system.over_mass if effect is None else effect.port in OVER_MASS:
-            mass[at.columns, 0] = -theta[at.columns]
-        target = f"{name}/{own}" if dot else own
-        law, coordinate = split_name(name)
-        if law in OF_EACH_RUN:
-            each = joined_name(OF_EACH_RUN[law], coordinate)
-            yield PossibleDifference(system, each, every[:, at.columns], False)
-        elif target not in differing and _may_differ(place, system, target):
-            yield PossibleDifference(system, target, every[:, at.columns], False)
-    if system.over_mass and MASS not in differing and int((mass != 0).sum()) > 1:
-        yield PossibleDifference(system, MASS, mass, False)
-
-
-def _may_differ_in(effect: Effect, own: str) -> bool:
-    """Whether a parameter says how strong an effect is, or one step fits it, that acts at once and on no input."""
-    sized = own in (*effect.size_names(), *effect.smooth) and not isinstance(effect, ByRun)
-    return sized and effect.port is not Port.INPUT and effect.n_memory == 0
 
 
 def _explained(

@@ -31,7 +31,7 @@ from nsde_torch.diagnosis.residual_tests import (
     dependences,
     overview,
 )
-from nsde_torch.diagnosis.search import Search, bent_shape, fitted_system, moved_channels
+from nsde_torch.diagnosis.search import Search, bent_shape, fitted_system, moved_channels, repeats_seldom
 from nsde_torch.diagnosis.shape import channel_residuals
 from nsde_torch.effects import effect_class
 from nsde_torch.effects.by_run import BY_RUN, target_of
@@ -76,7 +76,7 @@ def set_aside(search: Search, chosen: Outcome, log: Log) -> Outcome:
         # `nsde benchmark emps` the frictions went before a force that brought nothing
         weakest: tuple[float, str, Regression, tuple[str, ...]] | None = None
         for name, one in joint.selected.items() if lengths else ():
-            moved, allowed, count = _hidden(tested, lengths, base, name)
+            moved, allowed, count = _hidden(tested, lengths, base, name, log)
             if not set(moved) & set(lengths):
                 continue
             enough = search.level("effects") / among
@@ -101,15 +101,16 @@ def set_aside(search: Search, chosen: Outcome, log: Log) -> Outcome:
 
 
 def _hidden(
-    test: FeedbackTest, lengths: Mapping[str, Array], regression: Regression, name: str
+    test: FeedbackTest, lengths: Mapping[str, Array], regression: Regression, name: str, log: Log
 ) -> tuple[tuple[str, ...], dict[str, float], int]:
     """Channels that an effect moves, what feedback may hide of it there (2 log L), and number of its parameters."""
     # what moves nothing (a limit that no input reaches any more) brings nothing
     moved = moved_channels(regression, name) or tuple(lengths)
     own = regression.vector.of(name)
-    if target_of(name) or split_name(name)[0] in BY_RUN:
-        # what feedback does goes with how a run is flown. By what all runs have in common alone, gains that differ were
-        # named in flights of which nothing is missing (closed_loop.py, regimes b and c)
+    if (target_of(name) or split_name(name)[0] in BY_RUN) and not log.moments:
+        # what feedback does goes with how a run is flown, and does not change in the middle of one. By what all runs
+        # have in common alone, gains that differ were named in flights of which nothing is missing (closed_loop.py,
+        # regimes b and c)
         return moved, {c: test.hidden.get(c, 0.0) ** 2 for c in lengths}, len(own)
     # not of its shapes: feedback may bias the width of EMPS's friction by 68 standard errors, its size by 21
     return moved, allowances(lengths, regression.vector.sizes(name)), len(own)
@@ -126,7 +127,7 @@ def feedback_made(search: Search, log: Log, before: FittedPhysics, after: Fitted
     brought = {channel: 2.0 * value for channel, value in nats.items()}
 
     def made(name: str) -> bool:
-        moved, allowed, count = _hidden(tested, lengths, base, name)
+        moved, allowed, count = _hidden(tested, lengths, base, name, log)
         beyond = chance_beyond(brought, moved, allowed, count) < search.level("effects")
         return not (beyond or log.shown(fitted_system(base), name))
 
@@ -253,9 +254,8 @@ def abrupt_changes(
 
 def _slow(search: Search, regression: Regression, name: str) -> str:
     """Why what repeats in time is provisional: too seldom for anybody to know that it does (an encoder that jumps)."""
-    v, fewest, seconds = regression.vector, search.decisions.least_periods, search.longest * search.steps.dt
-    times = [abs(regression.theta[j]) * seconds for j in v.of(name) if v.units[j] == "Hz"]
-    few = min(times, default=fewest) < fewest
+    few = repeats_seldom(search, regression.vector, regression.theta, name)
+    fewest = search.decisions.least_periods
     return f"fewer than {fewest:g} periods of it are in the longest stretch" if few else ""
 
 

@@ -140,9 +140,7 @@ class Explanation:
     ceiling: Ceiling = field(default_factory=Ceiling)  # what functions could still explain
 
 
-def explained(
-    log: Log, search: Search, outcome: Outcome, guard: Guarded, runs: tuple[str, ...], most: Ceiling
-) -> Explanation:
+def explained(log: Log, search: Search, outcome: Outcome, guard: Guarded, most: Ceiling) -> Explanation:
     """Describe what is left."""
     regression, left = outcome.final, outcome.structured
     attempt = log.stages.attempt
@@ -152,7 +150,10 @@ def explained(
         if not left or joint is None:
             return ()
         residuals = PhysicsResiduals(search, joint.final, regression)
-        return tuple(shape(residuals, d, outcome.rates, runs) for d in left[: log.budgets.shapes])
+        return tuple(
+            shape(residuals, d, outcome.rates, tuple(run.name for run in log.runs))
+            for d in left[: log.budgets.shapes]
+        )
 
     shapes = attempt("the shape of what is left", shaped, ())
     return Explanation(

@@ -63,6 +63,7 @@ from nsde_torch.diagnosis.reading import (
     Log,
     at_declared,
     at_found,
+    cut_at,
     explains_more,
     not_sure,
     read_effects,
@@ -141,14 +142,13 @@ class DiagnosisCourse:
     def __init__(
         self,
         data: DataSet,
-        runs: tuple[str, ...],
         options: Options,
         spec: SysidSpec,
         *,
         say: Say,
         so_far: Callable[[Diagnosis], None],
     ) -> None:
-        self.data, self.runs, self.options, self.spec = data, runs, options, spec
+        self.data, self.options, self.spec = data, options, spec
         self.guard, self.ceiling = Guarded(), Ceiling(NOT_YET)
         self.errors: HeldOut | None = None
         self.instrumented: Identification | None = None
@@ -181,12 +181,22 @@ class DiagnosisCourse:
         self, log: Log, outcome: Outcome, left: Explanation, not_done: Sequence[NotDone], so_far: SoFar | None
     ) -> Diagnosis:
         """The diagnosis with what is known."""
-        read, errors = (
-            (log.system, self.data, self.runs, log.recorded),
-            self.errors or none_held_out(log, None),
+        data = replace(self.data, runs=cut_at(self.data.runs, log.moments)) if log.moments else self.data
+        names, errors = tuple(run.name for run in log.runs), self.errors or none_held_out(log, None)
+        known = Diagnosis(
+            log.system,
+            data,
+            names,
+            log.recorded,
+            outcome,
+            errors,
+            left,
+            self.options,
+            self.spec,
+            dict(self._seconds),
         )
-        known = Diagnosis(*read, outcome, errors, left, self.options, self.spec, dict(self._seconds))
-        return replace(known, instrumented=self.instrumented, not_done=tuple(not_done), so_far=so_far)
+        known = replace(known, so_far=so_far, moments=log.moments)
+        return replace(known, instrumented=self.instrumented, not_done=tuple(not_done))
 
     def known(self, stage: str | None, log: Log, outcome: Outcome) -> None:
         """Keep what is known after a stage, and give it to whoever listens."""
@@ -274,7 +284,7 @@ def diagnose(
         ConfigError: a candidate that the system cannot have.
         StoppedError: Ctrl-C once something was known; before, a plain KeyboardInterrupt.
     """
-    course = DiagnosisCourse(data, tuple(run.name for run in runs), options, spec, say=say, so_far=so_far)
+    course = DiagnosisCourse(data, options, spec, say=say, so_far=so_far)
     decisions = replace(decisions, alpha=options.alpha, most_effects=options.max_effects)
     try:
         with course.limit:
@@ -362,7 +372,7 @@ def _diagnosed(
     outcome = judged_by_the_ceiling(outcome, course.ceiling)
     course.lap("ceiling")
     course.known(CEILING, log, outcome)
-    left = explained(log, search, outcome, course.guard, course.runs, course.ceiling)
+    left = explained(log, search, outcome, course.guard, course.ceiling)
     no_time = any(s.why == NO_TIME for s in stages.not_done)
     so_far = SoFar(after_min=options.max_minutes) if no_time else None
     return course.diagnosis(log, outcome, left, stages.not_done, so_far)

@@ -44,6 +44,8 @@ from nsde_torch.sysid.standstill import SHARE, moving, slowest
 from nsde_torch.systems import System
 from nsde_torch.systems.coordinates import check_pushes
 
+# by name of a run, the logged times between which something changes
+Moments: TypeAlias = Mapping[str, tuple[float, float]]
 _CHECKED = 50  # rows of the data at which coordinates are checked
 
 
@@ -65,6 +67,13 @@ class Log:
     so_far: Callable[[str | None, Log, Outcome], None] = lambda stage, log, outcome: None
     begun: Begun | None = None
     """What an earlier diagnosis had selected, which the selection starts from; None: the declared physics."""
+    moments: Moments = field(default_factory=dict)
+    """Where runs were cut in two, by their names, as something changes there (`within_runs`)."""
+
+    def cut(self, moments: Moments) -> Log:
+        """The log with runs cut in two."""
+        recorded = replace(self.recorded, runs=cut_at(self.recorded.runs, moments))
+        return replace(self, recorded=recorded, runs=cut_at(self.runs, moments), moments=moments)
 
     def search(self, runs: Sequence[Run]) -> Search:
         """A search in runs of the log."""
@@ -105,6 +114,20 @@ class Log:
         return bool(self.options.instruments) and shown_by_instruments(
             self.identified(physics), effect, level("effects", self.decisions.alpha, self.recorded.stages)
         )
+
+
+def cut_at(runs: Sequence[Run], moments: Moments) -> tuple[Run, ...]:
+    """Runs, some of them cut in two, without the rows between."""
+    out: list[Run] = []
+    for run in runs:
+        if run.name not in moments:
+            out.append(run)
+            continue
+        times = moments[run.name]
+        first, last = (int(at) for at in np.searchsorted(run.t, times))
+        out.append(run.slice(0, first, name=f"{run.name} before {times[0]:.2f} s"))
+        out.append(run.slice(last, len(run), name=f"{run.name} from {times[1]:.2f} s"))
+    return tuple(out)
 
 
 def read_effects(system: System, runs: Sequence[Run], options: Options) -> None:

@@ -27,6 +27,7 @@ from nsde_torch.diagnosis.effect_importance import (
 from nsde_torch.diagnosis.evidence import NotShown, bonferroni, not_shown
 from nsde_torch.diagnosis.explanation import Explanation, declared
 from nsde_torch.diagnosis.outcome import Estimate, Found, Outcome
+from nsde_torch.diagnosis.reading import Moments
 from nsde_torch.diagnosis.residual_tests import Dependence
 from nsde_torch.diagnosis.search import channels_of
 from nsde_torch.diagnosis.shape import ChannelResidual, Shape, called, rates_width, symmetry
@@ -66,6 +67,9 @@ class Diagnosis:
     """Estimates with signals from outside the loop; None without any."""
     not_done: tuple[NotDone, ...] = ()  # stages that could not be computed or were left out
     so_far: SoFar | None = None  # that the diagnosis is not finished; None of one that is
+    moments: Moments = field(
+        default_factory=dict
+    )  # where runs were cut in two, by their names (`within_runs`)
 
     def finished(self) -> Diagnosis:
         """The diagnosis, for work that goes on with it.
@@ -275,7 +279,15 @@ def content(found: Diagnosis) -> Content:
     out |= {
         "verdict": found.verdict,
         "added": found.added,
-        "summary": summary(found.verdict, faults, shown, o, left.shapes, _functions_of(functions["rows"])),
+        "summary": summary(
+            found.verdict,
+            faults,
+            shown,
+            o,
+            left.shapes,
+            _functions_of(functions["rows"]),
+            moments=found.moments,
+        ),
         "warnings": _warnings(found),
         "not_done": [asdict(one) for one in found.not_done],
         "guard": {**left.guard.as_dict(), "rejected": o.doubted},
@@ -315,6 +327,7 @@ def content(found: Diagnosis) -> Content:
             "kind": found.data.kind,
             "system": found.data.system_name,
             "runs": list(found.runs),
+            "moments": {run: list(times) for run, times in found.moments.items()},
             "duration_s": sum(run.duration for run in found.recorded.runs),
             "clock_scale": found.recorded.clock,
             "dt_s": found.data.dt,
@@ -337,6 +350,8 @@ def summary(
     outcome: Outcome,
     shapes: Sequence[Shape],
     functions: str = "",
+    *,
+    moments: Moments,
 ) -> str:
     """The verdict in one or two sentences.
 
@@ -364,6 +379,10 @@ def summary(
         "rest": rest,
         "elsewhere": bool(left) and left[0].channel not in moved,
         "functions": functions,
+        "changes": ", ".join(
+            f"in {run} at {a:.2f} s" if a == b else f"in {run} between {a:.2f} and {b:.2f} s"
+            for run, (a, b) in moments.items()
+        ),
         "not_believed": sorted(outcome.doubted_channels),
     }
     return rendered("summary.txt", values).strip()

@@ -96,6 +96,13 @@ def bent_shape(regression: Regression, name: str) -> str:
     return next((v.labels[j] for j in v.of(name) if bent(j)), "")
 
 
+def repeats_seldom(search: "Search", vector: ParameterVector, theta: Array, name: str) -> bool:
+    """Whether an effect repeats in time, but too seldom in the longest stretch for anybody to know that it does."""
+    fewest, seconds = search.decisions.least_periods, search.longest * search.steps.dt
+    times = [abs(theta[j]) * seconds for j in vector.of(name) if vector.units[j] == "Hz"]
+    return bool(min(times, default=fewest) < fewest)
+
+
 def carried(vector: ParameterVector, before: Regression) -> Array:
     """First values: those of a regression where it has the parameter, else the system's."""
     return vector.first_values(dict(zip(before.vector.labels, before.theta.tolist(), strict=True)))

@@ -166,6 +166,7 @@ class ActuatorGainDrift(Effect):
     """The strength of the actuator changes with time."""
 
     name = "actuator_gain_drift"
+    drifts = True
     port = Port.INPUT
     formula = "u_eff = u (1 + r t)"
     source = "warming or wear of an actuator, first order in time"

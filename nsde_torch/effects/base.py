@@ -263,6 +263,7 @@ class Effect(Parametrised, ABC):
     together represent a third that nobody listed."""
     local: ClassVar[bool] = False
     """Whether it acts in one place alone. The data may never have reached it: that they do not show it says nothing."""
+    drifts: ClassVar[bool] = False  # whether it grows with the time of the log
     sentence: ClassVar[str] = ""
     """What it means, for who runs the machine; {parameter} is replaced by a value with its unit."""
     separate: ClassVar[str] = ""  # the experiment that would distinguish it from similar effects

@@ -424,6 +424,7 @@ class ThrustSag(Effect):
     """Thrust per command falls with time, as a battery empties."""
 
     name = "thrust_sag"
+    drifts = True
     port = Port.INPUT
     needs = _MULTIROTOR
     formula = "u_eff = u (1 - r t)"

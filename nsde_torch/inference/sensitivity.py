@@ -128,6 +128,20 @@ class WhitenedRows:
     tables: list[Tensor]  # of each block of time (C, rows, 1 + k), in single precision
     sums: Tensor  # their Gram matrices (parts, C, 1 + k, 1 + k)
 
+    def by_step(self) -> tuple[Labels, Array]:
+        """Numbers of the steps whose ends are measured (N,), in order, and their rows (N, m, 1 + k)."""
+        space, _, about, _ = self.of
+        shown, m = _shown(space, about), len(space.observed)
+        steps, rows = [], []
+        for (first, end), table in zip(space.chunks.parts, self.tables, strict=True):
+            own = shown[first:end]
+            row, chunk = own.nonzero(as_tuple=True)
+            place = own.cumsum(0)[row, chunk] - 1
+            steps.append(space.chunks.row[first:end][row, chunk])
+            rows.append(table.unflatten(1, (-1, m))[chunk, place])
+        order = torch.cat(steps).argsort()
+        return torch.cat(steps)[order].numpy(), torch.cat(rows)[order].double().numpy()
+
     @torch.no_grad()
     def beside(self, forces: Sequence[tuple[int, Tensor]], apart: Sequence[slice]) -> Grams:
         """Gram matrices with forces `apart` behind the columns that were kept: see `grams`."""

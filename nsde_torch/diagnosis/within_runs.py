@@ -1,0 +1,146 @@
+"""Where a run changes: something begins, ends or becomes stronger at a moment, and stays so.
+
+    e = J theta + 1[t > t0] J_c d + noise,      J_c the columns of a parameter, or of an effect that is not there yet
+
+A load that is dropped, a motor that loses a blade, a bearing that seizes. The Gram matrices by block of time say what
+each candidate would explain from any block on, and the whitened rows of the best one say at which row
+(Andrews, Econometrica 61 (1993): the largest of the score tests over moments). The run is then two, one before and one
+after, and what differs between them is told as between any runs (`between_runs`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import log as ln
+
+import numpy as np
+import torch
+from scipy.special import chdtrc
+
+from nsde_torch.arrays import Array, Labels
+from nsde_torch.diagnosis.evidence import bonferroni
+from nsde_torch.diagnosis.joint_selection import FittedPhysics
+from nsde_torch.diagnosis.possible_differences import ColumnsBeside, PossibleDifference
+from nsde_torch.diagnosis.reading import Log
+from nsde_torch.diagnosis.search import Search
+from nsde_torch.inference.sensitivity import inverted, rows_of
+
+_EDGE = 4  # blocks of time on either side of a moment, so that both sides show what differs
+_NEAR = 2  # blocks around the best one in which the moment is looked for
+_AS_LIKELY = 3.0  # nats below the likeliest moment that others may be; rows between them are in neither part
+_SHOWN = 1e-3  # least share of what a column does after a moment that no other column does
+
+
+@dataclass(frozen=True)
+class ChangeWithinRuns:
+    """What a candidate would explain if it changed at a moment of some runs."""
+
+    of: PossibleDifference
+    steps: Mapping[int, int]  # by number of the run: step that the block after the moment begins with
+    nats: float  # log likelihood that it would bring, less the price of numbers and moments (Schwarz)
+
+
+def cut_where_it_changes(
+    log: Log, search: Search, place: FittedPhysics, columns: ColumnsBeside, otherwise: float
+) -> Log:
+    """The log with each run cut in two where something in it surely changes; the log itself where nothing does.
+
+    Or where that explains no more than the nats that differences between whole runs would `otherwise` explain: of a run
+    whose encoder's zero was off some stiffness would change.
+    """
+    found = [one for c in columns.candidates if (one := _change(search, place, columns, c)) is not None]
+    best = max(found, key=lambda one: one.nats, default=None)
+    if best is None or best.nats <= otherwise:
+        return log
+    names = [run.name for run in log.runs]
+    return log.cut({names[run]: at for run, at in _moments(place, columns, best).items()})
+
+
+def _change(
+    search: Search, place: FittedPhysics, columns: ColumnsBeside, one: PossibleDifference
+) -> ChangeWithinRuns | None:
+    """The moments of the runs at which a candidate most surely changes; None where that is not beyond chance."""
+    owner, firsts = place.at.of.space.chunks.places()
+    count, among = one.turn.shape[1], len(columns.candidates) * len(owner)
+    price = 0.5 * count * ln(len(owner)) + ln(len(owner))
+    brought: dict[int, tuple[float, int]] = {}
+    for run in np.unique(owner):
+        blocks = np.flatnonzero(owner == run)
+        blocks = blocks[np.argsort(firsts[blocks], kind="stable")]
+        if len(blocks) <= 2 * _EDGE:
+            continue
+        gained, of_run = _gains(place, columns, one, blocks)
+        at = int(gained.argmax())
+        p = bonferroni(float(chdtrc(count, 2.0 * gained[at])), among)
+        if gained[at] - price > search.decisions.alike_nats and p < search.level("effects"):
+            brought[int(run)] = of_run + float(gained[at]) - price, int(firsts[blocks[_EDGE + at]])
+    nats, steps = sum(n for n, _ in brought.values()), {run: step for run, (_, step) in brought.items()}
+    return ChangeWithinRuns(one, steps, nats) if steps else None
+
+
+def _gains(
+    place: FittedPhysics, columns: ColumnsBeside, one: PossibleDifference, blocks: Labels
+) -> tuple[Array, float]:
+    """What a change before each block of a run but the first and last ones would bring beyond a number of its own for
+    the run, and what that brings [nats].
+
+    Where all runs change, each at another moment, what they have in common is neither side; and a run that is another
+    one from its start to its end does not change.
+    """
+    kept, moved = 1 + place.best.free, 1 + np.flatnonzero(one.turn.any(1))
+    turn, grams = one.turn[moved - 1], columns.blocks
+    inverse = inverted(grams[:, kept[:, None], kept].sum(0))
+
+    def after(values: Array) -> Array:
+        return np.asarray(values[::-1].cumsum(0)[::-1])
+
+    inner = after(turn.T @ grams[blocks][:, moved[:, None], moved] @ turn)
+    across = after(turn.T @ grams[blocks][:, moved[:, None], kept])
+    pulls = after(grams[blocks][:, moved, 0] @ turn)
+    left = inner - across @ inverse @ across.transpose(0, 2, 1)
+
+    def shown(information: Array) -> Array:
+        whole = np.diagonal(inner, axis1=1, axis2=2)
+        return np.asarray((np.diagonal(information, axis1=1, axis2=2) > _SHOWN * whole).all(1))
+
+    of_run = 0.0
+    if shown(left)[0]:  # else the run is the only one. That of the run is a change before its first block
+        shared = inner - across @ inverse @ across[0].T
+        turned, whole = shared @ inverted(left[0]), pulls[0]
+        of_run = float(0.5 * whole @ inverted(left[0]) @ whole) / place.best.inflation
+        pulls, left = pulls - turned @ whole, left - turned @ shared.transpose(0, 2, 1)
+    found = np.where(shown(left), 0.5 * np.einsum("bi,bij,bj->b", pulls, inverted(left), pulls), 0.0)
+    return found[_EDGE : len(blocks) - _EDGE] / place.best.inflation, of_run
+
+
+def _moments(
+    place: FittedPhysics, columns: ColumnsBeside, change: ChangeWithinRuns
+) -> dict[int, tuple[float, float]]:
+    """Logged times between which the moments are, by number of the run."""
+    space, kept, turn = place.at.of.space, place.best.free, torch.from_numpy(change.of.turn).float()
+    table = torch.cat((columns.table[..., kept], columns.table @ turn), -1)
+    steps, rows = rows_of((space, place.at.levels, place.at.about, place.at.at), table, ()).by_step()
+    owner = np.repeat(np.array(space.steps.runs), [b - a for a, b in space.steps.segments])[steps]
+    e, physics, column = np.split(rows, [1, 1 + len(kept)], -1)
+    block = np.median(np.diff(np.sort(space.chunks.places()[1])))
+    times = {}
+    for run, begun in change.steps.items():
+        mine = owner == run
+        known = np.concatenate((physics, column * mine[:, None, None]), -1)
+        of_run, after = known[mine], (steps[mine] >= begun)[:, None, None] * column[mine]
+        inverse = inverted(np.einsum("nmi,nmj->ij", known, known))
+        left = e[mine, :, 0] - of_run @ (inverse @ np.einsum("nmi,nmj->i", known, e))
+        across = np.einsum("nmi,nmj->ij", of_run, after)
+        inner = np.einsum("nmi,nmj->ij", after, after) - across.T @ inverse @ across
+        size = inverted(inner) @ np.einsum("nmi,nm->i", after, left)
+        beside = of_run @ (inverse @ across @ size)
+        first, then = (
+            (left * moved - 0.5 * moved * moved).sum(1) for moved in (-beside, column[mine] @ size - beside)
+        )
+        # log likelihood of a change before each row, but for a constant
+        value = (first - then).cumsum() - (first - then)
+        near = np.flatnonzero(np.abs(steps[mine] - begun) <= _NEAR * block)
+        able = steps[mine][near[value[near] > value[near].max() - _AS_LIKELY]]
+        times[run] = float(space.steps.t[able[0]]), float(space.steps.t[able[-1]])
+    return times

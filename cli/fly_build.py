@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig
 
 from nsde_torch.control.loop import DECLARED, knowledge, system_of
-from nsde_torch.control.reference import Reference
+from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.effects import files
 from nsde_torch.errors import ConfigError
 from nsde_torch.px4.flight.path import CascadeController, PathPoints
@@ -19,6 +19,7 @@ from nsde_torch.px4.flight.runner import Inline, Process, Runner
 from nsde_torch.systems import Multirotor
 
 from . import build, track_build
+from .hydra_command import say
 from .own_modules import see_own_modules
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ def known(config: DictConfig) -> Model | System:
         CheckpointError: no such run directory.
     """
     plain = build.options(config.mpc)
-    from .schemas.control import MpcConfig
+    from .schemas import MpcConfig
 
     given = [name for name in _UNUSED if plain[name] != getattr(MpcConfig(), name)]
     if given:
@@ -73,27 +74,37 @@ def _effects(config: DictConfig) -> list[Any]:
     return out
 
 
-def runner(config: DictConfig, path: PathPoints, reference: Reference, say: Callable[[str], None]) -> Runner:
+def predictive(
+    config: DictConfig, path: FlightPath, *, run: str, system: str, effects: Sequence[Any], lead: float
+) -> Process:
+    """The predictive controller of a flight, which is made in a process of its own."""
+    maker = PredictiveMaker(
+        run=run,
+        system=system,
+        path=path,
+        **track_build.planning(config.mpc),
+        delay=config.delay,
+        lead=lead,
+        tilt=radians(config.limits.tilt),
+        effects=effects,
+        threads=config.threads,
+    )
+    return Process(maker, period=config.mpc.period, say=say)
+
+
+def runner(config: DictConfig, path: PathPoints, reference: Reference) -> Runner:
     """The controller, where it runs: a cascade in the loop, the predictive one in a process of its own.
 
     A check flies nothing, and waits for no solver to be compiled.
     """
     if config.run == track_build.PID or config.check:
-        return Inline(
-            CascadeController(path) if config.lead is None else CascadeController(path, lead=config.lead)
-        )
-    mpc = config.mpc
-    maker = PredictiveMaker(
+        lead = {} if config.lead is None else {"lead": config.lead}
+        return Inline(CascadeController(path, **lead))
+    return predictive(
+        config,
+        reference.path,
         run=config.run,
         system=config.system.name,
-        path=reference.path,
-        problem=track_build.problem(mpc),
-        solver=track_build.solver(mpc),
-        safety=track_build.safety(mpc),
-        delay=config.delay,
-        lead=LEAD if config.lead is None else config.lead,
-        tilt=radians(config.limits.tilt),
         effects=_effects(config) if config.run == DECLARED else (),
-        threads=config.threads,
+        lead=LEAD if config.lead is None else config.lead,
     )
-    return Process(maker, period=mpc.period, say=say)

@@ -20,7 +20,7 @@ from nsde_torch.plain_yaml import read_yaml
 
 from .keys import Key, walk
 from .registry import hydra_command
-from .schemas.choices import CHOICES, NAMES
+from .schemas import CHOICES, NAMES
 
 _CONF = "nsde_torch.conf"
 NOTHING = "null"

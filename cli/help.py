@@ -9,8 +9,8 @@ from typing import Any
 
 from . import groups
 from .keys import Key
-from .registry import hydra_command
-from .schemas.choices import CHOICES
+from .registry import all_commands, hydra_command
+from .schemas import CHOICES
 
 WIDTH = 100
 _COLUMN = 38
@@ -29,7 +29,7 @@ def describe(command: str, words: Sequence[str]) -> str:
 
 
 def _described(command: str, words: Sequence[str], *, left_out: Collection[str]) -> list[str]:
-    extra, summary = groups.config_dir(words), hydra_command(command).help
+    extra, summary = groups.config_dir(words), all_commands()[command].summary
     chosen = groups.selected(command, words)
     lines = [
         f"nsde {command}: {summary[0].lower()}{summary[1:]}",

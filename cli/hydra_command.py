@@ -6,9 +6,11 @@ import contextlib
 import os
 import signal
 import sys
+import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -19,7 +21,7 @@ from . import complete, groups, help, messages
 from .exit_status import CRASHED, FAILED_JOBS, INTERRUPTED, OK, USER_ERROR, EndedError
 from .quoted import as_typed, coordinates_named, path_word, quoted, typed_path
 from .registry import hydra_commands
-from .schemas.choices import CHOICES
+from .schemas import CHOICES
 from .store import store
 
 _CONFIG_PATH = "pkg://nsde_torch.conf"
@@ -35,16 +37,32 @@ _WITH_VALUE = {
 }
 
 
+say = partial(print, flush=True)
+"""Prints a line at once, of work that goes on."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a command's function is given beside its configuration."""
+
+    run_dir: Path  # folder of this job, made by Hydra
+    sweep: bool  # whether it is one of a sweep
+    began: float = field(default_factory=time.perf_counter)
+
+    @property
+    def took(self) -> str:
+        """How long it has taken so far, `took 3 s`."""
+        return f"took {time.perf_counter() - self.began:.0f} s"
+
+
 @dataclass(frozen=True, kw_only=True)
 class HydraCommand:
     """A command whose configuration is composed by Hydra, from its schema and the choices of its groups in `conf/`."""
 
     name: str  # name of the command
-    help: str  # what it does, one line, the head of `nsde NAME --help`
-    schema: type  # dataclass of its keys (`nsde_torch.cli.keys`)
-    module: str
-    """Module whose function `run(config, job)` does the work, imported when there is some: `config` is the composed and
-    checked configuration, `job` (`cli/jobs.py`) says where to write."""
+    schema: type
+    """Dataclass of its keys (`nsde_torch.cli.keys`). The function `run(config, job)` of its module does the work on the
+    composed and checked configuration."""
     groups: Mapping[str, str | None] = field(default_factory=dict)
     """Config groups with the choice that each has by default, in order; None for none."""
     values: Mapping[str, Any] = field(default_factory=dict)
@@ -138,7 +156,7 @@ class HydraCommand:
         os.environ["HYDRA_FULL_ERROR"] = "1"
         old, sys.argv = sys.argv, [f"nsde {self.name}", *words]
         try:
-            job = HydraJob(self.name, self.module, folder=self.folder is not None)
+            job = HydraJob(self.name, self.schema.__module__, folder=self.folder is not None)
             hydra.main(version_base="1.3", config_path=_CONFIG_PATH, config_name=self.name)(job)()
         finally:
             sys.argv = old
@@ -173,7 +191,7 @@ class HydraCommand:
         return USER_ERROR
 
     def _interrupted(self) -> int:
-        from .jobs import LAST, Job, record
+        from .jobs import LAST, record
 
         line = f"nsde {self.name}: interrupted."
         if LAST.sweep_dir is not None:

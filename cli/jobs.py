@@ -11,9 +11,8 @@ import json
 import logging
 import re
 import sys
-import time
 import traceback
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +25,7 @@ from nsde_torch.errors import ConfigError, NsdeError
 from nsde_torch.progress import LOG as PROGRESS_LOG
 
 from . import messages
+from .hydra_command import Job
 from .keys import check
 
 FAILED = "failed.json"
@@ -57,20 +57,6 @@ class JobOutcome:
 
 
 LAST = JobOutcome()
-
-
-@dataclass(frozen=True)
-class Job:
-    """What a command's function is given beside its configuration."""
-
-    run_dir: Path  # folder of this job, made by Hydra
-    sweep: bool  # whether it is one of a sweep
-    began: float = field(default_factory=time.perf_counter)
-
-    @property
-    def took(self) -> str:
-        """How long it has taken so far, `took 3 s`."""
-        return f"took {time.perf_counter() - self.began:.0f} s"
 
 
 @dataclass(frozen=True)

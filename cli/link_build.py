@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from math import radians
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
@@ -12,14 +14,15 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.px4.flight.phases import REFUSED, FlightOutcome
 from nsde_torch.px4.flight.safety import Limits
 from nsde_torch.px4.flight.setpoint import SetpointLimits
+from nsde_torch.px4.link import connection as links
 from nsde_torch.px4.link.codec import signing_key
 from nsde_torch.px4.link.transport import LinkError
 
 from . import build
 from .exit_status import FLIGHT_ENDED, INTERRUPTED, NOT_LANDED, EndedError
 
-say = partial(print, flush=True)
-"""Takes a line about each step."""
+if TYPE_CHECKING:
+    from nsde_torch.px4.simulator.body import Body
 
 
 def key(config: DictConfig) -> bytes | None:
@@ -30,6 +33,30 @@ def key(config: DictConfig) -> bytes | None:
     if not file.is_file():
         raise ConfigError(f"`link.key_file`: {file} does not exist; expected a file with the signing key.")
     return signing_key(file.read_text(encoding="utf-8").strip())
+
+
+def connection(config: DictConfig) -> Callable[[], links.Link]:
+    """What opens the link of the group `link`, whose signing key is read now: before anything is connected to."""
+    return partial(links.open_link, config.url, expose=config.expose, target=config.system, key=key(config))
+
+
+def body(plant: DictConfig, *, seed: int) -> Body:
+    """The group `plant` as what a simulated vehicle flies; ConfigError for options that it does not have."""
+    from nsde_torch.px4.simulator.body import Body
+
+    if plant.kind == "learned" or plant.dt is not None or plant.state_latency:
+        raise ConfigError(
+            "a vehicle is plant=hexacopter or plant=quadrotor, without plant.dt and plant.state_latency (which nsde "
+            "close-loop has with by=plant)."
+        )
+    return Body(
+        plant.system or "hexacopter",
+        seed=seed,
+        effects=build.options(plant)["effects"],
+        declared_only=plant.declared_only,
+        process_noise=plant.process_noise,
+        latency=plant.latency,
+    )
 
 
 def limits(config: DictConfig) -> Limits:

@@ -14,7 +14,7 @@ import yaml
 from . import groups
 from .keys import walk
 from .quoted import as_typed, typed_path
-from .schemas.choices import CHOICES
+from .schemas import CHOICES
 
 # Arguments of the library whose key on the command line has another name.
 _KEYS = {

@@ -1,12 +1,12 @@
 """The commands of `nsde`, each one line here and one file.
 
-The file holds a `COMMAND`: a `HydraCommand` (name, help, schema, groups, folder) beside the function `run(config, job)`
+The file holds a `COMMAND`: a `HydraCommand` (name, schema, groups, folder) beside the function `run(config, job)`
 that does its work, or a `PlainCommand` for one that Hydra does not configure. It is imported when its command is
 called, so that listing the commands costs no import of Hydra or torch. What is heavy, torch above all, is imported
 inside `run`: help, completion and the parent process of a launcher do without it.
 
 Another package adds a command with an entry point of the group `nsde_torch.commands`, whose value is the module. The
-first line of the module's docstring is what `nsde --help` says of it: "`nsde NAME`: what it does".
+first line of the module's docstring is what `nsde --help` and its own help say of it: "`nsde NAME`: what it does".
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class PlainCommand:
 
 @dataclass(frozen=True)
 class CommandEntry:
-    """One line of the table: the file of a command, and what `nsde --help` says of it."""
+    """One line of the table: the file of a command, and what `nsde --help` and its own help say of it."""
 
     module: str  # module with the `COMMAND`
     summary: str
@@ -74,7 +74,7 @@ COMMANDS: dict[str, CommandEntry] = {
         "design": "Plan the most informative experiment, or report the evidence of one that was flown",
         "evaluate": "Score trained models on runs, against baselines and each other",
         "policy": "Learn a policy in a learned model or on the true machine, and judge it there",
-        "track": "Fly a reference with model predictive control on a learned model",
+        "track": "Follow a reference with model predictive control on a learned model",
         "fly": "Fly a controller on a PX4 vehicle over MAVLink, with checks, limits and a log",
         "land": "Land a PX4 vehicle that is in the air, and watch until it is disarmed",
         "export": "Write the predictive controller as a file for a flight computer",

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from .groups import without_file
-from .schemas.choices import CHOICES, NAMES
+from .schemas import CHOICES, NAMES
 
 if TYPE_CHECKING:
     from .hydra_command import HydraCommand

@@ -176,14 +176,13 @@ def problem(config: DictConfig, system: System | None = None) -> ProblemOptions:
     return ProblemOptions(**given) if system is None else problem_of(system, **given)
 
 
-def solver(config: DictConfig) -> SolverOptions:
-    """How plans are looked for."""
-    return SolverOptions(**{**build.shared(SolverOptions, config), "name": config.solver})
-
-
-def safety(config: DictConfig) -> SafetyOptions:
-    """What a controller does about trouble."""
-    return SafetyOptions(keep=config.keep, jump=config.jump)
+def planning(config: DictConfig, system: System | None = None) -> dict[str, Any]:
+    """The group `mpc` as arguments of a controller: what a plan pays for, how it is looked for, what trouble does."""
+    return {
+        "problem": problem(config, system),
+        "solver": SolverOptions(**{**build.shared(SolverOptions, config), "name": config.solver}),
+        "safety": SafetyOptions(**build.shared(SafetyOptions, config)),
+    }
 
 
 def autopilot(
@@ -214,14 +213,7 @@ def autopilot(
         agreed(file, mpc)
         foresight = file.sample
     else:
-        controller = Controller(
-            known,
-            problem=problem(mpc, system_of(known)),
-            solver=solver(mpc),
-            safety=safety(mpc),
-            batch=batch,
-            say=say,
-        )
+        controller = Controller(known, **planning(mpc, system_of(known)), batch=batch, say=say)
     return PredictivePilot(
         controller,
         foresight,
@@ -269,15 +261,15 @@ def exported(name: str) -> ExportedController:
 
 def agreed(file: ExportedController, mpc: DictConfig) -> None:
     """Refuse settings of `mpc` that somebody gave and that a file does not have: nothing would come of them."""
-    from .schemas.control import MpcConfig
+    from .schemas import MpcConfig
 
-    def settings(config: DictConfig) -> dict[str, Any]:
-        found = {**asdict(problem(config)), **asdict(solver(config)), **asdict(safety(config))}
+    def settings(*parts: Any) -> dict[str, Any]:
+        found = {name: value for part in parts for name, value in asdict(part).items()}
         return {**found, "solver": found.pop("name")}
 
-    given, plain = settings(mpc), settings(OmegaConf.structured(MpcConfig))
-    kept = {**asdict(file.options), **asdict(file.solver.options), **asdict(file.safety)}
-    kept["solver"] = kept.pop("name")
+    given = settings(*planning(mpc).values())
+    plain = settings(*planning(OmegaConf.structured(MpcConfig)).values())
+    kept = settings(file.options, file.solver.options, file.safety)
     for name in (*_IN_FILES, "solver"):
         if given[name] not in (plain[name], kept[name]):
             raise ConfigError(

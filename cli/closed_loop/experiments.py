@@ -12,10 +12,11 @@ What each finished step wrote is read again, not done again:
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import log
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
@@ -34,16 +35,20 @@ from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.progress import Stages
 from nsde_torch.whole_files import json_text
 
+from ..hydra_command import say
 from ..known_machine import KnownMachine
-from .limits import plan_limits
+from .limits import limit_key, plan_limits
 from .logs import diagnosis_content, log_files, machine_in, read_logs
-from .told import asked, entry_of, expected_nats, experiment_lines, too_little
+
+if TYPE_CHECKING:
+    from .loop import ClosedLoop
 
 FLIGHT, OBTAINED, REFUSED = "flight.json", "obtained.json", "refused.json"
 _OTHERS = ("odd_run", "unexplained_run")
 """Kinds of warnings of a diagnosis that speak of a run of another machine."""
-
-Say = Callable[[str], None]
+_NAMED = 3
+_NEAR = 0.7
+"""Share of a limit from which it is named as one that binds."""
 
 
 @dataclass(frozen=True)
@@ -55,61 +60,47 @@ class StoppedLoop:
     sentence: str
 
 
-@dataclass(frozen=True)
-class ExperimentLoop:
-    """What experiments need of the loop."""
-
-    config: DictConfig
-    folder: Path
-    logs: Path
-    kind: str | None
-    """Of the logs; None chooses by their names."""
-    fly: Callable[[Path, Path, int], dict[str, Any]] | None
-    """Flies a plan and writes a log, and returns what was measured; None where a person does."""
-    diagnose: Callable[[Path], None]
-    """Diagnoses all logs into a folder."""
-    say: Say
-
-
-def run_experiments(loop: ExperimentLoop, diagnosis: Path) -> tuple[list[dict[str, Any]], StoppedLoop, Path]:
+def run_experiments(loop: ClosedLoop) -> tuple[list[dict[str, Any]], StoppedLoop]:
     """Experiments from a first diagnosis on, until nothing is open, the budget is spent, or none is informative.
 
+    The folder of the last diagnosis is that of the loop then.
+
     Returns:
-        A record of each experiment, why there is no further one, and the folder of the last diagnosis.
+        A record of each experiment, and why there is no further one.
 
     Raises:
         DataError: a log cannot be read as one of this machine.
     """
     done: list[dict[str, Any]] = []
     for number in range(1, loop.config.experiments + 1):
-        content = diagnosis_content(diagnosis)
+        content = loop.found
         now = standing_of(content)
         if now.settled:
-            return done, settled(now), diagnosis
+            return done, settled(now)
         place = loop.folder / f"experiment_{number}"
         place.mkdir(parents=True, exist_ok=True)
-        known = machine_in(loop.logs, diagnosis, loop.config.plant.system, loop.kind)
+        known = machine_in(loop.logs, loop.diagnosis, loop.config.plant.system, loop.kind)
         plan = _planned(loop, place, known, open_questions(content, known.system), number)
         if isinstance(plan, StoppedLoop):
-            return done, plan, diagnosis
+            return done, plan
         waiting = _flown(loop, place, number)
         if waiting is not None:
-            return done, waiting, diagnosis
+            return done, waiting
         told = _read(loop, place, known, plan, content)
         loop.diagnose(place / "diagnosis")
         other = _other_machine(loop, place, content)
         if other is not None:
-            return done, other, diagnosis
-        diagnosis = place / "diagnosis"
-        after = standing_of(diagnosis_content(diagnosis))
+            return done, other
+        loop.diagnosis = place / "diagnosis"
+        after = standing_of(loop.found)
         done.append(entry_of(place, number, plan, told, now, after, _flight(place)))
         for line in experiment_lines(done[-1]):
-            loop.say(line)
-    now = standing_of(diagnosis_content(diagnosis))
+            say(line)
+    now = standing_of(loop.found)
     if now.settled:
-        return done, settled(now), diagnosis
+        return done, settled(now)
     spent = f"the budget of experiments={loop.config.experiments} is spent; {now.words}."
-    return done, StoppedLoop("budget", f"{spent} A larger one goes on from here."), diagnosis
+    return done, StoppedLoop("budget", f"{spent} A larger one goes on from here.")
 
 
 def settled(now: Standing) -> StoppedLoop:
@@ -125,7 +116,7 @@ def settled(now: Standing) -> StoppedLoop:
 
 
 def _planned(
-    loop: ExperimentLoop, place: Path, known: KnownMachine, questions: Sequence[Question], number: int
+    loop: ClosedLoop, place: Path, known: KnownMachine, questions: Sequence[Question], number: int
 ) -> dict[str, Any] | StoppedLoop:
     """The plan for the first question that a plan within the limits answers, or why there is none."""
     file = place / REFUSED
@@ -139,17 +130,17 @@ def _planned(
                 return found
             found = too_little(found, told, loop.config)
             (place / RESULT).unlink()
-        loop.say(found)
+        say(found)
         refused.append(found)
         file.write_text(json.dumps(refused, indent=1), encoding="utf-8")
     return StoppedLoop("limits", " ".join(refused))
 
 
 def _designed(
-    loop: ExperimentLoop, place: Path, known: KnownMachine, question: Question, number: int
+    loop: ClosedLoop, place: Path, known: KnownMachine, question: Question, number: int
 ) -> dict[str, Any] | str:
     """A plan for a question; the limit that is in the way where none stays within them."""
-    loop.say(f"\nexperiment {number}: {asked(question.content())}")
+    say(f"\nexperiment {number}: {asked(question.content())}")
     e, stages = loop.config.experiment, Stages()
     machine: dict[str, Any] = {"clock": known.clock, "values": known.values}
     try:
@@ -171,14 +162,14 @@ def _designed(
     for file in sorted((place / ".unfinished").iterdir(), key=lambda p: p.name == RESULT):
         file.replace(place / file.name)
     (place / ".unfinished").rmdir()
-    loop.say(made.report)
+    say(made.report)
     return read_design(place)
 
 
-def _flown(loop: ExperimentLoop, place: Path, number: int) -> StoppedLoop | None:
+def _flown(loop: ClosedLoop, place: Path, number: int) -> StoppedLoop | None:
     """Fly the plan, unless that is done; why there is no log, where there is none."""
     name = f"experiment_{number}"
-    if loop.fly is None:
+    if loop.machine is None:
         if log_files(loop.logs, name):
             return None
         return StoppedLoop(
@@ -187,13 +178,13 @@ def _flown(loop: ExperimentLoop, place: Path, number: int) -> StoppedLoop | None
             f"{name}.ulg, and start this command again",
         )
     if not (place / FLIGHT).is_file():
-        found = loop.fly(place / PLAN, loop.logs / f"{name}.csv", number)
+        found = loop.fly_plan(place / PLAN, loop.logs / f"{name}.csv", number)
         (place / FLIGHT).write_text(json_text(found, indent=None), encoding="utf-8")
     return None
 
 
 def _read(
-    loop: ExperimentLoop,
+    loop: ClosedLoop,
     place: Path,
     known: KnownMachine,
     plan: Mapping[str, Any],
@@ -206,8 +197,7 @@ def _read(
     """
     file = place / OBTAINED
     if file.is_file():
-        found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        return found
+        return json.loads(file.read_text(encoding="utf-8"))
     data = read_logs(loop.logs, loop.config.plant.system, loop.kind, content)
     before = {run.name for run in known.runs}
     new = [run for run in data.runs if run.name not in before]
@@ -228,7 +218,7 @@ def _read(
     return told
 
 
-def _other_machine(loop: ExperimentLoop, place: Path, before: Mapping[str, Any]) -> StoppedLoop | None:
+def _other_machine(loop: ClosedLoop, place: Path, before: Mapping[str, Any]) -> StoppedLoop | None:
     """Whether the diagnosis of all runs says that the experiment's is of another machine.
 
     Of a log that a person put in, every objection that was not there before counts. Nothing of such a log is kept as
@@ -237,17 +227,17 @@ def _other_machine(loop: ExperimentLoop, place: Path, before: Mapping[str, Any])
     warnings = [w for w in diagnosis_content(place / "diagnosis")["warnings"] if w["parameter"] is None]
     known = {w["kind"] for w in before.get("warnings", ())}
     said = [w for w in warnings if w["kind"] in _OTHERS and place.name in w["sentence"]]
-    if loop.fly is None:
+    if loop.machine is None:
         said += [w for w in warnings if w["kind"] not in known]
     if not said:
         return None
     for file in (place / OBTAINED, place / "diagnosis" / DIAGNOSED):
         file.unlink(missing_ok=True)
     remedy = f"Put another log into {loop.logs}, and start this command again"
-    if loop.fly is not None:
+    if loop.machine is not None:
         (place / FLIGHT).unlink(missing_ok=True)
-        for log in log_files(loop.logs, place.name):
-            log.replace(place / log.name)
+        for left in log_files(loop.logs, place.name):
+            left.replace(place / left.name)
         remedy = f"Its log lies in {place} now; start this command again, and it is flown again"
     return StoppedLoop(
         "other_machine",
@@ -259,5 +249,116 @@ def _other_machine(loop: ExperimentLoop, place: Path, before: Mapping[str, Any])
 def _flight(place: Path) -> dict[str, Any]:
     """What was measured in a flight of ours; nothing of one that a person flew."""
     file = place / FLIGHT
-    found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
-    return found
+    return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+
+
+# --- what is said of an experiment ------------------------------------------------------------------------------------
+
+
+def asked(question: Mapping[str, Any]) -> str:
+    """The question in words."""
+    if question["kind"] == "tie":
+        return f"which is true, {' or '.join(question['names'])}?"
+    return f"how large: {', '.join(question['parameters'])}?"
+
+
+def expected_nats(plan: Mapping[str, Any]) -> float:
+    """What is expected of a plan, whichever member is true; of parameters, of all together [nats]."""
+    if plan["question"]["kind"] == "tie":
+        return float(min(e["nats"]["mean"] for e in plan["expected"]))
+    return float(sum(_information(p) for p in _asked_parameters(plan).values()))
+
+
+def _asked_parameters(plan: Mapping[str, Any]) -> dict[str, Any]:
+    names = plan["question"]["parameters"]
+    every = plan["expected"][0]["parameters"]
+    return {k: p for k, p in every.items() if any(k == n or k.startswith(f"{n}[") for n in names)}
+
+
+def _information(p: Mapping[str, Any]) -> float:
+    then = p["expected_standard_error"]
+    return 0.0 if then is None else log(p["standard_error"] / then)
+
+
+def too_little(plan: Mapping[str, Any], told: float, config: DictConfig) -> str:
+    """That no plan is informative, and which limits the best one comes close to."""
+    near = [
+        f"{name} ({'leaves' if share > 1 else f'takes {share:.0%} of'} {limit_key(name, config)} in rehearsal)"
+        for name, share in sorted(plan["plan"]["largest_share_of_limits"].items(), key=lambda kv: -kv[1])
+        if share >= _NEAR and name[:2] in ("p_", "v_", "w_")
+    ][:_NAMED]
+    path = plan["path_limits"] or {}
+    for name, what in (("sideways", "acceleration_sideways"), ("up", "acceleration_up")):
+        if path and path[f"largest_{name}"] >= 0.99 * path[what]:
+            near.append(f"acceleration {name} ({path[what]:g} {path['unit']}, the most that a path asks for)")
+    binds = ", ".join(near) or "its length"
+    return (
+        f"{asked(plan['question'])} No plan within the limits shows much: of the best one {told:.2g} nats are "
+        f"expected, less than experiment.least_nats={config.experiment.least_nats:g}. What limits it: {binds}. "
+        f"Allow more, or a longer experiment (experiment.duration={config.experiment.duration:g})."
+    )
+
+
+def entry_of(
+    place: Path,
+    number: int,
+    plan: Mapping[str, Any],
+    told: Mapping[str, Any],
+    before: Standing,
+    after: Standing,
+    flown: Mapping[str, Any],
+) -> dict[str, Any]:
+    """What `close_loop.json` says of an experiment."""
+    tie = plan["question"]["kind"] == "tie"
+    brought = told["nats"][told["speaks_for"]] if tie else told["nats"]
+    wanted = told["expected_nats"]
+    return {
+        "number": number,
+        "question": plan["question"],
+        "plan": {
+            "file": f"{place.name}/{PLAN}",
+            "words": plan["plan"]["words"],
+            "duration_s": plan["plan"]["duration_s"],
+            "largest_share_of_limits": plan["plan"]["largest_share_of_limits"],
+        },
+        "expected_nats": (
+            {e["if_true"]: e["nats"]["mean"] for e in plan["expected"]} if tie else expected_nats(plan)
+        ),
+        "obtained": dict(told),
+        "nats_expected": expected_nats(plan) if wanted is None else wanted,
+        "nats_obtained": brought,
+        "flight": {k: flown.get(k) for k in ("tracked", "trouble", "rmse_m")},
+        "before": before.content(),
+        "after": after.content(),
+    }
+
+
+def experiment_lines(entry: Mapping[str, Any]) -> list[str]:
+    """What is printed of an experiment."""
+    told, question = entry["obtained"], entry["question"]
+    lines = [
+        f"experiment {entry['number']}: {asked(question)}",
+        f"  before: {entry['before']['words']}",
+        *(f"  plan: {w}" for w in entry["plan"]["words"]),
+    ]
+    if entry["flight"]["trouble"]:
+        lines.append(f"  the flight was not flown to its end: {entry['flight']['trouble']['text']}")
+    if question["kind"] == "tie":
+        wanted = ", ".join(f"{n:.1f} if {name}" for name, n in entry["expected_nats"].items())
+        broken = "distinguished" if told["broken"] else "still indistinguishable"
+        lines.append(
+            f"  nats expected: {wanted}; obtained: {entry['nats_obtained']:.1f} for {told['speaks_for']} ({broken})"
+        )
+    else:
+        lines.append(f"  nats expected: {entry['nats_expected']:.1f}; obtained: {entry['nats_obtained']:.1f}")
+        for label, p in told["parameters"].items():
+            wanted = p["expected_standard_error"]
+            lines.append(
+                f"    {label}: standard error {p['standard_error_before']:.2g} -> {p['standard_error']:.2g} {p['unit']}"
+                + ("" if wanted is None else f" ({wanted:.2g} expected)")
+            )
+    if told.get("surprise"):
+        lines.append(f"  {told['surprise']}")
+    if told["doubt"] is not None:
+        lines.append(f"  what was thought possible is not all: {told['doubt']}")
+    return [*lines, f"  after: {entry['after']['words']}"]

@@ -62,8 +62,7 @@ def machine_in(folder: Path, diagnosis: Path, system: str, kind: str | None) -> 
 
 def diagnosis_content(folder: Path) -> dict[str, Any]:
     """Content of `diagnosis.json`."""
-    content: dict[str, Any] = json.loads((folder / RESULT).read_text(encoding="utf-8"))
-    return content
+    return json.loads((folder / RESULT).read_text(encoding="utf-8"))
 
 
 def diagnose_logs(

@@ -19,9 +19,10 @@ from nsde_torch.whole_files import json_text
 
 from .. import build, track_build
 from ..exit_status import FLIGHT_ENDED, EndedError
-from .experiments import ExperimentLoop, StoppedLoop, run_experiments
+from ..hydra_command import say
+from .experiments import StoppedLoop, run_experiments
 from .logs import diagnose_logs, diagnosis_content, effects_found, log_files
-from .machines import HAND, LINK, FlyingMachine, machine_of, physics, true_effects
+from .machines import LINK, MACHINES, FlyingMachine, physics, true_effects
 
 LOG, DIAGNOSIS, BEFORE, AFTER, TRUTH = "log", "diagnosis", "before", "after", "truth"
 _LOGGED, _EXPERIMENT = 500, 700
@@ -44,7 +45,8 @@ class ClosedLoop:
         if config.experiments:
             build.fence(config.experiment, "experiment")
         self.reference: Reference = track_build.reference(config.reference)
-        self.machine: FlyingMachine | None = None if config.by == HAND else machine_of(config, say)
+        self.logs = folder / LOG
+        self.machine: FlyingMachine | None = MACHINES[config.by](config) if config.by in MACHINES else None
         # what a person flew may be of any kind; what we fly we log as CSV, with a .ulg beside it
         self.kind = "csv" if self.machine is not None else None
 
@@ -60,31 +62,27 @@ class ClosedLoop:
 
     def fly_logged(self) -> StoppedLoop | None:
         """The flights that are diagnosed; why there is none, where a person is to fly them."""
-        logs = self.folder / LOG
         if self.machine is None:
-            if log_files(logs):
+            if log_files(self.logs):
                 return None
-            logs.mkdir(parents=True, exist_ok=True)
+            self.logs.mkdir(parents=True, exist_ok=True)
             return StoppedLoop(
-                "waiting", f"put logs of the machine into {logs} (CSV or ULog), and start this command again"
+                "waiting",
+                f"put logs of the machine into {self.logs} (CSV or ULog), and start this command again",
             )
         for k in range(self.config.logged):
             self._flight(LOG, k, [])
-        if not log_files(logs):
-            raise DataError(f"no flight was logged: see {logs}.")
+        if not log_files(self.logs):
+            raise DataError(f"no flight was logged: see {self.logs}.")
         return None
 
     def find(self) -> tuple[list[dict[str, Any]], StoppedLoop | None]:
         """Diagnose, and close what is open by experiments; the evidence of each, and why there is no further one."""
-        first = self.folder / DIAGNOSIS
-        self.diagnose(first)
-        self.diagnosis = first
+        self.diagnosis = self.folder / DIAGNOSIS
+        self.diagnose(self.diagnosis)
         if not self.config.experiments:
             return [], None
-        fly = None if self.machine is None else self.fly_plan
-        logs = self.folder / LOG
-        settings = ExperimentLoop(self.config, self.folder, logs, self.kind, fly, self.diagnose, say)
-        done, stop, self.diagnosis = run_experiments(settings, first)
+        done, stop = run_experiments(self)
         say(f"no further experiment: {stop.sentence}")
         return done, stop
 
@@ -93,7 +91,7 @@ class ClosedLoop:
         c = self.config
         candidates = None if c.candidates is None else list(c.candidates)
         settings = {"alpha": c.alpha, "max_effects": c.max_effects, "candidates": candidates, "seed": c.seed}
-        diagnose_logs(self.folder / LOG, out, c.plant.system, self.kind, settings=settings)
+        diagnose_logs(self.logs, out, c.plant.system, self.kind, settings=settings)
 
     @property
     def found(self) -> dict[str, Any]:
@@ -191,8 +189,3 @@ class ClosedLoop:
         rmse = "not flown" if found["rmse_m"] is None else f"RMSE {100 * found['rmse_m']:.1f} cm"
         say(f"{name}: {rmse}{trouble} ({time.perf_counter() - started:.0f} s)")
         return found
-
-
-def say(line: str) -> None:
-    """Print a line at once."""
-    print(line, flush=True)

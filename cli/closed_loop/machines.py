@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from math import inf, radians
+from math import inf
 from pathlib import Path
 from typing import Any, Protocol, final
 
@@ -17,25 +17,20 @@ from nsde_torch.control.controller import Controller
 from nsde_torch.control.loop import DECLARED, knowledge, write_log
 from nsde_torch.control.loop import fly as fly_plant
 from nsde_torch.control.reference import FlightPath, Reference
-from nsde_torch.errors import ConfigError
 from nsde_torch.px4.flight.controller import FlightController
 from nsde_torch.px4.flight.flying import fly as fly_vehicle
 from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.path import PathPoints
-from nsde_torch.px4.flight.predictive import PredictiveController, PredictiveMaker, told
-from nsde_torch.px4.flight.runner import Process
-from nsde_torch.px4.link.connection import open_link
-from nsde_torch.px4.simulator.body import Body
+from nsde_torch.px4.flight.predictive import PredictiveController, told
 from nsde_torch.px4.simulator.simulated import fly_simulated
 from nsde_torch.systems import Multirotor, System
 from nsde_torch.systems.machines import plant_effects
 
-from .. import build, link_build, track_build
-from ..link_build import check_end
+from .. import build, fly_build, link_build, track_build
+from ..hydra_command import say
 from .limits import check_inside, check_path
 
-VEHICLE, PLANT, LINK, HAND = "vehicle", "plant", "link", "hand"
-Say = Callable[[str], None]
+LINK, HAND = "link", "hand"
 
 
 class FlyingMachine(Protocol):
@@ -86,22 +81,17 @@ class VirtualVehicle:
         ConfigError: no multirotor, or options that it does not have.
     """
 
-    def __init__(self, config: DictConfig, say: Say) -> None:
-        if config.plant.dt is not None or config.plant.state_latency:
-            raise ConfigError(
-                "`nsde close-loop` flies the simulated vehicle without plant.dt and plant.state_latency; "
-                "by=plant has them."
-            )
-        self._config, self._say = config, say
+    def __init__(self, config: DictConfig) -> None:
+        self._config = config
         self._controllers: dict[str, Controller] = {}
-        self._body(0)  # what the machine cannot be is said before anything is flown
+        link_build.body(config.plant, seed=0)  # what the machine cannot be is said before anything is flown
 
     def told(self, effects: list[Any]) -> list[Any]:
         return _by_name(told(effects))
 
     def fly(self, path: FlightPath, effects: list[Any], *, seed: int, log: Path) -> dict[str, Any]:
         report = fly_simulated(
-            self._body(seed),
+            link_build.body(self._config.plant, seed=seed),
             self._controller(path, effects),
             PathPoints(path),
             seed=seed,
@@ -111,27 +101,12 @@ class VirtualVehicle:
         )
         return {**report.as_dict(), "track": _rounded(report.track)}
 
-    def _body(self, seed: int) -> Body:
-        plant = self._config.plant
-        return Body(
-            plant.system,
-            seed=seed,
-            effects=build.options(plant)["effects"],
-            declared_only=plant.declared_only,
-            process_noise=plant.process_noise,
-            latency=plant.latency,
-        )
-
     def _controller(self, path: FlightPath, effects: list[Any]) -> FlightController:
         """The solver is made once for all flights with the same knowledge."""
-        mpc, key = self._config.mpc, json.dumps(effects)
+        key = json.dumps(effects)
         if key not in self._controllers:
             self._controllers[key] = Controller(
-                physics(self._config, effects),
-                problem=track_build.problem(mpc),
-                solver=track_build.solver(mpc),
-                safety=track_build.safety(mpc),
-                say=self._say,
+                physics(self._config, effects), **track_build.planning(self._config.mpc), say=say
             )
         return PredictiveController(
             self._controllers[key], Reference(path), delay=self._config.delay, lead=self._config.lead
@@ -142,8 +117,8 @@ class VirtualVehicle:
 class TrackedPlant:
     """The plant of `nsde track`, motors commanded directly."""
 
-    def __init__(self, config: DictConfig, say: Say) -> None:
-        self._config, self._say = config, say
+    def __init__(self, config: DictConfig) -> None:
+        self._config = config
         track_build.plant(config.plant, physics(config, []), seed=0)
 
     def told(self, effects: list[Any]) -> list[Any]:
@@ -154,7 +129,7 @@ class TrackedPlant:
         plant = track_build.plant(self._config.plant, known, seed=seed)
         reference = Reference(path)
         autopilot = track_build.autopilot(
-            DECLARED, known, self._config, reference, batch=1, sample=plant.dt, say=self._say
+            DECLARED, known, self._config, reference, batch=1, sample=plant.dt, say=say
         )
         latency = self._config.plant.state_latency
         flight = fly_plant(autopilot, plant, reference, state_latency=latency, duration=path.duration)
@@ -182,9 +157,8 @@ class LinkedVehicle:
         ConfigError: limits that are none, or that an experiment may leave.
     """
 
-    def __init__(self, config: DictConfig, say: Say) -> None:
-        self._config, self._say = config, say
-        self._key = link_build.key(config.link)
+    def __init__(self, config: DictConfig) -> None:
+        self._config, self._connect = config, link_build.connection(config.link)
         self._limits, self._setpoints = link_build.limits(config.limits), link_build.setpoints(config.limits)
         if config.experiments:
             check_inside(config.experiment, self._limits)
@@ -203,26 +177,15 @@ class LinkedVehicle:
             LinkError: it was refused before it began.
             EndedError: it was stopped, or the vehicle was taken from us or is not seen to stand.
         """
-        c, mpc = self._config, self._config.mpc
-        check_path(path, physics(c, []), self._limits, dt=track_build.problem(mpc).dt)
-        maker = PredictiveMaker(
-            run=DECLARED,
-            system=c.plant.system,
-            path=path,
-            problem=track_build.problem(mpc),
-            solver=track_build.solver(mpc),
-            safety=track_build.safety(mpc),
-            delay=c.delay,
-            lead=c.lead,
-            tilt=radians(c.limits.tilt),
-            effects=effects,
-            threads=c.threads,
-        )
+        c = self._config
+        check_path(path, physics(c, []), self._limits, dt=track_build.problem(c.mpc).dt)
         # the solver is compiled and warm before the vehicle is spoken to
-        runner = Process(maker, period=mpc.period, say=self._say)
+        runner = fly_build.predictive(
+            c, path, run=DECLARED, system=c.plant.system, effects=effects, lead=c.lead
+        )
         try:
             runner.wait()
-            with open_link(c.link.url, expose=c.link.expose, target=c.link.system, key=self._key) as link:
+            with self._connect() as link:
                 report = fly_vehicle(
                     link,
                     runner,
@@ -233,23 +196,20 @@ class LinkedVehicle:
                     setpoints=self._setpoints,
                     # an experiment ends anywhere, and the next flight has its fence about where it takes off
                     options=FlightOptions(come_back=True),
-                    say=self._say,
+                    say=say,
                 )
         finally:
             runner.close()
-        check_end(report.outcome)
+        link_build.check_end(report.outcome)
         return {**report.as_dict(), "track": _rounded(report.track)}
 
 
-def machine_of(config: DictConfig, say: Say) -> FlyingMachine:
-    """Who flies, by `by=`; a person flies no machine of ours, and is no concern of this.
-
-    Raises:
-        ConfigError: options that the machine does not have.
-    """
-    kinds: dict[str, Callable[[DictConfig, Say], FlyingMachine]]
-    kinds = {VEHICLE: VirtualVehicle, PLANT: TrackedPlant, LINK: LinkedVehicle}
-    return kinds[config.by](config, say)
+MACHINES: dict[str, Callable[[DictConfig], FlyingMachine]] = {
+    "vehicle": VirtualVehicle,
+    "plant": TrackedPlant,
+    LINK: LinkedVehicle,
+}
+"""Who flies, by `by=`; a person flies no machine of ours."""
 
 
 def _by_name(effects: list[Any]) -> list[Any]:

@@ -12,10 +12,9 @@ from nsde_torch.plots import save
 from nsde_torch.plots.tracking import tracking
 
 from .. import build
-from .experiments import StoppedLoop
+from .experiments import StoppedLoop, experiment_lines
 from .loop import AFTER, BEFORE, TRUTH, ClosedLoop
 from .machines import HAND, LINK
-from .told import experiment_lines
 
 RESULT, PICTURE = "close_loop.json", "close_loop.png"
 _DRAWN = {BEFORE: "declared physics", AFTER: "with what was found", TRUTH: "with the true effects"}

@@ -13,23 +13,44 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nsde_torch.design.options import DesignOptions
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.whole_files import json_text
 
-from ..hydra_command import HydraCommand
+from ..hydra_command import HydraCommand, Job, say
 from ..keys import group, key, of
-from ..schemas.control import FlownPlantConfig, LimitsConfig, LinkConfig, MpcConfig
-from ..schemas.experiment import ExperimentConfig
-from ..schemas.reference import ReferenceConfig
+from ..schemas import FlownPlantConfig, LimitsConfig, LinkConfig, MpcConfig, ReferenceConfig
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from ..jobs import Job
-
 SETTINGS = "settings.json"
 _FREE = ("out_dir", "threads", "experiments", "truth", "link", "limits")
 """Keys that another start on the same folder may have otherwise."""
+
+
+@dataclass
+class ExperimentConfig:
+    """What an experiment may do, and how long it is looked for."""
+
+    fence: Any = key(
+        [[-3.5, 3.5], [-3.5, 3.5], [0.4, 4.0]],
+        "lowest and highest x, y, z from the place of take-off that an experiment may reach",
+        unit="m",
+    )
+    speed: float = key(4.0, "largest speed along each axis", unit="m/s", above=0)
+    rate: float = key(4.0, "largest rate of turn about each axis", unit="rad/s", above=0)
+    duration: float = key(12.0, "length of an experiment", unit="s", low=4)
+    samples: int = of(DesignOptions, "samples", default=3)
+    proposals: int | None = of(DesignOptions, "proposals", default=16)
+    generations: int | None = of(DesignOptions, "generations", default=2)
+    rehearsals: int = of(DesignOptions, "rehearsals", default=4)
+    baselines: bool = key(
+        True, "take a usual flight where none is better: lemniscate, doublets, the longest again"
+    )
+    least_nats: float = key(
+        0.5, "an experiment with less expected evidence than this is not flown", unit="nats", low=0
+    )
 
 
 @dataclass
@@ -70,9 +91,7 @@ class CloseLoopConfig:
 
 COMMAND = HydraCommand(
     name="close-loop",
-    help="Fly, find what the physics lacks, and fly again with it: tracking before and after",
     schema=CloseLoopConfig,
-    module=__name__,
     groups={"reference": "lemniscate", "plant": "hexacopter", "mpc": "default", "link": "default"},
     values={"plant": {"effects": [{"linear_drag": {"drag": [0.6, 0.6, 0.2]}}]}},
     goes_on=True,
@@ -84,7 +103,7 @@ def run(config: DictConfig, job: Job) -> float | None:
     """Fly, diagnose, experiment, fly again; RMSE of the position after over before, None where it is not known."""
     import torch
 
-    from ..closed_loop.loop import AFTER, BEFORE, DIAGNOSIS, LOG, TRUTH, ClosedLoop, say
+    from ..closed_loop.loop import AFTER, BEFORE, DIAGNOSIS, LOG, TRUTH, ClosedLoop
     from ..closed_loop.record import PICTURE, RESULT, picture, record, text
 
     torch.set_num_threads(config.threads)

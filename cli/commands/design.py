@@ -9,14 +9,12 @@ from nsde_torch.design.options import DesignOptions
 from nsde_torch.errors import ConfigError
 from nsde_torch.whole_files import json_text
 
-from ..hydra_command import HydraCommand
+from ..hydra_command import HydraCommand, Job
 from ..keys import key, mirrors
 from ..quoted import as_typed
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
-
-    from ..jobs import Job
 
 OBTAINED = "obtained.json"
 
@@ -53,9 +51,7 @@ class DesignConfig:
 
 COMMAND = HydraCommand(
     name="design",
-    help="Plan the most informative experiment: between indistinguishable effects, or of parameters that are not shown",
     schema=DesignConfig,
-    module=__name__,
     folder="designs/${now:%Y-%m-%d}/${now:%H-%M-%S}",
     result=("design.json", "a plan"),
     examples=(

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 from nsde_torch.diagnosis.decisions import Options
 
 from ..exit_status import INTERRUPTED, EndedError
-from ..hydra_command import HydraCommand
+from ..hydra_command import HydraCommand, Job
 from ..keys import group, key, of
-from ..schemas.data import DataConfig
-from ..schemas.model import LossConfig, ModelConfig, SolverConfig, SystemConfig, TrainerConfig
+from ..schemas import DataConfig, LossConfig, ModelConfig, SolverConfig, SystemConfig, TrainerConfig
 from .train import GROUPS, TrainConfig, fit
 
 if TYPE_CHECKING:
@@ -19,8 +18,6 @@ if TYPE_CHECKING:
 
     from nsde_torch.diagnosis import Diagnosis
     from nsde_torch.diagnosis.result import Content
-
-    from ..jobs import Job
 
 MODEL = "model"
 
@@ -65,9 +62,7 @@ class DiagnoseConfig:
 
 COMMAND = HydraCommand(
     name="diagnose",
-    help="Find the effect that the declared physics lacks, add it, and report the error before and after",
     schema=DiagnoseConfig,
-    module=__name__,
     groups=GROUPS,
     folder="diagnoses/${now:%Y-%m-%d}/${now:%H-%M-%S}_${hydra:runtime.choices.system}",
     result=("diagnosis.json", "a diagnosis"),

@@ -7,14 +7,12 @@ import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from ..hydra_command import HydraCommand
+from ..hydra_command import HydraCommand, Job
 from ..keys import group, key
-from ..schemas.data import RunChoice
+from ..schemas import RunChoice
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
-
-    from ..jobs import Job
 
 
 @dataclass
@@ -50,9 +48,7 @@ class EvaluateConfig:
 
 COMMAND = HydraCommand(
     name="evaluate",
-    help="Score trained models on runs, against baselines and each other",
     schema=EvaluateConfig,
-    module=__name__,
     groups={"data": None},
     values={"data": {"kind": "trained"}},
     folder="evaluations/${now:%Y-%m-%d}/${now:%H-%M-%S}",

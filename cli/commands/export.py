@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING
 
 from nsde_torch.errors import ConfigError
 
-from ..hydra_command import HydraCommand
+from ..hydra_command import HydraCommand, Job, say
 from ..keys import group, key
 from ..quoted import as_typed
-from ..schemas.control import FlownPlantConfig, MpcConfig
+from ..schemas import FlownPlantConfig, MpcConfig
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
-
-    from ..jobs import Job
 
 
 @dataclass
@@ -47,9 +45,7 @@ class ExportConfig:
 
 COMMAND = HydraCommand(
     name="export",
-    help="Write the predictive controller as a file for a flight computer",
     schema=ExportConfig,
-    module=__name__,
     groups={"plant": "hexacopter", "mpc": "default"},
 )
 
@@ -78,9 +74,7 @@ def run(config: DictConfig, job: Job) -> None:
         known,
         path,
         name=name,
-        problem=track_build.problem(mpc, system_of(known)),
-        solver=track_build.solver(mpc),
-        safety=track_build.safety(mpc),
+        **track_build.planning(mpc, system_of(known)),
         kind=config.format,
         run=None if config.run == DECLARED else Path(config.run),
         sample=sample,
@@ -88,7 +82,7 @@ def run(config: DictConfig, job: Job) -> None:
         latency=latency,
         estimator=track_build.estimator(mpc, latency=latency, sample=sample),
         dtype=getattr(torch, config.precision),
-        say=lambda line: print(line, flush=True),
+        say=say,
     )
     where = () if isinstance(system_of(known), Multirotor) else ("reference=setpoint",)
     print(

@@ -10,18 +10,15 @@ from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.whole_files import json_text
 
 from ..exit_status import FLIGHT_ENDED, EndedError
-from ..hydra_command import HydraCommand
+from ..hydra_command import HydraCommand, Job, say
 from ..keys import group, key, of
 from ..quoted import from_file
-from ..schemas.control import LimitsConfig, LinkConfig, MpcConfig
-from ..schemas.reference import ReferenceConfig
+from ..schemas import LimitsConfig, LinkConfig, MpcConfig, ReferenceConfig
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from nsde_torch.px4.flight.flying import FlightReport
-
-    from ..jobs import Job
 
 RESULT, LOG = "flight.json", "log"
 
@@ -81,9 +78,7 @@ class FlyConfig:
 
 COMMAND = HydraCommand(
     name="fly",
-    help="Fly a controller on a PX4 vehicle over MAVLink, with checks, limits and a log",
     schema=FlyConfig,
-    module=__name__,
     groups={"system": "hexacopter", "reference": "lemniscate", "link": "default", "mpc": "default"},
     folder="flights/${now:%Y-%m-%d}/${now:%H-%M-%S}_${hydra:runtime.choices.reference}",
     result=("flight.json", "a flight"),
@@ -99,7 +94,6 @@ def run(config: DictConfig, job: Job) -> float | None:
     """
     from nsde_torch.px4.flight.flying import fly
     from nsde_torch.px4.flight.path import PathPoints
-    from nsde_torch.px4.link.connection import open_link
 
     from .. import build, fly_build, link_build, track_build
 
@@ -110,15 +104,12 @@ def run(config: DictConfig, job: Job) -> float | None:
     path = PathPoints(reference.path)
     limits, setpoints = link_build.limits(config.limits), link_build.setpoints(config.limits)
     options = FlightOptions(**build.shared(FlightOptions, config), only_check=config.check)
-    key = link_build.key(config.link)
-    motors = fly_build.system_of(known).nu
-    print(
-        f"{path.name}: {path.duration:g} s, up to {asked.speed:.2f} m/s and {asked.tilt:.0f} deg of tilt",
-        flush=True,
-    )
+    connect = link_build.connection(config.link)
+    system = track_build.system_of(known)
+    say(f"{path.name}: {path.duration:g} s, up to {asked.speed:.2f} m/s and {asked.tilt:.0f} deg of tilt")
     content: dict[str, Any] = {
         "run": config.run,
-        "system": fly_build.system_of(known).name,
+        "system": system.name,
         "reference": {"name": path.name, "duration_s": path.duration, **reference.path.about},
         "link": build.options(config.link, "key_file"),
         "flights": [],
@@ -126,25 +117,23 @@ def run(config: DictConfig, job: Job) -> float | None:
     digits = len(str(config.repeats - 1))
     reports: list[FlightReport] = []
     # the solver is compiled and warm before the vehicle is spoken to
-    controller = fly_build.runner(config, path, reference, link_build.say)
+    controller = fly_build.runner(config, path, reference)
     try:
         controller.wait()
         for k in range(config.repeats):
             started = time.perf_counter()
-            with open_link(
-                config.link.url, expose=config.link.expose, target=config.link.system, key=key
-            ) as link:
-                print(f"flight {k + 1} of {config.repeats} on {config.link.url}", flush=True)
+            with connect() as link:
+                say(f"flight {k + 1} of {config.repeats} on {config.link.url}")
                 report = fly(
                     link,
                     controller,
                     path,
-                    motors=motors,
+                    motors=system.nu,
                     log=None if config.check else job.run_dir / LOG / f"flight_{k:0{digits}d}.csv",
                     limits=limits,
                     setpoints=setpoints,
                     options=replace(options, takeover=options.takeover and k == 0),  # the first one lands
-                    say=link_build.say,
+                    say=say,
                     rate=config.rate,
                 )
             if config.check:
@@ -153,7 +142,7 @@ def run(config: DictConfig, job: Job) -> float | None:
             content["flights"].append({**report.as_dict(), "took_s": time.perf_counter() - started})
             job.run_dir.mkdir(parents=True, exist_ok=True)
             (job.run_dir / RESULT).write_text(json_text(content), encoding="utf-8")
-            print(_line(report), flush=True)
+            say(_line(report))
             if report.outcome.trouble is not None:
                 break
     finally:

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ..hydra_command import HydraCommand
+from ..hydra_command import HydraCommand, Job, say
 from ..keys import group
-from ..schemas.control import LinkConfig
+from ..schemas import LinkConfig
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
-
-    from ..jobs import Job
 
 
 @dataclass
@@ -24,9 +22,7 @@ class LandConfig:
 
 COMMAND = HydraCommand(
     name="land",
-    help="Land a PX4 vehicle that is in the air, and watch until it is disarmed",
     schema=LandConfig,
-    module=__name__,
     groups={"link": "default"},
 )
 
@@ -34,13 +30,10 @@ COMMAND = HydraCommand(
 def run(config: DictConfig, job: Job) -> None:
     """Land it; LinkError where no vehicle is heard or armed, EndedError where it was not seen to land."""
     from nsde_torch.px4.flight.flying import land
-    from nsde_torch.px4.link.connection import open_link
 
     from .. import link_build
-    from ..link_build import check_end
 
-    key = link_build.key(config.link)
-    with open_link(config.link.url, expose=config.link.expose, target=config.link.system, key=key) as link:
-        outcome = land(link, say=link_build.say)
-    check_end(outcome)
-    link_build.say("landed and disarmed")
+    with link_build.connection(config.link)() as link:
+        outcome = land(link, say=say)
+    link_build.check_end(outcome)
+    print("landed and disarmed")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from nsde_torch.errors import ConfigError
 from nsde_torch.policy.options import PolicyOptions
 
-from ..hydra_command import HydraCommand
+from ..hydra_command import HydraCommand, Job
 from ..keys import group, key, mirrors, of
 
 if TYPE_CHECKING:
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from nsde_torch.models import Model
     from nsde_torch.policy import Dynamics
-
-    from ..jobs import Job
 
 TRUTH = "truth"
 
@@ -71,9 +69,7 @@ class PolicyConfig:
 
 COMMAND = HydraCommand(
     name="policy",
-    help="Learn a policy in a learned model or on the true machine, and judge it there",
     schema=PolicyConfig,
-    module=__name__,
     groups={"system": "cartpole", "ppo": "default"},
     folder="policies/${now:%Y-%m-%d}/${now:%H-%M-%S}_${hydra:runtime.choices.system}",
     unnamed=("sweep_dir", "threads", "environment", "scored_against"),

@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from nsde_torch.errors import ConfigError
 
-from ..hydra_command import HydraCommand
+from ..hydra_command import HydraCommand, Job
 from ..keys import group, key
-from ..schemas.model import SystemConfig
+from ..schemas import SystemConfig
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
-
-    from ..jobs import Job
 
 HOST = "127.0.0.1"
 """The page is for who sits at this machine: no other address is ever bound."""
@@ -46,9 +44,7 @@ class ServeConfig:
 
 COMMAND = HydraCommand(
     name="serve",
-    help="Open a page on this machine that takes dropped logs and gives their diagnosis",
     schema=ServeConfig,
-    module=__name__,
     groups={"system": None},
     values={"system": {"name": "chosen from what is logged"}},
     examples=(

@@ -10,13 +10,11 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.recording.faults import RecordingOptions
 from nsde_torch.simulation.options import ReplayOptions
 
-from ..hydra_command import HydraCommand
+from ..hydra_command import HydraCommand, Job
 from ..keys import group, key, mirrors
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
-
-    from ..jobs import Job
 
 
 @dataclass
@@ -90,9 +88,7 @@ class SimulateConfig:
 
 COMMAND = HydraCommand(
     name="simulate",
-    help="Write runs of a simulated machine as files that do not say what is in them",
     schema=SimulateConfig,
-    module=__name__,
     groups={"system": "hexacopter"},
 )
 

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any
 from nsde_torch.errors import ConfigError
 from nsde_torch.whole_files import json_text
 
-from ..hydra_command import HydraCommand
+from ..hydra_command import HydraCommand, Job, say
 from ..keys import group, key
 from ..quoted import from_file
-from ..schemas.control import FlownPlantConfig, MpcConfig
-from ..schemas.reference import ReferenceConfig
+from ..schemas import FlownPlantConfig, MpcConfig, ReferenceConfig
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -23,8 +22,6 @@ if TYPE_CHECKING:
     from nsde_torch.control.reference import StateReference
     from nsde_torch.models import Model
     from nsde_torch.systems import System
-
-    from ..jobs import Job
 
 RESULT, LOG, PLOTS = "tracking.json", "log", "plots"
 _ONE_BY_ONE = 32
@@ -63,9 +60,7 @@ class TrackConfig:
 
 COMMAND = HydraCommand(
     name="track",
-    help="Follow a reference with model predictive control on a learned model, and report errors and times",
     schema=TrackConfig,
-    module=__name__,
     groups={"reference": "lemniscate", "plant": "hexacopter", "mpc": "default"},
     folder="tracks/${now:%Y-%m-%d}/${now:%H-%M-%S}_${hydra:runtime.choices.reference}",
     result=("tracking.json", "a flight"),
@@ -172,7 +167,7 @@ def _fly(
                 path,
                 batch=count,
                 sample=plant.dt,
-                say=lambda line: print(line, flush=True),
+                say=say,
             )
         out.append(
             fly(

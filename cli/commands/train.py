@@ -9,15 +9,12 @@ from typing import TYPE_CHECKING, Any
 from nsde_torch.recall import recall
 from nsde_torch.training.options import LossOptions, TrainerOptions
 
-from ..hydra_command import HydraCommand
+from ..hydra_command import HydraCommand, Job
 from ..keys import group, key
-from ..schemas.data import DataConfig
-from ..schemas.model import LossConfig, ModelConfig, SolverConfig, SystemConfig, TrainerConfig
+from ..schemas import DataConfig, LossConfig, ModelConfig, SolverConfig, SystemConfig, TrainerConfig
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
-
-    from ..jobs import Job
 
 
 @dataclass
@@ -48,9 +45,7 @@ GROUPS = {
 }
 COMMAND = HydraCommand(
     name="train",
-    help="Learn a neural SDE of a machine from simulated or measured runs",
     schema=TrainConfig,
-    module=__name__,
     groups=GROUPS,
     folder="runs/${now:%Y-%m-%d}/${now:%H-%M-%S}_${hydra:runtime.choices.system}",
     unnamed=("sweep_dir", "device", "threads", "data.path"),

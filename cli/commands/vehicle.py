@@ -6,23 +6,20 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.errors import ConfigError
 from nsde_torch.px4.simulator.clock import CLOCK
 from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 
-from ..hydra_command import HydraCommand
+from ..hydra_command import HydraCommand, Job, say
 from ..keys import group, key, mirrors
-from ..schemas.control import FlownPlantConfig, LinkConfig
+from ..schemas import FlownPlantConfig, LinkConfig
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from nsde_torch.px4.simulator.body import Body
-
-    from ..jobs import Job
 
 
 @mirrors(SensorErrors)
@@ -52,9 +49,6 @@ class VehicleConfig:
     )
 
 
-_say = partial(print, flush=True)
-
-
 def _keys(arguments: Sequence[str]) -> list[str]:
     """`--hil URL` and `--hil=URL` as the key that they are."""
     out: list[str] = []
@@ -68,9 +62,7 @@ def _keys(arguments: Sequence[str]) -> list[str]:
 
 COMMAND = HydraCommand(
     name="vehicle",
-    help="Be a simulated PX4 vehicle, for nsde fly and its tests",
     schema=VehicleConfig,
-    module=__name__,
     groups={"plant": "hexacopter", "link": "vehicle", "sensors": "default"},
     words=_keys,
 )
@@ -79,56 +71,45 @@ COMMAND = HydraCommand(
 def run(config: DictConfig, job: Job) -> None:
     """Be a vehicle; ConfigError for what is no multirotor, or options that it does not have."""
     from nsde_torch.px4.simulator.autopilot import PARAMETERS
-    from nsde_torch.px4.simulator.body import Body
 
-    from .. import build
+    from .. import build, link_build
 
-    plant = config.plant
-    if plant.kind == "learned" or plant.dt is not None or plant.state_latency:
-        raise ConfigError(
-            "a vehicle is plant=hexacopter or plant=quadrotor, without plant.dt and plant.state_latency."
-        )
+    body = link_build.body(config.plant, seed=config.seed)
     parameters = build.options(config)["parameters"]
-    errors = SensorErrors(**build.options(config)["sensors"])
+    errors = SensorErrors(**build.options(config.sensors))
     unknown = sorted(set(parameters) - set(PARAMETERS))
     if unknown:
         raise ConfigError(f"`parameters` names {unknown}; the vehicle has {', '.join(PARAMETERS)}.")
     wrong = sorted(k for k, v in parameters.items() if isinstance(v, bool) or not isinstance(v, (int, float)))
     if wrong:
         raise ConfigError(f"`parameters.{wrong[0]}` takes a number; got {parameters[wrong[0]]!r}.")
-
-    def body() -> Body:
-        return Body(
-            plant.system or "hexacopter",
-            seed=config.seed,
-            effects=build.options(plant)["effects"],
-            declared_only=plant.declared_only,
-            process_noise=plant.process_noise,
-            latency=plant.latency,
-        )
-
     if config.hil is not None:
         _simulate(config, body, errors)
     else:
-        _fly(config, body(), parameters, errors)
+        _fly(config, body, parameters, errors)
 
 
-def _simulate(config: DictConfig, body: Callable[[], Body], errors: SensorErrors) -> None:
+def _simulate(config: DictConfig, first: Body, errors: SensorErrors) -> None:
     """Be the simulator of a real PX4."""
     from nsde_torch.px4.link.transport import open_transport
     from nsde_torch.px4.simulator.hil import HilPlant, HilServer, airframe
 
+    from ..link_build import body
+
     if not config.hil.startswith("tcpin:"):
         raise ConfigError(f"`hil` takes tcpin:HOST:PORT, where PX4 connects; got {config.hil!r}.")
     seed, noise = config.seed, config.plant.sensor_noise
-    first = body()
     transport = open_transport(config.hil, expose=config.link.expose, name="hil")
-    server = HilServer(lambda: HilPlant(body(), seed=seed, noise=noise, errors=errors), transport, say=_say)
-    _say(
+
+    def plant() -> HilPlant:
+        return HilPlant(body(config.plant, seed=seed), seed=seed, noise=noise, errors=errors)
+
+    server = HilServer(plant, transport, say=say)
+    say(
         f"a {first.system.name} as PX4's simulator on {config.hil}; Ctrl-C ends it. PX4 must know the machine:"
     )
     for name, value in airframe(first.system, first.hover_throttle()).items():
-        _say(f"  param set {name} {value:g}")
+        say(f"  param set {name} {value:g}")
     with closing(transport), suppress(KeyboardInterrupt):
         server.run(_ends(config.duration))
 
@@ -147,20 +128,19 @@ def _fly(config: DictConfig, body: Body, parameters: dict[str, float], errors: S
 
     from .. import link_build
 
-    plant = config.plant
     transport = open_transport(config.link.url, expose=config.link.expose)
     autopilot = SimulatedAutopilot(
         body,
         system=config.link.system or 1,
         key=link_build.key(config.link),
         seed=config.seed,
-        sensor_noise=plant.sensor_noise,
+        sensor_noise=config.plant.sensor_noise,
         stream=transport.stream,
         parameters=parameters,
         errors=errors,
     )
     vehicle = Vehicle(autopilot, transport, speed=config.clock)
-    print(f"a simulated {body.system.name} on {config.link.url}; Ctrl-C ends it", flush=True)
+    say(f"a simulated {body.system.name} on {config.link.url}; Ctrl-C ends it")
     with closing(transport), suppress(KeyboardInterrupt):
         vehicle.run(_ends(config.duration))
     lost = f", {vehicle.slipped:.1f} s lost to a busy machine" if vehicle.slipped else ""

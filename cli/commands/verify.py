@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from nsde_torch.errors import ExportError
 from nsde_torch.whole_files import json_text
 
-from ..hydra_command import HydraCommand
+from ..hydra_command import HydraCommand, Job
 from ..keys import group, key
-from ..schemas.reference import ReferenceConfig
+from ..schemas import ReferenceConfig
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from nsde_torch.control.reference import StateReference
     from nsde_torch.export.exported import ExportedController
-
-    from ..jobs import Job
 
 _ESTIMATED = 200  # states that the estimator of a file is given
 
@@ -54,9 +52,7 @@ def _file_first(words: Sequence[str]) -> list[str]:
 
 COMMAND = HydraCommand(
     name="verify",
-    help="Hold an exported controller against the one that it was made of",
     schema=VerifyConfig,
-    module=__name__,
     groups={"reference": "lemniscate"},
     words=_file_first,
 )

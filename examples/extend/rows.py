@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from nsde_torch.cli.hydra_command import HydraCommand
+from nsde_torch.cli.hydra_command import HydraCommand, Job
 from nsde_torch.cli.keys import group, key
-from nsde_torch.cli.schemas.data import DataConfig
-from nsde_torch.cli.schemas.model import SystemConfig
+from nsde_torch.cli.schemas import DataConfig, SystemConfig
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
-
-    from nsde_torch.cli.jobs import Job
 
 
 @dataclass
@@ -27,9 +24,7 @@ class RowsConfig:
 
 COMMAND = HydraCommand(
     name="rows",
-    help="Count the rows of every run",
     schema=RowsConfig,
-    module=__name__,
     groups={"system": "cartpole", "data": "simulated"},
     examples=(("data=csv data.path=logs", "count those of a folder"),),
 )

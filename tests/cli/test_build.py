@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 from nsde_torch.cli import build
 from nsde_torch.cli.jobs import set_threads
 from nsde_torch.cli.registry import hydra_command
-from nsde_torch.cli.schemas.data import DATA_CHOICES
+from nsde_torch.cli.schemas import CHOICES
 from nsde_torch.cli.store import store
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError
@@ -55,7 +55,7 @@ def test_runs_are_read_and_split_as_the_configuration_says(tmp_path: Path) -> No
         np.savetxt(
             tmp_path / f"run_{k}.csv", rows, delimiter=",", header="t,q,q_dot", comments="", fmt="%.9g"
         )
-    config = OmegaConf.structured(DATA_CHOICES["csv"](path=str(tmp_path), test=["run_1"]))
+    config = OmegaConf.structured(CHOICES["data"]["csv"](path=str(tmp_path), test=["run_1"]))
     parts = build.split(config, build.dataset(config, machine), machine)
     assert [[run.name for run in part] for part in (parts.train, parts.test)] == [
         ["run_0", "run_2"],

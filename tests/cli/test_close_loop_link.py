@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import torch
 
+from nsde_torch.cli import fly_build
 from nsde_torch.cli.closed_loop import experiments, loop, machines
 from nsde_torch.cli.main import main
 from nsde_torch.control.shapes import waypoints
@@ -18,6 +19,7 @@ from nsde_torch.effects import files
 from nsde_torch.px4.flight.path import CascadeController, PathPoints
 from nsde_torch.px4.flight.phases import Phase
 from nsde_torch.px4.flight.runner import Inline
+from nsde_torch.px4.link import connection as links
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
@@ -67,10 +69,10 @@ def flights(monkeypatch: pytest.MonkeyPatch) -> Flights:
         if not (out / "diagnosis.json").is_file():
             _diagnosis(out, tied=out.parent.name == "out", runs=[p.stem for p in sorted(logs.glob("*.csv"))])
 
-    monkeypatch.setattr(machines, "open_link", opened)
+    monkeypatch.setattr(links, "open_link", opened)
     monkeypatch.setattr(machines, "fly_vehicle", flown)
     monkeypatch.setattr(
-        machines, "Process", lambda maker, **more: Inline(CascadeController(PathPoints(maker.path)))
+        fly_build, "Process", lambda maker, **more: Inline(CascadeController(PathPoints(maker.path)))
     )
     monkeypatch.setattr(loop, "diagnose_logs", diagnosed)
     monkeypatch.setattr(experiments, "obtained", lambda *given, **more: Obtained())
@@ -174,7 +176,7 @@ def test_a_refused_flight_says_why_and_what_to_do(
         flights.vehicle = SimulatedAutopilot(body, seed=1)
         return VirtualLink(flights.vehicle)
 
-    monkeypatch.setattr(machines, "open_link", empty)
+    monkeypatch.setattr(links, "open_link", empty)
     said = refused(*LINKED)
     assert "log 1: " in said
     assert "battery" in said

@@ -16,7 +16,7 @@ from nsde_torch import conf, simulation
 from nsde_torch.cli import groups
 from nsde_torch.cli.keys import check, key, mirrors, of, walk
 from nsde_torch.cli.registry import hydra_commands
-from nsde_torch.cli.schemas.choices import CHOICES
+from nsde_torch.cli.schemas import CHOICES
 from nsde_torch.errors import ConfigError
 from nsde_torch.sde.options import TorchDiffEqOptions
 from nsde_torch.sde.torchdiffeq_step import TorchDiffEq

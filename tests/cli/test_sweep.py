@@ -20,7 +20,13 @@ import pytest
 
 PROBE = """
 import json, os, time
+from dataclasses import dataclass
+from nsde_torch.cli.commands.train import TrainConfig
 from nsde_torch.errors import DataError
+
+@dataclass
+class ProbeConfig(TrainConfig):
+    pass
 
 def run(config, job):
     if config.seed == 13:
@@ -48,8 +54,9 @@ def run(config, job):
 START = """
 import sys
 from dataclasses import replace
+import nsde_probe
 from nsde_torch.cli.commands.train import COMMAND
-sys.exit(replace(COMMAND, module="nsde_probe").main(sys.argv[1:]))
+sys.exit(replace(COMMAND, schema=nsde_probe.ProbeConfig).main(sys.argv[1:]))
 """
 
 Probe = Callable[..., subprocess.CompletedProcess[str]]

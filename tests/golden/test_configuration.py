@@ -16,7 +16,7 @@ from nsde_torch.cli.help import value_text
 from nsde_torch.cli.keys import walk
 from nsde_torch.cli.main import main
 from nsde_torch.cli.registry import all_commands, hydra_commands
-from nsde_torch.cli.schemas.choices import CHOICES
+from nsde_torch.cli.schemas import CHOICES
 from nsde_torch.cli.store import store
 from tests.golden.kept import same_text, same_values
 

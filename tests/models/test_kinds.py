@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import nsde_torch
-from nsde_torch.cli.schemas.choices import CHOICES
+from nsde_torch.cli.schemas import CHOICES
 from nsde_torch.data import Run
 from nsde_torch.data.windows import Windows
 from nsde_torch.errors import ConfigError

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nsde_torch.cli.hydra_command import HydraCommand
+from nsde_torch.cli.hydra_command import HydraCommand, Job
 from nsde_torch.cli.keys import key
 from nsde_torch.errors import ConfigError, NsdeError
 
@@ -22,8 +22,6 @@ from .figure_table import Settings
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
-
-    from nsde_torch.cli.jobs import Job
 
     from . import ExperimentOutcome
 
@@ -63,9 +61,7 @@ class FiguresConfig:
 
 COMMAND = HydraCommand(
     name="figures",
-    help="Make the supplement's figures anew, each with its claim and what was measured",
     schema=FiguresConfig,
-    module=__name__,
     folder="figures",
 )
 

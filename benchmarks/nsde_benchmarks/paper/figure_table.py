@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nsde_torch.cli.schemas.choices import CHOICES
+from nsde_torch.cli.schemas import CHOICES
 
 if TYPE_CHECKING:
     from nsde_torch.data import Split

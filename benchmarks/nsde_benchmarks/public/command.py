@@ -10,15 +10,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from nsde_torch.cli.exit_status import OK
-from nsde_torch.cli.hydra_command import HydraCommand
+from nsde_torch.cli.hydra_command import HydraCommand, Job
 from nsde_torch.cli.keys import group, key
 
 from .names import BENCHMARK_HOMES
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
-
-    from nsde_torch.cli.jobs import Job
 
 
 @dataclass
@@ -60,9 +58,7 @@ def _words(words: Sequence[str]) -> list[str]:
 
 COMMAND = BenchmarkCommand(
     name="benchmark",
-    help="Run a public measured set by its own protocol, beside the published rows",
     schema=BenchmarkConfig,
-    module=__name__,
     folder="public_benchmarks/${name}",
     words=_words,
     examples=(

@@ -64,7 +64,7 @@ def defaults(command: str) -> dict[str, str]:
 
 def has(command: str, name: str) -> bool:
     """Whether a command has a key or group of this name."""
-    return name in {field.name for field in dataclasses.fields(schema(command))}
+    return name in [field.name for field in dataclasses.fields(schema(command))]
 
 
 def sweeps(command: str) -> bool:
@@ -74,8 +74,7 @@ def sweeps(command: str) -> bool:
 
 def choices(group: str, extra: Path | None = None) -> list[str]:
     """The choices of a group, those of the user's own config folder included."""
-    names = {Path(item.name).stem for item in _package_files(group)} | set(CHOICES.get(group, {}))
-    names |= set(NAMES.get(group, ()))
+    names = {*_package_files(group), *CHOICES.get(group, {}), *NAMES.get(group, ())}
     if extra is not None and (extra / group).is_dir():
         names |= {path.stem for path in (extra / group).glob("*.yaml")}
     return sorted(names)
@@ -91,10 +90,9 @@ def files(command: str) -> dict[str, Key]:
 
 def without_file(group: str) -> dict[str, type | dict[str, str]]:
     """Choices of a group that are all that their dataclass says, or set their name alone: they need no file."""
-    files = {Path(item.name).stem for item in _package_files(group)}
     nodes: dict[str, type | dict[str, str]] = {**CHOICES.get(group, {})}
     nodes |= {name: {"name": name} for name in NAMES.get(group, ())}
-    return {name: node for name, node in nodes.items() if name not in files}
+    return {name: node for name, node in nodes.items() if name not in _package_files(group)}
 
 
 def selected(command: str, words: Sequence[str]) -> dict[str, str]:
@@ -160,18 +158,18 @@ def _parents(group: str, choice: str, extra: Path | None) -> list[str]:
 def _read(group: str, choice: str, extra: Path | None) -> dict[str, Any]:
     content = None
     own = None if extra is None else extra / group / f"{choice}.yaml"
-    for item in _package_files(group):
-        if item.name == f"{choice}.yaml":
-            content = yaml.safe_load(item.read_text(encoding="utf-8"))
-    if content is None and choice in NAMES.get(group, ()):
-        return {"name": choice}
-    if content is None and own is not None and os.path.isfile(own):
+    if choice in (files := _package_files(group)):
+        content = yaml.safe_load(files[choice].read_text(encoding="utf-8"))
+    elif choice in NAMES.get(group, ()):
+        content = {"name": choice}
+    elif own is not None and os.path.isfile(own):
         with contextlib.suppress(ConfigError):  # the command says so once it runs
             content = read_yaml(own)
     return content if isinstance(content, dict) else {}
 
 
-def _package_files(group: str) -> Iterator[Any]:
+def _package_files(group: str) -> dict[str, Any]:
+    """Choice -> file of the package that sets its values."""
     folder = resources.files(_CONF).joinpath(group)
-    if folder.is_dir():
-        yield from (item for item in folder.iterdir() if item.name.endswith(".yaml"))
+    files = folder.iterdir() if folder.is_dir() else ()
+    return {item.name.removesuffix(".yaml"): item for item in files if item.name.endswith(".yaml")}

@@ -19,6 +19,7 @@ from nsde_torch.errors import CheckpointError, ConfigError, NsdeError
 
 from . import complete, groups, help, messages
 from .exit_status import CRASHED, FAILED_JOBS, INTERRUPTED, OK, USER_ERROR, EndedError
+from .keys import walk
 from .quoted import as_typed, coordinates_named, path_word, quoted, typed_path
 from .registry import hydra_commands
 from .schemas import CHOICES
@@ -102,9 +103,7 @@ class HydraCommand:
         except NsdeError as error:
             return self._user_error(error, messages.in_keys(str(error), self.schema.__dataclass_fields__))  # type: ignore[attr-defined]
         except Exception as error:
-            message = messages.explain(error, self.name, words)
-            if message is None:
-                message = self._sweep_message()
+            message = messages.explain(error, self.name, words) or self._sweep_message()
             if message is None:
                 traceback.print_exception(error)
                 return CRASHED
@@ -126,15 +125,14 @@ class HydraCommand:
         if sweep:
             if not groups.sweeps(self.name):
                 raise ConfigError(f"`nsde {self.name}` has no sweeps; leave out -m.")
-            _check_sweep(words)
-            rate = (
-                "hydra.sweeper.max_failure_rate="  # a failed job is a failed trial, not the end of the sweep
-            )
-            optuna = any(word.startswith("hydra/sweeper=optuna") for word in words)
-            if optuna and not any(word.startswith(rate) for word in words):
-                words = [*words, f"{rate}1.0"]
-        _refuse_other_folders(words)
-        _refuse_used_folders(words)
+            if any(word.startswith("run_dir=") for word in words):
+                raise ConfigError("`run_dir` is the folder of one run; a sweep takes `sweep_dir=...`.")
+            if _resumed(words) is not None:
+                raise ConfigError("`resume` continues one run; leave out -m.")
+            if any(word.startswith("hydra/sweeper=optuna") for word in words):
+                # a failed job is a failed trial, not the end of the sweep; what was typed comes later, and wins
+                words = ["hydra.sweeper.max_failure_rate=1.0", *words]
+        _check_folders(words)
         resumed, files = _resumed(words), groups.files(self.name)
         words = [path_word(word, files, sweep=sweep) for word in words]
         if resumed is not None:
@@ -171,8 +169,8 @@ class HydraCommand:
 
         failed = failed_jobs(sweep_dir)
         if failed:
-            names = "\n".join(f"  {path}" for path in failed)
-            print(f"nsde {self.name}: {len(failed)} job(s) failed:\n{names}", file=sys.stderr)
+            names = "\n  ".join(map(str, failed))
+            print(f"nsde {self.name}: {len(failed)} job(s) failed:\n  {names}", file=sys.stderr)
         print(f"Compare the jobs with: {_report(sweep_dir)}")
         return FAILED_JOBS if failed else OK
 
@@ -225,37 +223,25 @@ def _reader_chosen(words: list[str], command: str) -> list[str]:
     return ["data=log", *words]
 
 
-def _refuse_other_folders(words: Sequence[str]) -> None:
-    """What is written lies in the folder of the run or the sweep, which a key of the command names."""
+def _check_folders(words: Sequence[str]) -> None:
+    """What is written lies in the folder of the run or the sweep, which a key of the command names.
+
+    A run is never written over another; the check comes before Hydra touches the folder.
+    """
+    results = [command.result for command in hydra_commands().values() if command.result is not None]
     for word in words:
         key, _, value = word.lstrip("+").partition("=")
+        folder = Path(typed_path(value))
         if key in _HYDRA_FOLDERS:
             raise ConfigError(
                 f"`{key}` is set by the command: name the folder with {_HYDRA_FOLDERS[key]}=..."
             )
         if key in _HYDRA_GROUPS:
             raise ConfigError(f"`{key}` is set key by key: {key}.KEY=VALUE; got {value!r}.")
-        inside = Path(typed_path(value))
-        if key in _HYDRA_NAMES and (inside.is_absolute() or ".." in inside.parts):
+        if key in _HYDRA_NAMES and (folder.is_absolute() or ".." in folder.parts):
             raise ConfigError(
                 f"`{key}` must be a name in the folder of the run, without `..`; got {value!r}."
             )
-
-
-def _check_sweep(words: Sequence[str]) -> None:
-    for word in words:
-        if word.startswith("run_dir="):
-            raise ConfigError("`run_dir` is the folder of one run; a sweep takes `sweep_dir=...`.")
-        if word.startswith("resume=") and word not in ("resume=", "resume=null"):
-            raise ConfigError("`resume` continues one run; leave out -m.")
-
-
-def _refuse_used_folders(words: Sequence[str]) -> None:
-    """A run is never written over another; the check comes before Hydra touches the folder."""
-    results = [command.result for command in hydra_commands().values() if command.result is not None]
-    for word in words:
-        key, _, value = word.partition("=")
-        folder = Path(typed_path(value))
         if key in ("run_dir", "sweep_dir", "out_dir") and not value.strip("'\""):
             raise ConfigError(f"`{key}` is empty; name a folder.")
         # a run that failed before it did any work (a wrong key, a missing file) has nothing to keep or continue
@@ -286,14 +272,13 @@ def _report(sweep_dir: Path) -> str:
 
 def _opened(word: str, command: str) -> str:
     """`system.parameters.mass=1` adds to a dict that is open by design; Hydra wants that said with `++`."""
-    from .keys import walk
-
     path = word.split("=", 1)[0]
     own = [walk(schema, f"{group}.") for group, choices in CHOICES.items() for schema in choices.values()]
-    for entry in chain(walk(groups.schema(command)), *own):
-        if entry.default == {} and (path == entry.path or path.startswith(f"{entry.path}.")):
-            return f"++{word}"
-    return word
+    opened = any(
+        entry.default == {} and f"{path}.".startswith(f"{entry.path}.")
+        for entry in chain(walk(groups.schema(command)), *own)
+    )
+    return f"++{word}" if opened else word
 
 
 def _options_first(words: Sequence[str]) -> list[str]:

@@ -70,9 +70,8 @@ def run(config: DictConfig, job: Job) -> None:
         raise ConfigError(
             f"`nsde serve` needs the package {package!r}, which is not installed: pip install 'nsde_torch[serve]'."
         ) from error
-    from ..serving.job import ServeLimits, machines
+    from ..serving.job import ServeLimits, Shelf, machines
     from ..serving.runner import JobRunner
-    from ..serving.shelf import Shelf
 
     typed = HydraConfig.get()
     own = config_folders(typed.runtime.config_sources)

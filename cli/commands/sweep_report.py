@@ -7,20 +7,24 @@ import csv
 import json
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from pathlib import Path
+from statistics import fmean, stdev
 from typing import Any
 
 from nsde_torch.aligned import aligned
 from nsde_torch.errors import ConfigError
+from nsde_torch.plain_yaml import read_yaml
 
 from .. import complete as completion
 from ..exit_status import OK
 from ..registry import PlainCommand
-from ..sweep_jobs import DONE, FAILED, UNFINISHED, Group, SweepJob, grouped, read_jobs
 
+DONE, FAILED, UNFINISHED = "done", "failed", "unfinished"
+_SCALE = ("system", "model", "loss")
+_RESULTS = ("metrics.json", "policy.json")
 # Ranked by the first of these that a job has; smaller is better.
 SCORES = ("validation.score", "validation_score", "score")
 # Shown beside the score: errors on the held-out runs; of a policy, its reward on the truth.
@@ -64,11 +68,11 @@ def complete(words: Sequence[str]) -> list[str]:
 def ranked(groups: Sequence[Group], score: str) -> list[Group]:
     """Groups from the best mean score to the worst; those without one last."""
 
-    def order(group: Group) -> tuple[bool, float, str]:
-        mean = group.mean(score)
-        return (math.isnan(mean), 0.0 if math.isnan(mean) else mean, group.label)
+    return sorted(groups, key=lambda g: (_last_if_nan(g.mean(score)), g.label))
 
-    return sorted(groups, key=order)
+
+def _last_if_nan(value: float) -> float:
+    return math.inf if math.isnan(value) else value
 
 
 def report(jobs: Sequence[SweepJob], groups: Sequence[Group], score: str, columns: Sequence[str]) -> str:
@@ -111,10 +115,7 @@ def _ranking(groups: Sequence[Group], score: str, columns: Sequence[str]) -> lis
         [str(rank), str(len(group.jobs)), *(_pair(group, name) for name in (score, *columns)), group.label]
         for rank, group in enumerate(groups, start=1)
     ]
-    best = min(
-        groups[0].jobs,
-        key=lambda job: (math.isnan(job.metrics.get(score, math.nan)), job.metrics.get(score, 0.0)),
-    )
+    best = min(groups[0].jobs, key=lambda job: _last_if_nan(job.metrics.get(score, math.nan)))
     table = aligned([head, *rows], left=len(head))
     return [*(f"  {row}" for row in table), f"  best job: {best.folder}"]
 
@@ -187,15 +188,132 @@ def _write_json(
 
 
 def _write_csv(path: Path, jobs: Sequence[SweepJob]) -> None:
-    keys = list(dict.fromkeys(key for job in jobs for key in job.overrides))
-    metrics = list(dict.fromkeys(name for job in jobs for name in job.metrics))
+    rows = [
+        {"job": j.folder.name, "status": j.status, "reason": j.reason, **j.overrides, **j.metrics}
+        for j in jobs
+    ]
+    keys = [key for job in jobs for key in job.overrides] + [name for job in jobs for name in job.metrics]
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["job", "status", "reason", *keys, *metrics])
-        for job in jobs:
-            row = [job.folder.name, job.status, job.reason]
-            row += [job.overrides.get(key, "") for key in keys]
-            writer.writerow([*row, *(job.metrics.get(name, "") for name in metrics)])
+        writer = csv.DictWriter(file, dict.fromkeys(["job", "status", "reason", *keys]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+# --- the jobs of a sweep as its folders record them: overrides, status, and the numbers that they ended in ------------
+
+
+@dataclass(frozen=True)
+class SweepJob:
+    """One job of a sweep."""
+
+    folder: Path
+    overrides: dict[str, str]  # what was set for it, by key
+    status: str  # `done`, `failed` or `unfinished` (running, killed, or never started its work)
+    reason: str = ""  # why it failed, one line
+    # every number of its `metrics.json` (of a policy, `policy.json`), by dotted path
+    metrics: dict[str, float] = field(default_factory=dict)
+    scale: str = ""  # system, model and loss; validation scores of different ones do not compare
+
+
+@dataclass(frozen=True)
+class Group:
+    """Jobs that differ in nothing but the seed, and what their numbers are together."""
+
+    label: str
+    jobs: tuple[SweepJob, ...]
+
+    @property
+    def scale(self) -> str:
+        """System, model and loss of the jobs."""
+        return self.jobs[0].scale
+
+    def values(self, metric: str) -> list[float]:
+        """The finite values of one metric over the jobs."""
+        found = (job.metrics.get(metric, math.nan) for job in self.jobs)
+        return [value for value in found if math.isfinite(value)]
+
+    def mean(self, metric: str) -> float:
+        """Mean over the seeds; not a number if no job has the metric."""
+        values = self.values(metric)
+        return fmean(values) if values else math.nan
+
+    def spread(self, metric: str) -> float:
+        """Sample standard deviation over the seeds; not a number for a single job."""
+        values = self.values(metric)
+        return stdev(values) if len(values) > 1 else math.nan
+
+
+def read_jobs(sweep_dir: Path) -> list[SweepJob]:
+    """Every job below a folder, in the order of their numbers."""
+    records = sweep_dir.glob("**/.hydra/overrides.yaml")
+    return sorted((_read_job(record.parent.parent) for record in records), key=_number)
+
+
+def grouped(jobs: Sequence[SweepJob]) -> list[Group]:
+    """Finished jobs together with those that differ in the seed alone; labels name only what varies."""
+    varying = {
+        key
+        for job in jobs
+        for key in job.overrides
+        if len({other.overrides.get(key) for other in jobs}) > 1 and key != "seed"
+    }
+    members: dict[tuple[str, str], list[SweepJob]] = {}
+    for job in jobs:
+        if job.status == DONE:
+            members.setdefault((job.scale, label(job, varying)), []).append(job)
+    return [Group(name, tuple(group)) for (_, name), group in members.items()]
+
+
+def label(job: SweepJob, keys: set[str]) -> str:
+    """The overrides of a job that are worth naming."""
+    return " ".join(f"{key}={value}" for key, value in job.overrides.items() if key in keys) or "all alike"
+
+
+def numbers(content: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
+    """Every number of nested mappings and lists with its dotted path."""
+    if isinstance(content, bool):
+        return
+    if isinstance(content, (int, float)):
+        yield prefix, float(content)
+    elif isinstance(content, Mapping):
+        for name, value in content.items():
+            yield from numbers(value, f"{prefix}.{name}" if prefix else str(name))
+    elif isinstance(content, list):
+        for index, value in enumerate(content):
+            yield from numbers(value, f"{prefix}.{index}")
+
+
+def _read_job(folder: Path) -> SweepJob:
+    listed = read_yaml(folder / ".hydra" / "overrides.yaml") or []
+    overrides = {key.lstrip("+"): value for key, _, value in (str(word).partition("=") for word in listed)}
+    if (folder / "failed.json").is_file():
+        return SweepJob(folder, overrides, FAILED, reason=_reason(folder / "failed.json"))
+    metrics = next((folder / name for name in _RESULTS if (folder / name).is_file()), None)
+    if metrics is None:
+        return SweepJob(folder, overrides, UNFINISHED)
+    try:
+        content = json.loads(metrics.read_text(encoding="utf-8"))
+    except json.JSONDecodeError:  # cut short: the process died while it wrote
+        return SweepJob(folder, overrides, UNFINISHED)
+    scale = " ".join(f"{key}={content[key]}" for key in _SCALE if isinstance(content.get(key), str))
+    metrics_of = dict(numbers(content))
+    spread = [value for name, value in metrics_of.items() if name.startswith("test.spread.")]
+    if spread and not any(spread):  # one path: no interval, which is not one that holds nothing
+        metrics_of = {name: v for name, v in metrics_of.items() if not name.startswith("test.coverage")}
+    return SweepJob(folder, overrides, DONE, metrics=metrics_of, scale=scale)
+
+
+def _reason(path: Path) -> str:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return " ".join(f"{content['error']}: {content['message']}".split())
+    except (json.JSONDecodeError, KeyError, TypeError):
+        return f"{path.name} is damaged"
+
+
+def _number(job: SweepJob) -> tuple[int, str]:
+    start = job.folder.name.split("_")[0]
+    return (int(start) if start.isdigit() else 10**9, str(job.folder))
 
 
 COMMAND = PlainCommand(main, complete)

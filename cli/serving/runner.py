@@ -8,30 +8,15 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
-from .job import Machines, RefusedError, ServedJob, ServeLimits, diagnose_words, inspect_words, shell
+from .job import Machines, RefusedError, ServedJob, ServeLimits, Shelf, diagnose_words, inspect_words, shell
 from .process import CommandProcess, EndOfProcess, Say
-from .shelf import Shelf
 from .summary import RESULT, save_summary
 
 INSPECTION, LOG, MAPPING = "inspection.json", "log.txt", "mapping.yaml"
 _LONGEST_MAPPING = 1 << 16  # letters
 _LOOK = 300.0  # seconds that looking into logs may take at most
-
-
-class StoppableWork(Protocol):
-    """A command that can be stopped."""
-
-    def run(self) -> EndOfProcess:
-        """Run it to its end."""
-
-    def stop(self, why: str = "cancelled") -> None:
-        """End it now."""
-
-
-MakeWork = Callable[..., StoppableWork]
-"""Makes the work of words, as `CommandProcess` does."""
 
 
 @dataclass(eq=False)
@@ -41,10 +26,10 @@ class JobRunner:
     shelf: Shelf  # the jobs
     machines: Machines  # that are offered
     limits: ServeLimits  # of time and memory
-    make: MakeWork = CommandProcess  # makes a process
+    make: Callable[..., CommandProcess] = CommandProcess  # makes the process of a command
 
     def __post_init__(self) -> None:
-        self._work: dict[str, StoppableWork] = {}
+        self._work: dict[str, CommandProcess] = {}
         self._began: dict[str, float] = {}
         self._closed = False
         self._looks: queue.SimpleQueue[ServedJob | None] = queue.SimpleQueue()

@@ -18,7 +18,7 @@ from waitress.utilities import Error
 
 from nsde_torch.errors import ConfigError
 
-from .answers import NO_TOKEN, TOKEN, is_token
+from .app import NO_TOKEN, TOKEN, is_token
 
 WSGI = Callable[[Any, Any], Iterable[bytes]]
 

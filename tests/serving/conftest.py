@@ -20,10 +20,9 @@ from werkzeug.test import Client
 
 from nsde_torch.cli.main import main
 from nsde_torch.cli.serving.app import ServedPage
-from nsde_torch.cli.serving.job import ServeLimits, machines
+from nsde_torch.cli.serving.job import ServeLimits, Shelf, machines
 from nsde_torch.cli.serving.process import EndOfProcess, why_ended
 from nsde_torch.cli.serving.runner import JobRunner
-from nsde_torch.cli.serving.shelf import Shelf
 from nsde_torch.diagnosis.time_series import script
 
 HOST = "127.0.0.1:8765"

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from nsde_torch.cli.serving.job import RefusedError
-from nsde_torch.cli.serving.shelf import FORMATS, file_names
+from nsde_torch.cli.serving.job import FORMATS, RefusedError, file_names
 from nsde_torch.data.readers import READERS
 from tests.serving.conftest import Page, Played
 

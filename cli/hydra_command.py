@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
 import sys
 import time
@@ -114,7 +115,10 @@ class HydraCommand:
         return complete.overrides(self.name, words)
 
     def _prepare(self, words: list[str]) -> list[str]:
-        """The words for Hydra: open dicts opened, a resumed run's choices back, the config folder seen."""
+        """The words for Hydra: open dicts opened, a resumed run's choices back, the config folder seen.
+
+        `system=module:Class` names no choice of the group, and so its key `name`.
+        """
         folder = groups.config_dir(words)
         if folder is not None:
             if not folder.is_dir():
@@ -133,6 +137,7 @@ class HydraCommand:
                 # a failed job is a failed trial, not the end of the sweep; what was typed comes later, and wins
                 words = ["hydra.sweeper.max_failure_rate=1.0", *words]
         _check_folders(words)
+        words = [re.sub(r"^system=(?=[\w.]+:\w)", "system.name=", word) for word in words]
         resumed, files = _resumed(words), groups.files(self.name)
         words = [path_word(word, files, sweep=sweep) for word in words]
         if resumed is not None:

@@ -10,7 +10,6 @@ import importlib
 import json
 import logging
 import re
-import sys
 import traceback
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +26,7 @@ from nsde_torch.progress import LOG as PROGRESS_LOG
 from . import messages
 from .hydra_command import Job
 from .keys import check
+from .own_modules import config_folders, see_folders
 
 FAILED = "failed.json"
 _LONGEST_NAME = 120
@@ -79,7 +79,7 @@ class HydraJob:
         if self.folder:
             LAST.run_dir = job.run_dir
             (job.run_dir / FAILED).unlink(missing_ok=True)
-        see_user_modules(hydra)
+        see_folders(config_folders(hydra.runtime.config_sources))  # in a launcher's worker process too
         _progress_to_files_alone()
         try:
             check_config(config, self.command, list(hydra.overrides.task))
@@ -137,13 +137,6 @@ def _check_node(
         if isinstance(value, dict):
             _check_node(node[name], value, f"{path}.", command, words)
     check(schema, values, prefix)
-
-
-def see_user_modules(hydra: Any) -> None:
-    """Make modules in the user's config folder importable, in a launcher's worker process too."""
-    for source in hydra.runtime.config_sources:
-        if source.provider == "command-line" and source.schema == "file" and source.path not in sys.path:
-            sys.path.insert(0, source.path)
 
 
 def record(error: BaseException, job: Job, message: str) -> None:

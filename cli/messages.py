@@ -32,7 +32,7 @@ _NO_PLACE = {
     *(errno.ELOOP, errno.ENAMETOOLONG, errno.EROFS),
 }
 _FULL = {errno.ENOSPC, errno.EDQUOT}
-_TYPES = {"Float": "a number, without its unit", "Integer": "a whole number", "Boolean": "true or false"}
+_TYPES = {"Float": "a number, without its unit", "Integer": "a whole number", "bool": "true or false"}
 _POINTER = "`nsde {command} --help` lists groups and keys."
 _NO_GROUP = re.compile(r"Could not override '(?P<group>[^'@]+)'. No match in the defaults list")
 _IN_FILE = re.compile(
@@ -85,7 +85,7 @@ def explain(error: Exception, command: str, words: Sequence[str]) -> str | None:
 def _wrong_type(error: Exception) -> str:
     """What OmegaConf says of a value of another type, without the names of its converters."""
     reason = _first_line(error).rstrip(".")
-    found = re.search(r"Value '(.*)' of type '.*' could not be converted to (\w+)", reason)
+    found = re.search(r"Value '(.*)' (?:of type '.*' could not be converted to|is not a valid) (\w+)", reason)
     if found and found[2] in _TYPES:
         return f"must be {_TYPES[found[2]]}; got {found[1]!r}"
     if "not a ListConfig" in reason:
@@ -127,13 +127,6 @@ def unknown_key(path: str, command: str, words: Sequence[str]) -> str:
     near = nearest(path, known)
     hint = f" Did you mean `{near}`?" if near else ""
     return f"`{path}` is not a key of `nsde {command}`.{hint} {_POINTER.format(command=command)}"
-
-
-def no_key(word: str, keys: Collection[str]) -> str:
-    """The message for a word of a command that Hydra does not configure and that has none of its keys."""
-    near = difflib.get_close_matches(word.partition("=")[0], keys, n=1)
-    hint = f" Did you mean `{near[0]}=`?" if near else ""
-    return f"`{word}` is none of {', '.join(f'{k}=' for k in keys)}.{hint}"
 
 
 def nearest(name: str, known: Sequence[str]) -> str | None:

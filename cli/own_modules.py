@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from nsde_torch.errors import ConfigError
 from nsde_torch.plain_yaml import read_yaml
+from nsde_torch.systems.names import SYSTEM_HOMES
 
-from . import groups
+UNNAMED = "not named"
+"""Value of `system.name` where a command does without a machine and none was named."""
+
+
+def see_folders(folders: Iterable[str]) -> None:
+    """Make the modules in folders importable."""
+    sys.path[:0] = [folder for folder in folders if folder not in sys.path]
 
 
 def see_own_modules(folder: Path) -> None:
     """Make modules importable that lay in the user's config folder at training: a system of their own."""
     for record in (folder / ".hydra" / "hydra.yaml", folder.parent / ".hydra" / "hydra.yaml"):
-        if not record.is_file():  # the model of a diagnosis lies in a folder of its own
-            continue
-        content = read_yaml(record)
-        for path in config_folders(content["hydra"]["runtime"]["config_sources"]):
-            if path not in sys.path:
-                sys.path.insert(0, path)
+        if record.is_file():  # that of a diagnosis lies in the folder above its model
+            see_folders(config_folders(read_yaml(record)["hydra"]["runtime"]["config_sources"]))
 
 
 def config_folders(sources: Iterable[Any]) -> list[str]:
@@ -29,25 +31,13 @@ def config_folders(sources: Iterable[Any]) -> list[str]:
     return [s["path"] for s in sources if s["provider"] == "command-line" and s["schema"] == "file"]
 
 
-def own_system(system: str, config_dir: Path | None) -> str:
-    """What the user's own file `system/NAME.yaml` names, or the name as it is; ConfigError where it names no class."""
-    if config_dir is None or not (file := config_dir / "system" / f"{system}.yaml").is_file():
-        return system
-    groups.check_own_files(config_dir, {"system": system})
-    name = groups.choice_values("system", system, config_dir).get("name")
-    if not isinstance(name, str):
-        raise ConfigError(f"{file} must hold `name: module:Class`, or `defaults: [SYSTEM, _self_]`.")
-    return name
+def system_words(name: str) -> list[str]:
+    """Words that name the machine of the present command in another one, with the folder of the user's own."""
+    from hydra.core.hydra_config import HydraConfig
 
-
-def split_config_dir(arguments: Sequence[str]) -> tuple[Path | None, list[str]]:
-    """The folder of `--config-dir` (None: none), and the other words; ConfigError where there is no such folder."""
-    folder = groups.config_dir(arguments)
-    if folder is not None and not folder.is_dir():
-        raise ConfigError(f"`--config-dir {folder}`: no such folder.")
-    words = [w for w in arguments if not w.startswith("--config-dir=")]
-    for flag in ("--config-dir", "-cd"):
-        if flag in words:
-            k = words.index(flag)
-            del words[k : k + 2]
-    return folder, words
+    runtime = HydraConfig.get().runtime
+    choice = runtime.choices.get("system")
+    words = [w for folder in config_folders(runtime.config_sources) for w in ("--config-dir", folder)]
+    if choice is not None and choice not in SYSTEM_HOMES:
+        return [*words, f"system={choice}"]
+    return [*words, f"system={name}" if name in SYSTEM_HOMES else f"system.name={name}"]

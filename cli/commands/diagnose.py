@@ -154,20 +154,13 @@ def _training(config: DictConfig, job: Job) -> str:
     """The command that trains with what was found, on the same data where these are files."""
     from hydra.core.hydra_config import HydraConfig
 
-    from nsde_torch.systems.names import SYSTEM_HOMES as CHOICES
-
-    from ..own_modules import config_folders
+    from ..own_modules import system_words
     from ..quoted import as_typed
 
-    runtime = HydraConfig.get().runtime
-    words = ["nsde", "train"]
-    for folder in config_folders(runtime.config_sources):
-        words += ["--config-dir", folder]
-    choice, name = runtime.choices["system"], config.system.name
-    words.append(f"system.name={name}" if choice != name and choice in CHOICES else f"system={choice}")
+    words = ["nsde", "train", *system_words(config.system.name)]
     paths: dict[str, object] = {"system.effects": job.run_dir / "effects.yaml"}
     if isinstance(path := config.data.get("path"), str):
-        words.append(f"data={runtime.choices['data']}")
+        words.append(f"data={HydraConfig.get().runtime.choices['data']}")
         paths = {"data.path": path, **paths}
     return as_typed(*words, paths=paths)
 

@@ -3,79 +3,70 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import sys
 import textwrap
 from collections.abc import Sequence
-from pathlib import Path
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from nsde_torch.errors import ConfigError
-
-from .. import messages
-from ..exit_status import OK
-from ..own_modules import own_system, split_config_dir
-from ..registry import PlainCommand
+from ..hydra_command import HydraCommand, Job
+from ..keys import group, key
+from ..own_modules import UNNAMED
+from ..schemas import SystemConfig
 
 if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
     from nsde_torch.effects import Effect
 
-KEYS = {"system": "only those that this system can have", "format": "text or json"}
-FORMATS = ("text", "json")
 _GAP = "  "
 _ANY = "coordinate"  # port of a law: that of the coordinate which it is on
 _SMALLEST = 100  # characters below which the table is not squeezed
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Print the catalogue; returns the exit status."""
-    if {"-h", "--help"} & set(arguments):
-        print(usage())
-        return OK
-    folder, words = split_config_dir(arguments)
-    given = _given(words)
-    rows = catalogue(given.get("system"), config_dir=folder)
-    if given.get("format") == "json":
+@dataclass
+class EffectsConfig:
+    """`nsde effects`."""
+
+    format: str = key("text", "how they are listed", choices=("text", "json"))
+    system: SystemConfig = group(SystemConfig, "only those that this machine can have")
+
+
+COMMAND = HydraCommand(
+    name="effects",
+    schema=EffectsConfig,
+    groups={"system": None},
+    values={"system": {"name": UNNAMED}},
+    examples=(
+        ("system=quadrotor", "those that a quadrotor can have, and what a diagnosis tries of them"),
+        ("--config-dir DIR system=mine", "of a machine of your own, DIR/system/mine.yaml"),
+    ),
+)
+
+
+def run(config: DictConfig, job: Job) -> None:
+    """Print the catalogue."""
+    sys.path.insert(0, os.getcwd())  # a system of the user's own, in a file there
+    name = None if config.system.name == UNNAMED else config.system.name
+    rows = catalogue(name)
+    if config.format == "json":
         print(json.dumps({"effects": rows}, indent=1))
-    else:
-        width = shutil.get_terminal_size((120, 24)).columns
-        print(table(rows, max(width, _SMALLEST), systems="system" not in given))
-        print(
-            "\nAdd some to the declared physics with system.effects=[NAME,...], to a simulated machine with\n"
-            "plant.effects=[NAME,...]; `module:Class` names one of your own. Laws of one coordinate are named with it\n"
-            "where a machine has several: coulomb_friction[q2]."
-        )
-    return OK
-
-
-def complete(words: Sequence[str]) -> list[str]:
-    """Completions of the last word."""
-    current = words[-1] if words else ""
-    key, equals, value = current.partition("=")
-    if not equals:
-        return [f"{k}=" for k in KEYS if k.startswith(key)]
-    if key == "system":
-        from nsde_torch.systems import SYSTEMS
-
-        return [name for name in SYSTEMS if name.startswith(value)]
-    return [name for name in FORMATS if name.startswith(value)] if key == "format" else []
-
-
-def usage() -> str:
-    """Help of the command."""
-    keys = "\n".join(f"  {name}=...  {what}" for name, what in KEYS.items())
-    return (
-        "nsde effects: list the physical effects that a system or a plant can be given\n\n"
-        f"Usage: nsde effects [system=NAME] [format=text] [--config-dir DIR]\n\n{keys}\n"
-        "  --config-dir DIR  folder with system/NAME.yaml and the modules of a machine of your own"
+        return
+    width = shutil.get_terminal_size((120, 24)).columns
+    print(table(rows, max(width, _SMALLEST), systems=name is None))
+    print(
+        "\nAdd some to the declared physics with system.effects=[NAME,...], to a simulated machine with\n"
+        "plant.effects=[NAME,...]; `module:Class` names one of your own. Laws of one coordinate are named with it\n"
+        "where a machine has several: coulomb_friction[q2]."
     )
 
 
-def catalogue(system: str | None = None, *, config_dir: Path | None = None) -> list[dict[str, Any]]:
+def catalogue(system: str | None = None) -> list[dict[str, Any]]:
     """What the catalogue says of every effect, or of those that one system can have.
 
-    A system is a key of `SYSTEMS`, `module:Class`, or NAME of a file `system/NAME.yaml` in `config_dir`, the folder of
-    the user's own modules and systems (None: the present one, for modules).
+    A system is a key of `SYSTEMS`, or `module:Class`.
 
     Raises:
         ConfigError: There is no such system.
@@ -89,12 +80,7 @@ def catalogue(system: str | None = None, *, config_dir: Path | None = None) -> l
     if system is None:
         chosen = dict(EFFECTS)
     else:
-        beside = str((config_dir or Path.cwd()).resolve())  # a system of the user's own, in a file there
-        sys.path.insert(0, beside)
-        try:
-            machine = make_system(own_system(system, config_dir))
-        finally:
-            sys.path.remove(beside)
+        machine = make_system(system)
         chosen = effects_of(machine.name, machine.ports, machine.bound_coordinates())
     able = {s: effects_of(s, cls.ports, cls.bound_coordinates()) for s, cls in SYSTEMS.items()}
     of_machines = {s: {split_name(name)[0] for name in effects} for s, effects in able.items()}
@@ -194,18 +180,3 @@ def _parameter(parameter: dict[str, Any]) -> str:
     axes = parameter["axes"]
     many = " per input" if axes == "inputs" else f" x {axes}" if axes > 1 else ""
     return f"{parameter['name']}{many} [{parameter['unit']}]"
-
-
-def _given(arguments: Sequence[str]) -> dict[str, str]:
-    out: dict[str, str] = {}
-    for word in arguments:
-        key, equals, value = word.partition("=")
-        if not equals or key not in KEYS:
-            raise ConfigError(messages.no_key(word, KEYS))
-        out[key] = value
-    if out.get("format", "text") not in FORMATS:
-        raise ConfigError(f"`format` must be one of {', '.join(FORMATS)}; got {out['format']!r}.")
-    return out
-
-
-COMMAND = PlainCommand(main, complete)

@@ -3,106 +3,143 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import yaml
+from typing import TYPE_CHECKING
 
 from nsde_torch.aligned import aligned
+from nsde_torch.data.readers import READERS
 from nsde_torch.errors import ConfigError
 
-from .. import messages
-from ..exit_status import FAILED_JOBS, OK, USER_ERROR
-from ..own_modules import own_system, split_config_dir
+from ..exit_status import FAILED_JOBS, EndedError
+from ..hydra_command import HydraCommand, Job
+from ..keys import group, key
+from ..own_modules import UNNAMED
 from ..quoted import as_typed
-from ..registry import PlainCommand
+from ..schemas import SystemConfig
 
 if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
     from nsde_torch.api.inspecting import Inspection
 
-KEYS = {
-    "system": "machine that the log is of: name, or module:Class of your own; left out: guessed",
-    "system.options.NAME": "further argument of the machine's class (system.options.yaw_direction=-1)",
-    "kind": "reader of the format; left out: by the names of the files",
-    "mapping": "YAML file of a mapping to check; left out: mapping.yaml beside the logs, else one is proposed",
-    "out": "file to write the mapping to; left out: mapping.yaml beside the logs; none: nothing is written",
-    "overwrite": "true replaces a mapping that is there by a proposal",
-    "physics": "false leaves out the fit of the declared physics",
-    "json": "file to write all that was found to, for a program",
-    "columns": "all lists every column, else those that move (40 at most)",
-}
-_HELP = """Usage: nsde inspect LOG [KEY=VALUE ...] [--config-dir DIR]
-
-List what is in a log or a folder of logs, propose what its columns mean to a system, check that by kinematics and by
-the signs of the physics, and write it as mapping.yaml, which `data=log` and the readers of the formats use.
-
-"""
-_OPTION = "system.options."
 _SHOWN = 40
 _MARKS = {True: "ok  ", False: "NO  ", None: "?   "}
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Print what is in a log, and write the mapping; returns the exit status (1: it cannot be used so)."""
-    words = list(arguments)
-    if not words or "-h" in words or "--help" in words:
-        width = max(map(len, KEYS))
-        print(_HELP + "\n".join(f"  {key:<{width}}  {text}" for key, text in KEYS.items()))
-        print("\n  --config-dir DIR  folder with system/NAME.yaml and the modules of a machine of your own")
-        return OK if words else USER_ERROR
+@dataclass
+class InspectConfig:
+    """`nsde inspect`."""
 
+    log: str = key("???", "log or folder of logs; `nsde inspect LOG` says the same", file=True)
+    kind: str | None = key(
+        None,
+        "reader of the format; null: by the names of the files",
+        choices=tuple(READERS),
+    )
+    mapping: str | None = key(
+        None,
+        "YAML file of a mapping to check; null: mapping.yaml beside the logs, else one is proposed",
+        file=True,
+    )
+    out: str | None = key(
+        None,
+        "file to write the mapping to, which data=log and the readers of the formats use; null: mapping.yaml beside "
+        "the logs; none: nothing is written",
+        file=True,
+    )
+    overwrite: bool = key(False, "replace a mapping that is there by a proposal")
+    physics: bool = key(True, "fit the declared physics, which shows signs and orders that are wrong")
+    json: str | None = key(None, "file to write all that was found to, for a program", file=True)
+    columns: str = key(
+        "moving", "columns to list: those that move (40 at most), or all", choices=("moving", "all")
+    )
+    system: SystemConfig = group(SystemConfig, "machine that the log is of")
+
+
+def _log_first(words: Sequence[str]) -> list[str]:
+    """`nsde inspect LOG`, and `data.path=LOG` as in other commands, as `log=LOG`."""
+    if {"-h", "--help"} & set(words):
+        return list(words)
+    out, logs = [], []
+    for before, word in zip(("", *words), words, strict=False):
+        name, equals, value = word.partition("=")
+        if name in ("log", "data.path") and equals:
+            logs.append(value)
+        elif before in ("--config-dir", "-cd") or (word.startswith("-") and not Path(word).exists()):
+            out += [word] if word != "--" else []
+        elif equals and (name.split(".")[0] in InspectConfig.__dataclass_fields__ or not Path(word).exists()):
+            out.append(word)
+        elif word:
+            logs.append(word)
+    if len(logs) > 1:
+        raise ConfigError(f"one log or folder at a time; got {' and '.join(logs)}.")
+    return [*out, *(f"log={log}" for log in logs)]
+
+
+COMMAND = HydraCommand(
+    name="inspect",
+    schema=InspectConfig,
+    groups={"system": None},
+    values={"system": {"name": UNNAMED}},
+    words=_log_first,
+    examples=(
+        ("flights/ system=quadrotor", "what do the columns mean, and is it so?"),
+        ("flights/ mapping=corrected.yaml", "check a mapping"),
+        ("--config-dir DIR system=mine flights/", "a machine of your own, DIR/system/mine.yaml"),
+    ),
+)
+
+
+def run(config: DictConfig, job: Job) -> None:
+    """Print what is in a log, and write the mapping; EndedError where it cannot be used so."""
     import torch
 
     from nsde_torch.api.inspecting import inspect
     from nsde_torch.data.mapping.reader import format_of, mapping_beside
-    from nsde_torch.data.readers import READERS
-    from nsde_torch.systems.options import SystemOptions
+
+    from .. import build, effects_file
+    from ..own_modules import system_words
 
     torch.set_num_threads(1)
-    folder, words = split_config_dir(words)
-    path, given = _given(words)
-    sys.path.insert(0, str((folder or Path.cwd()).resolve()))  # a system of the user's own, in a file there
-    target = None if given.get("out") == "none" else Path(given.get("out") or _beside(path))
+    sys.path.insert(0, os.getcwd())  # a system of the user's own, in a file there
+    path = config.log
+    target = None if config.out == "none" else Path(config.out or _beside(path))
     # what lies beside the logs is what they will be read by, unless another one is to be written
-    proposes = given.get("overwrite") == "true" or target not in (None, _beside(path))
-    kind = given.get("kind") or format_of(path)
+    proposes = config.overwrite or target not in (None, _beside(path))
+    kind = config.kind or format_of(path)
     there = mapping_beside(path) if kind in READERS and READERS[kind].mapped and not proposes else None
-    options = {k.removeprefix(_OPTION): _value(k, v) for k, v in given.items() if k.startswith(_OPTION)}
-    if options and "system" not in given:
-        raise ConfigError(f"`{_OPTION}{next(iter(options))}` is of a machine: name it, system=NAME.")
-    machine = own_system(given["system"], folder) if "system" in given else None
+    effects_file.expand(config.system)
+    machine = build.system_options(config.system)
+    if machine.name == UNNAMED and machine.options:
+        raise ConfigError(
+            f"`system.options.{next(iter(machine.options))}` is of a machine: name it, system=NAME."
+        )
     found = inspect(
         path,
-        system=SystemOptions(machine, options=options) if machine else None,
-        kind=given.get("kind"),
-        mapping=given.get("mapping") or there,
-        physics=given.get("physics", "true") != "false",
+        system=None if machine.name == UNNAMED else machine,
+        kind=config.kind,
+        mapping=config.mapping or there,
+        physics=config.physics,
     )
-    print(report(found, everything=given.get("columns") == "all"))
-    if "json" in given:
-        _save(Path(given["json"]), json.dumps(found.content(), indent=1, allow_nan=False) + "\n", "json")
-    if found.mapping is not None and "mapping" not in given and target is not None:
-        print(_write(found, target, overwrite=given.get("overwrite") == "true"))
-    used = Path(given["mapping"]) if "mapping" in given else target
-    words = [] if folder is None else ["--config-dir", str(folder)]
-    words.append(f"system={given.get('system', found.system)}")
-    words += [f"{_OPTION}{k}={v}" for k, v in options.items()]
+    print(report(found, everything=config.columns == "all"))
+    if config.json is not None:
+        _save(Path(config.json), json.dumps(found.content(), indent=1, allow_nan=False) + "\n", "json")
+    if found.mapping is not None and config.mapping is None and target is not None:
+        print(_write(found, target, overwrite=config.overwrite))
+    used = Path(config.mapping) if config.mapping else target
+    words = system_words(found.system if machine.name == UNNAMED else machine.name)
+    words += [f"system.options.{k}={v}" for k, v in machine.options.items()]
     named = found.native or used is None or used == _beside(path)
     paths = {"data.path": path} if named else {"data.path": path, "data.mapping": used}
     train = as_typed("nsde", "train", *words, f"data={found.kind}", paths=paths)
     again = as_typed("nsde", "inspect", path, *words, "mapping=FILE", paths={})
     print(f"\nnext: {_next(found, train, again)}")
-    return OK if found.usable else FAILED_JOBS
-
-
-def _value(key: str, text: str) -> Any:
-    """The value of an option of the machine, as training reads it."""
-    try:
-        return yaml.safe_load(text)
-    except yaml.YAMLError:
-        raise ConfigError(f"`{key}={text}`: {text!r} is no value.") from None
+    if not found.usable:
+        raise EndedError("these logs cannot be used as they are; what to do is said above.", FAILED_JOBS)
 
 
 def _next(found: Inspection, train: str, again: str) -> str:
@@ -185,52 +222,3 @@ def _table(found: Inspection, *, everything: bool) -> list[str]:
     left = len(found.columns) - len(rows)
     more = [f"({left} more; columns=all lists them)"] if left else []
     return [*aligned([head, *cells], left=2), *more]
-
-
-def _given(words: Sequence[str]) -> tuple[str, dict[str, str]]:
-    """The log, and the keys."""
-    path: str | None = None
-    out: dict[str, str] = {}
-    for word in words:
-        key, equals, value = word.partition("=")
-        if word == "--" or key == "data.path":  # as in other commands
-            word, equals = value, ""
-        if word == "":
-            continue
-        if equals and (key in KEYS or key.startswith(_OPTION)):
-            out[key] = value
-        elif equals and not Path(word).exists():
-            raise ConfigError(messages.no_key(word, KEYS))
-        elif path is None:
-            path = word
-        else:
-            raise ConfigError(f"one log or folder at a time; got {path} and {word}.")
-    if path is None:
-        raise ConfigError("name a log or a folder of logs: `nsde inspect LOG`.")
-    for key in ("overwrite", "physics"):
-        if out.get(key, "true") not in ("true", "false"):
-            raise ConfigError(f"`{key}` must be true or false; got {out[key]!r}.")
-    return path, out
-
-
-def complete(words: Sequence[str]) -> list[str]:
-    """Completions of the last word: keys, and names of systems and readers."""
-    last = words[-1] if words else ""
-    key, equals, start = last.partition("=")
-    if not equals:
-        return [f"{k}=" for k in KEYS if k.startswith(key) and not k.endswith("NAME")]
-    choices: Sequence[str] = ()
-    if key == "system":
-        from nsde_torch.systems.names import SYSTEM_HOMES
-
-        choices = list(SYSTEM_HOMES)
-    elif key == "kind":
-        from nsde_torch.data.readers import READERS
-
-        choices = [name for name, one in READERS.items() if one.streams]
-    elif key in ("physics", "overwrite"):
-        choices = ("true", "false")
-    return [f"{key}={choice}" for choice in choices if choice.startswith(start)]
-
-
-COMMAND = PlainCommand(main, complete)

@@ -19,11 +19,8 @@ from nsde_torch.models.kind import model_options as options_of_model
 from nsde_torch.sde import IntegratorOptions, TorchDiffEqOptions
 from nsde_torch.systems import System, SystemOptions
 
-# Keys of a data configuration that are not arguments of the function that makes the data.
-_NOT_FOR_DATA = (
-    *("kind", "test", "test_path", "validation"),
-    *("options", "instruments", "state_smoothing", "stream_offsets"),
-)
+# Keys of a data configuration that are not arguments of the function that makes or reads the data.
+_NOT_FOR_DATA = ("test", "test_path", "validation", "instruments")
 
 
 def make_device(name: str) -> torch.device:
@@ -53,8 +50,9 @@ def options(config: DictConfig, *left_out: str) -> dict[str, Any]:
 
 
 def shared(library: type[Any], config: DictConfig) -> dict[str, Any]:
-    """The fields of a class of options that a part of the configuration has too."""
-    return {f.name: config[f.name] for f in fields(library) if f.name in config}
+    """The fields of a class of options that a part of the configuration has too, as keyword arguments."""
+    given = options(config)
+    return {f.name: given[f.name] for f in fields(library) if f.name in given}
 
 
 def fence(config: DictConfig, group: str, walls: int | None = 3) -> tuple[tuple[float, float], ...]:
@@ -82,10 +80,10 @@ def dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
     if config.kind == "simulated":
         from nsde_torch.simulation import simulated
 
-        return simulated(machine, **options(config, *_NOT_FOR_DATA), **options(config.options))
-    from nsde_torch.api.reading import columns_checked
-
-    return columns_checked(machine, _read(config, machine, config.path))
+        return simulated(
+            machine, **options(config, "kind", "options", *_NOT_FOR_DATA), **options(config.options)
+        )
+    return _files(config, machine, config.path)
 
 
 def test_data(config: DictConfig, machine: SystemInfo) -> DataSet | None:
@@ -97,25 +95,23 @@ def test_data(config: DictConfig, machine: SystemInfo) -> DataSet | None:
     if config.test_path is None:
         return None
     try:
-        return _read(config, machine, config.test_path)
+        return _files(config, machine, config.test_path)
     except DataError as error:
         raise DataError(str(error).replace("`path`", "`data.test_path`")) from error
 
 
-def _read(config: DictConfig, machine: SystemInfo, path: str) -> DataSet:
-    """Data on the step that was asked for, without what the recording did, unless the user wants to keep it."""
-    from nsde_torch.recording import read
-    from nsde_torch.sysid.smoothed_states import undone_at_own_rate
+def beside(config: DictConfig, machine: SystemInfo) -> dict[str, Any]:
+    """What the group `data` says beside the data, as arguments of a training or a diagnosis."""
+    given = options(config)
+    tested = test_data(config, machine)
+    return {"test": given["test"], "test_data": tested, "instruments": given["instruments"]}
 
-    given = {**options(config, *_NOT_FOR_DATA), "path": path, **options(config).get("options", {})}
-    return undone_at_own_rate(
-        read(config.kind, machine, own_rate=True, **given),
-        machine,
-        dt=config.dt,
-        stream_offsets=config.stream_offsets,
-        state_smoothing=config.state_smoothing,
-        taken_out=[str(name) for name, value in config.items() if value],
-    )
+
+def _files(config: DictConfig, machine: SystemInfo, path: str) -> DataSet:
+    """What is in files, read as the group `data` says."""
+    import nsde_torch
+
+    return nsde_torch.read(path, system=machine, **options(config, "path", *_NOT_FOR_DATA))
 
 
 def split(config: DictConfig, data: DataSet, machine: SystemInfo) -> Split:

@@ -19,7 +19,6 @@ def overrides(command: str, words: Sequence[str]) -> list[str]:
     """Completions of the last of the words typed after the name of a command that takes overrides; it may be empty."""
     current = words[-1] if words else ""
     before = list(words[:-1])
-    extra = groups.config_dir(before)
     if before and before[-1] in ("--config-dir", "-cd"):
         return files(current)
     hydra_groups = _HYDRA_GROUPS if groups.sweeps(command) else {}
@@ -29,9 +28,9 @@ def overrides(command: str, words: Sequence[str]) -> list[str]:
     chosen = groups.selected(command, before)
     name, equals, value = current.partition("=")
     if equals:
-        return [f"{name}={option}" for option in _values(command, name, value, chosen, extra)]
+        return [f"{name}={option}" for option in _values(command, before, name, value)]
     names = [f"{group}=" for group in [*chosen, *hydra_groups]]
-    names += [f"{entry.path}=" for entry in groups.keys(command, chosen, extra)]
+    names += [f"{entry.path}=" for entry in groups.typed_keys(command, before)]
     matching = [option for option in names if option.startswith(current)]
     # As a shell does with folders: a group's keys are offered once its name and a dot are typed.
     depth = current.count(".")
@@ -55,12 +54,12 @@ def files(start: str) -> list[str]:
     )
 
 
-def _values(command: str, name: str, value: str, chosen: dict[str, str], extra: Path | None) -> list[str]:
+def _values(command: str, before: Sequence[str], name: str, value: str) -> list[str]:
     # In a sweep the choices are a list, `seed=0,1`: complete its last item.
     done, comma, last = value.rpartition(",")
     options: Sequence[str]
-    if name in chosen:
-        options = groups.choices(name, extra)
+    if name in groups.defaults(command):
+        options = groups.choices(name, groups.config_dir(before))
     elif name in _HYDRA_GROUPS:
         options = _HYDRA_GROUPS[name]
     elif name in groups.files(command):
@@ -71,7 +70,7 @@ def _values(command: str, name: str, value: str, chosen: dict[str, str], extra: 
         options = files(last)
     else:
         options = ()
-        for entry in groups.keys(command, chosen, extra):
+        for entry in groups.typed_keys(command, before):
             if entry.path == name:
                 words = ("true", "false") if isinstance(entry.default, bool) else ()
                 options = entry.choices or words

@@ -166,24 +166,6 @@ def trained_data(trained: TrainedRun) -> DictConfig:
     return made
 
 
-def training_runs(trained: TrainedRun) -> Sequence[Run]:
-    """The runs that a model was trained on, read again; ConfigError or DataError where they cannot be."""
-    own, machine = trained_data(trained), trained.model.system
-    return build.split(own, build.dataset(own, machine), machine).train
-
-
-def record_sensors(runs: Sequence[TrainedRun]) -> None:
-    """Tell models of older versions, which did not record it, what sensors their training data had."""
-    from nsde_torch.models.capabilities import learns_sensors
-    from nsde_torch.training.prepare import sensor_std
-
-    for run in runs:
-        if learns_sensors(run.model) and "train_sensor_std" not in run.metrics:
-            std = sensor_std(training_runs(run)).tolist()
-            known = dict(zip(run.model.system.state_names, std, strict=True))
-            run.model.metrics = {**run.metrics, "train_sensor_std": known}
-
-
 def _runs_of(config: DictConfig, machine: SystemInfo, *, every: bool) -> Chosen:
     if (other := build.test_data(config, machine)) is not None:
         return Chosen(other, other.runs, True)

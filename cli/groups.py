@@ -124,6 +124,11 @@ def keys(command: str, chosen: dict[str, str], extra: Path | None = None) -> Ite
                 yield dataclasses.replace(own, default=value)
 
 
+def typed_keys(command: str, words: Sequence[str]) -> Iterator[Key]:
+    """Every key of a command for the choices among the words, and those of the folder that they name."""
+    return keys(command, selected(command, words), config_dir(words))
+
+
 def group_schema(command: str, group: str, choice: str, extra: Path | None = None) -> type:
     """The dataclass of a choice: its own, that of the choice it builds on, or that of its group."""
     from typing import get_type_hints

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import textwrap
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
@@ -21,16 +22,14 @@ def describe(command: str, words: Sequence[str]) -> str:
     """Help of a command for the choices among the words; `all` adds the keys of groups that do not fit a screen."""
     lines = _described(command, words, left_out=())
     if "all" not in words and len(lines) > _SCREEN:
-        extra, chosen = groups.config_dir(words), groups.selected(command, words)
-        inside = {e.path.split(".")[0]: None for e in groups.keys(command, chosen, extra) if "." in e.path}
+        inside = {e.path.split(".")[0]: None for e in groups.typed_keys(command, words) if "." in e.path}
         named = {word.partition("=")[0] for word in words}
         lines = _described(command, words, left_out=[name for name in inside if name not in named])
     return "\n".join(lines)
 
 
 def _described(command: str, words: Sequence[str], *, left_out: Collection[str]) -> list[str]:
-    extra, summary = groups.config_dir(words), all_commands()[command].summary
-    chosen = groups.selected(command, words)
+    summary, chosen = all_commands()[command].summary, groups.selected(command, words)
     lines = [
         f"nsde {command}: {summary[0].lower()}{summary[1:]}",
         "",
@@ -39,9 +38,9 @@ def _described(command: str, words: Sequence[str], *, left_out: Collection[str])
     ]
     if chosen:
         lines += ["", "Config groups (* is chosen now; `--help data=csv` shows the keys of another choice)"]
-        lines += _group_lines(chosen, extra)
+        lines += _group_lines(chosen, groups.config_dir(words))
     section = None
-    for entry in groups.keys(command, chosen, extra):
+    for entry in groups.typed_keys(command, words):
         name = entry.path.split(".")[0] if "." in entry.path else ""
         if name in left_out:
             continue
@@ -70,9 +69,7 @@ def _group_lines(chosen: dict[str, str], extra: Path | None) -> Iterator[str]:
     for name, choice in chosen.items():
         options = groups.choices(name, extra)
         text = " | ".join(f"{option}*" if option == choice else option for option in options)
-        yield from textwrap.wrap(
-            text, WIDTH, initial_indent=f"  {name:<9}", subsequent_indent=" " * 11, break_on_hyphens=False
-        )
+        yield from _wrapped(text, f"  {name:<9}", 11)
 
 
 def _key_lines(entry: Key) -> Iterator[str]:
@@ -84,19 +81,11 @@ def _key_lines(entry: Key) -> Iterator[str]:
     if len(left) >= _COLUMN:
         yield left
         left = ""
-    yield from textwrap.wrap(
-        right,
-        WIDTH,
-        initial_indent=f"{left:<{_COLUMN}}",
-        subsequent_indent=" " * _COLUMN,
-        break_on_hyphens=False,
-    )
+    yield from _wrapped(right, f"{left:<{_COLUMN}}", _COLUMN)
 
 
 def _others(section: str | None, chosen: dict[str, str]) -> list[str]:
     """A line on the keys that other choices of a group have and the chosen one has not."""
-    import dataclasses
-
     own = CHOICES.get(section or "", {})
     if section is None or chosen.get(section) not in own:
         return []
@@ -105,13 +94,15 @@ def _others(section: str | None, chosen: dict[str, str]) -> list[str]:
     for choice, schema in own.items():
         more = [field.name for field in dataclasses.fields(schema) if field.name not in shown]
         if more:
-            lines += textwrap.wrap(
-                f"{section}={choice} has also: {', '.join(f'{section}.{name}' for name in more)}",
-                WIDTH,
-                initial_indent="  ",
-                subsequent_indent="    ",
-            )
+            listed = ", ".join(f"{section}.{name}" for name in more)
+            lines += _wrapped(f"{section}={choice} has also: {listed}", "  ", 4)
     return lines
+
+
+def _wrapped(text: str, start: str, indent: int) -> list[str]:
+    return textwrap.wrap(
+        text, WIDTH, initial_indent=start, subsequent_indent=" " * indent, break_on_hyphens=False
+    )
 
 
 def _usage(command: str) -> list[str]:

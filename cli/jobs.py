@@ -11,7 +11,7 @@ import json
 import logging
 import re
 import traceback
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -111,23 +111,13 @@ def _progress_to_files_alone() -> None:
             handler.addFilter(lambda record: record.name != PROGRESS_LOG.name)
 
 
-def check_config(config: DictConfig, command: str, words: list[str]) -> None:
+def check_config(config: DictConfig, command: str, words: list[str], prefix: str = "") -> None:
     """Refuse keys that no schema has (`+key=...` lets them in), missing values and values out of range."""
-    values = OmegaConf.to_container(config, resolve=True)
-    assert isinstance(values, dict)
-    _check_node(config, values, "", command, words)
-
-
-def _check_node(
-    node: DictConfig, values: dict[Any, Any], prefix: str, command: str, words: list[str]
-) -> None:
-    import dataclasses
-
-    schema = OmegaConf.get_type(node)
-    if not dataclasses.is_dataclass(schema):
+    schema: Any = OmegaConf.get_type(config)
+    values: Any = OmegaConf.to_container(config, resolve=True)
+    if not is_dataclass(schema):
         return
-    assert isinstance(schema, type)
-    help_of = {field.name: field.metadata["help"] for field in dataclasses.fields(schema)}
+    help_of = {field.name: field.metadata["help"] for field in fields(schema)}
     for name, value in values.items():
         path = f"{prefix}{name}"
         if name not in help_of:
@@ -135,7 +125,7 @@ def _check_node(
         if value == "???":
             raise ConfigError(f"`{path}` must be given: {help_of[name]}. Add {path}=... to the command.")
         if isinstance(value, dict):
-            _check_node(node[name], value, f"{path}.", command, words)
+            check_config(config[name], command, words, f"{path}.")
     check(schema, values, prefix)
 
 

@@ -113,19 +113,8 @@ def flown_runs(known: Diagnosed, path: str) -> Sequence[Run]:
     _check_there("flown", path, "the log of the experiment")
     config = known.data.copy()
     if config.kind == "simulated":
-        config = OmegaConf.create(
-            {
-                "kind": "csv",
-                "test": None,
-                "test_path": None,
-                "validation": 0.15,
-                "gap": None,
-                "clock": config.clock,
-                "instruments": [],
-                "state_smoothing": "keep",
-                "stream_offsets": "keep",
-            }
-        )
+        plain = {"kind": "csv", "clock": config.clock, "state_smoothing": "keep", "stream_offsets": "keep"}
+        config = OmegaConf.create(plain)
     config.path = path
     found = build.dataset(config, known.system)
     step = known.runs[0].dt

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
 from nsde_torch.errors import NsdeError
+from nsde_torch.lookup import did_you_mean
 
 from .exit_status import OK, USER_ERROR
 from .registry import all_commands, entry_of
@@ -72,8 +72,7 @@ def listing() -> str:
 def unknown_command(name: str) -> str:
     """The message for a command that is not in the table, with the nearest one that is."""
     known = all_commands()
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.65)
-    hint = f" Did you mean `nsde {near[0]}`?" if near else ""
+    hint = did_you_mean(name, known, "`nsde {}`", cutoff=0.65)
     return (
         f"nsde: no command `{name}`.{hint} Commands: {', '.join(known)}. A command of another package is known once "
         "that package is installed; after an update of a checkout, run `pip install -e .` there again."

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import yaml
 
+from nsde_torch.lookup import did_you_mean
+
 from . import groups
 from .keys import walk
 from .quoted import as_typed, typed_path
@@ -167,8 +169,7 @@ def _unknown_choice(error: Exception, command: str, words: Sequence[str]) -> str
     options = [str(option) for option in getattr(error, "options", None) or []]
     if not group:
         return _first_line(error)
-    near = difflib.get_close_matches(choice, options, n=1, cutoff=0.5)
-    hint = f" Did you mean `{group}={near[0]}`?" if near else ""
+    hint = did_you_mean(choice, options, f"`{group}={{}}`", cutoff=0.5)
     more = f" (your own: {group}/{choice}.yaml in a folder given with --config-dir)."
     if group.startswith("hydra/"):
         more = ". Launchers and sweepers come with the extras `nsde_torch[sweeps]` and `nsde_torch[ray]`."
@@ -195,18 +196,18 @@ def _no_value(word: str, command: str, words: Sequence[str]) -> str:
 
 
 def _meaning(path: str, command: str, words: Sequence[str]) -> str:
-    for entry in groups.keys(command, groups.selected(command, words), groups.config_dir(words)):
-        if entry.path == path:
-            unit = f" [{entry.unit}]" if entry.unit else ""
-            brackets = f" A list needs brackets: '{path}=[...]'." if "list" in entry.annotation else ""
-            return f" Meaning: {entry.help}{unit}.{brackets}"
-    return ""
+    entry = next((entry for entry in groups.typed_keys(command, words) if entry.path == path), None)
+    if entry is None:
+        return ""
+    unit = f" [{entry.unit}]" if entry.unit else ""
+    brackets = f" A list needs brackets: '{path}=[...]'." if "list" in entry.annotation else ""
+    return f" Meaning: {entry.help}{unit}.{brackets}"
 
 
 def _known_keys(command: str, words: Sequence[str]) -> tuple[list[str], dict[str, list[str]]]:
     """Keys and groups that exist now, and keys of other choices with the choices that have them."""
     chosen = groups.selected(command, words)
-    known = [entry.path for entry in groups.keys(command, chosen, groups.config_dir(words))]
+    known = [entry.path for entry in groups.typed_keys(command, words)]
     known += [field.name for field in dataclasses.fields(groups.schema(command)) if field.name not in known]
     elsewhere: dict[str, list[str]] = {}
     for group, options in CHOICES.items():

@@ -51,10 +51,10 @@ class CommandEntry:
     package: str | None = None  # installed package that adds the command; None for a command of the table
 
     def load(self) -> Command:
-        """Import the file of the command; ConfigError where that of another package fails, or has no `COMMAND`."""
+        """Import the file of the command; ConfigError where that of another package fails."""
         try:
             command: Command = importlib.import_module(self.module, package=__package__).COMMAND
-        except (ImportError, AttributeError) as error:
+        except (ImportError, AttributeError, TypeError) as error:
             if self.package is None:
                 raise
             raise ConfigError(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from nsde_torch.control import feasible, shapes
 from nsde_torch.control.autopilots import (
@@ -167,7 +167,7 @@ def envelope(config: DictConfig, path: Reference, known: Model | System) -> feas
 def problem(config: DictConfig, system: System | None = None) -> ProblemOptions:
     """What a plan pays for, of a machine; None: with what is not given as a multirotor has it."""
     given: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, ListConfig) else value
+        name: tuple(value) if isinstance(value, list) else value
         for name, value in build.shared(ProblemOptions, config).items()
         if value is not None
     }

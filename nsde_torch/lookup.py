@@ -10,10 +10,17 @@ from nsde_torch.errors import ConfigError
 T = TypeVar("T")
 
 
-def did_you_mean(name: str, known: Collection[str]) -> str:
-    """The nearest of the known names as a question, with a space before it; empty where none is near."""
-    near = get_close_matches(name, known, 1)
-    return f" Did you mean {near[0]!r}?" if near else ""
+def did_you_mean(name: str, known: Collection[str], shown: str = "{!r}", *, cutoff: float = 0.6) -> str:
+    """The nearest of the known names as a question, with a space before it; empty where none is near.
+
+    Args:
+        name: What was typed.
+        known: Names that there are.
+        shown: Format of the name in the question.
+        cutoff: Likeness from which one is near, see `difflib.get_close_matches`.
+    """
+    near = get_close_matches(name, known, 1, cutoff)
+    return f" Did you mean {shown.format(near[0])}?" if near else ""
 
 
 def class_by_name(

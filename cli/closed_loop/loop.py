@@ -13,6 +13,7 @@ from nsde_torch.control import feasible
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.control.shapes import from_csv
+from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.errors import DataError
 from nsde_torch.px4.link.transport import LinkError
 from nsde_torch.whole_files import json_text
@@ -88,10 +89,8 @@ class ClosedLoop:
 
     def diagnose(self, out: Path) -> None:
         """Diagnose all logs there are into a folder, unless that is done."""
-        c = self.config
-        candidates = None if c.candidates is None else list(c.candidates)
-        settings = {"alpha": c.alpha, "max_effects": c.max_effects, "candidates": candidates, "seed": c.seed}
-        diagnose_logs(self.logs, out, c.plant.system, self.kind, settings=settings)
+        settings = build.shared(Options, self.config)
+        diagnose_logs(self.logs, out, self.config.plant.system, self.kind, settings=settings)
 
     @property
     def found(self) -> dict[str, Any]:

@@ -101,12 +101,9 @@ COMMAND = HydraCommand(
 
 def run(config: DictConfig, job: Job) -> float | None:
     """Fly, diagnose, experiment, fly again; RMSE of the position after over before, None where it is not known."""
-    import torch
-
     from ..closed_loop.loop import AFTER, BEFORE, DIAGNOSIS, LOG, TRUTH, ClosedLoop
     from ..closed_loop.record import PICTURE, RESULT, picture, record, text
 
-    torch.set_num_threads(config.threads)
     _check(config)
     _same_settings(config, job.run_dir)
     loop = ClosedLoop(config, job.run_dir)

@@ -100,15 +100,8 @@ def run(config: DictConfig, job: Job) -> None:
     found = nsde_torch.diagnose(
         data,
         system=machine,
-        alpha=config.alpha,
-        max_effects=config.max_effects,
-        candidates=None if config.candidates is None else list(config.candidates),
-        also=list(config.also),
-        test=None if config.data.test is None else list(config.data.test),
-        test_data=build.test_data(config.data, system),
-        instruments=list(config.data.instruments),
-        seed=config.seed,
-        max_minutes=config.max_minutes,
+        **build.shared(Options, config),
+        **build.beside(config.data, system),
         resume=config.resume,
         so_far=files.write_so_far,
     )

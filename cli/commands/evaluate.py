@@ -65,8 +65,6 @@ COMMAND = HydraCommand(
 
 def run(config: DictConfig, job: Job) -> None:
     """Evaluate one or several models."""
-    from omegaconf import OmegaConf
-
     import nsde_torch
     from nsde_torch.data.system_info import all_columns
     from nsde_torch.evaluation.comparison import RESULT
@@ -74,25 +72,18 @@ def run(config: DictConfig, job: Job) -> None:
 
     from .. import build, evaluated
 
-    given = OmegaConf.to_container(config.run) if OmegaConf.is_config(config.run) else config.run
-    names = None if config.names is None else list(config.names)
-    trained = evaluated.read_runs(given, names, build.make_device(config.device))
+    given = build.options(config)
+    trained = evaluated.read_runs(given["run"], given["names"], build.make_device(config.device))
     chosen = evaluated.choose(config.data, trained[0], all_columns([r.model.system for r in trained]))
     sensors = config.sensor_noise or ("data" if chosen.other_sensors else "train")
     if sensors == "data":
-        evaluated.record_sensors(trained)
         print("sensor noise is taken from the runs' own fourth differences; nothing else of them is used")
     done = nsde_torch.evaluate(
         {r.name: r.model for r in trained},
         chosen.data,
         runs=chosen.runs,
         sensor_noise=sensors,
-        seed=config.seed,
-        particles=config.particles,
-        horizons=None if config.horizons is None else list(config.horizons),
-        bootstrap=config.bootstrap,
-        compile=config.compile,
-        inputs=config.inputs,
+        **{k: given[k] for k in ("seed", "particles", "horizons", "bootstrap", "compile", "inputs")},
     )
     _, *pictures = done.save(job.run_dir)
     print()

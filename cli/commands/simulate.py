@@ -105,17 +105,13 @@ def run(config: DictConfig, job: Job) -> None:
     check_free(folder, truth_path(folder, config.truth), overwrite=config.overwrite)
     if (config.pilot == "plan") != (config.plan is not None):
         raise ConfigError("`pilot=plan` and `plan=FOLDER` go together: give both, or neither.")
-    plant = build.options(config.plant)
+    given = build.options(config)
     made = simulate(
         config.system.name,
-        durations=None if config.durations is None else list(config.durations),
-        seed=config.seed,
-        dt=config.dt,
-        recording=Recording(**build.options(config.recording)),
-        plan=config.plan,
-        replay=Replay(**build.options(config.replay)) if config.pilot == "replay" else None,
-        options=build.options(config)["options"],
-        **plant,
+        recording=Recording(**given["recording"]),
+        replay=Replay(**given["replay"]) if config.pilot == "replay" else None,
+        **{k: given[k] for k in ("durations", "seed", "dt", "plan", "options")},
+        **given["plant"],
     )
     files = write(made, folder, truth=config.truth, overwrite=config.overwrite)
     rows = sum(len(run.t) for run in made.runs)

@@ -68,9 +68,6 @@ COMMAND = HydraCommand(
 
 def run(config: DictConfig, job: Job) -> None:
     """Make the figures that the configuration names; NsdeError where one could not be drawn."""
-    import torch
-
-    torch.set_num_threads(config.threads)
     names = chosen(list(config.figures))
     fast = config.settings == "fast"
     settings = Settings(

@@ -71,14 +71,11 @@ COMMAND = BenchmarkCommand(
 
 def run(config: DictConfig, job: Job) -> None:
     """Run one set."""
-    import torch
-
     from nsde_torch.progress import Stages
 
     from .registry import benchmark_class
     from .running import PICTURE, RESULT, run_benchmark, table
 
-    torch.set_num_threads(config.threads)
     benchmark = benchmark_class(config.name)
     print(
         f"{benchmark.title} ({benchmark.repository}), about {benchmark.minutes:g} min\n{benchmark.protocol}"

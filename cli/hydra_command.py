@@ -33,7 +33,7 @@ _HYDRA_FOLDERS = {"hydra.run.dir": "run_dir or out_dir", "hydra.sweep.dir": "swe
 _HYDRA_GROUPS = ("hydra", "hydra.run", "hydra.sweep", "hydra.job")  # that hold these
 _HYDRA_NAMES = ("hydra.output_subdir", "hydra.sweep.subdir", "hydra.job.name")
 # Hydra's options that are followed by a value, and their long names.
-_WITH_VALUE = {
+WITH_VALUE = {
     **{"-cd": "--config-dir", "-cn": "--config-name", "-c": "--cfg"},
     **{"-p": "--package", "-i": "--info"},
 }
@@ -292,12 +292,12 @@ def _options_first(words: Sequence[str]) -> list[str]:
     overrides: list[str] = []
     rest = iter(words)
     for word in rest:
-        name = _WITH_VALUE.get(word, word)
+        name = WITH_VALUE.get(word, word)
         if word.startswith(("=", "~")):
             raise ConfigError(f"`{word}` is not KEY=VALUE; no key can be taken out of the configuration.")
         if not word.startswith("-"):
             overrides.append(word)
-        elif name in _WITH_VALUE.values() and (value := next(rest, None)) is not None:
+        elif name in WITH_VALUE.values() and (value := next(rest, None)) is not None:
             options.append(f"{name}={value}")
         else:
             options.append(word)

@@ -115,7 +115,7 @@ def check_config(config: DictConfig, command: str, words: list[str], prefix: str
     """Refuse keys that no schema has (`+key=...` lets them in), missing values and values out of range."""
     schema: Any = OmegaConf.get_type(config)
     values: Any = OmegaConf.to_container(config, resolve=True)
-    if not is_dataclass(schema):
+    if not (isinstance(schema, type) and is_dataclass(schema)):
         return
     help_of = {field.name: field.metadata["help"] for field in fields(schema)}
     for name, value in values.items():

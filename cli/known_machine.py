@@ -16,7 +16,7 @@ from nsde_torch.effects import files as effects_files
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.systems import System
 
-from . import build, effects_file
+from . import build
 from .quoted import as_typed
 
 CONFIG = ".hydra/config.yaml"
@@ -82,7 +82,7 @@ def diagnosed(folder: Path, moved: str | None) -> Diagnosed:
         )
     config = OmegaConf.load(folder / CONFIG)
     assert isinstance(config, DictConfig)
-    effects_file.expand(config.system)
+    build.expand_effects(config.system)
     system = build.system(config.system)
     data = config.data
     faults = faults_of_sensors(content)

@@ -320,7 +320,9 @@ class FlownPlantConfig:
     dt: float | None = key(None, "sample of the plant; null: the machine's", unit="s", above=0)
 
 
-_WEIGHTS = "Q of each error channel; null: the supplement's, and 10 for positions, 0.1 for velocities"
+def _null(name: str, help: str) -> Any:
+    """A setting of plans that is the machine's where it is null."""
+    return of(ProblemOptions, name, default=None, help=help)
 
 
 @dataclass
@@ -336,31 +338,20 @@ class MpcConfig:
     horizon: float = of(ProblemOptions, "horizon")
     steps: int = of(ProblemOptions, "steps")
     period: float = key(0.02, "time between plans, a multiple of the plant's sample", unit="s", above=0)
-    state_weights: list[float] | None = of(ProblemOptions, "state_weights", default=None, help=_WEIGHTS)
-    input_weight: Any = of(
-        ProblemOptions,
-        "input_weight",
-        default=None,
-        help="R, of every input, or [1,2] with a number for each; null: 1, and 0.1 at its end",
+    state_weights: list[float] | None = _null(
+        "state_weights",
+        "Q of each error channel; null: the supplement's, and 10 for positions, 0.1 for velocities",
     )
-    input_centre: Any = of(
-        ProblemOptions,
-        "input_centre",
-        default=None,
-        help="input that R measures from, or a number for each; null: 0, and the middle",
+    input_weight: Any = _null(
+        "input_weight", "R, of every input, or [1,2] with a number for each; null: 1, and 0.1 at its end"
     )
-    low: Any = of(
-        ProblemOptions,
-        "low",
-        default=None,
-        help="lowest input, or [-50,-20] with a number for each; null: 0, and what the machine says",
+    input_centre: Any = _null(
+        "input_centre", "input that R measures from, or a number for each; null: 0, and the middle"
     )
-    high: Any = of(
-        ProblemOptions,
-        "high",
-        default=None,
-        help="highest input, or a number for each; null: 1, and what the machine says",
+    low: Any = _null(
+        "low", "lowest input, or [-50,-20] with a number for each; null: 0, and what the machine says"
     )
+    high: Any = _null("high", "highest input, or a number for each; null: 1, and what the machine says")
     rate_weight: float = of(ProblemOptions, "rate_weight")
     speed_limit: float | None = of(ProblemOptions, "speed_limit", default=None)
     tilt_limit: float | None = of(ProblemOptions, "tilt_limit", default=None)

@@ -26,7 +26,7 @@ from nsde_torch.px4.simulator.simulated import fly_simulated
 from nsde_torch.systems import Multirotor, System
 from nsde_torch.systems.machines import plant_effects
 
-from .. import build, fly_build, link_build, track_build
+from .. import build, fly_build, track_build
 from ..hydra_command import say
 from .limits import check_inside, check_path
 
@@ -84,14 +84,14 @@ class VirtualVehicle:
     def __init__(self, config: DictConfig) -> None:
         self._config = config
         self._controllers: dict[str, Controller] = {}
-        link_build.body(config.plant, seed=0)  # what the machine cannot be is said before anything is flown
+        fly_build.body(config.plant, seed=0)  # what the machine cannot be is said before anything is flown
 
     def told(self, effects: list[Any]) -> list[Any]:
         return _by_name(told(effects))
 
     def fly(self, path: FlightPath, effects: list[Any], *, seed: int, log: Path) -> dict[str, Any]:
         report = fly_simulated(
-            link_build.body(self._config.plant, seed=seed),
+            fly_build.body(self._config.plant, seed=seed),
             self._controller(path, effects),
             PathPoints(path),
             seed=seed,
@@ -158,8 +158,8 @@ class LinkedVehicle:
     """
 
     def __init__(self, config: DictConfig) -> None:
-        self._config, self._connect = config, link_build.connection(config.link)
-        self._limits, self._setpoints = link_build.limits(config.limits), link_build.setpoints(config.limits)
+        self._config, self._connect = config, fly_build.connection(config.link)
+        self._limits, self._setpoints = fly_build.limits(config.limits), fly_build.setpoints(config.limits)
         if config.experiments:
             check_inside(config.experiment, self._limits)
         system = physics(config, [])
@@ -200,7 +200,7 @@ class LinkedVehicle:
                 )
         finally:
             runner.close()
-        link_build.check_end(report.outcome)
+        fly_build.check_end(report.outcome)
         return {**report.as_dict(), "track": _rounded(report.track)}
 
 

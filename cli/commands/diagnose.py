@@ -85,11 +85,11 @@ def run(config: DictConfig, job: Job) -> None:
     from nsde_torch.diagnosis.files import EFFECTS, PLOTS, REPORT, RESULT, DiagnosisFiles
     from nsde_torch.diagnosis.text import lines, short_lines
 
-    from .. import build, effects_file
+    from .. import build
     from ..quoted import as_typed
 
     build.make_device(config.device)  # refused before hours of work, not after them
-    effects_file.expand(config.system)
+    build.expand_effects(config.system)
     machine = build.system_options(config.system)
     system = machine.make()
     check_candidates(system, config.candidates or (), config.also)
@@ -164,13 +164,13 @@ def _train(config: DictConfig, job: Job, found: Diagnosis) -> dict[str, Any]:
 
     from nsde_torch.effects.files import own_name
 
-    from .. import build, effects_file
+    from .. import build
 
     for effect, values in found.effects.items():
         for parameter, value in values.items():
-            effects_file.add_value(config.system, own_name(effect), parameter, value)
+            build.add_value(config.system, own_name(effect), parameter, value)
     for name, value in found.declared_values.items():
-        effects_file.add_own(config.system, name, value)
+        build.add_own(config.system, name, value)
     for fault, found_values in found.sensor_faults.items():
         if fault in config.data:  # simulated runs are made by sensors without one
             with open_dict(config.data[fault]):

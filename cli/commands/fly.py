@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.whole_files import json_text
 
-from ..exit_status import FLIGHT_ENDED, EndedError
 from ..hydra_command import HydraCommand, Job, say
 from ..keys import group, key, of
 from ..quoted import from_file
@@ -95,16 +94,16 @@ def run(config: DictConfig, job: Job) -> float | None:
     from nsde_torch.px4.flight.flying import fly
     from nsde_torch.px4.flight.path import PathPoints
 
-    from .. import build, fly_build, link_build, track_build
+    from .. import build, fly_build, track_build
 
     # whatever can be refused is refused before anything is connected to
     reference = track_build.reference(config.reference)
     known = fly_build.known(config)
     asked = track_build.envelope(config, reference, known)
     path = PathPoints(reference.path)
-    limits, setpoints = link_build.limits(config.limits), link_build.setpoints(config.limits)
+    limits, setpoints = fly_build.limits(config.limits), fly_build.setpoints(config.limits)
     options = FlightOptions(**build.shared(FlightOptions, config), only_check=config.check)
-    connect = link_build.connection(config.link)
+    connect = fly_build.connection(config.link)
     system = track_build.system_of(known)
     say(f"{path.name}: {path.duration:g} s, up to {asked.speed:.2f} m/s and {asked.tilt:.0f} deg of tilt")
     content: dict[str, Any] = {
@@ -180,15 +179,12 @@ def _line(report: FlightReport) -> str:
 
 def _verdict(reports: list[FlightReport]) -> float | None:
     """RMSE over all flights; LinkError or EndedError where one was refused, went wrong, or was not seen to land."""
-    from ..link_build import check_end
+    from ..fly_build import check_end
 
     last = reports[-1].outcome
     if last.trouble is None and not last.begun:
         return None  # it was to be checked, and is fit to fly
-    check_end(last)
-    if last.trouble is not None or not last.tracked:
-        why = "the reference was not flown to its end" if last.trouble is None else last.trouble.text
-        raise EndedError(f"the flight went wrong, and landed: {why}", FLIGHT_ENDED)
+    check_end(last, whole=True)
     errors = [e for r in reports for e in r.errors]
     if not errors:
         return None

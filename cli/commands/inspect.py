@@ -15,7 +15,7 @@ from nsde_torch.data.readers import READERS
 from nsde_torch.errors import ConfigError
 
 from ..exit_status import FAILED_JOBS, EndedError
-from ..hydra_command import HydraCommand, Job
+from ..hydra_command import WITH_VALUE, HydraCommand, Job
 from ..keys import group, key
 from ..own_modules import UNNAMED
 from ..quoted import as_typed
@@ -69,7 +69,9 @@ def _log_first(words: Sequence[str]) -> list[str]:
         name, equals, value = word.partition("=")
         if name in ("log", "data.path") and equals:
             logs.append(value)
-        elif before in ("--config-dir", "-cd") or (word.startswith("-") and not Path(word).exists()):
+        elif before in {*WITH_VALUE, *WITH_VALUE.values()} or (
+            word.startswith("-") and not Path(word).exists()
+        ):
             out += [word] if word != "--" else []
         elif equals and (name.split(".")[0] in InspectConfig.__dataclass_fields__ or not Path(word).exists()):
             out.append(word)
@@ -101,7 +103,7 @@ def run(config: DictConfig, job: Job) -> None:
     from nsde_torch.api.inspecting import inspect
     from nsde_torch.data.mapping.reader import format_of, mapping_beside
 
-    from .. import build, effects_file
+    from .. import build
     from ..own_modules import system_words
 
     torch.set_num_threads(1)
@@ -112,7 +114,7 @@ def run(config: DictConfig, job: Job) -> None:
     proposes = config.overwrite or target not in (None, _beside(path))
     kind = config.kind or format_of(path)
     there = mapping_beside(path) if kind in READERS and READERS[kind].mapped and not proposes else None
-    effects_file.expand(config.system)
+    build.expand_effects(config.system)
     machine = build.system_options(config.system)
     if machine.name == UNNAMED and machine.options:
         raise ConfigError(

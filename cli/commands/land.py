@@ -31,9 +31,9 @@ def run(config: DictConfig, job: Job) -> None:
     """Land it; LinkError where no vehicle is heard or armed, EndedError where it was not seen to land."""
     from nsde_torch.px4.flight.flying import land
 
-    from .. import link_build
+    from .. import fly_build
 
-    with link_build.connection(config.link)() as link:
+    with fly_build.connection(config.link)() as link:
         outcome = land(link, say=say)
-    link_build.check_end(outcome)
+    fly_build.check_end(outcome)
     print("landed and disarmed")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -194,7 +193,10 @@ def _line(label: str, found: dict[str, Any]) -> str:
         )
         text = f"{label}: RMSE {errors}, {found['lost']} of {found['machines']} lost"
     else:
-        text = _flown(label, found)
+        text = (
+            f"{label}: RMSE {100 * found['rmse_m']:.1f} cm, largest {100 * found['position_error_max_m']:.1f} cm, "
+            f"altitude within {100 * found['altitude_error_max_m']:.1f} cm, {found['lost']} of {found['machines']} lost"
+        )
     if "solve_ms" in found:
         ms = found["solve_ms"]
         text += f"\n  solves: p50 {ms['p50']:.2f} ms, p99 {ms['p99']:.2f} ms; "
@@ -205,13 +207,6 @@ def _line(label: str, found: dict[str, Any]) -> str:
         if failed > 0.5 * sum(found["status"].values()):
             text += "\n  most plans failed: the start or the reference is where the model cannot be evaluated"
     return text
-
-
-def _flown(label: str, found: Mapping[str, Any]) -> str:
-    return (
-        f"{label}: RMSE {100 * found['rmse_m']:.1f} cm, largest {100 * found['position_error_max_m']:.1f} cm, altitude "
-        f"within {100 * found['altitude_error_max_m']:.1f} cm, {found['lost']} of {found['machines']} lost"
-    )
 
 
 def _pictures(

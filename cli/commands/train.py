@@ -65,9 +65,9 @@ COMMAND = HydraCommand(
 
 def run(config: DictConfig, job: Job) -> float:
     """Train one model; the validation score of the kept one."""
-    from .. import build, effects_file
+    from .. import build
 
-    effects_file.expand(config.system)
+    build.expand_effects(config.system)
     metrics = fit(config, job.run_dir, about=build.options(config))
     return float(metrics["validation"]["score"])
 

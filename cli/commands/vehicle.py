@@ -72,9 +72,9 @@ def run(config: DictConfig, job: Job) -> None:
     """Be a vehicle; ConfigError for what is no multirotor, or options that it does not have."""
     from nsde_torch.px4.simulator.autopilot import PARAMETERS
 
-    from .. import build, link_build
+    from .. import build, fly_build
 
-    body = link_build.body(config.plant, seed=config.seed)
+    body = fly_build.body(config.plant, seed=config.seed)
     parameters = build.options(config)["parameters"]
     errors = SensorErrors(**build.options(config.sensors))
     unknown = sorted(set(parameters) - set(PARAMETERS))
@@ -94,7 +94,7 @@ def _simulate(config: DictConfig, first: Body, errors: SensorErrors) -> None:
     from nsde_torch.px4.link.transport import open_transport
     from nsde_torch.px4.simulator.hil import HilPlant, HilServer, airframe
 
-    from ..link_build import body
+    from ..fly_build import body
 
     if not config.hil.startswith("tcpin:"):
         raise ConfigError(f"`hil` takes tcpin:HOST:PORT, where PX4 connects; got {config.hil!r}.")
@@ -126,13 +126,13 @@ def _fly(config: DictConfig, body: Body, parameters: dict[str, float], errors: S
     from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
     from nsde_torch.px4.simulator.vehicle import Vehicle
 
-    from .. import link_build
+    from .. import fly_build
 
     transport = open_transport(config.link.url, expose=config.link.expose)
     autopilot = SimulatedAutopilot(
         body,
         system=config.link.system or 1,
-        key=link_build.key(config.link),
+        key=fly_build.key(config.link),
         seed=config.seed,
         sensor_noise=config.plant.sensor_noise,
         stream=transport.stream,

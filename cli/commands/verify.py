@@ -16,10 +16,6 @@ from ..schemas import ReferenceConfig
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
-    from torch import Tensor
-
-    from nsde_torch.control.reference import StateReference
-    from nsde_torch.export.exported import ExportedController
 
 _ESTIMATED = 200  # states that the estimator of a file is given
 
@@ -99,8 +95,13 @@ def run(config: DictConfig, job: Job) -> None:
     )
     if about["kind"] == C and about["dtype"] == "float32":
         out.allowed = verify.SINGLE_TOLERANCE
-    samples = _samples(config, exported, reference)
-    verify.compare(exported, controller, samples, out, elapsed=about["period_s"])
+    period, count = about["period_s"], config.states
+    samples = (
+        verify.along(exported, reference, count, period=period, seed=config.seed)
+        if config.log is None
+        else verify.logged(Path(config.log), exported, reference, count, period=period)
+    )
+    verify.compare(exported, controller, samples, out, elapsed=period)
     print(
         f"{out.states} states: inputs differ by {out.worst:.2g} at most ({out.allowed:g} allowed), costs by "
         f"{100 * out.cost_ratio:.2g} %, {len(out.differing)} words of status differ"
@@ -111,12 +112,12 @@ def run(config: DictConfig, job: Job) -> None:
             controller,
             known,
             reference,
-            period=about["period_s"],
+            period=period,
             sample=about["sample_s"],
             estimator=EstimatorOptions(**about["estimator"]),
         )
-        count = min(config.states, _ESTIMATED)
-        drawn = verify.along(exported, reference, count, period=pilot.period, seed=config.seed)
+        some = min(count, _ESTIMATED)
+        drawn = verify.along(exported, reference, some, period=pilot.period, seed=config.seed)
         verify.compare_estimators(exported, pilot, [x for x, _ in drawn], out)
         print(
             f"{out.estimated} states with estimators and plans of their own: inputs differ by "
@@ -137,18 +138,6 @@ def run(config: DictConfig, job: Job) -> None:
         examples = "; ".join([*out.differing[:3], *out.unsafe[:3]]) or f"inputs differ by {worst:.2g}"
         raise ExportError(f"{config.controller} must not be flown: {examples}. Export anew. ({job.took})")
     print(f"passed; {job.took}")
-
-
-def _samples(
-    config: DictConfig, exported: ExportedController, reference: StateReference
-) -> list[tuple[Tensor, Tensor]]:
-    """States and the references ahead, of a flight or drawn."""
-    from nsde_torch.export import verify
-
-    period = exported.record["period_s"]
-    if config.log is None:
-        return verify.along(exported, reference, config.states, period=period, seed=config.seed)
-    return verify.logged(Path(config.log), exported, reference, config.states, period=period)
 
 
 def _row(times: dict[str, float]) -> str:

@@ -12,7 +12,7 @@ import yaml
 from omegaconf import OmegaConf
 
 import nsde_torch
-from nsde_torch.cli import effects_file
+from nsde_torch.cli import build
 from nsde_torch.cli.main import main
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import IdentifiedModel
@@ -50,7 +50,7 @@ def diagnosed(runs: Path, tmp_path_factory: pytest.TempPathFactory) -> Diagnosed
 def expanded(effects: list[str], **parameters: Any) -> Any:
     """The group `system` of a spring once the effects of files are in the place of their names."""
     config = OmegaConf.create({"name": "mass_spring_damper", "effects": effects, "parameters": parameters})
-    effects_file.expand(config)
+    build.expand_effects(config)
     return config
 
 

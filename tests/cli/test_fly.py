@@ -11,7 +11,7 @@ import pytest
 
 from nsde_torch.cli import fly_build, track_build
 from nsde_torch.cli.exit_status import FLIGHT_ENDED, INTERRUPTED, NOT_LANDED, EndedError
-from nsde_torch.cli.link_build import check_end
+from nsde_torch.cli.fly_build import check_end
 from nsde_torch.cli.main import main
 from nsde_torch.effects import files
 from nsde_torch.errors import ConfigError

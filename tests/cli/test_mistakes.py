@@ -125,9 +125,9 @@ MISTAKES = {
         ("out=data system=cartpole recording.frame_misalignment=[1,0,0]", "frame_misalignment"),
     ],
     "effects": [
-        ("sytem=cartpole", "Did you mean `system=`"),
-        ("system=cartpol", "Did you mean 'cartpole'"),
-        ("format=yaml", "text, json"),
+        ("sytem=cartpole", "Did you mean `system`"),
+        ("system=cartpol", "Did you mean `system=cartpole`"),
+        ("format=yaml", "text | json"),
     ],
     "export": [
         ("system=mass_spring_damper", "it has to be a multirotor (hexacopter, quadrotor)"),

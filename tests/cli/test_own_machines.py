@@ -12,7 +12,7 @@ import pytest
 import yaml
 from omegaconf import OmegaConf
 
-from nsde_torch.cli import effects_file, own_modules
+from nsde_torch.cli import build, own_modules
 from nsde_torch.cli.main import main
 from nsde_torch.cli.quoted import coordinates_named
 from tests.helpers.commands import Said
@@ -159,8 +159,8 @@ def test_a_coordinate_in_brackets_is_written_as_hydra_wants_it(word: str, expect
 
 def test_values_of_a_file_give_way_to_those_of_the_command_line() -> None:
     system = OmegaConf.create({"parameters": {"coulomb_friction": {"q2": {"size": 0.7}}}})
-    effects_file.add_value(system, "coulomb_friction[q2]", "size", 0.1)
-    effects_file.add_value(system, "coulomb_friction[q1]", "size", 0.2)
+    build.add_value(system, "coulomb_friction[q2]", "size", 0.1)
+    build.add_value(system, "coulomb_friction[q1]", "size", 0.2)
     both = {"coulomb_friction": {"q2": {"size": 0.7}}, "coulomb_friction[q1]": {"size": 0.2}}
     assert OmegaConf.to_container(system.parameters) == both
 

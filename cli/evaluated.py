@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from nsde_torch.data import split as split_runs
 from nsde_torch.data.run import resolve
 from nsde_torch.errors import CheckpointError, ConfigError, DataError
 from nsde_torch.models import Model
-from nsde_torch.models.run_directory import CONFIG, METRICS, load, read_metrics
+from nsde_torch.models.run_directory import CONFIG, METRICS, load
 from nsde_torch.plain_yaml import read_yaml
 
 from . import build
@@ -25,20 +25,8 @@ from .quoted import as_typed
 TRAINED = "trained"
 
 
-@dataclass(frozen=True)
-class TrainedRun:
-    """A finished run directory."""
-
-    name: str  # name in tables and figures
-    folder: Path
-    model: Model
-    metrics: Mapping[str, Any]  # what its `metrics.json` holds
-    # the configuration that it was trained with; empty if it was trained without the command line
-    trained: Mapping[str, Any]
-
-
-def read_runs(given: object, names: Sequence[str] | None, device: Any) -> list[TrainedRun]:
-    """The runs of the key `run`, by names that were given or made from the folders.
+def read_runs(given: object, names: Sequence[str] | None, device: Any) -> dict[str, Model]:
+    """The models of the runs of the key `run`, by names that were given or made from the folders.
 
     Raises:
         ConfigError: not a folder or list of folders, a folder twice, or names that do not fit.
@@ -51,18 +39,17 @@ def read_runs(given: object, names: Sequence[str] | None, device: Any) -> list[T
         raise ConfigError(
             f"`names` must hold one name for each of the {len(folders)} runs, all different; got {names}."
         )
-    found = []
+    found = {}
     for name, folder in zip(names, folders, strict=True):
-        metrics = _metrics(folder)
+        _check_finished(folder)
         see_own_modules(folder)
-        model = load(folder, device=device)
-        found.append(TrainedRun(name, folder, model, metrics, _trained(folder)))
-    first = found[0]
-    for other in found[1:]:
-        if other.model.spec.system != first.model.spec.system:
+        found[name] = load(folder, device=device)
+    first, *others = found.values()
+    for other in others:
+        if other.spec.system != first.spec.system:
             raise ConfigError(
-                f"`run`: only models of one system can be compared; {first.folder} is of {first.model.spec.system}, "
-                f"{other.folder} of {other.model.spec.system}. Evaluate them one by one."
+                f"`run`: only models of one system can be compared; {first.folder} is of {first.spec.system}, "
+                f"{other.folder} of {other.spec.system}. Evaluate them one by one."
             )
     return found
 
@@ -89,13 +76,12 @@ def short_names(folders: Sequence[Path]) -> list[str]:
     return names
 
 
-def _metrics(folder: Path) -> Mapping[str, Any]:
-    """The content of `metrics.json`, which is the last thing that a training writes."""
+def _check_finished(folder: Path) -> None:
+    """Refuse a folder without `metrics.json`, which is the last thing that a training writes."""
     if not folder.is_dir():
         raise CheckpointError(f"`run={folder}`: no such folder; give the folder that `nsde train` printed.")
     if not (folder / METRICS).is_file():
         raise CheckpointError(f"`run={folder}`: {_what_is_wrong(folder)}")
-    return read_metrics(folder, f"`run={folder}`: {METRICS}")
 
 
 def _what_is_wrong(folder: Path) -> str:
@@ -114,12 +100,6 @@ def _what_is_wrong(folder: Path) -> str:
     return f"this is no run directory (no {METRICS}); give the folder that `nsde train` printed."
 
 
-def _trained(folder: Path) -> Mapping[str, Any]:
-    content = read_yaml(folder / CONFIG)
-    config = content.get("config") if isinstance(content, dict) else None
-    return config if isinstance(config, dict) else {}
-
-
 @dataclass(frozen=True)
 class Chosen:
     """Runs to score on."""
@@ -129,8 +109,8 @@ class Chosen:
     other_sensors: bool  # whether they are the runs of a `data.test_path`, recorded by other sensors perhaps
 
 
-def choose(config: DictConfig, trained: TrainedRun, machine: SystemInfo) -> Chosen:
-    """The runs that the group `data` asks for; of the kind "trained", it means those of a run.
+def choose(config: DictConfig, trained: Model, machine: SystemInfo) -> Chosen:
+    """The runs that the group `data` asks for; of the kind "trained", it means those of a model.
 
     Raises:
         ConfigError: nothing says which data.
@@ -138,7 +118,8 @@ def choose(config: DictConfig, trained: TrainedRun, machine: SystemInfo) -> Chos
     """
     if config.kind != TRAINED:
         return _runs_of(config, machine, every=True)
-    own = trained_data(trained)
+    assert trained.folder is not None
+    own = _trained_data(trained.folder)
     for key in ("test", "test_path"):
         if config[key] is not None:
             own[key] = config[key]
@@ -154,16 +135,16 @@ def choose(config: DictConfig, trained: TrainedRun, machine: SystemInfo) -> Chos
         ) from error
 
 
-def trained_data(trained: TrainedRun) -> DictConfig:
+def _trained_data(folder: Path) -> DictConfig:
     """The group `data` that a run was trained with; ConfigError where it was trained without the command line."""
-    if "data" not in trained.trained:
+    content = read_yaml(folder / CONFIG)
+    config = content.get("config") if isinstance(content, dict) else None
+    if not isinstance(config, dict) or "data" not in config:
         raise ConfigError(
-            f"{trained.folder} does not say which data it was trained with (it was not trained by `nsde train`); "
+            f"{folder} does not say which data it was trained with (it was not trained by `nsde train`); "
             "choose some with data=csv data.path=..., or data=simulated."
         )
-    made = OmegaConf.create(dict(trained.trained["data"]))
-    assert isinstance(made, DictConfig)
-    return made
+    return OmegaConf.create(dict(config["data"]))
 
 
 def _runs_of(config: DictConfig, machine: SystemInfo, *, every: bool) -> Chosen:

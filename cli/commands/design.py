@@ -105,7 +105,7 @@ def run(config: DictConfig, job: Job) -> None:
 def _options(config: DictConfig) -> dict[str, Any]:
     from .. import build
 
-    given = build.options(config, "run", "runs", "flown", "plan", "baselines", "threads", "out_dir")
+    given = build.shared(DesignOptions, config)
     members = given["members"]
     if members is not None:
         if not (isinstance(members, list) and all(isinstance(m, list) and m for m in members)):

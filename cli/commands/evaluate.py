@@ -74,12 +74,13 @@ def run(config: DictConfig, job: Job) -> None:
 
     given = build.options(config)
     trained = evaluated.read_runs(given["run"], given["names"], build.make_device(config.device))
-    chosen = evaluated.choose(config.data, trained[0], all_columns([r.model.system for r in trained]))
+    machine = all_columns([model.system for model in trained.values()])
+    chosen = evaluated.choose(config.data, next(iter(trained.values())), machine)
     sensors = config.sensor_noise or ("data" if chosen.other_sensors else "train")
     if sensors == "data":
         print("sensor noise is taken from the runs' own fourth differences; nothing else of them is used")
     done = nsde_torch.evaluate(
-        {r.name: r.model for r in trained},
+        trained,
         chosen.data,
         runs=chosen.runs,
         sensor_noise=sensors,

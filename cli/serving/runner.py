@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import queue
 import shutil
-import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,15 +31,7 @@ class JobRunner:
         self._work: dict[str, CommandProcess] = {}
         self._began: dict[str, float] = {}
         self._closed = False
-        self._looks: queue.SimpleQueue[ServedJob | None] = queue.SimpleQueue()
-        self._diagnoses: queue.SimpleQueue[ServedJob | None] = queue.SimpleQueue()
-        self._threads = [threading.Thread(target=self._serve, args=(self._looks, self._look), daemon=True)]
-        self._threads += [
-            threading.Thread(target=self._serve, args=(self._diagnoses, self._diagnose), daemon=True)
-            for _ in range(self.limits.jobs)
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._looks, self._diagnoses = ThreadPoolExecutor(1), ThreadPoolExecutor(self.limits.jobs)
 
     def inspect(self, job: ServedJob, *, system: str | None, mapping: str | None) -> None:
         """Look into the logs of a job, for a machine and with a mapping or without (None: guessed, and proposed).
@@ -67,7 +58,7 @@ class JobRunner:
             self.shelf.note(
                 job, state="looking", sentence="", system=system, mapped=mapping is not None, stages=[]
             )
-        self._looks.put(job)
+        self._looks.submit(self._serve, job, self._look)
 
     def diagnose(self, job: ServedJob) -> None:
         """Diagnose a job that was looked into, when its turn comes; RefusedError where that is not possible."""
@@ -77,7 +68,7 @@ class JobRunner:
                 raise RefusedError("These logs cannot be diagnosed as they are.", 409)
             shutil.rmtree(self.shelf.of(job) / RESULT, ignore_errors=True)
             self.shelf.note(job, state="waiting", sentence="", stages=[], seconds=0.0)
-        self._diagnoses.put(job)
+        self._diagnoses.submit(self._serve, job, self._diagnose)
 
     def cancel(self, job: ServedJob) -> None:
         """Stop a job that is at work or waits; its logs stay."""
@@ -102,26 +93,21 @@ class JobRunner:
             work = list(self._work.values())
         for one in work:
             one.stop("closed")
-        for thread in self._threads:
-            (self._looks if thread is self._threads[0] else self._diagnoses).put(None)
-        for thread in self._threads:
-            thread.join(timeout=10.0)
+        for pool in (self._looks, self._diagnoses):
+            pool.shutdown(cancel_futures=True)
 
-    def _serve(
-        self, jobs: queue.SimpleQueue[ServedJob | None], work: Callable[[ServedJob], dict[str, Any]]
-    ) -> None:
-        while (job := jobs.get()) is not None:
-            if self._closed or job.state not in ("looking", "waiting"):  # stopped while it waited
-                continue
-            self._began[job.id] = time.monotonic()
-            try:
-                changed = work(job)
-            except Exception as error:  # the page goes on
-                sentence = f"A fault of the page: {type(error).__name__}: {error}."
-                changed = {"state": "failed", "sentence": sentence}
-            began = self._began.pop(job.id)
-            if not self._closed:  # else it is taken up by the next start
-                self.shelf.note(job, seconds=round(time.monotonic() - began, 1), **changed)
+    def _serve(self, job: ServedJob, work: Callable[[ServedJob], dict[str, Any]]) -> None:
+        if self._closed or job.state not in ("looking", "waiting"):  # stopped while it waited
+            return
+        self._began[job.id] = time.monotonic()
+        try:
+            changed = work(job)
+        except Exception as error:  # the page goes on
+            sentence = f"A fault of the page: {type(error).__name__}: {error}."
+            changed = {"state": "failed", "sentence": sentence}
+        began = self._began.pop(job.id)
+        if not self._closed:  # else it is taken up by the next start
+            self.shelf.note(job, seconds=round(time.monotonic() - began, 1), **changed)
 
     def _run(self, job: ServedJob, words: list[str], limits: ServeLimits, say: Say) -> EndOfProcess:
         folder = self.shelf.of(job)
@@ -130,6 +116,8 @@ class JobRunner:
         )
         with self.shelf.lock:
             self._work[job.id] = work
+            if self._closed:
+                work.stop("closed")
         try:
             return work.run()
         finally:

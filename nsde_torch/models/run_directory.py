@@ -128,15 +128,15 @@ def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> Model:
     return model.to(device).eval().requires_grad_(False)
 
 
-def read_metrics(folder: Path, called: str = "") -> Mapping[str, Any]:
-    """The content of the `metrics.json` of a run directory; `called` is what messages call the file, or its path.
+def read_metrics(folder: Path) -> Mapping[str, Any]:
+    """The content of the `metrics.json` of a run directory.
 
     Raises:
         CheckpointError: the file is damaged.
     """
-    called = called or str(folder / METRICS)
+    called = folder / METRICS
     try:
-        content = json.loads((folder / METRICS).read_text(encoding="utf-8"))
+        content = json.loads(called.read_text(encoding="utf-8"))
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise CheckpointError(f"{called} is damaged ({error}). Train again.") from error
     if not isinstance(content, dict):

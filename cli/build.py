@@ -172,17 +172,14 @@ def add_value(system: DictConfig, effect: str, name: str, value: Any) -> None:
     with open_dict(system.parameters):
         given = system.parameters
         law, coordinate = split_name(effect)
-        if f"{effect}.{name}" in given or (coordinate and name in _placed(given, law, coordinate)):
+        # on the command line the coordinate is a level of its own
+        placed = ((given.get(law) or {}).get(coordinate) or {}) if coordinate else {}
+        if f"{effect}.{name}" in given or name in placed:
             return
         if effect not in given:
             given[effect] = {}
         if name not in given[effect]:
             given[effect][name] = value
-
-
-def _placed(given: DictConfig, law: str, coordinate: str) -> Any:
-    """What `system.parameters.LAW[COORDINATE]` was given on the command line, where it is a level of its own."""
-    return (given.get(law) or {}).get(coordinate) or {}
 
 
 def add_own(system: DictConfig, name: str, value: Any) -> None:

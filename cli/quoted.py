@@ -82,11 +82,10 @@ def _items(text: str) -> list[str]:
 
 def as_typed(*words: str, paths: Mapping[str, object]) -> str:
     """Words, and `KEY=PATH` for each of the paths, as a shell takes them: a line that is printed can be copied."""
-    return shlex.join([*words, *(f"{key}={_literal(str(path))}" for key, path in paths.items())])
-
-
-def _literal(path: str) -> str:
-    return f"./{path}" if typed_path(path) != path else path
+    literal = {
+        key: f"./{path}" if typed_path(str(path)) != str(path) else path for key, path in paths.items()
+    }
+    return shlex.join([*words, *(f"{key}={path}" for key, path in literal.items())])
 
 
 def coordinates_named(word: str) -> str:

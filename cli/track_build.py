@@ -235,16 +235,11 @@ def estimator(config: DictConfig, *, latency: float, sample: float) -> Estimator
 
 def latency(config: DictConfig, known: Model | System) -> float:
     """Time from a measurement to the effect of the command that follows from it [s]."""
-    flown = config.plant
-    return float(flown.latency + flown.state_latency + _motor_latency(config.mpc, known))
-
-
-def _motor_latency(mpc: DictConfig, known: Model | System) -> float:
-    """Stands for the lag of motors [s] where the model does not have it."""
-    if mpc.motor_latency is not None:
-        return float(mpc.motor_latency)
-    system = system_of(known)
-    return _MOTOR_LATENCY if isinstance(system, Multirotor) and not _LAGS & set(system.effect_names) else 0.0
+    flown, system, motors = config.plant, system_of(known), config.mpc.motor_latency
+    if motors is None:  # the lag of motors, where the model does not have it
+        lagless = isinstance(system, Multirotor) and not _LAGS & set(system.effect_names)
+        motors = _MOTOR_LATENCY if lagless else 0.0
+    return float(flown.latency + flown.state_latency + motors)
 
 
 def is_exported(name: str) -> bool:

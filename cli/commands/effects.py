@@ -169,14 +169,12 @@ def _wrapped(cells: Sequence[str], widths: Sequence[int]) -> list[str]:
 
 
 def _parameters(row: dict[str, Any]) -> str:
-    text = ", ".join(_parameter(p) for p in row["parameters"])
+    shown = []
+    for p in row["parameters"]:
+        many = " per input" if p["axes"] == "inputs" else f" x {p['axes']}" if p["axes"] > 1 else ""
+        shown.append(f"{p['name']}{many} [{p['unit']}]")
+    text = ", ".join(shown)
     memory = row["memory_per_input"]
     if memory:
         text += f"; memory: {memory} state{'s' * (memory > 1)} per input"
     return text + (f"; reads {', '.join(row['exogenous'])}" if row["exogenous"] else "")
-
-
-def _parameter(parameter: dict[str, Any]) -> str:
-    axes = parameter["axes"]
-    many = " per input" if axes == "inputs" else f" x {axes}" if axes > 1 else ""
-    return f"{parameter['name']}{many} [{parameter['unit']}]"

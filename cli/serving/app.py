@@ -80,8 +80,8 @@ class ServedPage:
     def _answer(self, request: Request) -> Response:
         try:
             check_place(request, self.hosts)
-            if request.path.startswith("/api/"):
-                check_token(request, self.token)
+            if request.path.startswith("/api/") and not is_token(request.headers.get(TOKEN, ""), self.token):
+                raise RefusedError(NO_TOKEN, 401)
             answer, values = self._map.bind_to_environ(request.environ).match()
             made: Response = answer(request, **values)
             return made
@@ -300,12 +300,6 @@ def check_place(request: Request, hosts: Collection[str]) -> None:
     page = request.method in _SAFE and request.path == "/"
     if not page and request.headers.get("Sec-Fetch-Site") not in _OWN:
         raise RefusedError("Requests of other sites are refused.", 403)
-
-
-def check_token(request: Request, token: str) -> None:
-    """Refuse requests without the token."""
-    if not is_token(request.headers.get(TOKEN, ""), token):
-        raise RefusedError(NO_TOKEN, 401)
 
 
 def is_token(given: str, token: str) -> bool:

@@ -135,7 +135,7 @@ def with_differences(
     apart = joint.final.at.of.apart_s
     columns = columns_beside(begun)
     first = _best(search, begun, columns)
-    parts = cut_where_it_changes(log, search, begun, columns, first[0].nats if first else 0.0)
+    parts = cut_where_it_changes(log, search, begun, columns, {one.of.target: one.nats for one in first})
     if parts is not log:
         log, search = parts, parts.search(parts.runs).apart(apart)
         begun = fitted_at(_likelihood(log, begun), begun.system, None)

@@ -38,20 +38,25 @@ class ChangeWithinRuns:
 
     of: PossibleDifference
     steps: Mapping[int, int]  # by number of the run: step that the block after the moment begins with
-    nats: float  # log likelihood that it would bring, less the price of numbers and moments (Schwarz)
+    of_runs: float  # log likelihood that a number of their own for these runs would bring
+    nats: float  # that which it would bring beyond, less the price of numbers and moments (Schwarz)
 
 
 def cut_where_it_changes(
-    log: Log, search: Search, place: FittedPhysics, columns: ColumnsBeside, otherwise: float
+    log: Log, search: Search, place: FittedPhysics, columns: ColumnsBeside, otherwise: Mapping[str, float]
 ) -> Log:
     """The log with each run cut in two where something in it surely changes; the log itself where nothing does.
 
-    Or where that explains no more than the nats that differences between whole runs would `otherwise` explain: of a run
-    whose encoder's zero was off some stiffness would change.
+    Or where that explains no more than differences between whole runs would: of a run whose encoder's zero was off,
+    some stiffness would change. `otherwise` has the nats of these by what differs.
     """
+
+    def whole(change: ChangeWithinRuns) -> float:
+        return max(otherwise.get(change.of.target, 0.0), change.of_runs) + change.nats
+
     found = [one for c in columns.candidates if (one := _change(search, place, columns, c)) is not None]
-    best = max(found, key=lambda one: one.nats, default=None)
-    if best is None or best.nats <= otherwise:
+    best = max(found, key=whole, default=None)
+    if best is None or whole(best) <= max(otherwise.values(), default=0.0):
         return log
     names = [run.name for run in log.runs]
     return log.cut({names[run]: at for run, at in _moments(place, columns, best).items()})
@@ -64,7 +69,8 @@ def _change(
     owner, firsts = place.at.of.space.chunks.places()
     count, among = one.turn.shape[1], len(columns.candidates) * len(owner)
     price = 0.5 * count * ln(len(owner)) + ln(len(owner))
-    brought: dict[int, tuple[float, int]] = {}
+    steps: dict[int, int] = {}
+    nats = of_runs = 0.0
     for run in np.unique(owner):
         blocks = np.flatnonzero(owner == run)
         blocks = blocks[np.argsort(firsts[blocks], kind="stable")]
@@ -74,9 +80,9 @@ def _change(
         at = int(gained.argmax())
         p = bonferroni(float(chdtrc(count, 2.0 * gained[at])), among)
         if gained[at] - price > search.decisions.alike_nats and p < search.level("effects"):
-            brought[int(run)] = of_run + float(gained[at]) - price, int(firsts[blocks[_EDGE + at]])
-    nats, steps = sum(n for n, _ in brought.values()), {run: step for run, (_, step) in brought.items()}
-    return ChangeWithinRuns(one, steps, nats) if steps else None
+            steps[int(run)] = int(firsts[blocks[_EDGE + at]])
+            nats, of_runs = nats + float(gained[at]) - price, of_runs + of_run
+    return ChangeWithinRuns(one, steps, of_runs, nats) if steps else None
 
 
 def _gains(

@@ -399,7 +399,10 @@ class ActuatorLag(_Lag):
         "first-order actuator dynamics; Franklin, Powell, Emami-Naeini, Feedback Control of Dynamic Systems"
     )
     excludes = (Port.BODY_MOMENT,)  # there it is motor_lag
-    sentence = "The actuator follows its command late, with a time constant of {time_constant}."
+    sentence = (
+        "The actuator follows its command late, with a time constant of {time_constant}, or all states went through "
+        "such a filter before they were logged."
+    )
 
 
 class AsymmetricLag(_AnyLag):

@@ -101,13 +101,17 @@ def set_aside(search: Search, chosen: Outcome, log: Log) -> Outcome:
 
 
 def _hidden(
-    test: FeedbackTest, lengths: Mapping[str, Array], regression: Regression, name: str, log: Log
+    test: FeedbackTest,
+    lengths: Mapping[str, Array],
+    regression: Regression,
+    name: str,
+    log: Log | None = None,
 ) -> tuple[tuple[str, ...], dict[str, float], int]:
     """Channels that an effect moves, what feedback may hide of it there (2 log L), and number of its parameters."""
     # what moves nothing (a limit that no input reaches any more) brings nothing
     moved = moved_channels(regression, name) or tuple(lengths)
     own = regression.vector.of(name)
-    if (target_of(name) or split_name(name)[0] in BY_RUN) and not log.moments:
+    if (target_of(name) or split_name(name)[0] in BY_RUN) and not (log and log.moments):
         # what feedback does goes with how a run is flown, and does not change in the middle of one. By what all runs
         # have in common alone, gains that differ were named in flights of which nothing is missing (closed_loop.py,
         # regimes b and c)

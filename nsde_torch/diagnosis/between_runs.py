@@ -90,10 +90,10 @@ class ExplainedDifference:
 
 
 def asked_for(outcome: Outcome, guard: Guarded) -> bool:
-    """Whether something is left that differences between runs may explain, or something found that they may be behind.
+    """Whether something is left that differences between runs may explain.
 
-    Steady forces of a cart that a controller holds are what inputs seem to know beyond the log, and zeros that differ
-    make a law of the time (carts of `benchmarks/blind/run_differences.py`, seed 3).
+    Steady forces of a cart that a controller holds are what inputs seem to know beyond the log (carts of
+    `benchmarks/blind/run_differences.py`, seed 3).
     """
     one_is_odd = any(o.kind == "odd_run" for o in guard.objections)
     return bool(outcome.structured or outcome.test.hidden or one_is_odd)
@@ -102,7 +102,8 @@ def asked_for(outcome: Outcome, guard: Guarded) -> bool:
 def _instead(search: Search, joint: JointSelection) -> list[str]:
     """What was selected and may be there in the place of a difference: laws, what drifts, and what hardly repeats.
 
-    A gain that falls at a moment was a drift, surely, and a force that begins half a slow wave.
+    A gain that falls at a moment was a drift, surely, and a force that begins half a slow wave; zeros that differ made
+    a law of the time (carts of `benchmarks/blind/run_differences.py`, seed 3).
     """
     best = joint.final.best
     drifting = {e.name for e in joint.final.system.effects if isinstance(e, Effect) and e.drifts}

@@ -76,7 +76,7 @@ def set_aside(search: Search, chosen: Outcome, log: Log) -> Outcome:
         # `nsde benchmark emps` the frictions went before a force that brought nothing
         weakest: tuple[float, str, Regression, tuple[str, ...]] | None = None
         for name, one in joint.selected.items() if lengths else ():
-            moved, allowed, count = _hidden(tested, lengths, base, name, log)
+            moved, allowed, count = _hidden(tested, lengths, base, name, cut=bool(log.moments))
             if not set(moved) & set(lengths):
                 continue
             enough = search.level("effects") / among
@@ -105,13 +105,17 @@ def _hidden(
     lengths: Mapping[str, Array],
     regression: Regression,
     name: str,
-    log: Log | None = None,
+    *,
+    cut: bool = False,
 ) -> tuple[tuple[str, ...], dict[str, float], int]:
-    """Channels that an effect moves, what feedback may hide of it there (2 log L), and number of its parameters."""
+    """Channels that an effect moves, what feedback may hide of it there (2 log L), and number of its parameters.
+
+    `cut`: whether runs were cut where something changes (`within_runs`).
+    """
     # what moves nothing (a limit that no input reaches any more) brings nothing
     moved = moved_channels(regression, name) or tuple(lengths)
     own = regression.vector.of(name)
-    if (target_of(name) or split_name(name)[0] in BY_RUN) and not (log and log.moments):
+    if (target_of(name) or split_name(name)[0] in BY_RUN) and not cut:
         # what feedback does goes with how a run is flown, and does not change in the middle of one. By what all runs
         # have in common alone, gains that differ were named in flights of which nothing is missing (closed_loop.py,
         # regimes b and c)
@@ -131,7 +135,7 @@ def feedback_made(search: Search, log: Log, before: FittedPhysics, after: Fitted
     brought = {channel: 2.0 * value for channel, value in nats.items()}
 
     def made(name: str) -> bool:
-        moved, allowed, count = _hidden(tested, lengths, base, name, log)
+        moved, allowed, count = _hidden(tested, lengths, base, name, cut=bool(log.moments))
         beyond = chance_beyond(brought, moved, allowed, count) < search.level("effects")
         return not (beyond or log.shown(fitted_system(base), name))
 

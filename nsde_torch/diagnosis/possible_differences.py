@@ -85,7 +85,7 @@ def _not_there(place: FittedPhysics) -> Iterator[tuple[str, System, str]]:
             shared = cls.shared(simpler)
             sizes = tuple(key for key in cls.PARAMETERS if key not in shared)
             found = [{**start, **dict.fromkeys(sizes, 0.0)} for start in found[-1:]]
-        if len(sizes) != 1 or cls.exogenous or not _of_an_input(cls):
+        if len(sizes) != 1 or cls.exogenous or not _acts_linearly(cls):
             continue
         each = OF_EACH_RUN.get(law)
         target = f"{name}/{sizes[0]}" if each is None else joined_name(each, coordinate)
@@ -131,12 +131,12 @@ def _of_the_physics(place: FittedPhysics, whole: int) -> Iterator[PossibleDiffer
         yield PossibleDifference(system, MASS, mass, False)
 
 
-def _of_an_input(cls: type[Effect]) -> bool:
-    """Whether an effect on inputs is linear in its sizes, as the loss of each motor is; of others, true."""
+def _acts_linearly(cls: type[Effect]) -> bool:
+    """Whether an effect does not act on inputs, or is linear in its sizes there, as the loss of each motor is."""
     return cls.port is not Port.INPUT or (not cls.drifts and set(cls.size_names()) == set(cls.amplitudes))
 
 
 def _may_differ_in(effect: Effect, own: str) -> bool:
     """Whether a parameter says how strong an effect is, or one step fits it, that acts at once."""
     sized = own in (*effect.size_names(), *effect.smooth) and not isinstance(effect, ByRun)
-    return sized and _of_an_input(type(effect)) and effect.n_memory == 0
+    return sized and _acts_linearly(type(effect)) and effect.n_memory == 0

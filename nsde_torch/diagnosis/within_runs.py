@@ -5,7 +5,7 @@
 A load that is dropped, a motor that loses a blade, a bearing that seizes. The Gram matrices by block of time say what
 each candidate would explain from any block on, and the whitened rows of the best one say at which row
 (Andrews, Econometrica 61 (1993): the largest of the score tests over moments). The run is then two, one before and one
-after, and what differs between them is told as between any runs (`between_runs`).
+after, and what differs between them is found as between any runs (`between_runs`).
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from nsde_torch.inference.sensitivity import inverted, rows_of
 
 _EDGE = 4  # blocks of time on either side of a moment, so that both sides show what differs
 _NEAR = 2  # blocks around the best one in which the moment is looked for
+# a gain that fell while the force was small was cut 0.6 s late, and the residual depended on time
 _AS_LIKELY = 3.0  # nats below the likeliest moment that others may be; rows between them are in neither part
 _SHOWN = 1e-3  # least share of what a column does after a moment that no other column does
 

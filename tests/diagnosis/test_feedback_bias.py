@@ -157,7 +157,9 @@ def test_of_effects_that_all_may_be_feedback_the_one_that_brings_least_goes_firs
     }
     for name, stub in patches.items():
         monkeypatch.setattr(decision, name, stub)
-    log: Any = SimpleNamespace(loop=lambda regression: FeedbackTest(), shown=lambda system, name: False)
+    log: Any = SimpleNamespace(
+        loop=lambda regression: FeedbackTest(), shown=lambda system, name: False, moments={}
+    )
     both = joint("friction", "force")
     search: Any = SimpleNamespace(level=lambda family: 0.01, at=lambda place: place)
     chosen = Outcome("undecided", base(), base(*both.names), patches["found_by"](None, both), both)

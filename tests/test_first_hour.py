@@ -12,6 +12,8 @@ import pytest
 from nsde_torch.cli.main import main
 from tests.helpers.diagnosed import assert_interval
 
+pytestmark = pytest.mark.drawn
+
 
 def run(source: str, names: dict[str, Any]) -> Any:
     """Run a cell; returns the value of its last line, which a notebook shows."""

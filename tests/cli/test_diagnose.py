@@ -21,7 +21,7 @@ from nsde_torch.simulation import simulate
 from nsde_torch.simulation.generate import write
 from tests.helpers.commands import Said
 
-pytestmark = pytest.mark.usefixtures("elsewhere")
+pytestmark = [pytest.mark.usefixtures("elsewhere"), pytest.mark.drawn]
 
 SYSTEM = "system=mass_spring_damper"
 Diagnosed = tuple[Path, dict[str, Any]]

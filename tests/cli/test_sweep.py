@@ -13,10 +13,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from nsde_torch.cli.commands.train import COMMAND
 
 PROBE = """
 import json, os, time
@@ -60,6 +63,7 @@ sys.exit(replace(COMMAND, schema=nsde_probe.ProbeConfig).main(sys.argv[1:]))
 """
 
 Probe = Callable[..., subprocess.CompletedProcess[str]]
+"""Runs `nsde train WORDS` with the probe for its work."""
 
 
 def _environment(folder: Path) -> dict[str, str]:
@@ -68,8 +72,27 @@ def _environment(folder: Path) -> dict[str, str]:
 
 
 @pytest.fixture
-def probe(tmp_path: Path) -> Probe:
-    """Run `nsde train WORDS` with the probe for its work, in a process and folder of its own."""
+def probe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Probe:
+    """In this process, which has imported torch already."""
+    (tmp_path / "nsde_probe.py").write_text(PROBE)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delenv("NSDE_TRACEBACK", raising=False)
+    monkeypatch.delitem(sys.modules, "nsde_probe", raising=False)
+    command = replace(COMMAND, schema=importlib.import_module("nsde_probe").ProbeConfig)
+
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        capfd.readouterr()
+        status = command.main(words)
+        said = capfd.readouterr()
+        return subprocess.CompletedProcess(words, status, said.out, said.err)
+
+    return run
+
+
+@pytest.fixture
+def own_process(tmp_path: Path) -> Probe:
+    """In a process of its own, which has imported nothing of the user's."""
     given: dict[str, Any] = {"cwd": tmp_path, "env": _environment(tmp_path), "timeout": 120, "check": False}
 
     def run(*words: str) -> subprocess.CompletedProcess[str]:
@@ -142,14 +165,16 @@ def test_a_resumed_run_keeps_its_choices_and_its_folder(probe: Probe, tmp_path: 
     assert probe("resume=r").returncode == 0
 
 
-def test_a_module_in_the_users_folder_is_found_also_when_resuming(probe: Probe, tmp_path: Path) -> None:
+def test_a_module_in_the_users_folder_is_found_also_when_resuming(
+    probe: Probe, own_process: Probe, tmp_path: Path
+) -> None:
     folder = tmp_path / "own"
     (folder / "system").mkdir(parents=True)
     (folder / "system" / "mine.yaml").write_text("name: module_of_mine:Machine\n")
     (folder / "module_of_mine.py").write_text("class Machine: pass\n")
     done = probe("--config-dir", "own", "system=mine", "run_dir=r")
     assert done.returncode == 0, done.stderr
-    done = probe("resume=r")
+    done = own_process("resume=r")
     assert done.returncode == 0, done.stderr
 
 
@@ -157,7 +182,7 @@ def test_a_module_in_the_users_folder_is_found_also_when_resuming(probe: Probe, 
     ("seed", "advice"),
     [
         (99, "Continue with: nsde train resume={}"),
-        (98, "nothing to continue yet: start the same command again."),
+        pytest.param(98, "nothing to continue yet: start the same command again.", marks=pytest.mark.slow),
     ],
 )
 def test_ctrl_c_says_how_to_go_on(seed: int, advice: str, tmp_path: Path) -> None:

@@ -24,6 +24,8 @@ from nsde_torch.cli.main import main
 from nsde_torch.systems import make_system
 from tests.helpers.commands import Said
 
+pytestmark = pytest.mark.drawn
+
 FAST = (
     *("trainer=fast", "trainer.steps=6", "trainer.polish=2", "trainer.batch=16", "trainer.validate_every=3"),
     *("trainer.checkpoint_every=2", "trainer.compile=off", "loss.points=16", "threads=1"),

@@ -16,6 +16,8 @@ from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.simulation.planned import read_plan
 from tests.helpers.ties import BIASED, DT, SIDED, TRUE, Tie
 
+pytestmark = pytest.mark.drawn
+
 SMALL: dict[str, Any] = {"duration": 3.0, "samples": 2, "proposals": 8, "generations": 1, "rehearsals": 2}
 OPTIONS = DesignOptions(members=(BIASED, SIDED), hertz=(0.3, 4.0), **SMALL)
 

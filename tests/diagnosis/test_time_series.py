@@ -19,6 +19,8 @@ from nsde_torch.diagnosis.time_series import thinned, time_series
 from tests.helpers.browser import chromium
 from tests.helpers.diagnosed import diagnosed
 
+pytestmark = pytest.mark.drawn
+
 TEXTS = "return [...document.querySelectorAll(arguments[0])].map((e) => e.textContent)"
 LINES = (
     "return [...document.querySelectorAll('#charts .scatterlayer .js-line')].map((e) => e.getAttribute('d'))"

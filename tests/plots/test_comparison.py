@@ -12,6 +12,8 @@ from nsde_torch.plots import PredictionBand, evolution
 from nsde_torch.plots.policy_rewards import policy_rewards
 from nsde_torch.plots.style import RED, model_look
 
+pytestmark = pytest.mark.drawn
+
 LEVELS = [0.1, 0.5, 0.9]
 HORIZONS = [0.1, 1.0]
 GROUPS = ["position", "velocity"]

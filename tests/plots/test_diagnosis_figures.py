@@ -18,6 +18,8 @@ from nsde_torch.plots.diagnosis import (
     residual_views,
 )
 
+pytestmark = pytest.mark.drawn
+
 
 def cloud(offset: float) -> Cloud:
     x = np.linspace(-1, 1, 5000)

@@ -30,6 +30,8 @@ from nsde_torch.plots.style import thin
 from nsde_torch.systems import SYSTEMS
 from tests.helpers.flights import flight
 
+pytestmark = pytest.mark.drawn
+
 Array = NDArray[np.float64]
 
 

@@ -31,6 +31,8 @@ pytest.importorskip("stable_baselines3", reason="needs the extra nsde_torch[poli
 
 from nsde_torch.policy.ppo import Learner
 
+pytestmark = pytest.mark.drawn
+
 TASK = CartpoleSwingUp(steps=20)  # a tenth of an episode, for speed
 TINY = PolicyOptions(
     interactions=512, n_envs=4, rollout=32, batch=64, epochs=2, hidden=(8,), evaluate_every=128, episodes=5,

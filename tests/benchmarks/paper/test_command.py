@@ -9,6 +9,8 @@ from nsde_benchmarks.paper import Check, ExperimentOutcome, figure_table
 from nsde_torch.cli.main import main
 from nsde_torch.errors import NsdeError
 
+pytestmark = pytest.mark.drawn
+
 TINY = [
     *("system=mass_spring_damper", "data.durations=[3,3,3]", "trainer=fast", "trainer.steps=2"),
     *("trainer.polish=0", "trainer.calibrate=false", "trainer.compile=off"),

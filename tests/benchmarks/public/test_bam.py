@@ -13,6 +13,8 @@ from nsde_benchmarks.public.servo import budget, swing
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import DataError
 
+pytestmark = pytest.mark.drawn
+
 FRICTION = {"friction_base": 0.1, "friction_viscous": 0.05}
 
 

@@ -10,6 +10,8 @@ from scipy.io import savemat
 from nsde_benchmarks.public import boucwen, run_benchmark
 from nsde_torch.errors import DataError
 
+pytestmark = pytest.mark.drawn
+
 Array = NDArray[np.float64]
 
 FINE = 10  # steps of the truth in a sample

@@ -14,6 +14,8 @@ from nsde_benchmarks.public.running import listing, table
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import DataError
 
+pytestmark = pytest.mark.drawn
+
 
 def test_every_set_says_what_to_fetch_and_how_it_is_scored() -> None:
     text = "\n".join(listing())

@@ -73,6 +73,7 @@ def sizes(content: dict[str, Any], effect: str) -> dict[str, tuple[float, float,
     return {p["run"]: (p["value"], *p["interval_90"]) for p in own}
 
 
+@pytest.mark.slow
 def test_another_load_in_one_run_is_a_mass_that_differs_in_that_run() -> None:
     value = {"force_gain": 1.0, "linear_spring.stiffness": 4.0, "viscous_friction.damping": 0.5}
     loaded = {name: v / 1.3 for name, v in value.items()}
@@ -90,6 +91,7 @@ def test_another_load_in_one_run_is_a_mass_that_differs_in_that_run() -> None:
     assert not content["warnings"]
 
 
+@pytest.mark.slow
 def test_a_spring_that_differs_beside_a_friction_of_all_runs() -> None:
     each = [{"linear_spring.stiffness": k} for k in (4.0, 4.6, 3.5, 4.2)]
     dry = [{"coulomb_friction": {"size": 0.15, "width": 0.01}}]
@@ -103,6 +105,7 @@ def test_a_spring_that_differs_beside_a_friction_of_all_runs() -> None:
     assert content["parameters"]["coulomb_friction.size"]["value"] == pytest.approx(0.15, abs=0.02)
 
 
+@pytest.mark.slow
 def test_on_a_linear_spring_a_zero_is_a_force_of_each_run() -> None:
     data = off(springs(4, *[{}] * 4), 0, {"run_2": 0.1})
     content = diagnosed(data)

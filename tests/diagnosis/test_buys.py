@@ -122,6 +122,7 @@ def test_what_returns_is_said_where_the_effect_is(found: Diagnosed) -> None:
     assert list(pictures) == sorted(pictures, key=lambda n: -pictures[n].gain)
 
 
+@pytest.mark.slow
 def test_small_effects_are_gathered_in_one_line(found: Diagnosed) -> None:
     _, content = found
     few, rest = content["told"]["few"][:1], [n for n in content["added"] if n != "coulomb_friction"]

@@ -73,6 +73,7 @@ def test_a_time_shorter_than_half_a_step_joins_what_is_declared() -> None:
     assert [r.chosen for r in found.rounds] == [*found.aside, ""]
 
 
+@pytest.mark.slow
 def test_few_rows_that_are_asked_first_change_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     runs = two_frictions(seed=1)
     whole = selected(runs)
@@ -94,6 +95,7 @@ def test_few_rows_that_are_asked_first_change_no_answer(monkeypatch: pytest.Monk
     np.testing.assert_allclose(few.final.best.theta, whole.final.best.theta)
 
 
+@pytest.mark.slow
 def test_friction_is_selected_in_states_without_what_lies_above_a_frequency() -> None:
     band = 8.0
     runs = []
@@ -109,6 +111,7 @@ def test_friction_is_selected_in_states_without_what_lies_above_a_frequency() ->
     assert selected([replace(run, low_pass={}) for run in runs]).final.best.misfit
 
 
+@pytest.mark.slow
 def test_a_diagnosis_reports_the_nats_of_the_likelihood() -> None:
     data = nsde_torch.simulate(
         "mass_spring_damper", effects=[{"coulomb_friction": {"size": 0.3}}], durations=[8.0] * 3, seed=5

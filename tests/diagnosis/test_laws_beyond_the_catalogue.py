@@ -53,6 +53,7 @@ def test_a_product_that_no_catalogue_has_is_found_added_verified_and_written(tmp
     assert value == pytest.approx(content["parameters"][f"{LAW}.c1"]["value"], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_law_that_explains_a_part_of_what_functions_do_is_not_named() -> None:
     most = Decisions(law_share=5.0)  # no law explains five times what functions do
     _, content = diagnosed("mass_spring_damper", {HALF: {"c1": -6.0}}, decisions=most, **SHORT)
@@ -61,6 +62,7 @@ def test_a_law_that_explains_a_part_of_what_functions_do_is_not_named() -> None:
     assert content["added"] == [HALF]
 
 
+@pytest.mark.slow
 def test_a_law_that_leaves_what_inputs_predict_as_it_was_is_not_named(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -69,6 +69,7 @@ def test_two_effects_at_once_are_both_found() -> None:
     assert any(r["chosen"] for r in later)
 
 
+@pytest.mark.slow
 def test_effects_that_the_data_cannot_tell_apart_are_a_tie_with_an_experiment() -> None:
     _, content = diagnosed("mass_spring_damper", {"constant_force": {"acceleration": 0.2}})
     (tie,) = content["ties"]

@@ -96,6 +96,7 @@ def test_runs_of_a_sound_plant_are_alike(system: str) -> None:
         assert min(d.p for d in of_runs) * len(tests) > 0.01
 
 
+@pytest.mark.slow
 def test_a_friction_in_one_of_five_runs_is_named_with_its_size_in_each() -> None:
     rough = {"coulomb_friction": {"size": 0.3, "width": 0.01}}
     sound, worn = (

@@ -152,6 +152,7 @@ def turned(
     return runs
 
 
+@pytest.mark.slow
 def test_cogging_of_an_order_between_those_of_usual_machines_is_named_over_many_turns() -> None:
     runs = turned(lambda q, v: np.sin(7.0 * q), seconds=15.0, dt=0.005, size=1.5)
     assert np.ptp(np.concatenate([run.x[:, 0] for run in runs])) > 20.0 * np.pi
@@ -161,6 +162,7 @@ def test_cogging_of_an_order_between_those_of_usual_machines_is_named_over_many_
     assert_interval(found.parameters, "ripple.sine", 1.0, slack=0.005, width=0.05)
 
 
+@pytest.mark.slow
 def test_dry_friction_of_what_turns_fast_now_and_then_has_its_size() -> None:
     runs = turned(lambda q, v: -0.6 * np.tanh(v / 0.01), seconds=40.0, dt=0.01, size=2.0, rare=True)
     speeds = np.abs(np.concatenate([run.x[:, 1] for run in runs]))
@@ -200,6 +202,7 @@ def test_the_zero_of_a_position_is_a_candidate_where_something_depends_on_it() -
     assert not why_not(sprung, "position_bias[q1]")
 
 
+@pytest.mark.slow
 def test_a_force_that_two_inputs_make_is_a_law_of_both() -> None:
     found = nsde_torch.diagnose(sailed((1.0, 1.0), 0.012), system=Boat, say=False)
     assert found.added == ["force[sway] = c1 port_side + c2 starboard"]
@@ -207,12 +210,14 @@ def test_a_force_that_two_inputs_make_is_a_law_of_both() -> None:
         assert_interval(found.parameters, f"{found.added[0]}.{size}", 0.012, slack=1e-4, width=0.002)
 
 
+@pytest.mark.slow
 def test_a_drag_that_grows_with_turns_to_both_sides_is_found() -> None:
     found = nsde_torch.diagnose(sailed((1.0, 1.0), 0.0, 0.3), system=Boat, say=False)
     assert found.added == ["force[surge] = c1 surge abs(turn)"]
     assert_interval(found.parameters, f"{found.added[0]}.c1", -0.3, slack=0.01, width=0.1)
 
 
+@pytest.mark.slow
 def test_teeth_of_any_number_have_a_name() -> None:
     runs = turned(lambda q, v: 0.8 * np.sin(31.0 * q), seconds=15.0, dt=0.005, size=1.0)
     found = nsde_torch.diagnose(runs, system=PENDULUM, say=False)
@@ -220,6 +225,7 @@ def test_teeth_of_any_number_have_a_name() -> None:
     assert_interval(found.parameters, "ripple.order", 31.0, slack=0.01, width=0.1)
 
 
+@pytest.mark.slow
 def test_a_stop_on_one_side_is_found_with_its_place() -> None:
     def stop(q: float, v: float) -> float:
         return -(60.0 + 8.0 * v) * (q - 0.3) if q > 0.3 else 0.0
@@ -232,6 +238,7 @@ def test_a_stop_on_one_side_is_found_with_its_place() -> None:
     assert_interval(found.parameters, "stop_above.end", 0.3, slack=0.002)
 
 
+@pytest.mark.slow
 def test_an_encoder_whose_zero_is_off_is_named_and_no_ripple() -> None:
     runs = turned(lambda q, v: 0.0, seconds=15.0, dt=0.005, size=1.0)
     biased = [RawRun(run.name, run.t, run.x + np.array([0.04, 0.0]), run.u) for run in runs]
@@ -240,6 +247,7 @@ def test_an_encoder_whose_zero_is_off_is_named_and_no_ripple() -> None:
     assert_interval(found.parameters, "position_bias.bias", 0.04, slack=0.0003, width=0.003)
 
 
+@pytest.mark.slow
 def test_what_tires_with_the_time_is_a_law_of_it() -> None:
     runs = turned(lambda q, v: 0.0, seconds=20.0, dt=0.01, size=0.6)
     # less torque acts than is logged, by a share that grows with the time

@@ -29,7 +29,10 @@ def test_a_rate_that_reads_too_much_is_found_where_its_integral_is_logged(
     assert content["findings"][0]["kind"] == "recording"
 
 
-@pytest.mark.parametrize(("system", "name"), [("mass_spring_damper", "q_dot"), ("cartpole", "theta")])
+@pytest.mark.parametrize(
+    ("system", "name"),
+    [("mass_spring_damper", "q_dot"), pytest.param("cartpole", "theta", marks=pytest.mark.slow)],
+)
 def test_a_sensor_that_comes_late_is_found_and_not_taken_for_an_effect(system: str, name: str) -> None:
     _, content = diagnosed(system, recording=Recording(sensor_delay={name: 0.05}), durations=(10.0,) * 4)
     assert content["added"] == ["sensor_delay"]
@@ -38,12 +41,14 @@ def test_a_sensor_that_comes_late_is_found_and_not_taken_for_an_effect(system: s
     assert f"{name} is logged" in content["findings"][0]["sentence"]
 
 
+@pytest.mark.slow
 def test_a_filtered_sensor_is_told_from_a_delayed_one() -> None:
     _, content = diagnosed("cartpole", recording=Recording(sensor_lag={"theta_dot": 0.05}))
     assert content["added"] == ["sensor_lag"]
     assert content["parameters"]["sensor_lag.theta_dot"]["value"] == pytest.approx(0.05, rel=0.05)
 
 
+@pytest.mark.slow
 def test_friction_has_its_size_in_its_interval_behind_a_filter_whose_noise_came_after_it() -> None:
     chain = Recording(sensor_lag={"q_dot": 0.05})
     _, content = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.15}}, recording=chain)

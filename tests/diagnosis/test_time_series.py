@@ -84,6 +84,7 @@ def test_predictions_have_a_band_that_holds_nine_in_ten_of_what_was_measured(fou
     assert np.std(errors["after"]) < 0.6 * np.std(errors["before"])
 
 
+@pytest.mark.slow
 def test_of_a_single_run_its_end_is_predicted() -> None:
     one = diagnosed("mass_spring_damper", {"constant_force": {"acceleration": 0.2}}, durations=(30.0,))[0]
     (shown,) = json.loads(time_series(one))["runs"]

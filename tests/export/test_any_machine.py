@@ -40,7 +40,9 @@ def exported(cart: System, path: Path, kind: str) -> tuple[ExportedController, C
     return ExportedController(path), controller_of(cart, **options)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("name", "kind"), [("cart.c", "c"), ("cart.ts", "torchscript")])
+@pytest.mark.parametrize(
+    ("name", "kind"), [("cart.c", "c"), pytest.param("cart.ts", "torchscript", marks=pytest.mark.slow)]
+)
 def test_a_swing_up_is_planned_as_in_python_also_anew_from_rest_and_in_trouble(
     cart: System, tmp_path: Path, name: str, kind: str
 ) -> None:
@@ -84,7 +86,9 @@ def test_every_tenth_solve_of_a_file_starts_at_rest_too(cart: System, tmp_path: 
     assert float(ours.cost) < 0.995 * float(alone.cost)
 
 
-@pytest.mark.parametrize(("name", "kind"), [("arm.c", "c"), ("arm.ts", "torchscript")])
+@pytest.mark.parametrize(
+    ("name", "kind"), [("arm.c", "c"), pytest.param("arm.ts", "torchscript", marks=pytest.mark.slow)]
+)
 def test_each_input_has_limits_of_its_own_in_a_file_too(tmp_path: Path, name: str, kind: str) -> None:
     arm = make_plant_system(ARM)
     ends = {"low": (-4.0, -0.5), "high": (4.0, 1.0)}

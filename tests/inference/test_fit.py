@@ -144,6 +144,7 @@ def test_levels_from_beside_the_declared_physics_end_where_those_from_the_first_
     assert one > nearly_maximised(LogLikelihood(there, data.runs, run_in=True))[0].likelihood - 2.0
 
 
+@pytest.mark.slow
 def test_levels_end_at_once_where_they_end_when_begun_with_again() -> None:
     """A level that nothing shows made the whole step as short as it wanted its own: 30 nats below after twelve."""
     system = make_system("hexacopter")  # without the lag that is there

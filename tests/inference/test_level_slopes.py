@@ -123,6 +123,7 @@ def test_the_information_takes_on_the_curvature_of_a_step_and_stays_positive() -
     assert _curved(known, moved, -bent) is known
 
 
+@pytest.mark.slow
 def test_levels_do_not_stop_by_information_from_elsewhere() -> None:
     drag = {"linear_drag": {"drag": [0.35, 0.3, 0.15]}}
     made = nsde_torch.simulate("hexacopter", effects=[drag], durations=[15.0], seed=106)

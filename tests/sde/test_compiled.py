@@ -39,6 +39,7 @@ def test_compiled_and_eager_rollouts_agree_in_value_and_gradient(name: str) -> N
 
 
 @pytest.mark.usefixtures("compiler")
+@pytest.mark.slow
 def test_a_new_time_or_dt_compiles_nothing_new() -> None:
     sde, step = SmallNetwork(), make_step("euler_maruyama")
     z0, u, noise, _ = case(6)

@@ -57,6 +57,7 @@ def test_commands_of_the_same_time_fly_the_same_flight(monkeypatch: pytest.Monke
         assert run.extra["intervention"].tolist() == [0.0] * 50 + [1.0] * 101
 
 
+@pytest.mark.slow
 def test_a_file_reads_back_as_interventions_with_commands_of_another_time(tmp_path: Path) -> None:
     asked = Replay(starts=40, duration=0.5, before=0.2)
     made = simulate("hexacopter", seed=1, replay=asked, **SHORT)

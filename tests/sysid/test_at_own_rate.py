@@ -46,7 +46,7 @@ def test_a_rate_that_is_late_by_less_than_the_step_is_found_and_taken_out() -> N
     assert kinds(read(0.004, stream_offsets="keep")) == {"late_sensor": "reported"}
 
 
-@pytest.mark.parametrize("dt", [0.02, 0.05])
+@pytest.mark.parametrize("dt", [0.02, pytest.param(0.05, marks=pytest.mark.slow)])
 def test_a_smoother_above_half_the_new_rate_is_found(dt: float) -> None:
     def smoothed() -> list[RawRun]:
         runs = [logged(seed, hz=200) for seed in range(2)]

@@ -33,6 +33,7 @@ def holds(found: Identification) -> bool:
     return bool(abs(found.values[0] - GAIN) <= found.half_widths(0.99)[0])
 
 
+@pytest.mark.slow
 def test_the_loop_is_closed_where_it_is_and_open_where_it_is_not(
     plain: dict[str, list[Identification]],
 ) -> None:

@@ -74,6 +74,7 @@ def test_with_noise_errors_are_a_few_standard_errors(name: str) -> None:
     json.dumps(found.as_dict(), allow_nan=False)
 
 
+@pytest.mark.slow
 def test_intervals_of_the_spring_hold_over_seeds() -> None:
     inside = []
     for seed in range(12):

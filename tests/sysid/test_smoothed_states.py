@@ -214,6 +214,7 @@ def test_runs_of_a_few_seconds_show_their_smoother_together() -> None:
     assert told(read(in_pieces(swings(4), 200), system=SPRING)) == []
 
 
+@pytest.mark.slow
 def test_values_depend_on_the_band_of_a_smoother_only_where_there_was_one() -> None:
     raw, smoothed = (
         read(swings(1, smooth=smooth), system=SPRING) for smooth in (None, FILTERS["butterworth 10 Hz"])

@@ -105,10 +105,14 @@ def test_the_effect_of_the_page_is_one(root: Path) -> None:
     assert float(force.detach()) == pytest.approx(-2.0)
 
 
-SHORT = [p for p in PAGES if any(blocks.is_output(m) for m in blocks.marks(p.read_text(), slow=False))]
+SHORT = [
+    pytest.param(p, id=p.stem, marks=[pytest.mark.slow] if p.stem == "simulate" else [])
+    for p in PAGES
+    if any(blocks.is_output(m) for m in blocks.marks(p.read_text(), slow=False))
+]
 
 
-@pytest.mark.parametrize("page", SHORT, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", SHORT)
 def test_short_blocks_are_what_their_commands_print_today(page: Path) -> None:
     text, failed = blocks.renewed(page, slow=False)
     assert not failed

@@ -36,6 +36,7 @@ def test_an_error_is_not_kept() -> None:
         assert recall("key", lambda: 2) == 2
 
 
+@pytest.mark.slow
 def test_a_training_after_another_seed_gives_the_same_numbers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -52,7 +52,13 @@ def test_a_file_of_another_model_is_not_verified(file: Path, refused: Said) -> N
     assert "truncated" in refused("verify", str(quad), "run=declared")
 
 
-@pytest.mark.parametrize("kind", ["torchscript", pytest.param("c", marks=[pytest.mark.slow, needs_compiler])])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param("torchscript", marks=pytest.mark.slow),
+        pytest.param("c", marks=[pytest.mark.slow, needs_compiler]),
+    ],
+)
 def test_a_file_flies_as_the_controller_that_it_was_made_of(kind: str, file: Path, refused: Said) -> None:
     words = ["duration=0.8", "mpc.compile=off", "mpc.period=0.04", *MPC]
     if kind == "c":

@@ -40,6 +40,7 @@ def spring(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_a_controller_of_a_spring_is_exported_verified_and_holds_it(
     spring: Path, shown: Said, refused: Said
 ) -> None:

@@ -37,6 +37,7 @@ def _get(address: str, **headers: str) -> tuple[int, bytes]:
         return error.code, error.read()
 
 
+@pytest.mark.slow
 def test_the_printed_address_opens_the_page_and_sigterm_ends_it(
     server: subprocess.Popen[str], tmp_path: Path, refused: Said
 ) -> None:

@@ -58,7 +58,9 @@ def _both(h: Horizon, p: Problem, most: float, **options: object) -> None:
 
 
 @needs_compiler
-@pytest.mark.parametrize("options", [{}, *PAID])
+@pytest.mark.parametrize(
+    "options", [{}, PAID[0], *(pytest.param(paid, marks=pytest.mark.slow) for paid in PAID[1:])]
+)
 def test_solutions_are_those_of_torch_whatever_a_plan_pays_for(
     declared: System, path: Reference, options: dict[str, object]
 ) -> None:
@@ -80,7 +82,9 @@ def test_each_row_of_a_batch_is_solved_as_torch_solves_it_alone(declared: System
 
 
 @needs_compiler
-@pytest.mark.parametrize("options", [{}, {"rate_weight": 3.0, "low": 0.3, "high": 0.5}])
+@pytest.mark.parametrize(
+    "options", [{}, pytest.param({"rate_weight": 3.0, "low": 0.3, "high": 0.5}, marks=pytest.mark.slow)]
+)
 def test_accelerated_gradients_are_those_of_torch(
     declared: System, path: Reference, options: dict[str, object], tmp_path: Path
 ) -> None:

@@ -91,6 +91,7 @@ def test_one_motor_at_seventy_percent_is_flown_with(declared: System) -> None:
     assert math.isinf(float(flight.lost[0]))
 
 
+@pytest.mark.slow
 def test_states_that_are_lost_on_their_way_for_a_while_do_not_lose_the_machine(declared: System) -> None:
     def gap(t: float, x: torch.Tensor) -> torch.Tensor:
         return torch.full_like(x, float("nan")) if 0.8 <= t < 1.1 else x

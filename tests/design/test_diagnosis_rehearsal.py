@@ -34,6 +34,7 @@ def rehearsal(found: Diagnosis) -> Rehearsal:
     return rehearse(found, logs=2, seed=1)
 
 
+@pytest.mark.slow
 def test_progress_is_printed_unless_it_is_turned_off(
     found: Diagnosis, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -138,6 +138,7 @@ def test_a_zero_of_a_joint_that_differs_has_its_runs_and_the_option_that_takes_i
     assert any("to take it out: data.sensor_bias" in line for line in lines(content))  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_reader_takes_out_what_one_run_reads_too_much(folder: Path) -> None:
     plain = nsde_torch.read(folder, system=HOME)
     data = nsde_torch.read(

@@ -78,7 +78,7 @@ def test_columns_of_a_cart_that_are_turned_are_told_apart(
     assert words in content["warnings"][0]["sentence"]
 
 
-@pytest.mark.parametrize("system", ["mass_spring_damper", "cartpole"])
+@pytest.mark.parametrize("system", ["mass_spring_damper", pytest.param("cartpole", marks=pytest.mark.slow)])
 def test_a_sound_log_has_no_warnings_and_its_parameters_are_told_with_intervals(system: str) -> None:
     _, content = told(system, lambda run: run, seed=4)
     assert content["warnings"] == []

@@ -58,7 +58,8 @@ def solved(damping: float, digits: int) -> list[RawRun]:
     return out
 
 
-@pytest.mark.parametrize("digits", [pytest.param(12, marks=pytest.mark.slow), 6])
+@pytest.mark.slow
+@pytest.mark.parametrize("digits", [12, 6])
 def test_of_a_simulation_without_noise_what_is_missing_is_named_and_nothing_else(digits: int) -> None:
     found = nsde_torch.diagnose(solved(0.0, digits), system="mass_spring_damper", say=False)
     assert (found.verdict, found.added) == ("no_effect", [])

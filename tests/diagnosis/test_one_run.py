@@ -75,6 +75,7 @@ def test_a_push_that_is_constant_in_a_run_depends_on_nothing() -> None:
     assert this.p > 0.01
 
 
+@pytest.mark.slow
 def test_noise_and_a_louder_run_give_chances_that_are_none_too_small() -> None:
     p = []
     for seed in range(100):
@@ -84,7 +85,7 @@ def test_noise_and_a_louder_run_give_chances_that_are_none_too_small() -> None:
     assert min(p) > 1e-4
 
 
-@pytest.mark.parametrize("system", ["mass_spring_damper", "cartpole"])
+@pytest.mark.parametrize("system", ["mass_spring_damper", pytest.param("cartpole", marks=pytest.mark.slow)])
 def test_runs_of_a_sound_plant_are_alike(system: str) -> None:
     for seed in (11, 12):
         data, declared = recorded(system, seed=seed, durations=(6.0,) * 4), make_system(system)

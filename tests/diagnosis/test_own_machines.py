@@ -257,6 +257,7 @@ def test_what_tires_with_the_time_is_a_law_of_it() -> None:
     assert_interval(found.parameters, "actuator_gain_drift.rate", -0.01, slack=0.0002)
 
 
+@pytest.mark.slow
 def test_a_leak_is_a_constant_of_a_machine_without_coordinates() -> None:
     runs = []
     for seed in range(3):
@@ -275,6 +276,7 @@ def test_a_leak_is_a_constant_of_a_machine_without_coordinates() -> None:
     assert_interval(found.parameters, "force = c1.c1", -0.006, slack=2e-4, width=0.002)
 
 
+@pytest.mark.slow
 def test_the_damping_of_two_stops_does_not_end_at_nothing() -> None:
     """While the second stop is missing its work passes for noise, and sizes can end at their bound."""
     runs, dt, fine = [], 0.01, 100

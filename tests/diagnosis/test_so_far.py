@@ -113,6 +113,7 @@ def test_before_anything_is_known_the_limit_waits(made: Simulation, monkeypatch:
     assert found.declared_values["force_gain"] > 0
 
 
+@pytest.mark.slow
 def test_a_stage_that_would_not_end_in_time_is_left_out(
     made: Simulation, monkeypatch: pytest.MonkeyPatch
 ) -> None:

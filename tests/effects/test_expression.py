@@ -109,6 +109,7 @@ def test_values_outlive_another_first_value() -> None:
         assert torch.allclose(fresh.all_declared()[name][0], value), name
 
 
+@pytest.mark.slow
 def test_a_plant_can_have_a_law_and_a_model_with_it_is_trained_saved_and_evaluated(tmp_path: Path) -> None:
     law = "force = c1 q q_dot"
     data = nsde_torch.simulate("mass_spring_damper", effects={law: {"c1": 0.3}}, durations=(6.0,) * 4, seed=3)

@@ -306,6 +306,7 @@ def test_sample_after_sample_c_does_what_the_controller_does(
 
 
 @needs_compiler
+@pytest.mark.slow
 def test_networks_are_in_c_too(model: NeuralSDE, path: Reference, tmp_path: Path) -> None:
     out = _compared(model, tmp_path, path, 6)
     assert out.worst < 1e-8
@@ -314,6 +315,7 @@ def test_networks_are_in_c_too(model: NeuralSDE, path: Reference, tmp_path: Path
 
 
 @needs_compiler
+@pytest.mark.slow
 def test_effects_that_remember_are_in_c_too(path: Reference, tmp_path: Path) -> None:
     lag = make_system("hexacopter", effects=["motor_lag", "linear_drag"], values=VALUES)
     out = _compared(lag, tmp_path, path, 6)

@@ -85,6 +85,7 @@ print(ours[0])
 """
 
 
+@pytest.mark.slow
 def test_without_a_compiler_the_rollout_runs_eagerly_with_one_warning(root: Path, tmp_path: Path) -> None:
     none = {"CXX": str(tmp_path / "no-compiler"), "PATH": str(tmp_path), "PYTHONPATH": str(root)}
     environment = {**os.environ, **none, "TORCHINDUCTOR_CACHE_DIR": str(tmp_path / "cache")}

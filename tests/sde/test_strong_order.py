@@ -52,7 +52,7 @@ def test_the_limit_is_the_closed_form_of_the_stated_calculus_and_not_the_other(n
     assert (end - problem.solution(1.0, fine.sum(2), other)).abs().mean() > 0.4
 
 
-@pytest.mark.parametrize("name", ["milstein_ito", "milstein", "heun"])
+@pytest.mark.parametrize("name", [pytest.param("milstein_ito", marks=pytest.mark.slow), "milstein", "heun"])
 def test_the_order_drops_to_half_on_coupled_noise(name: str) -> None:
     problem, step = DistanceAware(), make_step(name)
     g = torch.Generator().manual_seed(3)

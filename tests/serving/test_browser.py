@@ -151,6 +151,7 @@ def test_from_drop_to_report(screen: Screen, played: Played) -> None:
     screen.until(".verdict")
 
 
+@pytest.mark.slow
 def test_a_sample_log_is_diagnosed_and_two_diagnoses_are_compared(screen: Screen, played: Played) -> None:
     played.go.set()
     for _ in range(2):

@@ -74,7 +74,8 @@ def test_columns_that_are_to_be_read_otherwise_are_told_by_name(
     assert objection.remedy
 
 
-@pytest.mark.parametrize("system", [pytest.param("quadrotor", marks=pytest.mark.slow), "hexacopter"])
+@pytest.mark.slow
+@pytest.mark.parametrize("system", ["quadrotor", "hexacopter"])
 def test_propellers_that_turn_the_other_way_are_told_and_can_be_declared(system: str) -> None:
     # with the drag, the motor lag and the gusts of the machine
     runs = list(nsde_torch.simulate(system, durations=[10.0] * 2, seed=2).runs)

@@ -85,6 +85,7 @@ def test_a_controller_in_the_loop_bends_neither_gains_nor_the_lag(tmp_path: Path
     assert not any(n["kept"] for n in found.facts["innovations"]["networks"].values())
 
 
+@pytest.mark.slow
 def test_a_fit_to_some_of_the_runs_begins_where_that_of_all_ended_and_has_values_of_its_own(
     tmp_path: Path,
 ) -> None:

@@ -42,6 +42,7 @@ def test_a_training_run_too_short_to_test_on_is_not_left_out_and_that_is_said(tm
     assert "calibration without 'swing_2' left out" in said
 
 
+@pytest.mark.slow
 def test_a_run_that_the_others_cannot_replace_is_not_left_out_and_that_is_said(tmp_path: Path) -> None:
     metrics, said = run([8.0, 0.15], tmp_path, test=[])
     assert len(metrics["calibration"]["left_out"]) == 1
@@ -60,6 +61,7 @@ def test_data_without_a_training_window_are_refused_with_the_remedy(tmp_path: Pa
         run([0.5, 6.0], tmp_path, test=[1], horizon=100)
 
 
+@pytest.mark.slow
 def test_a_training_says_what_matters_in_twenty_lines_and_all_when_asked(tmp_path: Path) -> None:
     _, said = run([6.0, 6.0, 6.0], tmp_path, test=None)
     assert len(said.splitlines()) <= 22

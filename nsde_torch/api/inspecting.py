@@ -15,7 +15,7 @@ from nsde_torch.data.mapping.apply import apply
 from nsde_torch.data.mapping.checks import LogCheck, checks, together
 from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping, read_mapping, targets, text
 from nsde_torch.data.mapping.proposal import Proposal, propose
-from nsde_torch.data.mapping.reader import LogFile, format_of, full_of_all, log_files
+from nsde_torch.data.mapping.reader import LogFile, format_of, log_files, scaled_by_all
 from nsde_torch.data.places import files_of, log_place
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.readers import READERS, reader
@@ -172,7 +172,7 @@ def _mapped(
     guessed = machine or system_options((given and given.system) or guess_system(log)).make()
     found = Proposal(given) if given else propose(log, guessed, kind=files[0].kind)
     if given is None:
-        found.mapping = full_of_all(_with_blanks(found.mapping, guessed, files[0].kind, log), files)
+        found.mapping = scaled_by_all(_with_blanks(found.mapping, guessed, files[0].kind, log), files)
     out = Inspection(
         str(path), files[0].kind, [file.name for file in files], rows_of(log), guessed.name, found.mapping,
         missing=found.missing, open=found.open, notes=[*log.notes, *found.notes],

@@ -365,6 +365,19 @@ def test_speeds_of_rotors_are_no_pulses_and_the_proposal_is_read(
     assert len(data.runs) == 2
 
 
+def test_speeds_that_pass_for_pulses_in_the_first_of_two_runs_are_speeds(tmp_path: Path) -> None:
+    sound, rng = flight(), np.random.default_rng(3)
+    rest = {key: v for key, v in sound.items() if not key.startswith("u_")}
+    for k, (low, high) in enumerate([(1010.0, 1630.0), (592.0, 1357.0)]):
+        motors = {f"motor_{j + 1}": rng.uniform(low, high, len(sound["t"])) for j in range(4)}
+        write_table(tmp_path / f"run_{k}.csv", {**rest, **motors})
+    found = nsde_torch.inspect(tmp_path, system=QUAD, physics=False)
+    assert found.mapping is not None
+    entry = found.mapping.columns["u"]
+    assert (entry.unit, entry.low, entry.full) == (None, None, 1700.0)
+    assert not [note for note in found.notes if "cannot be read" in note]
+
+
 def test_the_next_line_never_recommends_training_after_a_doubt(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

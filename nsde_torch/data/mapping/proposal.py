@@ -526,7 +526,7 @@ class _Vehicle:
             if int(moves.sum()) >= wanted and not (values < _NEGATIVE).any():
                 columns = tuple(c for c, m in zip(one.columns, moves, strict=True) if m)[:wanted]
                 entry = ColumnEntry(replace(one, columns=columns).sources)
-                entry = _in_unit(entry, stream.columns(*columns), one.unit or stream.units.get(columns[0]))
+                entry = in_unit(entry, stream.columns(*columns), one.unit or stream.units.get(columns[0]))
                 (candidates if int(moves.sum()) == wanted else longer).append(entry)
         if longer and not candidates:
             candidates = longer
@@ -561,7 +561,7 @@ def _family(entry: ColumnEntry) -> str:
     return stream if slash else column.partition("_")[0]
 
 
-def _in_unit(entry: ColumnEntry, values: Array, unit: str | None) -> ColumnEntry:
+def in_unit(entry: ColumnEntry, values: Array, unit: str | None) -> ColumnEntry:
     """Motor commands with the ends of their range, or speeds of rotors, by their names and by what they read."""
     flat = values[np.isfinite(values)]
     top = float(np.quantile(flat, 0.999))
@@ -581,10 +581,10 @@ def _in_unit(entry: ColumnEntry, values: Array, unit: str | None) -> ColumnEntry
         return replace(entry, unit="us", low=1000.0, high=2000.0)
     if not speeds and 30000.0 < top <= 65535.0:  # a duty cycle in 16 bits
         return replace(entry, low=0.0, high=65535.0)
-    return replace(entry, unit=unit, full=rounded_up(float(flat.max())))
+    return replace(entry, unit=unit, full=_rounded_up(float(flat.max())))
 
 
-def rounded_up(value: float) -> float:
+def _rounded_up(value: float) -> float:
     """A speed a little above one that was read."""
     size = 10.0 ** (np.floor(np.log10(value)) - 1)
     return float(np.ceil(value / size) * size)

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from nsde_torch.data.formats.table import TEXT, are_runs
 from nsde_torch.data.mapping.apply import apply
 from nsde_torch.data.mapping.checks import checks
 from nsde_torch.data.mapping.mapping import LogMapping, read_mapping
-from nsde_torch.data.mapping.proposal import propose, rounded_up
+from nsde_torch.data.mapping.proposal import in_unit, propose
 from nsde_torch.data.places import entries, files_of, log_place
 from nsde_torch.data.raw import Finding, RawRun
 from nsde_torch.data.readers import READERS, kind_of, reader
@@ -131,19 +132,23 @@ def read_log(system: SystemInfo, *, path: str | Path, mapping: str | None = None
     return runs
 
 
-def full_of_all(mapping: LogMapping, files: Sequence[LogFile]) -> LogMapping:
-    """The mapping with the speed of full thrust at least as large as any in the logs: a greater one is refused."""
+def scaled_by_all(mapping: LogMapping, files: Sequence[LogFile]) -> LogMapping:
+    """The mapping with ends of the motors' range that hold in all logs: what lies beyond them is refused.
+
+    Speeds of rotors of one flight can pass for pulses in microseconds (Neural-Fly without wind: 944 to 1675 rpm).
+    """
     entry = mapping.columns.get("u")
-    if entry is None or entry.full is None:
+    if entry is None or (entry.full is None and entry.unit != "us"):
         return mapping
-    most = entry.full
-    for file in files[1:]:
-        log = file.open(mapping.time)
-        for source in entry.source:
-            if log.has(source):
-                stream, column = log.find(source)
-                most = max(most, rounded_up(float(np.nanmax(stream.fields[column], initial=1e-3))))
-    return mapping.changed("u", full=most)
+    values = []
+    for file in files:
+        with suppress(DataError):  # said where it is read
+            log = file.open(mapping.time)
+            found = [log.find(source) for source in entry.source if log.has(source)]
+            values += [stream.fields[column] for stream, column in found]
+    whole = replace(entry, low=None, high=None, full=None)
+    read = in_unit(whole, np.concatenate(values), None if entry.unit == "us" else entry.unit)
+    return mapping.changed("u", unit=read.unit, low=read.low, high=read.high, full=read.full)
 
 
 def read_mapped(
@@ -168,7 +173,7 @@ def read_mapped(
     for file in files:
         log = file.open(given.time if given else None)
         if given is None:
-            given = full_of_all(_proposed(log, system, kind, path), files)
+            given = scaled_by_all(_proposed(log, system, kind, path), files)
         run = apply(log, given, system)
         del log
         for check in checks(system, run, given):

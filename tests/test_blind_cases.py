@@ -45,6 +45,7 @@ def test_every_kind_is_there_and_holds_what_it_says(generate: ModuleType) -> Non
 
 
 @pytest.mark.parametrize("kind", ["single", "outside", "recording", "null"])
+@pytest.mark.slow
 def test_a_case_is_written_as_data_and_truth_apart(generate: ModuleType, kind: str, tmp_path: Path) -> None:
     case = generate.cases(3, 1, systems=SPRING, kinds=[kind])[0]
     data = generate.write(case, tmp_path)

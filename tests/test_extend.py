@@ -75,6 +75,7 @@ def test_a_system_is_simulated_as_it_says(runs: Simulation) -> None:
     assert quiet.runs[0].u.std() < 0.5
 
 
+@pytest.mark.slow
 def test_a_system_is_diagnosed(runs: Simulation) -> None:
     found = nsde_torch.diagnose(runs, system=RAIL, candidates=["coulomb_friction", "quadratic_damping"])
     assert found.added == ["coulomb_friction"]

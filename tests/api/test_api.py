@@ -169,6 +169,7 @@ def test_data_come_from_folders_simulations_and_arrays(runs: Path) -> None:
         nsde_torch.read("nowhere", system=SYSTEM)
 
 
+@pytest.mark.slow
 def test_structure_follows_the_options_that_were_given(runs: Path) -> None:
     system = SystemOptions(SYSTEM, dt=0.05, horizon=8, sigma_max=(0.1, 0.2))
     model = NsdeOptions(residual_hidden=(4,), measurement=False)
@@ -250,6 +251,7 @@ def test_a_candidate_that_cannot_be_one_is_refused_before_anything_is_read(candi
         nsde_torch.diagnose("nowhere", system=SYSTEM, candidates=[candidate])
 
 
+@pytest.mark.slow
 def test_a_candidate_whose_channel_is_not_logged_is_refused_before_any_work() -> None:
     def work(*step: Any) -> None:
         raise AssertionError(step)

@@ -77,6 +77,7 @@ def test_flights_before_and_after_are_compared_and_nothing_finished_is_done_agai
     assert "holds a closed loop with other settings" in refused("close-loop", *SHORT, "seed=1")
 
 
+@pytest.mark.slow
 def test_where_nothing_is_found_nothing_changes(told: list[Any], shown: Said) -> None:
     _diagnosed({})
     assert "Nothing is missing" in shown("close-loop", *SHORT)

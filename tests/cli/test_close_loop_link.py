@@ -230,6 +230,7 @@ def test_a_plan_that_leans_further_than_a_flight_may_is_not_begun(flights: Fligh
     assert flights.paths == ["hover", "plan", "hover", "hover"]
 
 
+@pytest.mark.slow
 def test_planning_that_is_interrupted_says_how_to_go_on(
     flights: Flights, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -29,6 +29,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_a_diagnosis_that_was_stopped_is_no_question(folder: Path, tmp_path: Path, refused: Said) -> None:
     stopped = tmp_path / "stopped"
     shutil.copytree(folder / "diagnosis", stopped)

@@ -113,6 +113,7 @@ def test_degrees_where_radians_are_due_are_refused_with_the_remedy(refused: Said
     assert "pi / 180" in refused("diagnose", *words)
 
 
+@pytest.mark.slow
 def test_only_runs_that_are_not_held_back_are_looked_at(runs: Path) -> None:
     words = [SYSTEM, "data=csv", f"data.path={runs}", "retrain=false", "out_dir=out", "data.test=[0]"]
     assert main(["diagnose", *words, "candidates=[quadratic_damping]"]) == 0

@@ -58,6 +58,7 @@ def test_finished_policy_can_be_continued_to_more_interactions(tmp_path: Path) -
     assert [row["interactions"] for row in result["curve"]] == [0, 48, 96, 144, 192]
 
 
+@pytest.mark.slow
 def test_sweep_over_seeds_is_ranked(tmp_path: Path, capsys: pytest.CaptureFixture[str], shown: Said) -> None:
     sweep = tmp_path / "sweep"
     assert main(["policy", "-m", "seed=0,1", "truth=published", f"sweep_dir={sweep}", *TINY]) == 0

@@ -40,6 +40,7 @@ def test_a_flight_leaves_numbers_a_log_that_other_commands_read_and_figures(
     assert len(rows) == 82
 
 
+@pytest.mark.slow
 def test_many_machines_fly_in_one_batch_with_noise_of_their_own() -> None:
     words = ["run=declared", "duration=0.3", "machines=3", "at_once=3", "reference=hover", "out_dir=out"]
     assert main(["track", *words, *FAST]) == 0

@@ -97,6 +97,7 @@ def test_an_identified_model_trains_saves_loads_samples_and_is_scored(
     assert torch.equal(path[0], path[3])
 
 
+@pytest.mark.slow
 def test_the_keys_of_an_ensemble_reach_it_and_what_does_not_apply_is_let_be(tmp_path: Path) -> None:
     words = ("model.members=2", "model.hidden=[8]", "model.batch=7", "model.propagation=redrawn")
     train(tmp_path / "run", *ENSEMBLE, *UNTESTED, "dtype=float64", "loss=paper", "solver=rk4", *words)
@@ -107,6 +108,7 @@ def test_the_keys_of_an_ensemble_reach_it_and_what_does_not_apply_is_let_be(tmp_
     assert model.low.dtype == torch.float64
 
 
+@pytest.mark.slow
 def test_the_keys_of_an_identification_and_effects_and_first_values_reach_the_fit(tmp_path: Path) -> None:
     words = ("model.method=differences", "model.max_iterations=3", "solver=midpoint", "dtype=float64")
     more = ("system.effects=[constant_force]", "+system.parameters.force_gain=0.5")
@@ -121,6 +123,7 @@ def test_the_keys_of_an_identification_and_effects_and_first_values_reach_the_fi
     assert model.clock_scale.dtype == torch.float64
 
 
+@pytest.mark.slow
 def test_what_the_data_do_not_show_is_said_and_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -58,6 +58,7 @@ def test_a_cart_swings_its_pole_up_with_half_of_the_force_that_would_push_it_up(
     assert flight.u.abs().max() == pytest.approx(10.0)
 
 
+@pytest.mark.slow
 def test_what_pushes_all_the_time_is_learned_on_the_ports_of_the_machine() -> None:
     still = setpoint(make_system("cartpole"), UP, duration=8.0)
     pushed = ({"track_tilt": {"slope": 0.1}},)  # 1 m/s2 along the track

@@ -98,6 +98,7 @@ def test_accelerated_gradients_are_those_of_torch(
 
 
 @needs_compiler
+@pytest.mark.slow
 def test_networks_memory_and_pushes_are_in_them(model: NeuralSDE, path: Reference) -> None:
     lag = make_system("hexacopter", effects=["motor_lag", "linear_drag"], values=VALUES)
     for known in (model, lag):
@@ -108,6 +109,7 @@ def test_networks_memory_and_pushes_are_in_them(model: NeuralSDE, path: Referenc
 
 
 @needs_compiler
+@pytest.mark.slow
 def test_a_solver_of_single_precision_gets_and_gives_it(model: NeuralSDE, path: Reference) -> None:
     given = ProblemOptions(**SMALL)  # type: ignore[arg-type]
     h = Horizon(Predictor(model, dt=given.dt), given)

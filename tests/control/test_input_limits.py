@@ -63,6 +63,7 @@ def test_a_plan_is_the_best_within_the_limits_of_each_input(paid: dict[str, floa
 
 @needs_compiler
 @pytest.mark.parametrize("name", ["gauss_newton", "apg"])
+@pytest.mark.slow
 def test_machine_code_and_batches_keep_to_the_limits_as_torch_does(name: str) -> None:
     paid = {"name": name, "input_weight": (0.02, 0.3), "input_centre": (0.5, -0.1), "rate_weight": 0.01}
     (fast, _), (plain, _), (many, _) = (

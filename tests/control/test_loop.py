@@ -112,6 +112,7 @@ def test_the_cascade_flies_the_same_references(declared: System) -> None:
     assert summarise([flight], make_system("hexacopter"))["lost"] == 0
 
 
+@pytest.mark.slow
 def test_a_learned_model_can_stand_for_the_machine(model: NeuralSDE) -> None:
     plant = LearnedPlant(model, dt=0.02, generator=torch.Generator().manual_seed(0), process_noise=0.2)
     pilot = PredictivePilot(controller_of(model), model, SHORT, period=0.04, sample=0.02)

@@ -112,6 +112,7 @@ def test_limits_of_nothing_are_refused(tie: Tie, limits: dict[str, object], mess
         design(tie.system, tie.runs, tie.question, replace(OPTIONS, limits=limits))
 
 
+@pytest.mark.slow
 def test_parameters_of_an_effect_that_is_not_there_are_planned_for(tie: Tie, tmp_path: Path) -> None:
     asked = DesignOptions(parameters=("quadratic_damping.damping",), **SMALL)
     question = question_of({}, tie.system, asked)

@@ -26,6 +26,7 @@ def _nats(tie: Tie, truth: int, pair: Separation, table: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("truth", [0, 1])
+@pytest.mark.slow
 def test_rehearsed_evidence_is_within_a_factor_of_two_of_what_is_expected_without_noise(
     tie: Tie, truth: int
 ) -> None:

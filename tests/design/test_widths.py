@@ -37,6 +37,7 @@ def test_a_width_that_no_run_shows_is_followed_down_to_the_true_one(fast: Member
     np.testing.assert_array_equal(fast.theta, fast.branches[0].theta)
 
 
+@pytest.mark.slow
 def test_draws_take_their_share_of_every_width_and_say_where_they_are_from(fast: Member) -> None:
     (column,) = width_columns(fast.vector)
     draws = fast.draws(40, np.random.default_rng(0))

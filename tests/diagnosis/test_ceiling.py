@@ -31,6 +31,7 @@ def missed() -> Diagnosed:
     return diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5}}, options=options)
 
 
+@pytest.mark.slow
 def test_where_nothing_is_missing_functions_explain_nothing(
     nothing: Diagnosed,
 ) -> None:
@@ -57,6 +58,7 @@ def friction() -> Diagnosed:
     return diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5}}, options=options)
 
 
+@pytest.mark.slow
 def test_beside_a_drift_that_leaves_much_nothing_is_sure(friction: Diagnosed) -> None:
     outcome = friction[0].outcome
     declared, final, (dry,) = outcome.declared, outcome.final, outcome.found

@@ -90,6 +90,7 @@ def test_a_sound_log_has_no_warnings_and_its_parameters_are_told_with_intervals(
     assert all(name in said for name in declared)
 
 
+@pytest.mark.slow
 def test_values_of_least_squares_stand_beside_those_of_the_fit_where_they_are_to_be_used() -> None:
     found, content = told("mass_spring_damper", lambda run: run, seed=4)
     assert "least squares" not in "\n".join(lines(content))

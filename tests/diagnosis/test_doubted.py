@@ -73,6 +73,7 @@ def test_an_objection_to_channels_speaks_of_what_moves_them(sure: Outcome) -> No
     assert elsewhere.doubted_channels == {"w_x"}
 
 
+@pytest.mark.slow
 def test_an_effect_that_may_be_nothing_by_its_interval_is_a_lead(sure: Outcome) -> None:
     assert sized(sure).found == sure.found
     wide = replace(sure, of_band=np.full(len(sure.final.vector), 10.0))

@@ -73,6 +73,7 @@ def test_it_is_said_and_told_apart(
     assert words in content["unexplained"][0]["sentence"]
 
 
+@pytest.mark.slow
 def test_a_sound_spring_has_none_of_it() -> None:
     data = assemble([one(k, same, same, 0.0) for k in range(RUNS)], SPRING, kind="test")
     spec = SysidSpec(SPRING.name, dt=data.dt, horizon=SPRING.defaults.horizon)

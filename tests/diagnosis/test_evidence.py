@@ -61,6 +61,7 @@ def nulls(request: pytest.FixtureRequest) -> list[list[float]]:
     return [list(column) for column in zip(*(null(s, request.param) for s in range(600)), strict=True)]
 
 
+@pytest.mark.slow
 def test_the_jackknife_is_nearly_uniform_and_errs_on_the_safe_side(nulls: list[list[float]]) -> None:
     for level in (0.01, 0.05, 0.2, 0.5):
         assert below(nulls[0], level) <= slack(level, 600)

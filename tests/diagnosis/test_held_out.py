@@ -177,6 +177,7 @@ def test_structure_that_is_left_where_an_effect_does_not_act_does_not_make_it_a_
 # ---- feedback -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_makes_no_residual_smaller_where_structure_is_left_explains_nothing() -> None:
     few = Options(candidates=("coulomb_friction",))
     found = diagnosed(SPRING, {"coulomb_friction": {"size": 0.5}}, options=few)[0]

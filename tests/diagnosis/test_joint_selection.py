@@ -129,6 +129,7 @@ def test_a_diagnosis_reports_the_nats_of_the_likelihood() -> None:
 
 
 @pytest.mark.parametrize("smoothed", [True, False])
+@pytest.mark.slow
 def test_behind_a_smoother_the_declared_physics_decides_which_rows_are_looked_at(smoothed: bool) -> None:
     machine = replace(rubbing(0.3), noise=(0.0, 0.0))
     rng, runs = np.random.default_rng(3), []
@@ -168,6 +169,7 @@ def test_thirty_machines_without_an_effect_stay_silent() -> None:
     assert len(wrong) <= 1  # of alpha 0.01 each, more is seen once in thirty times
 
 
+@pytest.mark.slow
 def test_a_law_that_is_likelier_than_an_effect_takes_its_place() -> None:
     # a quadratic damping below 0 is in no catalogue, and much like a dry friction that no speed of the log develops
     machine = replace(rubbing(0.0), effects={"quadratic": {"size": -0.04}})

@@ -45,6 +45,7 @@ def test_behind_a_smoother_no_law_is_tried() -> None:
 
 
 @pytest.mark.parametrize("machine", ["mass_spring_damper", "cartpole", "hexacopter", "quadrotor"])
+@pytest.mark.slow
 def test_a_law_is_compared_with_every_candidate_of_a_machine_within_its_bounds(machine: str) -> None:
     data, system = recorded(machine, durations=(2.0, 2.0)), make_system(machine)
     steps = Search(system, data.runs, 1.0, Options()).steps

@@ -120,6 +120,7 @@ def test_beside_an_effect_of_the_catalogue_that_one_keeps_its_name() -> None:
     assert sorted(content["added"]) == ["coulomb_friction", law]
 
 
+@pytest.mark.slow
 def test_what_the_catalogue_has_is_named_by_it_and_nothing_is_made_of_nothing() -> None:
     _, content = diagnosed("mass_spring_damper", {"cubic_stiffness": {"stiffness": 3.0}}, **SHORT)
     assert content["added"] == ["cubic_stiffness"]

@@ -119,6 +119,7 @@ def test_runs_without_an_input_cannot_show_what_the_input_does() -> None:
     assert "could not show" in content["summary"]
 
 
+@pytest.mark.slow
 def test_a_machine_at_rest_shows_nothing_and_the_diagnosis_says_so() -> None:
     at_rest = {"force": "zero", "region": ((0.0, 1e-9), (0.0, 1e-9))}
     _, content = diagnosed("mass_spring_damper", plant=at_rest, durations=(6.0,) * 3)

@@ -32,6 +32,7 @@ def diagnosed_without(monkeypatch: pytest.MonkeyPatch, *stages: str) -> Diagnosi
     return nsde_torch.diagnose(made, system="mass_spring_damper", candidates=["coulomb_friction"])
 
 
+@pytest.mark.slow
 def test_stages_that_fail_are_told_and_cost_themselves(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -57,6 +58,7 @@ def test_a_selection_that_fails_leaves_the_tests_of_the_declared_physics(
     assert pipeline.SELECTION in [n["stage"] for n in found.content()["not_done"]]
 
 
+@pytest.mark.slow
 def test_laws_that_fail_leave_what_the_catalogue_found(monkeypatch: pytest.MonkeyPatch) -> None:
     found = diagnosed_without(monkeypatch, "with_laws")
     assert found.added == ["coulomb_friction"]

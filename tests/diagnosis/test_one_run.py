@@ -86,6 +86,7 @@ def test_noise_and_a_louder_run_give_chances_that_are_none_too_small() -> None:
 
 
 @pytest.mark.parametrize("system", ["mass_spring_damper", pytest.param("cartpole", marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_runs_of_a_sound_plant_are_alike(system: str) -> None:
     for seed in (11, 12):
         data, declared = recorded(system, seed=seed, durations=(6.0,) * 4), make_system(system)

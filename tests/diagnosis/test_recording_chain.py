@@ -90,6 +90,7 @@ def test_inputs_that_were_averaged_are_found_and_restored() -> None:
     assert "force" in here.outcome.variables.columns
 
 
+@pytest.mark.slow
 def test_inputs_are_not_restored_where_physics_does_worse_with_what_is_restored(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

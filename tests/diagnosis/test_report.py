@@ -205,6 +205,7 @@ def test_a_width_that_is_crossed_within_a_step_is_below_something(
     assert end in page
 
 
+@pytest.mark.slow
 def test_what_was_set_aside_stands_on_the_page_with_its_reason(
     nothing: Diagnosed,
 ) -> None:

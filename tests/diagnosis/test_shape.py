@@ -73,6 +73,7 @@ def test_teeth_along_the_way_are_periodic() -> None:
     assert "periodically" in words.sentence
 
 
+@pytest.mark.slow
 def test_what_happens_in_one_run_only_is_said() -> None:
     springs = MadeResiduals((10.0,) * 8)
     left = springs.made(lambda q, q_dot, t, run: np.where(run == 5, -0.02 * np.sign(q_dot), 0.0))

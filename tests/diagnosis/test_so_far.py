@@ -145,6 +145,7 @@ def test_a_resumed_diagnosis_goes_on_from_what_was_selected(made: Simulation, tm
     assert found.parameters[f"{FRICTION}.size"]["value"] == pytest.approx(0.3, abs=0.02)
 
 
+@pytest.mark.slow
 def test_only_the_same_data_and_model_are_gone_on_with(made: Simulation, tmp_path: Path) -> None:
     stopped = _stopped(made, "round 1: trying 1 effect")
     stopped.save(tmp_path)
@@ -162,6 +163,7 @@ def test_only_the_same_data_and_model_are_gone_on_with(made: Simulation, tmp_pat
         nsde_torch.diagnose(made, system=SPRING, resume=tmp_path)
 
 
+@pytest.mark.slow
 def test_python_shows_what_was_found_and_each_stage_leaves_less_to_do(
     made: Simulation, capsys: pytest.CaptureFixture[str]
 ) -> None:

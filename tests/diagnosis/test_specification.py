@@ -36,6 +36,7 @@ def nulls(spring: MadeResiduals) -> list[list[Dependence]]:
 # ---- size -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_noise_has_no_structure_beyond_chance(nulls: list[list[Dependence]]) -> None:
     # twelve data sets at a chance of one in ten: five or more of them would be one case in two hundred
     assert sum(bool(beyond_chance(tests, {}, alpha=0.1)) for tests in nulls) <= 4

@@ -103,12 +103,14 @@ def test_of_a_long_log_no_spike_is_lost() -> None:
     assert abs(few[shown[:, 0].argmax()] - 123.45) < 1.0
 
 
+@pytest.mark.slow
 def test_the_script_is_read_without_its_package() -> None:
     code = "import sys; from nsde_torch.diagnosis.time_series import script; script(); print('plotly' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 
 
+@pytest.mark.slow
 def test_the_page_draws_them_in_a_browser(found: Diagnosis, tmp_path: Path) -> None:
     series = time_series(found).replace('"path":[]', '"path":["q","q_dot","force"]')  # as of a flight
     (tmp_path / "report.html").write_text(

@@ -37,6 +37,7 @@ def diagnosed(folder: Path, *runs: Run) -> dict[str, Any]:
     return dict(nsde_torch.diagnose(folder, system="mass_spring_damper", candidates=few, say=False).content())
 
 
+@pytest.mark.slow
 def test_a_gain_that_falls_at_moments_of_two_runs_is_no_drift(tmp_path: Path) -> None:
     moments = (17.0, 12.5)
     runs = [

@@ -35,6 +35,7 @@ def truth() -> IdentifiedModel:
     return made.double().requires_grad_(False)
 
 
+@pytest.mark.slow
 def test_they_are_as_long_as_memory_lasts_and_none_where_there_is_none(windows: Windows) -> None:
     at = torch.tensor([0, 30])
     found = inputs_before(make_system("hexacopter", effects=["motor_lag"]), windows, at)

@@ -28,6 +28,7 @@ def runs() -> list[Run]:
         (2e3, 1.0, 1e-12),  # intervals that hold too much by every factor are not narrowed
     ],
 )
+@pytest.mark.slow
 def test_the_factor_undoes_a_sigma_that_is_deliberately_wrong(
     runs: list[Run], wrong: float, factor: float, within: float
 ) -> None:

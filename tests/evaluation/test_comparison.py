@@ -150,6 +150,7 @@ class Fragile(NeuralSDE):
         return super().sample(x0, u, **more)
 
 
+@pytest.mark.slow
 def test_divergence_is_counted_and_said_and_pairs_are_of_starts_where_both_are_finite(
     data: DataSet, tmp_path: Path
 ) -> None:

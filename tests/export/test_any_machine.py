@@ -89,6 +89,7 @@ def test_every_tenth_solve_of_a_file_starts_at_rest_too(cart: System, tmp_path: 
 @pytest.mark.parametrize(
     ("name", "kind"), [("arm.c", "c"), pytest.param("arm.ts", "torchscript", marks=pytest.mark.slow)]
 )
+@pytest.mark.slow
 def test_each_input_has_limits_of_its_own_in_a_file_too(tmp_path: Path, name: str, kind: str) -> None:
     arm = make_plant_system(ARM)
     ends = {"low": (-4.0, -0.5), "high": (4.0, 1.0)}

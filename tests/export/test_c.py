@@ -334,6 +334,7 @@ def test_a_black_box_and_a_distance_are_in_c_too(path: Reference, tmp_path: Path
 
 
 @needs_compiler
+@pytest.mark.slow
 def test_single_precision_stays_near_python(declared: System, path: Reference, tmp_path: Path) -> None:
     out = _compared(declared, tmp_path, path, 12, dtype=torch.float32)
     assert out.worst < verify.SINGLE_TOLERANCE
@@ -341,6 +342,7 @@ def test_single_precision_stays_near_python(declared: System, path: Reference, t
 
 
 @needs_compiler
+@pytest.mark.slow
 def test_the_estimator_in_c_flies_as_the_one_in_python(file: Path, declared: System, path: Reference) -> None:
     exported, out = ExportedController(file), verify.Verification()
     controller = controller_of(declared, **MADE_WITH)

@@ -48,6 +48,7 @@ def test_the_score_and_the_slopes_of_the_levels_are_the_filter_s(of: str) -> Non
         np.testing.assert_allclose(spreads[1:, :, j], turned[1:], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_parts_of_a_log_side_by_side_give_the_same_pass(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = flight()
     levels, about = problem.first(problem.vector.start)

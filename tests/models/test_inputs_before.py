@@ -68,6 +68,7 @@ def sample(model: Model, x0: Tensor, u: Tensor, **more: object) -> Tensor:
 
 @pytest.mark.parametrize("make", [identified, neural])
 @pytest.mark.parametrize("effect", ["motor_lag", "input_delay"])
+@pytest.mark.slow
 def test_a_prediction_from_the_middle_of_a_flight_is_the_flight(make: object, effect: str) -> None:
     x, u = flight(effect)
     model = make(effect)  # type: ignore[operator]

@@ -151,6 +151,7 @@ def test_the_slow_error_of_a_poor_estimate_has_its_size_and_its_velocity_belongs
     assert np.abs(np.diff(p[:, 0]) - 0.004 * v[:-1, 0]).mean() < 0.004 * 2.0 * 0.1 / 0.5
 
 
+@pytest.mark.slow
 def test_on_an_estimate_as_poor_as_of_sih_a_flight_goes_to_its_end() -> None:
     """The truth is off by that error, which neither PX4's estimator nor this program can see."""
     errors = SensorErrors(estimate=(0.2, 0.12, 0.45))

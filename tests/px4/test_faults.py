@@ -436,6 +436,7 @@ def test_a_dead_link_is_called_dead_after_ten_seconds_and_no_longer_waited_on(ph
     assert world.safe
 
 
+@pytest.mark.slow
 def test_what_is_flown_in_an_operators_mode_counts_in_no_error_and_is_not_logged(tmp_path: Path) -> None:
     world = World(path=LONG)
     recorder, log = _recorded(world, tmp_path / "flight.csv", Phase.TRACK, 2.0)

@@ -149,6 +149,7 @@ def test_a_flight_over_a_serial_line_is_flown_or_refused(delay: float, lost: flo
             assert max(report.errors) < 0.5
 
 
+@pytest.mark.slow
 def test_a_line_too_slow_for_its_states_is_refused_with_the_rate_that_it_brings() -> None:
     autopilot = SimulatedAutopilot(Body("quadrotor", seed=0), stream=True)
     with _line(baud=57_600) as (theirs, ours), Vehicle(autopilot, theirs), Link(ours) as link:

@@ -198,6 +198,7 @@ def test_a_gap_without_a_trace_in_the_clock_is_found_in_noise(seed: int, lost: i
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0, 0.02))
+@pytest.mark.slow
 def test_noise_alone_is_never_taken_for_a_gap_or_a_wrong_clock(seed: int, noise: float) -> None:
     t, x, u = flight(25.0, seed=seed)
     data = one(t, noisy(x, noise, seed), u)

@@ -49,6 +49,7 @@ SMOOTHERS: dict[str, tuple[Callable[[Array], Array], str]] = {
 
 
 @pytest.mark.parametrize("name", SMOOTHERS)
+@pytest.mark.slow
 def test_the_family_and_the_frequency_response_are_found(name: str) -> None:
     smooth, family = SMOOTHERS[name]
     x = sensor(3)

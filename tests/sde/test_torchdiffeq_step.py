@@ -44,6 +44,7 @@ def test_a_fixed_method_is_our_own_to_rounding() -> None:
     torch.testing.assert_close(theirs, ours, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_adjoint_gives_the_gradients_of_the_tape() -> None:
     gradients = []
     for adjoint in (False, True):

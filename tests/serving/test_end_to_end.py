@@ -102,6 +102,7 @@ AGAINST = "The mapping contradicts the data: "
         ),
     ],
 )
+@pytest.mark.slow
 def test_a_mapping_that_is_wrong_or_none_is_one_sentence(
     real: Page, springs: dict[str, bytes], mapping: str, begins: str, holds: str
 ) -> None:

@@ -85,6 +85,7 @@ def test_equal_seeds_make_equal_data_and_others_other() -> None:
     assert not np.array_equal(a, c)
 
 
+@pytest.mark.slow
 def test_the_standing_effects_of_a_machine_are_in_the_truth_and_can_be_left_out(flown: Simulation) -> None:
     standing = {k: v["standing"] for k, v in flown.truth["effects"].items()}
     assert standing == {"linear_drag": True, "motor_lag": True}

@@ -114,6 +114,7 @@ def test_batched_machines_are_the_single_ones(name: str) -> None:
         torch.testing.assert_close(together[:, k : k + 1], run(slice(k, k + 1)), rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_coarse_step_of_the_flights_is_fine_enough() -> None:
     draw = generator(1)
     u = hover(8) + 0.1 * torch.randn(100, 8, 6, generator=draw, dtype=torch.float64)

@@ -87,6 +87,7 @@ def test_a_rehearsal_reaches_the_quantiles_of_any_seed(seed: int) -> None:
     np.testing.assert_allclose(found[1::2] / pilot.targets[1::2], 1.0, atol=0.2)
 
 
+@pytest.mark.slow
 def test_the_swing_up_brings_every_pole_upright_and_random_pushes_do_not() -> None:
     def upright(policy: str) -> float:
         runs = cartpole_episodes(durations=[8.0] * 12, seed=1, policy=policy)
@@ -124,6 +125,7 @@ def test_springs_start_in_the_region_and_carry_the_noise_of_the_supplement() -> 
     assert difference.std(0).tolist() == pytest.approx([0.005, 0.01], rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_multisine_force_moves_the_spring() -> None:
     data = simulated("mass_spring_damper", use_cache=False, force="multisine", durations=[20.0] * 3)
     u = np.concatenate([run.u for run in data.runs])

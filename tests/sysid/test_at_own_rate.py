@@ -47,6 +47,7 @@ def test_a_rate_that_is_late_by_less_than_the_step_is_found_and_taken_out() -> N
 
 
 @pytest.mark.parametrize("dt", [0.02, pytest.param(0.05, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_a_smoother_above_half_the_new_rate_is_found(dt: float) -> None:
     def smoothed() -> list[RawRun]:
         runs = [logged(seed, hz=200) for seed in range(2)]

@@ -62,6 +62,7 @@ NED = [1, 0, 2, 4, 3, 5, *range(6, 13)]
         ("cartpole", lambda x, u: (x + np.array([0, 0, np.pi, 0]), u), "pi more"),
     ],
 )
+@pytest.mark.slow
 def test_columns_that_are_to_be_read_otherwise_are_told_by_name(
     system: str, written: Callable[[Table, Table], tuple[Table, Table]], words: str
 ) -> None:
@@ -189,6 +190,7 @@ def test_an_input_of_another_run_names_the_run() -> None:
     assert objection.sentence.startswith("'run_1' is not explained")
 
 
+@pytest.mark.slow
 def test_a_fit_whose_noise_model_learned_a_smoother_is_not_believed() -> None:
     from scipy.signal import butter, sosfiltfilt
 

@@ -154,6 +154,7 @@ def test_holm_multiplies_the_smallest_chance_by_the_number_of_tests() -> None:
     assert holm([0.04, 0.01, 0.5]) == pytest.approx([0.08, 0.03, 0.5])
 
 
+@pytest.mark.slow
 def test_estimates_by_instruments_lean_on_what_the_instruments_do_not_show() -> None:
     """The ordinary estimate of a declared lag that the stick hardly shows bends the gain, and the interval says so."""
     system = RateLoop(effects=["actuator_lag"])

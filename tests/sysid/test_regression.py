@@ -202,6 +202,7 @@ def test_a_log_in_which_nothing_moves_is_refused_with_its_columns() -> None:
         identify(make_system("mass_spring_damper"), [run])
 
 
+@pytest.mark.slow
 def test_losses_of_motors_count_from_the_median_motor() -> None:
     weak = {"motor_efficiency_loss": {"loss": [1e-6, 1e-6, 1e-6, 0.1, 1e-6, 1e-6]}}
     paths = list(Pilot([10.0, 10.0], dt=0.01, seed=3).paths(Sticks()))

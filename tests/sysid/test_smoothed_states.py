@@ -174,6 +174,7 @@ def hanging_carts(seed: int) -> list[RawRun]:
     return out
 
 
+@pytest.mark.slow
 def test_a_motion_that_ends_with_its_inputs_is_not_taken_for_a_smoothed_one() -> None:
     """Behind the filter that was named, white noise would be a thousand times louder than the sensor's before it."""
     assert told(read(hanging_carts(1), system="cartpole")) == []
@@ -205,6 +206,7 @@ def test_the_saw_of_an_encoder_and_a_rate_without_noise_are_no_smoother(noisy: b
     assert not told(read(coarse(noisy=noisy), system="mass_spring_damper"))
 
 
+@pytest.mark.slow
 def test_runs_of_a_few_seconds_show_their_smoother_together() -> None:
     smoothed = read(in_pieces(swings(4), 200, butterworth(6.0)), system=SPRING)
     assert [v["states"] for v in told(smoothed)] == [["q", "q_dot"]]

@@ -32,6 +32,7 @@ def _off(found: Identification) -> np.ndarray:
     return np.abs(found.values[at] - list(TRUTH.values())) / found.half_widths(0.9)[at]
 
 
+@pytest.mark.slow
 def test_physics_of_a_machine_that_sticks_is_right_where_it_moves(
     system: System, data: DataSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:

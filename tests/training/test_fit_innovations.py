@@ -106,6 +106,7 @@ def test_a_fit_to_some_of_the_runs_begins_where_that_of_all_ended_and_has_values
             assert 0.0 < abs(value - other) < 3.0 * half, name
 
 
+@pytest.mark.slow
 def test_a_lag_is_learned_only_where_there_is_one_and_it_may_be(tmp_path: Path) -> None:
     prompt = fitted(closed_loop(1, lag=0.0), tmp_path / "a")
     assert prompt.facts["innovations"]["learned_lag"] is None
@@ -114,6 +115,7 @@ def test_a_lag_is_learned_only_where_there_is_one_and_it_may_be(tmp_path: Path) 
     assert kept_out.model.spec.effects == ()
 
 
+@pytest.mark.slow
 def test_noise_of_sensors_and_gusts_is_that_of_the_machine(tmp_path: Path) -> None:
     noise = fitted(closed_loop(2, lag=0.0), tmp_path).facts["innovations"]["noise"]
     assert noise["q"]["sensor_std"] == pytest.approx(0.002, rel=0.15)
@@ -121,6 +123,7 @@ def test_noise_of_sensors_and_gusts_is_that_of_the_machine(tmp_path: Path) -> No
     assert 0.05 < noise["q_dot"]["diffusion"] < 0.5  # the gust, which this system has no state for
 
 
+@pytest.mark.slow
 def test_a_second_call_finds_the_first_one_finished_and_another_task_is_refused(tmp_path: Path) -> None:
     first, again = (fitted(closed_loop(3, lag=0.0), tmp_path, steps=20) for _ in range(2))
     for name, value in first.model.state_dict().items():

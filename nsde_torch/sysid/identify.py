@@ -313,9 +313,6 @@ def identification(regression: Regression, method: str, *, standstill: float = 0
 
 # ---- by likelihood -------------------------------------------------------------------------------------
 
-MOST = 20_000_000
-"""Entries of the covariances of all rows above which the regression's values stay: half an hour of flight at 100 Hz."""
-
 
 def by_likelihood(
     found: Identification,
@@ -339,7 +336,7 @@ def by_likelihood(
     # inputs that answer the states know of noise what a smoother took out of them (`diagnosis.feedback_bias`)
     closed = near is None and found.loop is not None and bool(found.loop.closed_loop)
     answered = closed and any(run.band for run in runs)
-    if objected or answered or entries(system, runs) > MOST:
+    if objected or answered:
         return found
     machine = copy.deepcopy(system)
     found.vector.write(machine, found.values)
@@ -359,11 +356,6 @@ def by_likelihood(
     covariance[np.ix_(free, free)] = best.spread.covariance
     degrees[free] = best.spread.degrees(np.eye(len(free)))
     return replace(found, values=best.theta, covariance=covariance, degrees=degrees, converged=True)
-
-
-def entries(system: System, runs: Sequence[Run]) -> int:
-    """Entries of the covariances of all rows of some runs."""
-    return sum(len(run) for run in runs) * len(system.error_names) ** 2
 
 
 # ---- inferred rates ------------------------------------------------------------------------------------

@@ -50,11 +50,10 @@ from nsde_torch.recall import recall
 from nsde_torch.recording.smoothing import as_applied
 from nsde_torch.rotation import rotation_between
 from nsde_torch.sysid.feedback_test import feedback_summary
-from nsde_torch.sysid.identify import by_likelihood, entries, identification, identify_in_loop, regression_of
+from nsde_torch.sysid.identify import by_likelihood, identification, identify_in_loop, regression_of
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import ITERATIONS, Regression
 from nsde_torch.sysid.result import Identification
-from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
 from nsde_torch.training import between_runs
 from nsde_torch.training.distil import Distilled, fit_functions, functions_of, silence
@@ -67,7 +66,6 @@ from nsde_torch.training.task import Fitted, Parameters, Progress, Task
 _DISTANCE_STEPS = 600
 _LEAST = 1e-7  # a diffusion or a sensor that is nothing, in the units of the state
 _ROWS = 20_000  # whose features the distance sees
-_MOST = 20_000_000  # entries of the covariances of all rows that functions are chosen on
 
 
 def fit_innovations(task: Task) -> Fitted:
@@ -233,8 +231,7 @@ class _Fit:
                 return None
             runs = between_runs.numbered(self.runs, self.model.system)
             machine = between_runs.with_numbers(self.declared.vector.at(self.theta), targets, len(runs))
-            problem = LogLikelihood(machine, _shortened(machine, runs), self.task.clock)
-            best, numbers = nearly_maximised(problem)
+            best, numbers = nearly_maximised(LogLikelihood(machine, runs, self.task.clock))
         except (DataError, NonFiniteError, np.linalg.LinAlgError):
             return None
         self.physics = regression_of(machine, runs, clock=self.task.clock).physics
@@ -288,8 +285,7 @@ class _Fit:
         machine = copy.deepcopy(self.physics.vector.system)
         self.physics.vector.write(machine, self.theta)
         try:
-            problem = LogLikelihood(machine, _shortened(machine, self.runs), self.task.clock)
-            return nearly_maximised(problem)[1]
+            return nearly_maximised(LogLikelihood(machine, self.runs, self.task.clock))[1]
         except (DataError, NonFiniteError, np.linalg.LinAlgError):
             return None
 
@@ -444,13 +440,3 @@ def _set_laws(model: NeuralSDE, laws: dict[str, Disturbance], found: Residuals, 
     if model.spec.measurement:
         sensors = torch.tensor([laws[n].sensor for n in names]).clamp_min(_LEAST)
         model.log_measurement_std.copy_(sensors.log())
-
-
-def _shortened(system: System, runs: Sequence[Run]) -> list[Run]:
-    """Runs, of very long data the first part of each stretch."""
-    share = _MOST / entries(system, runs)
-    if share >= 1.0:
-        return list(runs)
-    return [
-        replace(run, segments=tuple((a, a + int(share * (b - a))) for a, b in run.segments)) for run in runs
-    ]

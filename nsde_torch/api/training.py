@@ -13,7 +13,7 @@ import torch
 
 from nsde_torch.api.reading import Data, read, split_runs
 from nsde_torch.errors import ConfigError
-from nsde_torch.models.kind import ModelKind, model_options
+from nsde_torch.models.kind import Choice, ModelKind, model_kind, model_options
 from nsde_torch.models.model import Model
 from nsde_torch.models.options import ModelOptions
 from nsde_torch.models.run_directory import WEIGHTS, load
@@ -22,9 +22,15 @@ from nsde_torch.sde.step import Step
 from nsde_torch.systems.base import System
 from nsde_torch.systems.options import Effects, SystemOptions, system_options
 from nsde_torch.threads import one_thread
-from nsde_torch.training.options import LossOptions, TrainerOptions, loss_options, trainer_options
-from nsde_torch.training.session import train as train_model
-from nsde_torch.training.structure import machine_losses, model_spec
+from nsde_torch.training.options import (
+    LOSSES,
+    TRAINERS,
+    LossOptions,
+    TrainerOptions,
+    machine_losses,
+    named_options,
+)
+from nsde_torch.training.session import Training
 
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
 
@@ -107,11 +113,16 @@ def train(
     runs = read(data, system=machine)
     other = None if test_data is None else read(test_data, system=machine)
     parts = split_runs(runs, test, test_data=other)
-    losses = loss_options(loss)
-    integrator = integrator_options(solver)
-    spec = model_spec(
-        model_options(model), machine_options, machine, parts.train, loss=losses.kind, integrator=integrator
+    losses = named_options("loss", loss, LOSSES)
+    choice = Choice(
+        options=model_options(model),
+        system=machine_options,
+        machine=machine,
+        runs=parts.train,
+        loss=losses.kind,
+        integrator=integrator_options(solver),
     )
+    spec = model_kind(choice.options.kind).make_spec(choice)
     if isinstance(dtype, str):
         if dtype not in DTYPES:
             raise ConfigError(f"`dtype` must be {' or '.join(DTYPES)}; got {dtype!r}.")
@@ -119,12 +130,12 @@ def train(
     began = time.time()
     with tempfile.TemporaryDirectory() if run_dir is None else nullcontext(run_dir) as folder:
         try:
-            train_model(
-                spec,
-                runs,
-                parts,
+            Training(
+                spec=spec,
+                data=runs,
+                split=parts,
                 loss=machine_losses(losses, machine_options),
-                options=trainer_options(trainer),
+                options=named_options("trainer", trainer, TRAINERS),
                 validation=validation,
                 seed=seed,
                 run_dir=folder,
@@ -137,7 +148,7 @@ def train(
                 other_sensors=other is not None,
                 instruments=list(instruments),
                 kept=run_dir is not None,
-            )
+            ).run()
         except KeyboardInterrupt:
             weights = Path(folder) / WEIGHTS
             if not weights.is_file() or weights.stat().st_mtime < began:  # of this training

@@ -6,9 +6,8 @@ from nsde_torch.lazy import resolver
 
 if TYPE_CHECKING:
     from nsde_torch.training.options import LossOptions, TrainerOptions
-    from nsde_torch.training.session import Training, train
-    from nsde_torch.training.structure import model_spec
+    from nsde_torch.training.session import Training
 
-__all__ = ["LossOptions", "TrainerOptions", "Training", "model_spec", "train"]
+__all__ = ["LossOptions", "TrainerOptions", "Training"]
 
 __getattr__ = resolver(__name__)

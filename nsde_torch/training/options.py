@@ -1,9 +1,14 @@
 """Settings of losses and training."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 from nsde_torch.errors import ConfigError
 from nsde_torch.options import check, documented, key
+from nsde_torch.systems.options import SystemOptions
+
+T = TypeVar("T")
 
 _DECAY = {"innovations": 1e-4, "replay": 0.003, "paper": 0.0}
 
@@ -112,21 +117,20 @@ TRAINERS: dict[str, TrainerOptions] = {
 """Optimisations by name: a good model in minutes, a look in seconds, the supplement's."""
 
 
-def loss_options(loss: str | LossOptions) -> LossOptions:
-    """A loss by its name, options as they are; ConfigError for no such loss."""
-    if isinstance(loss, LossOptions):
-        return loss
-    if loss not in LOSSES:
-        raise ConfigError(f"`loss` must be one of {', '.join(LOSSES)}, or LossOptions; got {loss!r}.")
-    return LOSSES[loss]
-
-
-def trainer_options(trainer: str | TrainerOptions) -> TrainerOptions:
-    """An optimisation by its name, options as they are; ConfigError for no such name."""
-    if isinstance(trainer, TrainerOptions):
-        return trainer
-    if trainer not in TRAINERS:
+def named_options(argument: str, given: str | T, known: Mapping[str, T]) -> T:
+    """A loss or an optimisation by its name, options as they are; ConfigError for no such name."""
+    kind = type(next(iter(known.values())))
+    if isinstance(given, kind):
+        return given
+    if given not in known:
         raise ConfigError(
-            f"`trainer` must be one of {', '.join(TRAINERS)}, or TrainerOptions; got {trainer!r}."
+            f"`{argument}` must be one of {', '.join(known)}, or {kind.__name__}; got {given!r}."
         )
-    return TRAINERS[trainer]
+    return known[str(given)]
+
+
+def machine_losses(losses: LossOptions, system: SystemOptions) -> LossOptions:
+    """Losses with the constants that the user gave for the machine, where the losses leave them open."""
+    mu = system.lambda_mu if losses.mu is None else losses.mu
+    radius = system.ball_radius if losses.ball_radius is None else losses.ball_radius
+    return replace(losses, mu=mu, ball_radius=radius)

@@ -74,7 +74,17 @@ class Training:
         self.filter_reach = self.spec.input_filter_reach
 
     def run(self) -> dict[str, Any]:
-        """Train, calibrate, test and write; returns what `metrics.json` holds."""
+        """Train, calibrate, test and write.
+
+        Returns:
+            What `metrics.json` holds; `["validation"]["score"]` is the validation score (smaller is better).
+
+        Raises:
+            DataError: the data cannot be used.
+            NonFiniteError: the optimisation left the finite numbers.
+        """
+        if not self.split.train:
+            raise DataError("no run to train on.")
         started = time.perf_counter()
         self._say(str(self.data.summary) if self.verbose else self.data.summary.short)
         self._say_split()
@@ -356,29 +366,3 @@ def _picture(name: str, path: Path) -> Any:
     width, height = struct.unpack(">II", content[16:24])  # its header stands first
     image = Summary.Image(height=height, width=width, colorspace=4, encoded_image_string=content)
     return Summary(value=[Summary.Value(tag=name, image=image)])
-
-
-def train(
-    spec: ModelSpec,
-    data: DataSet,
-    split: Split,
-    *,
-    loss: LossOptions,
-    options: TrainerOptions,
-    seed: int,
-    run_dir: str | Path,
-    **settings: Any,
-) -> dict[str, Any]:
-    """Train a model on runs and write a run directory; see `Training` for the arguments.
-
-    Returns:
-        What `metrics.json` holds; `["validation"]["score"]` is the validation score (smaller is better).
-
-    Raises:
-        DataError: the data cannot be used.
-        NonFiniteError: the optimisation left the finite numbers.
-    """
-    if not split.train:
-        raise DataError("no run to train on.")
-    given = {"loss": loss, "options": options, "seed": seed, "run_dir": run_dir, **settings}
-    return Training(spec=spec, data=data, split=split, **given).run()

@@ -21,10 +21,9 @@ from nsde_torch.cli.store import store
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import MODELS, kind
-from nsde_torch.models.kind import model_options
+from nsde_torch.models.kind import Choice, model_kind, model_options
 from nsde_torch.systems import SYSTEMS, System, make_system
-from nsde_torch.training.options import LOSSES, TRAINERS, LossOptions, TrainerOptions
-from nsde_torch.training.structure import machine_losses, model_spec
+from nsde_torch.training.options import LOSSES, TRAINERS, LossOptions, TrainerOptions, machine_losses
 
 
 @pytest.mark.parametrize("name", ["gpu", "mps", "cpu:x"])
@@ -76,10 +75,12 @@ def _configuration(*words: str) -> Any:
 
 def _spec(config: Any) -> Any:
     machine = build.system(config.system)
-    return model_spec(
-        build.model_options(config.model), build.system_options(config.system), machine, _still(machine),
-        loss=config.loss.kind, integrator=build.integrator(config.solver),
+    choice = Choice(
+        options=build.model_options(config.model), system=build.system_options(config.system), machine=machine,
+        runs=_still(machine), loss=config.loss.kind,
+        integrator=build.integrator(config.solver),
     )  # fmt: skip
+    return model_kind(choice.options.kind).make_spec(choice)
 
 
 def _losses(*words: str) -> LossOptions:

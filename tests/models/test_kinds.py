@@ -12,9 +12,8 @@ from nsde_torch.data import Run
 from nsde_torch.data.windows import Windows
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import MODELS, Capabilities, Model, make_model, save
-from nsde_torch.models.kind import model_kind, model_options, whole_steps
+from nsde_torch.models.kind import Choice, model_kind, model_options, whole_steps
 from nsde_torch.systems import SystemOptions
-from nsde_torch.training import model_spec
 from tests.helpers.model_contract import ModelContract
 
 CAN = {
@@ -34,7 +33,10 @@ def every(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     made = nsde_torch.simulate("mass_spring_damper", durations=[4.0] * 3, seed=1)
     data = nsde_torch.read(made, system="mass_spring_damper")
     machine = SystemOptions("mass_spring_damper")
-    spec = model_spec(model_options(request.param), machine, machine.make(), data.runs)
+    choice = Choice(
+        options=model_options(request.param), system=machine, machine=machine.make(), runs=data.runs
+    )
+    spec = model_kind(request.param).make_spec(choice)
     model = make_model(spec, generator=torch.Generator().manual_seed(0))
     model.folder = tmp_path_factory.mktemp(request.param)
     save(model, model.folder)

@@ -11,7 +11,7 @@ from nsde_torch.errors import DataError
 from nsde_torch.models import SDESpec
 from nsde_torch.recording import assemble
 from nsde_torch.systems import make_system
-from nsde_torch.training import LossOptions, TrainerOptions, train
+from nsde_torch.training import LossOptions, TrainerOptions, Training
 
 OPTIONS = TrainerOptions(steps=2, batch=8, polish=1, compile="off")
 
@@ -31,7 +31,8 @@ def run(
     said: list[str] = []
     spec = SDESpec("mass_spring_damper", dt=0.02, horizon=horizon, step="euler_maruyama")
     how: dict[str, Any] = {"loss": LossOptions(points=8), "options": OPTIONS, "seed": 0, "verbose": verbose}
-    metrics = train(spec, data, split(data, test), run_dir=folder, say=said.append, **how)
+    parts = split(data, test)
+    metrics = Training(spec=spec, data=data, split=parts, run_dir=folder, say=said.append, **how).run()
     return metrics, "\n".join(said)
 
 

@@ -36,7 +36,7 @@ from nsde_torch.design import DesignOptions, Question, design
 from nsde_torch.design.experiment import write_plan
 from nsde_torch.design.flown import evidence
 from nsde_torch.design.members import members_of
-from nsde_torch.design.paths import FlownPaths, Paths, point_times
+from nsde_torch.design.paths import Paths, flown_paths, point_times
 from nsde_torch.design.questions import SURE
 from nsde_torch.design.rehearsal import against, fit_all
 from nsde_torch.systems import Multirotor
@@ -145,7 +145,7 @@ def one(kind: str, seed: int) -> Json:
         right,
         truth,
         family,
-        FlownPaths(system, dt=e.dt),
+        partial(flown_paths, system=system, dt=e.dt),
         budget=ORACLE,
         before=max(runs, key=len).x[:, :3],
         seed=seed,

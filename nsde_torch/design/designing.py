@@ -21,7 +21,7 @@ from nsde_torch.design.experiment import Experiment, PlannedRun
 from nsde_torch.design.limits import limits_of
 from nsde_torch.design.members import Drive, Member, members_of, open_loop
 from nsde_torch.design.options import DesignOptions
-from nsde_torch.design.paths import Draw, FlownPaths, Flyable, Paths
+from nsde_torch.design.paths import Draw, Paths, flown_paths, flyable
 from nsde_torch.design.proposals import Family, Judge, Precision, Signals, best_of_each, search, worth_of
 from nsde_torch.design.questions import SURE, Question
 from nsde_torch.design.rehearsal import Rehearsed, rehearse
@@ -77,10 +77,10 @@ def design(
     family: Family
     drive: Callable[[Array], Drive]
     if isinstance(pilot, Multirotor):
-        family, drive = Paths(limits, dt, steps, start), FlownPaths(pilot, dt=dt)
+        family, drive = Paths(limits, dt, steps, start), partial(flown_paths, system=pilot, dt=dt)
     else:
         family, drive = Signals(limits, dt, steps, (low, high)), open_loop
-    draw: Draw = Flyable(start, drive, dt) if flies else Member.draws
+    draw: Draw = partial(flyable, start=start, drive=drive) if flies else Member.draws
     draws = [draw(m, options.samples, rng) for m in members]
     precision = Precision.of(members[0], question.parameters) if question.parameters else None
     judge = Judge(members, precision, limits, start, draws, drive)

@@ -38,11 +38,6 @@ from nsde_torch.systems import System
 _LEAST = 1e-6  # spread of a column that does not vary
 
 
-def replayed(inputs: Sequence[Array], copies: int) -> Drive:
-    """Inputs as they were logged, whatever the machine does."""
-    return open_loop(_stacked(inputs, copies))
-
-
 def following(
     system: System, states: Sequence[Array], inputs: Sequence[Array], *, dt: float, copies: int
 ) -> Drive:
@@ -234,8 +229,10 @@ def _simulated(
     at, space = filtered_at(of), of.space
     levels, _, _ = likeliest(space, at.levels, at.levels, at.about, of.start)
     noise = ModelNoise(space, levels).drawn(count, most - 1, rng)
+    drive = open_loop(_stacked(inputs, logs))
     for way in (found.feedback.closed, True):
-        drive = following(system, states, inputs, dt=steps.dt, copies=logs) if way else replayed(inputs, logs)
+        if way:
+            drive = following(system, states, inputs, dt=steps.dt, copies=logs)
         _, seen, pushed = rollouts.run(theta, start, drive, most - 1, noise, times)
         if _stays(seen, states, logs):
             break

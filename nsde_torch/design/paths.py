@@ -5,13 +5,12 @@ cascade of proportional loops (`control.cascade`). The plan that is written is t
 `reference=csv` of `nsde track` and `nsde fly` reads as the same path.
 
 With some of what runs leave open of gains that feedback hides, that cascade loses the machine; but the runs there are
-were flown. So a step of the place is flown with each draw, and draws that do not come near are not taken (`Flyable`).
+were flown. So a step of the place is flown with each draw, and draws that do not come near are not taken (`flyable`).
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import final
 
 import numpy as np
 import torch
@@ -147,9 +146,7 @@ class Paths:
             f"acceleration sideways up to {side:.2g} m/s2"
         ]
 
-    def baselines(
-        self, rng: np.random.Generator, before: Array | None = None
-    ) -> dict[str, tuple[Array, tuple[str, ...]]]:
+    def baselines(self, rng: np.random.Generator, before: Array) -> dict[str, tuple[Array, tuple[str, ...]]]:
         """Usual flights (sizes, steps, 11), with words; `before` are positions (n, 3) of a run, flown again."""
         t, (middle, half) = self.times, self._box
         eight = []
@@ -166,6 +163,9 @@ class Paths:
         for k in range(1, len(t) - 1):
             steps[k, (k // 4) % 3] = (0.0, 1.0, 0.0, -1.0)[k % 4]
         sizes = (1.0, 0.6, 0.3)
+        rows = np.minimum((t / self.dt).round().astype(int), len(before) - 1)
+        again = np.concatenate((before[rows], np.zeros((len(t), 1))), 1)[None]
+        again = np.clip(again, np.append(middle - half / _ROOM, 0), np.append(middle + half / _ROOM, 0))
         waves = {
             "lemniscate": (np.stack(eight), "a lemniscate of 0.5 to 3 m/s, the best of them"),
             "multisine": (np.stack([self._around(s * sines) for s in sizes]), "sums of 5 sines on each axis"),
@@ -173,12 +173,8 @@ class Paths:
                 np.stack([self._around(s * steps) for s in sizes]),
                 "to and fro on one axis after another",
             ),
+            "the longest run again": (again, "the places of the longest run, every second"),
         }
-        if before is not None:
-            rows = np.minimum((t / self.dt).round().astype(int), len(before) - 1)
-            again = np.concatenate((before[rows], np.zeros((len(t), 1))), 1)[None]
-            again = np.clip(again, np.append(middle - half / _ROOM, 0), np.append(middle + half / _ROOM, 0))
-            waves["the longest run again"] = again, "the places of the longest run, every second"
         return {name: (self.through(points), (told,)) for name, (points, told) in waves.items()}
 
     def _around(self, unit: Array) -> Array:
@@ -188,24 +184,15 @@ class Paths:
         return np.concatenate((self.start[:3] + room * unit, np.zeros((len(unit), 1))), 1)
 
 
-@final
-@dataclass(frozen=True)
-class FlownPaths:
-    """A cascade that flies paths, knowing the declared physics alone."""
+def flown_paths(tables: Array, *, system: Multirotor, dt: float) -> Drive:
+    """Inputs of a cascade that flies paths (B, N, 11) in steps of `dt` [s], knowing the declared physics alone."""
+    rows, cascade = torch.as_tensor(tables), Cascade(system, dt=dt)
 
-    system: Multirotor  # declared physics
-    dt: float  # step [s]
+    def drive(k: int, measured: Tensor) -> Tensor:
+        p, v, a, yaw = rows[:, k].split((3, 3, 3, 2), 1)
+        return cascade(measured, p, v, a, yaw[:, 0], yaw[:, 1])
 
-    def __call__(self, tables: Array) -> Drive:
-        """Inputs of paths (B, N, 11)."""
-        rows = torch.as_tensor(tables)
-        cascade = Cascade(self.system, dt=self.dt)
-
-        def drive(k: int, measured: Tensor) -> Tensor:
-            p, v, a, yaw = rows[:, k].split((3, 3, 3, 2), 1)
-            return cascade(measured, p, v, a, yaw[:, 0], yaw[:, 1])
-
-        return drive
+    return drive
 
 
 Draw = Callable[[Member, int, np.random.Generator], Array]
@@ -218,24 +205,21 @@ _NEAR, _MORE = 0.15, 1.5
 _TRIES = 4
 
 
-@final
-@dataclass(frozen=True)
-class Flyable:
-    """Draws parameters with which a cascade holds the machine."""
+def flyable(
+    member: Member, count: int, rng: np.random.Generator, *, start: Array, drive: Callable[[Array], Drive]
+) -> Array:
+    """Parameters (count, k) with which a cascade holds the machine, the fitted ones first.
 
-    start: Array  # first state (nx,), hovering
-    drive: Callable[[Array], Drive]  # the cascade, of tables as `Paths` makes them (B, N, 11)
-    dt: float  # step [s]
-
-    def __call__(self, member: Member, count: int, rng: np.random.Generator) -> Array:
-        """Parameters (count, k), the fitted ones first; these again where too few others can be flown."""
-        draws = member.draws(_TRIES * count, rng)
-        table = np.zeros((len(draws), round(_TIME / self.dt), 11))
-        table[..., :3] = self.start[:3] + STEP
-        start, drive = np.tile(self.start, (len(draws), 1)), self.drive(table)
-        states, _, _ = Rollouts(member.system, dt=self.dt).run(draws, start, drive, table.shape[1])
-        left = np.linalg.norm(states[:, -1, :3] - table[:, -1, :3], axis=1)
-        near = np.isfinite(states).all((1, 2)) & (left <= max(_NEAR, _MORE * float(np.nan_to_num(left[0]))))
-        near[0] = True
-        kept = draws[near][:count]
-        return np.concatenate((kept, np.tile(draws[:1], (count - len(kept), 1))))
+    These again where too few others can be flown. From a state (nx,) that hovers; `drive` makes inputs of tables
+    (B, N, 11).
+    """
+    draws, dt = member.draws(_TRIES * count, rng), member.log.dt
+    table = np.zeros((len(draws), round(_TIME / dt), 11))
+    table[..., :3] = start[:3] + STEP
+    begun = np.tile(start, (len(draws), 1))
+    states, _, _ = Rollouts(member.system, dt=dt).run(draws, begun, drive(table), table.shape[1])
+    left = np.linalg.norm(states[:, -1, :3] - table[:, -1, :3], axis=1)
+    near = np.isfinite(states).all((1, 2)) & (left <= max(_NEAR, _MORE * float(np.nan_to_num(left[0]))))
+    near[0] = True
+    kept = draws[near][:count]
+    return np.concatenate((kept, np.tile(draws[:1], (count - len(kept), 1))))

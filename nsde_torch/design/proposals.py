@@ -129,9 +129,7 @@ class Signals:
                 out.append(f"{a:.4g} to {b:.4g} s: {name} {told}")
         return out
 
-    def baselines(
-        self, rng: np.random.Generator, before: Array | None = None
-    ) -> dict[str, tuple[Array, tuple[str, ...]]]:
+    def baselines(self, rng: np.random.Generator, before: Array) -> dict[str, tuple[Array, tuple[str, ...]]]:
         """Usual inputs (scales, steps, nu), with words; `before` are inputs (n, nu) of a run there is, given again."""
         t = self.dt * np.arange(self.steps, dtype=np.float64)
         n = len(self.limits.low)
@@ -154,11 +152,9 @@ class Signals:
         out: dict[str, tuple[Array, tuple[str, ...]]] = {
             name: (self._scaled(sizes * wave.T[None]), (told,)) for name, (wave, told) in waves.items()
         }
-        if before is not None:
-            again = before[np.arange(self.steps) % len(before)]
-            table = np.clip(sizes * again, self.limits.low, self.limits.high)
-            out["the longest run again"] = table, ("the inputs of the longest run",)
-        return out
+        again = before[np.arange(self.steps) % len(before)]
+        table = np.clip(sizes * again, self.limits.low, self.limits.high)
+        return {**out, "the longest run again": (table, ("the inputs of the longest run",))}
 
     def _scaled(self, unit: Array) -> Array:
         return np.asarray(self._middle + self._half * np.clip(unit, -1.0, 1.0))

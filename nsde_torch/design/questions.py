@@ -216,10 +216,7 @@ class Standing:
             "found": list(self.found),
             "tied": [list(t) for t in self.tied],
             "tied_whatever_the_input": [list(t) for t in self.beyond],
-            "leads": list(self.leads),
-            "wide": list(self.wide),
-            "confounded": list(self.confounded),
-            "suspected": list(self.suspected),
+            **{key: list(getattr(self, key)) for key in ("leads", "wide", "confounded", "suspected")},
             "words": self.words,
         }
 

@@ -8,8 +8,8 @@ import pytest
 
 from nsde_torch.data import Run
 from nsde_torch.design import diagnosis_rehearsal
-from nsde_torch.design.diagnosis_rehearsal import Rehearsal, _raw, following, rehearse, replayed
-from nsde_torch.design.members import Rollouts
+from nsde_torch.design.diagnosis_rehearsal import Rehearsal, _raw, following, rehearse
+from nsde_torch.design.members import Rollouts, open_loop
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.report import page
@@ -112,7 +112,7 @@ def test_inputs_that_follow_keep_a_pole_up_which_replayed_ones_lose() -> None:
     inputs = [np.zeros((300, 1)), np.array([[1.0], [-1.0]])]
     rollouts = Rollouts(system, dt=dt)
     theta, start = np.tile(rollouts.vector.start, (2, 1)), np.array([[0.0, 0.0, 0.05, 0.0], [0.0] * 4])
-    ways = following(system, states, inputs, dt=dt, copies=1), replayed(inputs, 1)
+    ways = following(system, states, inputs, dt=dt, copies=1), open_loop(np.zeros((2, 299, 1)))
     follow, replay = (abs(rollouts.run(theta, start, drive, 299)[0][0, -1, 2]) for drive in ways)
     assert follow < 0.01
     assert replay > 0.5
@@ -136,8 +136,7 @@ def test_what_reads_time_begins_where_its_stretch_does() -> None:
     system = make_system("mass_spring_damper", effects=["periodic_force"], values=push)
     rollouts = Rollouts(system, dt=0.01)
     theta, start = np.tile(rollouts.vector.start, (2, 1)), np.zeros((2, 2))
-    still = replayed([np.zeros((3, 1))], 2)
-    states, _, _ = rollouts.run(theta, start, still, 1, times=np.array([0.5, 1.5]))
+    states, _, _ = rollouts.run(theta, start, open_loop(np.zeros((2, 1, 1))), 1, times=np.array([0.5, 1.5]))
     # a quarter and three quarters of a period
     np.testing.assert_allclose(states[:, 1, 1], [0.01, -0.01], rtol=0.02)
 

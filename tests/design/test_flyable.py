@@ -1,6 +1,7 @@
 """Parameters of a multirotor are drawn as far as the cascade can fly them."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import nsde_torch
 from nsde_torch.design import DesignOptions, question_of
 from nsde_torch.design.designing import first_state
 from nsde_torch.design.members import Rollouts, members_of
-from nsde_torch.design.paths import STEP, FlownPaths, Flyable
+from nsde_torch.design.paths import STEP, flown_paths, flyable
 from nsde_torch.systems import Multirotor
 from nsde_torch.systems.options import system_options
 
@@ -28,7 +29,7 @@ def test_no_parameters_are_drawn_with_which_the_machine_is_lost() -> None:
     # runs that leave the gains open
     open_, dt = replace(member, branches=(replace(only, known=1e-4 * only.known),)), member.log.dt
     start = first_state(system, data.runs, {})
-    drive = FlownPaths(system, dt=dt)
+    drive = partial(flown_paths, system=system, dt=dt)
 
     def left(thetas: np.ndarray) -> np.ndarray:
         table = np.zeros((len(thetas), 300, 11))
@@ -39,7 +40,7 @@ def test_no_parameters_are_drawn_with_which_the_machine_is_lost() -> None:
 
     wild = left(open_.draws(12, np.random.default_rng(0)))
     assert wild.max() > 0.5
-    kept = Flyable(start, drive, dt)(open_, 3, np.random.default_rng(0))
+    kept = flyable(open_, 3, np.random.default_rng(0), start=start, drive=drive)
     assert kept.shape == (3, len(member.theta))
     np.testing.assert_array_equal(kept[0], member.theta)
     assert left(kept).max() < 0.5

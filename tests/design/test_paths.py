@@ -11,7 +11,7 @@ from nsde_torch.control.shapes import from_csv
 from nsde_torch.design.experiment import write_plan
 from nsde_torch.design.limits import ExperimentLimits
 from nsde_torch.design.members import Rollouts
-from nsde_torch.design.paths import SIDE, UP, FlownPaths, Paths, point_times
+from nsde_torch.design.paths import SIDE, UP, Paths, flown_paths, point_times
 from nsde_torch.systems import Multirotor, make_system
 
 DT = 0.02
@@ -56,9 +56,9 @@ def test_a_written_plan_is_read_back_as_the_path_that_was_judged(paths: Paths, t
 def test_the_cascade_flies_a_path(paths: Paths) -> None:
     system = make_system("hexacopter")
     assert isinstance(system, Multirotor)
-    table = paths.baselines(np.random.default_rng(0))["lemniscate"][0][:1, :150]
+    table = paths.baselines(np.random.default_rng(0), np.zeros((1, 3)))["lemniscate"][0][:1, :150]
     own = Rollouts(system, dt=DT)
-    drive = FlownPaths(own.system, dt=DT)(table)  # type: ignore[arg-type]
+    drive = flown_paths(table, system=own.system, dt=DT)  # type: ignore[arg-type]
     states, _, inputs = own.run(own.vector.start[None], START[None], drive, 150)
     assert torch.isfinite(torch.as_tensor(states)).all()
     assert np.abs(states[0, 1:, :3] - table[0, :, :3]).max() < 0.5

@@ -138,13 +138,8 @@ def extended(series: Series) -> Series:
     return Series(tuple((a + i, b + i + 1) for i, (a, b) in enumerate(series.edges)))
 
 
-def white_noise(residual: Array, series: Series) -> Noise:
-    """Noise that is white."""
-    return Noise(0.0, np.zeros(0), _size(residual, len(series)))
-
-
 def first_guess(residual: Array, series: Series, limit: float, *, times: int = 1) -> Noise:
-    """Noise of a sensor alone: what to start with, as it weighs slow motion most."""
+    """Noise of a sensor alone: what to start with, as it weighs slow motion most; white where the limit is 0."""
     carry = min(limit, 0.98)
     summed = _carry(carry, residual[:, None], series, times)[:, 0]
     return Noise(carry, np.zeros(0), _size(summed, len(series)), times)

@@ -41,17 +41,7 @@ from nsde_torch.inference.estimate import ARITHMETIC
 from nsde_torch.inference.spread import Spread, spread
 from nsde_torch.inference.steps import steps_of
 from nsde_torch.models.identified import METHODS
-from nsde_torch.sysid.noise import (
-    Noise,
-    Series,
-    again,
-    carry_limit,
-    estimate,
-    extended,
-    first_guess,
-    past,
-    white_noise,
-)
+from nsde_torch.sysid.noise import Noise, Series, again, carry_limit, estimate, extended, first_guess, past
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.systems import System
 from nsde_torch.systems.parameters import ParameterVector
@@ -282,7 +272,7 @@ class Regression:
         for i, channel in enumerate(self.rows):
             r = self.residual[:, channel]
             if self._plain:
-                noises.append(white_noise(r, self.series))
+                noises.append(first_guess(r, self.series, 0.0))
             elif self._kept or self._refined > 3:
                 # the same kind of law from here on, so that theta can settle
                 noises.append(again(self.noises[i], r, self.series, memory=self.memory))

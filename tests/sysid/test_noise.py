@@ -73,7 +73,7 @@ def test_a_law_for_other_residuals_keeps_its_order_and_its_c() -> None:
 
 def test_white_noise_only_scales() -> None:
     r = drawn(6)
-    law = noise.white_noise(r, ONE)
+    law = noise.first_guess(r, ONE, 0.0)
     np.testing.assert_allclose(law.whiten(r[:, None], ONE)[1:, 0], r / law.std)
 
 

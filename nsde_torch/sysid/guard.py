@@ -335,12 +335,12 @@ def asks_for_longer_boxes(guard: Guarded | None) -> bool:
     return guard is not None and bool(guard.objections) and {o.kind for o in guard.objections} <= kinds
 
 
-def of_longer_boxes(box_s: float, guard: Guarded) -> dict[str, str]:
+def of_longer_boxes(box_s: float, guard: Guarded) -> str:
     """What was done, and the remedy, for a person."""
     why = "; ".join(o.sentence for o in guard.objections)
-    return {
-        "sentence": f"means over {box_s:.3g} s are fitted: nothing speaks against these; over shorter ones, {why}",
-        "remedy": f"intervals are widened by what changes with means over {LENGTHS_S[1]:.3g} s. The states may have "
-        "been smoothed or filtered before they were logged, or something that acts is not declared: log raw sensors; "
-        "`nsde diagnose` names effects",
-    }
+    return (
+        f"means over {box_s:.3g} s are fitted: nothing speaks against these; over shorter ones, {why}; intervals are "
+        f"widened by what changes with means over {LENGTHS_S[1]:.3g} s. The states may have been smoothed or filtered "
+        "before they were logged, or something that acts is not declared: log raw sensors; `nsde diagnose` names "
+        "effects"
+    )

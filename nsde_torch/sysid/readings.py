@@ -219,7 +219,7 @@ def _readings(system: System, runs: Sequence[Run]) -> Iterator[Reading]:
     for k, name in enumerate(system.input_names):
         u = np.concatenate([run.u[:, k] for run in runs])
         if min((u > 0).mean(), (u < 0).mean()) > _BOTH_SIGNS:
-            read = _inputs(partial(_changed, columns=[k], factor=-1.0))
+            read = _changed("u", [k], factor=-1.0)
             yield Reading(f"the opposite sign of {name!r}", f"change the sign of {name!r}", read)
     yield from _axes(system) if system.quaternion is None else _frames(system, system.quaternion)
 
@@ -231,13 +231,13 @@ def _axes(system: System) -> Iterator[Reading]:
         i, j = (system.state_names.index(n) for n in (position, rate))
         both = f"{position!r} and {rate!r}"
         if len(system.position_derivatives) > 1:  # of one alone, it is the sign of the inputs
-            read = _states(partial(_changed, columns=[i, j], factor=-1.0))
+            read = _changed("x", [i, j], factor=-1.0)
             yield Reading(f"the opposite sign of {both}", f"change the signs of {both}", read)
         if units[position] == "rad":
-            read = _states(partial(_changed, columns=[i], shift=np.pi))
+            read = _changed("x", [i], shift=np.pi)
             words = f"{position!r} counted from the other side (pi more)"
             yield Reading(words, f"add pi to {position!r}", read)
-            read = _states(partial(_changed, columns=[i, j], factor=np.pi / 180.0))
+            read = _changed("x", [i, j], factor=np.pi / 180.0)
             yield Reading(f"{both} in degrees", f"multiply {both} by pi / 180", read)
 
 
@@ -341,17 +341,19 @@ def _swapped(order: tuple[int, ...], pair: tuple[int, int]) -> tuple[int, ...]:
 
 def _ordered(order: tuple[int, ...]) -> Callable[[Run], Run]:
     n = len(order)
-    return _inputs(lambda u: np.concatenate([u[:, :n][:, list(order)], u[:, n:]], 1))
+    return lambda run: replace(run, u=np.concatenate([run.u[:, list(order)], run.u[:, n:]], 1))
 
 
 def _states(change: Callable[[Array], Array]) -> Callable[[Run], Run]:
     return lambda run: replace(run, x=change(np.array(run.x)))
 
 
-def _inputs(change: Callable[[Array], Array]) -> Callable[[Run], Run]:
-    return lambda run: replace(run, u=change(np.array(run.u)))
+def _changed(key: str, columns: list[int], factor: float = 1.0, shift: float = 0.0) -> Callable[[Run], Run]:
+    """Columns of the states `x` or the inputs `u` multiplied and shifted."""
 
+    def read(run: Run) -> Run:
+        values = np.array(getattr(run, key))
+        values[:, columns] = factor * values[:, columns] + shift
+        return replace(run, **{key: values})  # type: ignore[arg-type]
 
-def _changed(values: Array, columns: list[int], factor: float = 1.0, shift: float = 0.0) -> Array:
-    values[:, columns] = factor * values[:, columns] + shift
-    return values
+    return read

@@ -129,7 +129,7 @@ class Identification:
         """What speaks against the fit, in words, with what the guard noted beside it."""
         notes = [] if self.guard is None else list(self.guard.notes)
         if self.finer is not None and self.finer.guard is not None:
-            return ["; ".join(of_longer_boxes(self.box_s, self.finer.guard).values()), *notes]
+            return [of_longer_boxes(self.box_s, self.finer.guard), *notes]
         if self.guard is None or not self.guard.objections:
             return []
         told = [str(objection) for objection in self.guard.objections]

@@ -16,7 +16,7 @@ numbers of its own for each path (`nsde_torch.systems.in_run.in_new_runs`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,14 +44,6 @@ _ROWS = 5  # of the data, at which formulas are asked whether a parameter may di
 _LEVEL = 0.9
 
 
-@dataclass(frozen=True)
-class DifferenceCandidate:
-    """Something that may differ between runs."""
-
-    target: str  # name of an effect with a size for each run, or of the parameter (`RunDifference.target`)
-    columns: Labels  # of the Gram matrices
-
-
 @torch.no_grad()
 def differing(at: Optimum, beside: Functions | None) -> list[str]:
     """Targets of what surely differs between runs, the surest first.
@@ -74,8 +66,7 @@ def differing(at: Optimum, beside: Functions | None) -> list[str]:
             own, first = wider.vector.of(name), sum(table.shape[-1] for table in tables)
             tables.append(wider.space.columns(about.x, about.slopes, own, about.after).float())
             law, coordinate = split_name(name)
-            each = joined_name(OF_EACH_RUN[law], coordinate)
-            candidates.append(DifferenceCandidate(each, first + np.arange(len(own))))
+            candidates[joined_name(OF_EACH_RUN[law], coordinate)] = first + np.arange(len(own))
         space.use(at.theta)
     forces = _forces(at, system, beside)
     held = grams(space, at.levels, about, at.at, torch.cat(tables, -1), forces=forces)
@@ -88,7 +79,7 @@ def differing(at: Optimum, beside: Functions | None) -> list[str]:
         turn = np.column_stack((np.eye(size), np.zeros(size)))
         turn[1 + over_mass, size] = -at.theta[over_mass]
         of_runs = turn.T @ of_runs @ turn
-        candidates.append(DifferenceCandidate(MASS, np.array([size - 1])))
+        candidates[MASS] = np.array([size - 1])
     return _chosen(of_runs / inflation, shared, candidates)
 
 
@@ -104,13 +95,13 @@ def _over_mass(vector: ParameterVector, system: System) -> Labels:
     return np.array(out, dtype=np.int64)
 
 
-def _of_the_physics(at: Optimum, system: System) -> list[DifferenceCandidate]:
-    """Parameters that one number for each row fits, of those that the data show."""
+def _of_the_physics(at: Optimum, system: System) -> dict[str, Labels]:
+    """Parameters that one number for each row fits, of those that the data show, with their columns."""
     steps, vector = at.of.space.steps, at.of.vector
     some = torch.linspace(0, len(steps) - 1, _ROWS).long()
     x, u = steps.x0[some, : system.nx].double(), steps.u[some].double()
     effects = {str(e.name): e for e in system.effects if isinstance(e, Effect)}
-    out = []
+    out = {}
     for place in vector.places:
         name, dot, own = place.name.rpartition(".")
         effect = effects[name] if dot else None
@@ -123,7 +114,7 @@ def _of_the_physics(at: Optimum, system: System) -> list[DifferenceCandidate]:
             continue
         target = f"{name}/{own}" if dot else own
         if may_differ(system, target, x, u):
-            out.append(DifferenceCandidate(target, columns))
+            out[target] = columns
     return out
 
 
@@ -147,32 +138,29 @@ def _forces(at: Optimum, system: System, beside: Functions | None) -> list[tuple
     ]
 
 
-def _chosen(of_runs: Array, shared: Labels, candidates: Sequence[DifferenceCandidate]) -> list[str]:
-    """Targets that raise the likelihood beyond chance."""
+def _chosen(of_runs: Array, shared: Labels, candidates: Mapping[str, Labels]) -> list[str]:
+    """Targets that raise the likelihood beyond chance, of candidates with their columns of the Gram matrices."""
     enough = 0.5 * float(chi2.isf(2.0 * _CHANCE / max(len(candidates), 1), 1))
-    chosen: dict[str, tuple[DifferenceCandidate, float]] = {}
+    information = {name: float(of_runs[:, 1 + c, 1 + c].mean()) for name, c in candidates.items()}
+    chosen: dict[str, float] = {}  # with the variance
 
-    def likelihood(some: Sequence[tuple[DifferenceCandidate, float]]) -> float:
-        columns = np.concatenate([np.arange(0), *(1 + c.columns for c, _ in some)])
-        variance = np.concatenate([np.zeros(0), *(np.full(len(c.columns), v) for c, v in some)])
+    def likelihood(some: Mapping[str, float]) -> float:
+        columns = np.concatenate([np.arange(0), *(1 + candidates[name] for name in some)])
+        variance = np.concatenate([np.zeros(0), *(np.full(len(candidates[n]), v) for n, v in some.items())])
         return _log_likelihood(of_runs, shared, columns, variance)
 
-    now = likelihood([])
-    while len(chosen) < len(candidates):
-        found: list[tuple[float, DifferenceCandidate, float]] = []
-        for one in candidates:
-            information = of_runs[:, 1 + one.columns, 1 + one.columns].mean()
-            if one.target in chosen or not information > 0:
-                continue
-            for variance in np.square(_SPREADS) / information:
-                found.append((likelihood([*chosen.values(), (one, variance)]), one, variance))
-        if not found:
-            break
-        best, one, variance = max(found, key=lambda f: f[0])
+    now = likelihood({})
+    while True:
+        found = [
+            (likelihood({**chosen, name: variance}), name, variance)
+            for name, size in information.items()
+            if name not in chosen and size > 0
+            for variance in (np.square(_SPREADS) / size).tolist()
+        ]
+        best, name, variance = max(found, key=lambda f: f[0], default=(-np.inf, "", 0.0))
         if not best - now > enough:
-            break
-        chosen[one.target], now = (one, variance), best
-    return list(chosen)
+            return list(chosen)
+        chosen[name], now = variance, best
 
 
 def _log_likelihood(of_runs: Array, shared: Labels, columns: Labels, variance: Array) -> float:

@@ -1,7 +1,7 @@
 """A neural SDE fitted by what is new at each step of the log: physics, then networks, then what disturbs.
 
 1. Declared parameters, with their covariance, by the identification of `sysid`, and a lag of the inputs where the data
-   show one that is not declared (`late_inputs`).
+   show one that is not declared (`identified`).
 2. Residual networks, fitted to the functions that the likelihood chooses beside that physics (`fit_functions`).
 3. Where something surely differs between runs (`between_runs`), both again with numbers for each run.
 4. The distance eta by its own losses.
@@ -18,9 +18,11 @@ declared physics is all network: its disturbance follows what acts there until t
 parameters are then fitted again beside the network.
 """
 
+from __future__ import annotations
+
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from math import hypot, sqrt
 from typing import Any
 
@@ -30,7 +32,8 @@ from torch import Tensor
 
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run, Windows
-from nsde_torch.errors import DataError, NonFiniteError
+from nsde_torch.effects import Effect, Port
+from nsde_torch.errors import DataError, NonFiniteError, NsdeError
 from nsde_torch.evaluation.one_step import (
     Disturbance,
     Residuals,
@@ -50,14 +53,20 @@ from nsde_torch.recall import recall
 from nsde_torch.recording.smoothing import as_applied
 from nsde_torch.rotation import rotation_between
 from nsde_torch.sysid.feedback_test import feedback_summary
-from nsde_torch.sysid.identify import by_likelihood, identification, identify_in_loop, regression_of
+from nsde_torch.sysid.identify import (
+    Settled,
+    by_likelihood,
+    identification,
+    identify_in_loop,
+    regression_of,
+    settled,
+)
 from nsde_torch.sysid.physics import Physics
 from nsde_torch.sysid.regression import ITERATIONS, Regression
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems.parameters import ParameterVector
 from nsde_torch.training import between_runs
 from nsde_torch.training.distil import Distilled, fit_functions, functions_of, silence
-from nsde_torch.training.late_inputs import Identified, identified
 from nsde_torch.training.loop import Loop, read_checkpoint, write_checkpoint
 from nsde_torch.training.losses import fit_distance
 from nsde_torch.training.prepare import blind_to_places, fit_filter
@@ -88,10 +97,8 @@ def fit_innovations(task: Task) -> Fitted:
     runs = as_applied(task.runs, machine.nu) if spec.filter_reach else list(task.runs)
     found = None
     if set(machine.residual_ports) <= machine.physics_ports:  # no port is all network
-        method = "weak" if spec.filter_reach == 0 else "differences"
         found = recall(
-            ("identified", task.before_seed),
-            lambda: identified(spec, runs, clock=task.clock, values=values, method=method),
+            ("identified", task.before_seed), lambda: identified(spec, runs, clock=task.clock, values=values)
         )
     generator = torch.Generator().manual_seed(task.seed)
     model = NeuralSDE(found.spec if found else spec, generator=generator, values=values)
@@ -136,7 +143,7 @@ class _Fit:
         self.differs: list[between_runs.RunSpread] = []
         model.clock_scale.fill_(task.clock)
         if found is not None:
-            self.physics = found.regression.physics
+            self.physics = found.settled.regression.physics
             identify = self._identified if task.near is None else self._near
             self.known = recall(("known", task.before_seed), lambda: identify(found))
             self.theta = self.known.values
@@ -366,7 +373,7 @@ class _Fit:
         """What a person reads of the fit."""
         found, known, lines = self.found, self.known, list[str]()
         if found is not None:
-            r = found.regression
+            r = found.settled.regression
             lines.append(
                 f"fitted: declared physics by prediction errors ({r.iterations} iterations, "
                 f"{'settled' if r.converged else 'not settled'})"
@@ -440,3 +447,71 @@ def _set_laws(model: NeuralSDE, laws: dict[str, Disturbance], found: Residuals, 
     if model.spec.measurement:
         sensors = torch.tensor([laws[n].sensor for n in names]).clamp_min(_LEAST)
         model.log_measurement_std.copy_(sensors.log())
+
+
+# ---- inputs that act late ------------------------------------------------------------------------------
+#
+# A network of the state cannot hold what an actuator remembers: in a closed loop it would learn the controller
+# instead. So where the declared effects carry no memory of the inputs, each law of the catalogue that does is fitted
+# beside the declared parameters, and the likeliest is taken if the log likelihood of the innovations rises by more
+# than `EVIDENCE` and its time is not nothing by two half-widths of its interval. It is reported as learned; to have it
+# as declared physics, name it in system.effects.
+
+LAWS = ("motor_lag", "actuator_lag", "input_delay")
+"""Effects of the catalogue with which inputs act late, one time each."""
+EVIDENCE = 10.0
+"""Log likelihood that a law must win [nats]; 10 nats for one parameter happen by chance once in 100,000 data sets."""
+
+
+@dataclass(frozen=True)
+class Identified:
+    """Declared physics as it was identified."""
+
+    spec: SDESpec  # specification with the law that was learned, if any
+    method: str  # of the identification: finite differences where inputs were smoothed
+    settled: Settled  # the regression at its optimum, and its runs
+    learned: str = ""  # name of the law; empty for none
+    evidence: float = 0.0  # log likelihood that it won [nats]
+
+
+def identified(spec: SDESpec, runs: Sequence[Run], *, clock: float, values: Mapping[str, Any]) -> Identified:
+    """Identify declared physics, with a lag or a delay of the inputs where the data show one.
+
+    Of runs with inputs as they acted, from initial `values`. A law is looked for with the method "weak" alone, whose
+    innovations are white.
+
+    Raises:
+        ConfigError, DataError, NonFiniteError: there is no parameter, nothing moves, or the physics diverges.
+    """
+    system, method = spec.make_system(values), "differences" if spec.filter_reach else "weak"
+    base = settled(system, runs, clock=clock, method=method, width=None, iterations=ITERATIONS)
+    remembers = any(isinstance(e, Effect) and e.port is Port.INPUT and e.n_memory for e in system.effects)
+    found = Identified(spec, method, base)
+    if not spec.learn_lag or remembers or method != "weak":
+        return found
+    rows = len(base.regression.series)  # a memory takes some rows for itself
+    before = sum(noise.likelihood(rows) for noise in base.regression.noises)
+    for name in LAWS:
+        wider = replace(spec, effects=(*spec.effects, name))
+        try:
+            machine = wider.make_system(values)
+            base.regression.vector.write(machine, base.regression.theta)
+            regression = regression_of(machine, base.runs, clock=clock)
+            regression.run(ITERATIONS)
+            won = sum(noise.likelihood(rows) for noise in regression.noises) - before
+            if won > max(EVIDENCE, found.evidence) and _shown(regression, name):
+                found = Identified(wider, method, replace(base, regression=regression), name, won)
+        except NsdeError:
+            continue  # a law that does not fit the system, or cannot be followed at this step
+    return found
+
+
+def _shown(regression: Regression, law: str) -> bool:
+    """Whether the times of a law are surely more than nothing."""
+    sure = identification(regression, "weak").parameters()
+    return all(
+        half is not None and value > 2.0 * half
+        for key, p in sure.items()
+        if key.startswith(f"{law}.")
+        for value, half in zip(p["value"], p["half_width_90"], strict=True)  # type: ignore[call-overload]
+    )

@@ -17,8 +17,7 @@ from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.recording import assemble
 from nsde_torch.systems import make_system
 from nsde_torch.training import TrainerOptions
-from nsde_torch.training.fit_innovations import fit_innovations
-from nsde_torch.training.late_inputs import identified
+from nsde_torch.training.fit_innovations import fit_innovations, identified
 from nsde_torch.training.task import Fitted
 from tests.helpers.encoders import encoder_runs
 from tests.helpers.loop_contract import task_of
@@ -194,7 +193,7 @@ def test_rows_at_a_standstill_teach_no_noise() -> None:
     spec = SDESpec(
         "mass_spring_damper", dt=data.dt, horizon=10, effects=effects, step="heun", learn_lag=False
     )
-    physics = identified(spec, data.runs, clock=1.0, values={}).regression.physics
+    physics = identified(spec, data.runs, clock=1.0, values={}).settled.regression.physics
     rows = sum(len(run) for run in data.runs)
     assert 0.2 * rows < len(physics.steps) < 0.95 * rows
     slow = np.abs(physics.steps.x0[:, 1].numpy()) < 0.005

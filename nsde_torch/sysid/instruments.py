@@ -96,7 +96,7 @@ class Instrumented:
         apart = [
             f"{label} {self.ordinary[i]:.4g} becomes {self.values[i]:.4g}"
             for i, label in enumerate(self.labels)
-            if self.difference[i] < 0.05
+            if self.difference[i] < _SURE
         ]
         differ = f"estimates surely differ from ordinary ones: {', '.join(apart)}"
         same = "no estimate surely differs from the ordinary one"
@@ -291,27 +291,27 @@ class _Stage:
                 weights = np.linalg.solve(rest + small, cross - z[at].T @ self.slopes[i][at])
                 self.predicted[i, at] = z[at] @ weights
 
-    def used(self, chosen: Sequence[int]) -> Array:
+    def used(self, chosen: list[int]) -> Array:
         """H (channels, N, k): predicted slopes of the chosen parameters, own slopes of the others."""
         out = self.slopes.copy()
-        out[:, :, list(chosen)] = self.predicted[:, :, list(chosen)]
+        out[:, :, chosen] = self.predicted[:, :, chosen]
         return out
 
-    def step(self, chosen: Sequence[int]) -> Array:
+    def step(self, chosen: list[int]) -> Array:
         """Change of theta (k,) that brings the moments to zero."""
         h = self.used(chosen)
         a = np.einsum("cnj,cnk->jk", h, self.slopes)
         return np.asarray(np.linalg.lstsq(a, np.einsum("cnj,cn->j", h, self.white), rcond=None)[0])
 
-    def leans(self, chosen: Sequence[int]) -> Array:
+    def leans(self, chosen: list[int]) -> Array:
         """Change of each chosen parameter per error of each other one (k, k)."""
         k = self.slopes.shape[2]
         others = [j for j in range(k) if j not in chosen]
         out = np.zeros((k, k))
         if chosen and others:
             a = np.einsum("cnj,cnk->jk", self.used(chosen), self.slopes)
-            beside = np.ix_(list(chosen), others)
-            out[beside] = -np.linalg.lstsq(a[np.ix_(list(chosen), list(chosen))], a[beside], rcond=None)[0]
+            beside = np.ix_(chosen, others)
+            out[beside] = -np.linalg.lstsq(a[np.ix_(chosen, chosen)], a[beside], rcond=None)[0]
         return out
 
     def choose(self) -> tuple[list[int], Array]:
@@ -350,7 +350,7 @@ class _Stage:
         by_block = np.bincount(np.tile(self.blocks, h.shape[0]), own * (slope - pi * own))
         return float((pi * size) ** 2 / max(np.square(by_block).sum(), 1e-300))
 
-    def spread(self, chosen: Sequence[int]) -> Spread:
+    def spread(self, chosen: list[int]) -> Spread:
         """Covariance by the jackknife over blocks."""
         h = self.used(chosen)
         count, k = int(self.blocks.max()) + 1, h.shape[2]
@@ -367,12 +367,12 @@ class _Stage:
         back = np.linalg.pinv(whole)
         return Spread(parts.T @ parts, parts, back @ w @ back.T)
 
-    def sargan(self, chosen: Sequence[int]) -> tuple[float, float]:
+    def sargan(self, chosen: list[int]) -> tuple[float, float]:
         """Chance of moments as far from zero as these if nothing is missing, and the statistic."""
         bases = [signals.basis_of(z) for z in self.z]
         h = self.slopes.copy()
         for i, z in enumerate(bases):
-            h[i][:, list(chosen)] = z @ (z.T @ self.slopes[i][:, list(chosen)])
+            h[i][:, chosen] = z @ (z.T @ self.slopes[i][:, chosen])
         moments = np.concatenate([z * e[:, None] for z, e in zip(bases, self.white, strict=True)], 1)
         slopes = np.concatenate([j.T @ z for j, z in zip(self.slopes, bases, strict=True)], 1)
         own = np.einsum("cnk,cn->nk", h, self.white)

@@ -97,11 +97,10 @@ def _all_alike(gains: Sequence[_Difference]) -> float | None:
 def _answered(rough: Regression) -> dict[int, Array]:
     """By run: relative bias (k,) of the parameters in it if inputs cancel all that the physics lacks."""
     owner = rough.whitened_rows(rough.owners)
-    std = np.array([noise.std for noise in rough.noises])
     measured = rough.single.summed(rough.physics.measured, rough.box)[:, rough.rows]
     out = {}
     for r in np.unique(owner).tolist():
-        square = np.square(_left_alone(rough, owner == r)).mean(1) * np.square(std)
+        square = np.square(_left_alone(rough, owner == r))
         share = np.minimum(square / np.maximum(measured[rough.owners == r].var(0), 1e-300), 1.0)
         weight = np.square(rough.slopes[:, owner == r]).sum(1)
         out[r] = share @ weight / np.maximum(weight.sum(0), 1e-300)
@@ -152,9 +151,8 @@ def unexplained_runs(rough: Regression, runs: Sequence[Run]) -> list[Objection]:
     numbers = [int(r) for r in np.unique(owner)]
     if len(numbers) < 2:
         return []
-    std = np.array([noise.std for noise in rough.noises]) / rough.dt
     measured = rough.single.summed(rough.physics.measured, rough.box)[:, rough.rows] / rough.dt
-    left = np.array([np.sqrt(np.square(_left_alone(rough, owner == r)).mean(1)) * std for r in numbers])
+    left = np.array([_left_alone(rough, owner == r) / rough.dt for r in numbers])
     moves = np.array([measured[rough.owners == r].std(0) for r in numbers])
     out = []
     for k, r in enumerate(numbers):
@@ -177,10 +175,11 @@ def unexplained_runs(rough: Regression, runs: Sequence[Run]) -> list[Objection]:
 
 
 def _left_alone(rough: Regression, rows: Mask) -> Array:
-    """Whitened residuals (channels, n) of some rows at parameters of their own."""
+    """Root mean square (channels,) of what is left of some rows at parameters of their own [change over a box]."""
     slopes, white = rough.slopes[:, rows] @ rough.shown.basis, rough.white[:, rows]
     flat = slopes.reshape(white.size, -1)
-    return np.asarray(white - slopes @ np.linalg.lstsq(flat, white.reshape(-1), rcond=None)[0])
+    left = white - slopes @ np.linalg.lstsq(flat, white.reshape(-1), rcond=None)[0]
+    return np.sqrt(np.square(left).mean(1)) * [noise.std for noise in rough.noises]
 
 
 def _alone(regression: Regression, rows: Mask, blocks: Labels) -> tuple[Array, Array, Array] | None:

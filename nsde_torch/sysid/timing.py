@@ -83,19 +83,19 @@ def shifted_stream(system: System, runs: Sequence[Run], clock: float, rough: Reg
     return max(found, key=lambda s: s.gain, default=None)
 
 
-def _streams(system: System) -> list[tuple[str, list[int], bool]]:
-    """Name, columns of the states, and whether it is the inputs."""
-    out: list[tuple[str, list[int], bool]] = []
+def _streams(system: System) -> list[tuple[str, list[int]]]:
+    """Names, and columns of the states; none for the inputs."""
+    out: list[tuple[str, list[int]]] = []
     if system.nu:
-        out.append((_named(list(system.input_names)), [], True))
+        out.append((_named(list(system.input_names)), []))
     rates = rate_columns(system)
     if system.quaternion is not None and rates is not None:
         columns = [*range(system.nx)[system.quaternion], *range(system.nx)[rates]]
-        out.append((_named([system.state_names[c] for c in columns]), columns, False))
+        out.append((_named([system.state_names[c] for c in columns]), columns))
         return out
     pairs = [(i, j) for a, b in derivative_columns(system).values() for i, j in zip(a, b, strict=True)]
     for i, j in pairs[1:]:
-        out.append((_named([system.state_names[i], system.state_names[j]]), [i, j], False))
+        out.append((_named([system.state_names[i], system.state_names[j]]), [i, j]))
     return out
 
 
@@ -106,13 +106,13 @@ def _named(names: list[str]) -> str:
 
 
 def _best(
-    system: System, runs: Sequence[Run], clock: float, rough: Regression, stream: tuple[str, list[int], bool]
+    system: System, runs: Sequence[Run], clock: float, rough: Regression, stream: tuple[str, list[int]]
 ) -> Shifted | None:
-    dt, (name, states, inputs) = runs[0].dt * clock, stream
+    dt, (name, states) = runs[0].dt * clock, stream
 
     @cache
     def shares(seconds: float) -> dict[str, float]:
-        read = _mover(system, seconds / dt, states, inputs)
+        read = _mover(system, seconds / dt, states)
         moved = [read(run) for run in runs]
         fitted = rough_fit(system, moved, clock, iterations=_ITERATIONS, start=rough.theta)
         if fitted is None or len(fitted.rows) < len(rough.rows):
@@ -141,11 +141,11 @@ def _best(
     there = shares(round(best if score(best) < here else middle, 6))
     against = tuple(c for c, left in shares(0.0).items() if there.get(c, left) > left + _WORSE)
     smoothed = tuple(sorted({state for run in runs for state in run.band}))
-    return Shifted(name, best, gain, inputs, against, smoothed)
+    return Shifted(name, best, gain, not states, against, smoothed)
 
 
-def _mover(system: System, rows: float, states: list[int], inputs: bool) -> Callable[[Run], Run]:
-    """Take out that a stream is so many rows late."""
+def _mover(system: System, rows: float, states: list[int]) -> Callable[[Run], Run]:
+    """Take out that some states, or the inputs where there are none, are so many rows late."""
 
     def read(run: Run) -> Run:
         x, u, q = np.array(run.x), np.array(run.u), system.quaternion
@@ -153,10 +153,11 @@ def _mover(system: System, rows: float, states: list[int], inputs: bool) -> Call
         long = [(a, b) for a, b in run.segments if b - a >= 2 * lost + 4]
         for a, b in long:
             k = np.arange(b - a)
-            for column in range(system.nu) if inputs else ():
-                u[a:b, column] = np.interp(k + rows, k, run.u[a:b, column])
             if states:
                 x[a:b, states] = moved(np.asarray(run.x[a:b, states]), rows)
+                continue
+            for column in range(system.nu):
+                u[a:b, column] = np.interp(k + rows, k, run.u[a:b, column])
         if q is not None and states:
             x[:, q] /= np.linalg.norm(x[:, q], axis=1, keepdims=True)
         return replace(run, x=x, u=u, segments=tuple((a + lost, b - lost) for a, b in long) or run.segments)

@@ -102,32 +102,27 @@ class Obtained:
 
     def content(self) -> dict[str, Any]:
         """What `obtained.json` holds."""
-        names = self.question.names
+        q, names, expected = self.question, self.question.names, self.expected_nats
         if self.parameters:
             each = {label: p.content() for label, p in self.parameters.items()}
             known = [p["expected_nats"] for p in each.values()]
-            return {
-                "schema": "nsde_torch.obtained/1",
-                "question": {"kind": "parameters", "parameters": list(self.question.parameters)},
+            own: dict[str, Any] = {
+                "question": {"kind": "parameters", "parameters": list(q.parameters)},
                 "parameters": each,
                 "nats": sum(p["nats"] for p in each.values()),
                 "expected_nats": None if None in known else sum(known),
-                "excess": self.excess,
-                "doubt": self.doubt,
             }
-        expected = self.expected_nats
-        return {
-            "schema": "nsde_torch.obtained/1",
-            "question": {"kind": "tie", "members": [*map(list, self.question.members)], "names": list(names)},
-            "nats": dict(zip(names, self.nats, strict=True)),
-            "speaks_for": names[self.best],
-            "broken": self.broken,
-            "expected_nats": None if expected is None else expected["mean"],
-            "expected_90": None if expected is None else [expected["low_90"], expected["high_90"]],
-            "excess": self.excess,
-            "doubt": self.doubt,
-            "surprise": self.surprise,
-        }
+        else:
+            own = {
+                "question": {"kind": "tie", "members": [*map(list, q.members)], "names": list(names)},
+                "nats": dict(zip(names, self.nats, strict=True)),
+                "speaks_for": names[self.best],
+                "broken": self.broken,
+                "expected_nats": None if expected is None else expected["mean"],
+                "expected_90": None if expected is None else [expected["low_90"], expected["high_90"]],
+                "surprise": self.surprise,
+            }
+        return {"schema": "nsde_torch.obtained/1", **own, "excess": self.excess, "doubt": self.doubt}
 
     @property
     def report(self) -> str:

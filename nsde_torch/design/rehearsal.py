@@ -43,7 +43,6 @@ class Rehearsed:
     errors: Array  # of the fitted parameters (R, k)
     use: Array  # largest share of each state's range (R, nx)
     states: Array  # true states (R, N + 1, nx)
-    inputs: Array  # (R, N, nu)
 
 
 def fit_all(members: Sequence[Member], each: Sequence[Run]) -> list[Fits]:
@@ -117,6 +116,6 @@ def rehearse(
         evidence[i], errors[i] = against(fit.brought, truth), fit.errors[truth]
     use = limits.use(true)
     return [
-        Rehearsed(*(part[p * count : (p + 1) * count] for part in (evidence, errors, use, true, inputs)))
+        Rehearsed(*(part[p * count : (p + 1) * count] for part in (evidence, errors, use, true)))
         for p in range(plans)
     ]

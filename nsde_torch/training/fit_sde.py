@@ -301,7 +301,7 @@ def fit_sde(task: Task) -> Fitted:
     denoise = loss.kind == "replay" and (spec.measurement or model.system.sensor_noise)
     windows = Windows(task.runs, spec.dt, spec.horizon, dtype=task.dtype, device=task.device, denoise=denoise)
     train, held = windows.held_out(task.validation, _BLOCK_S, torch.Generator().manual_seed(task.seed))
-    prepare(model, task.runs, train, clock_scale=task.clock, start=True, given=task.values)
+    prepare(model, task.runs, train, clock_scale=task.clock, given=task.values)
     scale = error_scale(model, train)
     fit = Fit(
         model,

@@ -28,15 +28,13 @@ def prepare(
     windows: Windows,
     *,
     clock_scale: float,
-    start: bool,
     given: Collection[str] = (),
 ) -> None:
-    """Set standardisation, first sigma, clock and first parameters of a model, changed in place.
+    """Set standardisation, first sigma, clock and first values of declared parameters of a model, changed in place.
 
     Args:
         model, runs, windows: The model, with its training runs and their windows.
         clock_scale: Physical seconds per logged second.
-        start: Whether to look for first values of declared parameters in the data.
         given: Names of parameters that keep the value they have.
     """
     x, u, _ = windows.batch(_spread(len(windows), _ROWS // (windows.horizon + 1) + 1))
@@ -58,7 +56,7 @@ def prepare(
             model.h.log_sigma_max[: len(sigma)].copy_((4.0 * sigma).clamp_min(1e-6).log())
         if model.spec.measurement:
             model.log_measurement_std.copy_(sensor_std(runs).clamp_min(1e-6).log().to(x))
-    if start and model.spec.physics:
+    if model.spec.physics:
         longest = max(runs, key=lambda run: run.duration)
         a, b = max(longest.segments, key=lambda s: s[1] - s[0])
         values = model.system.start_values(

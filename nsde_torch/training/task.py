@@ -44,39 +44,30 @@ class Task:
     def identity(self) -> str:
         """What the numbers of a fit depend on, as a hash: a checkpoint of another fit is not continued."""
         facts = {
-            "spec": self.spec.as_dict(),
             "loss": asdict(self.loss),
             "options": {
                 k: v for k, v in asdict(self.options).items() if k not in ("checkpoint_every", "calibrate")
             },
             "seed": self.seed,
             "validation": self.validation,
-            "values": dict(self.values),
             "dtype": str(self.dtype),
-            "runs": [run.content_hash for run in self.runs],
-            "clock": self.clock,
         }
         return self._hash(facts)
 
     @cached_property
     def before_seed(self) -> str:
         """What a fit finds before any seed or setting of an optimiser matters depends on this, as a hash."""
-        facts = {
-            "spec": self.spec.as_dict(),
-            "values": dict(self.values),
-            "runs": [run.content_hash for run in self.runs],
-            "clock": self.clock,
-            "near": None
-            if self.near is None
-            else [
-                self.near.begin,
-                self.near.model.spec.as_dict(),
-                {k: v.tolist() for k, (v, _) in self.near.model.system.all_declared().items()},
-            ],
-        }
-        return self._hash(facts)
+        near = None
+        if self.near is not None:
+            model = self.near.model
+            values = {k: v.tolist() for k, (v, _) in model.system.all_declared().items()}
+            near = [self.near.begin, model.spec.as_dict(), values]
+        return self._hash({"near": near})
 
     def _hash(self, facts: dict[str, Any]) -> str:
+        """Of these facts, the model and the data."""
+        facts |= {"spec": self.spec.as_dict(), "values": dict(self.values), "clock": self.clock}
+        facts["runs"] = [run.content_hash for run in self.runs]
         if self.instruments:
             facts["instruments"] = list(self.instruments)
         return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()

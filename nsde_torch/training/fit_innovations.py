@@ -125,7 +125,8 @@ def _from_checkpoint(model: NeuralSDE, task: Task) -> dict[str, Any] | None:
         return None
     tensors, about = found
     model.load_state_dict({k[6:]: v for k, v in tensors.items() if k.startswith("model.")})
-    model.spec = replace(model.spec, between_runs=about.get("between_runs", {}))
+    differ = about["facts"].get("between_runs", {})
+    model.spec = replace(model.spec, between_runs={name: one["std"] for name, one in differ.items()})
     return about
 
 
@@ -366,8 +367,7 @@ class _Fit:
         said = self._said(networks)
         progress = Progress(steps, steps, score, [{"step": float(steps), "validation": score}], stopped=True)
         out = {"progress": asdict(progress), "parameters": parameters, "facts": facts}
-        between = {one.target: list(one.std) for one in self.differs}
-        return {**out, "said": said, "begin": self.begin, "between_runs": between}
+        return {**out, "said": said, "begin": self.begin}
 
     def _said(self, networks: Mapping[str, Mapping[str, Any]]) -> str:
         """What a person reads of the fit."""

@@ -13,15 +13,18 @@ from typing import Any, Literal
 import torch
 from tqdm.auto import tqdm
 
-from nsde_torch.data import DataSet, Run, Split
+from nsde_torch.data import DataSet, Run, Split, Windows
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.evaluation import report, seen
 from nsde_torch.evaluation.figures import Coverage, extrapolate, falls_short, widen
-from nsde_torch.evaluation.metrics import evaluate, horizons_of
+from nsde_torch.evaluation.metrics import START_EVERY, evaluate, horizons_of, start_grid
 from nsde_torch.evaluation.one_step import one_step_table
+from nsde_torch.evaluation.scores import score
 from nsde_torch.models.capabilities import is_equation, is_stochastic, learns_sensors
+from nsde_torch.models.feedback_model import fit_feedback
 from nsde_torch.models.kind import model_kind
 from nsde_torch.models.model import Model, ModelSpec
+from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.models.run_directory import METRICS, save
 from nsde_torch.progress import no_bar
 from nsde_torch.recall import recall
@@ -29,7 +32,6 @@ from nsde_torch.recording.clock_and_biases import of_runs
 from nsde_torch.recording.smoothing import smoothing_width
 from nsde_torch.sysid.feedback_test import feedback_summary
 from nsde_torch.sysid.identify import identify_in_loop
-from nsde_torch.training.fit_feedback import learn_feedback
 from nsde_torch.training.options import LossOptions, TrainerOptions
 from nsde_torch.training.prepare import sensor_std
 from nsde_torch.training.task import Fitted, Progress, Task
@@ -366,3 +368,50 @@ def _picture(name: str, path: Path) -> Any:
     width, height = struct.unpack(">II", content[16:24])  # its header stands first
     image = Summary.Image(height=height, width=width, colorspace=4, encoded_image_string=content)
     return Summary(value=[Summary.Value(tag=name, image=image)])
+
+
+# ---- the controller of the training runs ---------------------------------------------------------------
+#
+# Its law is fitted by least squares (`models.feedback_model`). Whether it is kept is decided by what it is for: the
+# fair CRPS of predictions of the training runs with it, less that without it, as a share of the latter, must fall by
+# more than two standard errors. In open loop, and where setpoints rule all, it does not.
+
+_STARTS, _PARTICLES = 128, 49
+_LONGEST_S = 1.0  # predictions from starts that are nearer to one another are not independent either
+_SURE = 2.0  # standard errors; the built-in carts, in open loop, have -0.0003 +- 0.0054
+
+
+@torch.no_grad()
+def learn_feedback(model: NeuralSDE, runs: Sequence[Run], *, seed: int) -> dict[str, Any]:
+    """Learn the controller of some runs, or take it out of the model.
+
+    Returns:
+        What `metrics.json` holds: `kept`, and, where the runs are long enough, `crps`: the change of the score as a
+        share, and `standard_error`.
+    """
+    made, dt = fit_feedback(model, runs, model.spec.feedback), model.spec.dt
+    steps = [round(h / dt) for h in horizons_of(runs, dt) if h <= _LONGEST_S and h > model.spec.feedback * dt]
+    asked, like = model.spec, model.clock_scale
+    model.feedback, model.spec = None, replace(asked, feedback=0)
+    if made is None or not steps:
+        return {"kept": False}
+    windows = Windows(runs, dt, steps[-1], dtype=like.dtype, device=like.device)
+    starts = start_grid(windows)
+    if windows.interventional or len(starts) < 2:
+        return {"kept": False}
+    independent = len(starts) * START_EVERY / _LONGEST_S
+    if len(starts) > _STARTS:
+        starts = starts[torch.linspace(0, len(starts) - 1, _STARTS).round().long()]
+    given: dict[str, Any] = {"seed": seed, "particles": _PARTICLES}
+    without = score(model, windows, starts, steps, **given)
+    model.feedback = made
+    beside = score(model, windows, starts, steps, **given)
+    mean = error = 0.0
+    if not beside.diverged and not without.diverged:
+        scale = without.crps.mean(0).clamp_min(1e-12)
+        change = ((beside.crps - without.crps) / scale).mean((1, 2))  # of each start
+        mean = float(change.mean())
+        error = float(change.std()) / min(len(change), independent) ** 0.5
+    kept = mean < -_SURE * error
+    model.feedback, model.spec = (made, asked) if kept else (None, model.spec)
+    return {"kept": kept, "crps": mean, "standard_error": error}

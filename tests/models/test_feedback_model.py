@@ -13,7 +13,7 @@ from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.models.feedback_model import FeedbackModel, fit_feedback
-from nsde_torch.training.fit_feedback import learn_feedback
+from nsde_torch.training.session import learn_feedback
 from tests.helpers.toy_systems import DT, Gusty, fix_sigma, make_model
 
 SIGMA, SIGMA_D, TAU, SIGMA_U = 0.2, 2.0, 0.6, 0.2

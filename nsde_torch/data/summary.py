@@ -15,7 +15,7 @@ from nsde_torch.data.inputs import InputRank
 from nsde_torch.data.kinematics import Slope, pool
 from nsde_torch.data.quaternion import euler_zyx
 from nsde_torch.data.raw import Finding
-from nsde_torch.data.run import Run
+from nsde_torch.data.run import DataSet, Run, fingerprint
 from nsde_torch.data.system_info import SystemInfo, rate_columns
 
 
@@ -126,9 +126,7 @@ class DataSummary:
         table: list[tuple[str, ...]] = [("run", "rows", "seconds", "segments")]
         shown = self.runs if len(self.runs) <= 12 else self.runs[:10]
         for run in shown:
-            parts = " ".join(f"{a}-{b}" for a, b in run.segments[:3]) + (
-                " ..." if len(run.segments) > 3 else ""
-            )
+            parts = " ".join(f"{a}-{b}" for a, b in run.segments[:3]) + " ..." * (len(run.segments) > 3)
             table.append((run.name, str(run.rows), f"{run.duration_s:.2f}", parts))
         lines += [f"  {row}" for row in aligned(table)]
         if len(shown) < len(self.runs):
@@ -141,14 +139,16 @@ class DataSummary:
         lines += [f"  {row}" for row in aligned(table)]
         e = self.envelope
         if e is not None:
-            table = [
-                ("envelope", "95 %", "max"),
-                ("speed [m/s]", f"{e.speed_q95:.2f}", f"{e.speed_max:.2f}"),
-                ("|roll| [deg]", f"{e.roll_q95:.1f}", f"{e.roll_max:.1f}"),
-                ("|pitch| [deg]", f"{e.pitch_q95:.1f}", f"{e.pitch_max:.1f}"),
-                ("|yaw| [deg]", f"{e.yaw_q95:.1f}", f"{e.yaw_max:.1f}"),
-                ("|yaw - mean| [deg]", f"{e.heading_q95:.1f}", f"{e.heading_max:.1f}"),
-            ]
+            table = [("envelope", "95 %", "max")]
+            table += [("speed [m/s]", f"{e.speed_q95:.2f}", f"{e.speed_max:.2f}")]
+            for angle, key in (
+                ("roll", "roll"),
+                ("pitch", "pitch"),
+                ("yaw", "yaw"),
+                ("yaw - mean", "heading"),
+            ):
+                ends = (f"{getattr(e, f'{key}_{end}'):.1f}" for end in ("q95", "max"))
+                table.append((f"|{angle}| [deg]", *ends))
             lines += [f"  {row}" for row in aligned(table)]
         if self.input_rank.channels:
             lines.append(f"inputs span {self.input_rank.rank} of {self.input_rank.channels} dimensions")
@@ -204,7 +204,7 @@ def envelope(runs: Sequence[Run], system: SystemInfo) -> FlightEnvelope | None:
     return FlightEnvelope(*(number for pair in zip(q95, high, strict=True) for number in pair))
 
 
-def summarise(
+def data_set_of(
     runs: Sequence[Run],
     system: SystemInfo,
     *,
@@ -214,8 +214,8 @@ def summarise(
     slopes: Sequence[Slope],
     rank: InputRank,
     findings: Sequence[Finding],
-) -> DataSummary:
-    """Figures of checked runs together with what the checks found."""
+) -> DataSet:
+    """A data set of checked runs, with their figures and what the checks found."""
     states = enumerate(zip(system.state_names, system.state_units, strict=True))
     inputs = enumerate(zip(system.input_names, system.input_units, strict=True))
     others = dict.fromkeys(name for run in runs for name in run.extra)
@@ -224,7 +224,7 @@ def summarise(
         *(_channel(*names, [_inside(run, run.u[:, k]) for run in runs]) for k, names in inputs),
         *(_channel(n, "", [_inside(run, run.extra[n]) for run in runs if n in run.extra]) for n in others),
     ]
-    return DataSummary(
+    summary = DataSummary(
         kind=kind,
         system=system.name,
         dt=dt,
@@ -235,4 +235,15 @@ def summarise(
         input_rank=rank,
         slopes=tuple(slopes),
         findings=tuple(findings),
+    )
+    return DataSet(
+        system_name=system.name,
+        runs=runs,
+        dt=dt,
+        clock_scale=clock_scale,
+        summary=summary,
+        fingerprint=fingerprint(runs, system_name=system.name, dt=dt, clock_scale=clock_scale),
+        state_names=tuple(system.state_names),
+        input_names=(*system.input_names, *system.exogenous),
+        kind=kind,
     )

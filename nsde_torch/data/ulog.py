@@ -18,9 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nsde_torch.arrays import Array
+from nsde_torch.arrays import Array, Mask
 from nsde_torch.data.places import files_of, log_place
 from nsde_torch.data.quaternion import attitude_to_enu, euler_zyx, rotate, swap_body, swap_world
 from nsde_torch.data.raw import Finding, RawRun, holes
@@ -37,8 +36,6 @@ from nsde_torch.errors import ConfigError, DataError
 # Resets: where a counter of the estimate grew (`reset_counter` of `vehicle_odometry`, `quat_reset_counter`,
 # ...) heading, position or velocity made a step. Field meanings: PX4 message definitions, 1.13 to 1.16.
 
-Mask = NDArray[np.bool_]
-
 _FLAGS = ("landed", "maybe_landed", "ground_contact")
 _CLEAR = 0.1  # height above where it stood, up to which a row next to time on the ground is on the ground [m]
 _NEXT_TO = 4.0  # how long before and after time on the ground such rows are looked for [s]
@@ -46,15 +43,7 @@ _SAME_PLACE = 1.0
 """Difference of height up to which it landed where it took off, so that an estimate that sinks is seen [m]."""
 _EDGE = 0.3  # time at the edge of time on the ground over which the height is taken [s]
 _CUT = 0.05  # time after a reset that is left out, so that the run is cut there [s]
-_COUNTERS = (
-    "",
-    "quat_",
-    "xy_",
-    "z_",
-    "vxy_",
-    "vz_",
-    "heading_",
-)  # of resets, by what is before `reset_counter`
+_COUNTERS = ("", "quat_", "xy_", "z_", "vxy_", "vz_", "heading_")  # of resets, before `reset_counter`
 
 
 def _on_ground(landed: Stream, t: Array, height: Array) -> Mask:

@@ -378,21 +378,11 @@ class RotorSpeed(Fault):
         run.u = u
 
 
-FAULTS: dict[str, Fault] = {
-    fault.name: fault
-    for fault in (
-        InputSmoothing(),
-        LateStates(),
-        ClockScale(),
-        SensorBias(),
-        DerivedRate(),
-        SensorDelay(),
-        SensorLag(),
-        TurnedFrame(),
-        RotorSpeed(),
-        Dropout(),
-    )
-}
+_ALL: tuple[Fault, ...] = (
+    InputSmoothing(), LateStates(), ClockScale(), SensorBias(), DerivedRate(), SensorDelay(), SensorLag(),
+    TurnedFrame(), RotorSpeed(), Dropout(),
+)  # fmt: skip
+FAULTS: dict[str, Fault] = {fault.name: fault for fault in _ALL}
 """Faults by name, as options list them."""
 
 

@@ -22,8 +22,8 @@ from nsde_torch.data import inputs, interventions, kinematics
 from nsde_torch.data.mapping.checks import together
 from nsde_torch.data.raw import Finding, RawRun, Report
 from nsde_torch.data.readers import READERS, Kind, name_of, reader
-from nsde_torch.data.run import DataSet, Run, fingerprint
-from nsde_torch.data.summary import summarise
+from nsde_torch.data.run import DataSet, Run
+from nsde_torch.data.summary import data_set_of
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import clock_and_biases, columns, noise, standstill, times, unmeasured_rates
@@ -55,11 +55,8 @@ def read(kind: Kind, system: SystemInfo, *, path: str, dt: float | None = None, 
         DataError: data that cannot be used; the message says where and what to do.
     """
     make, name = reader(kind), name_of(kind)
-    how = {
-        own: options.pop(own)
-        for own in ("gap", "clock", "derived_rates", "own_rate", "most_rows")
-        if own in options
-    }
+    own = ("gap", "clock", "derived_rates", "own_rate", "most_rows")
+    how = {option: options.pop(option) for option in own if option in options}
     asked = {fault: options.pop(fault) for fault in remedies() if fault in options}
     if dt is not None and name in READERS and READERS[name].takes_step:
         options["dt"] = dt
@@ -267,18 +264,7 @@ def assemble(
     nu = len(system.input_names)
     rank = inputs.check_inputs([run.u[:, :nu] for run in runs], system.input_names, report)
     own = {"dt": step, "clock_scale": scale}
-    summary = summarise(runs, system, kind=kind, slopes=slopes, rank=rank, findings=findings, **own)
-    data = DataSet(
-        system_name=system.name,
-        runs=runs,
-        dt=step,
-        clock_scale=scale,
-        summary=summary,
-        fingerprint=fingerprint(runs, system_name=system.name, **own),
-        state_names=tuple(system.state_names),
-        input_names=(*system.input_names, *system.exogenous),
-        kind=kind,
-    )
+    data = data_set_of(runs, system, kind=kind, slopes=slopes, rank=rank, findings=findings, **own)
     width = len(data.state_names) + len(data.input_names)
     most = (times.LONG // width if most_rows is None else most_rows) * (wanted / step if later else 1.0)
     data = times.no_longer(data, whole, most)

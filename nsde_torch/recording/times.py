@@ -14,9 +14,9 @@ import numpy as np
 from nsde_torch.arrays import Array, Labels
 from nsde_torch.data.quaternion import slerp
 from nsde_torch.data.raw import Finding, RawRun, Report, holes
-from nsde_torch.data.run import DataSet, Run, fingerprint
+from nsde_torch.data.run import DataSet, Run
 from nsde_torch.data.streams import disorder, unrounded
-from nsde_torch.data.summary import summarise
+from nsde_torch.data.summary import data_set_of
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.errors import DataError
 from nsde_torch.recording.latency import Latency, by_fault, latency_findings, on_time
@@ -287,9 +287,7 @@ def _holding(
     """The data set with other runs and findings, on a step."""
     rank, slopes = data.summary.input_rank, data.summary.slopes
     own = {"dt": dt, "clock_scale": data.clock_scale}
-    summary = summarise(runs, system, kind=data.kind, slopes=slopes, rank=rank, findings=findings, **own)
-    mark = fingerprint(runs, system_name=data.system_name, **own)
-    return replace(data, runs=runs, dt=dt, summary=summary, fingerprint=mark)
+    return data_set_of(runs, system, kind=data.kind, slopes=slopes, rank=rank, findings=findings, **own)
 
 
 def no_finer(data: DataSet, system: SystemInfo) -> DataSet:

@@ -29,21 +29,8 @@ _TYPES = {
 _TIMES = {"c": 1e-2, "C": 1e-2, "e": 1e-2, "E": 1e-2, "L": 1e-7}
 _ANGLES = {"degheading": "deg", "m/s/s": "m/s2", "µs": "us"}
 _SYSTEM = {
-    "FMT",
-    "FMTU",
-    "UNIT",
-    "MULT",
-    "PARM",
-    "MSG",
-    "MODE",
-    "EV",
-    "ERR",
-    "CMD",
-    "FILE",
-    "DU32",
-    "ISBD",
-    "ISBH",
-}
+    "FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "MODE", "EV", "ERR", "CMD", "FILE", "DU32", "ISBD", "ISBH",
+}  # fmt: skip
 _HEADER = 3  # bytes before the fields of a message
 _MOTORS = [*range(33, 41), *range(82, 86)]  # values of SERVOn_FUNCTION of motors 1 to 12
 

@@ -6,9 +6,9 @@ order of columns, axes. Nothing here knows the machine beyond that its thrust ho
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, permutations
+from itertools import combinations, permutations, product
 from math import pi
 
 import numpy as np
@@ -64,22 +64,25 @@ def read_attitude(q: Array, way: AttitudeWay) -> Array:
     return conjugate(q) if way.turns == "world to body" else q
 
 
-def attitude_ways(order: str | None, unit: str | None) -> Iterator[AttitudeWay]:
+TURNS = ("body to world", "world to body")
+
+
+def attitude_ways(order: str | None, unit: str | None) -> list[AttitudeWay]:
     """Ways that names leave open, the usual first."""
-    for one in (order,) if order else ("wxyz", "xyzw"):
-        for turns in ("body to world", "world to body"):
-            for rate in (unit,) if unit else ("rad/s", "deg/s"):
-                for signs in ((1.0, 1.0, 1.0), (1.0, -1.0, -1.0)):
-                    yield AttitudeWay(one, turns, rate, signs)
+    orders = (order,) if order else ("wxyz", "xyzw")
+    units = (unit,) if unit else ("rad/s", "deg/s")
+    signs = ((1.0, 1.0, 1.0), (1.0, -1.0, -1.0))
+    return [AttitudeWay(*way) for way in product(orders, TURNS, units, signs)]
 
 
-def velocity_ways() -> Iterator[VelocityWay]:
-    """Ways to read a velocity, the usual first."""
-    yield VelocityWay("world")
-    yield VelocityWay("body")
-    yield VelocityWay("body", signs=(1.0, -1.0, -1.0))
-    yield VelocityWay("world", signs=(1.0, 1.0, -1.0))
-    yield VelocityWay("world", (1, 0, 2), (1.0, 1.0, -1.0))
+VELOCITY_WAYS = (
+    VelocityWay("world"),
+    VelocityWay("body"),
+    VelocityWay("body", signs=(1.0, -1.0, -1.0)),
+    VelocityWay("world", signs=(1.0, 1.0, -1.0)),
+    VelocityWay("world", (1, 0, 2), (1.0, 1.0, -1.0)),
+)
+"""Ways to read a velocity, the usual first."""
 
 
 def attitude_left(t: Array, q: Array, w: Array, way: AttitudeWay) -> float:
@@ -253,7 +256,7 @@ def pair_left(t: Array, p: Array, v: Array) -> float:
     return motion_left(t, np.diff(p)[:, None], 0.5 * (v[1:] + v[:-1])[:, None])
 
 
-def times_misread(system: SystemInfo, run: RawRun, mapping: LogMapping | None) -> Misread | None:
+def _times(system: SystemInfo, run: RawRun, mapping: LogMapping | None) -> LogCheck | None:
     """Another unit of the times, in which all positions follow their rates; None where there is none.
 
     Only steps that no log of a moving machine has are looked at: a rate in mm/s does the same to one pair of columns.
@@ -266,10 +269,10 @@ def times_misread(system: SystemInfo, run: RawRun, mapping: LogMapping | None) -
     now = (clock.unit if clock else None) or "s"
     row_s = _row_s(system, run) if step == SECONDS[now] else None
     if row_s is not None and _all_sound(system, run, row_s / step):
-        words = f"the times count rows; with rows {row_s:.3g} s apart they agree with all rates"
+        text = f"the times count rows; with rows {row_s:.3g} s apart they agree with all rates."
         entry = f"`time: {{rate: {1.0 / row_s:.4g}}}`"
         remedy = f"write times in seconds, or read the files as tables, with {entry} in a mapping"
-        return Misread(words, remedy, 0.0)
+        return LogCheck("time", False, text, remedy)
     for unit, seconds in SECONDS.items():
         size = seconds / SECONDS[now]
         if unit != now and _FASTEST_S <= size * step < _SLOW_S and _all_sound(system, run, size):
@@ -281,8 +284,8 @@ def times_misread(system: SystemInfo, run: RawRun, mapping: LogMapping | None) -
                 else f"write `t` in seconds, or read the files as tables, with {entry} in a mapping "
                 "(`nsde inspect LOG kind=table` writes one)"
             )
-            words = f"rows are {step:.4g} s apart as the times are read; in {unit} they agree with all rates"
-            return Misread(words, remedy, 0.0)
+            text = f"rows are {step:.4g} s apart as the times are read; in {unit} they agree with all rates."
+            return LogCheck("time", False, text, remedy)
     return None
 
 
@@ -378,7 +381,7 @@ LEAN = "lean and acceleration"
 """Name of the check of gravity, where the others are of kinematics alone."""
 SUSPECT = "columns"
 """Kind of the finding of a check that speaks against the columns and does not refuse them."""
-ATTITUDE, VELOCITY = VECTORS = ("attitude and rates", "position and velocity")
+ATTITUDE, VELOCITY = "attitude and rates", "position and velocity"
 """Names of the checks of the vectors of a vehicle."""
 _MOST = 60_000  # rows
 _SPIKE = 20.0  # such a multiple of the largest usual changes between rows is no movement
@@ -441,18 +444,17 @@ def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -
     Rows are in the order of time; of those with one time the first is looked at. With the mapping that made the run its
     columns can be read otherwise; without one they follow the package's own conventions.
     """
-    out: list[LogCheck] = []
     if len(run.t) > _MOST:  # the middle says enough, in a tenth of the time
         first = (len(run.t) - _MOST) // 2
         rows = slice(first, first + _MOST)
         run = RawRun(run.name, run.t[rows], run.x[rows], run.u[rows])
     own = np.diff(run.t, prepend=-np.inf) > 0
     run = RawRun(run.name, run.t[own], _without_spikes(_unwrapped(system, run.x[own])), run.u[own])
-    other = times_misread(system, run, mapping)
-    if other is not None:
-        return [LogCheck("time", False, f"{other.words}.", other.remedy)]
+    times = _times(system, run, mapping)
+    if times is not None:
+        return [times]
     swapped = exchanged(system, run)
-    out += [_exchanged(system, run, ways, mapping) for ways in swapped]
+    out = [_exchanged(system, run, ways, mapping) for ways in swapped]
     moved = {name for ways in swapped for pair in ways for name in pair}
     q, rates = system.quaternion, rate_columns(system)
     attitude = None if q is None else run.x[:, q]
@@ -467,9 +469,8 @@ def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -
                 continue
             names = [system.state_names[k] for k in j]
             out.append(_velocity(run.t, attitude, run.x[:, i], run.x[:, j], names))
-            if all(
-                check.passed is not False for check in out
-            ):  # else the tilt shows the same fault once more
+            # else the tilt shows the same fault once more
+            if all(check.passed is not False for check in out):
                 out.append(_lean(run.t, attitude, run.x[:, i]))
         else:
             for a, b in zip(i, j, strict=True):
@@ -535,14 +536,13 @@ def _attitude(t: Array, q: Array, w: Array, logged: _Logged) -> LogCheck:
     if own <= SOUND_ATTITUDE:
         return LogCheck(ATTITUDE, True, f"{told}.")
     best, words = own, ""
-    for order in (logged.order,) if logged.angles else ("wxyz", "xyzw"):
-        for turns in ("body to world", "world to body"):
-            other = logged.read(q, order, turns)
-            for factor, unit in ((1.0, ""), (np.pi / 180.0, "deg/s"), (180.0 / np.pi, "rad/s")):
-                for sign in (1.0, -1.0):
-                    left = attitude_left(t, other, factor * w, AttitudeWay(signs=(1.0, sign, sign)))
-                    if left < best:
-                        best, words = left, _attitude_words(logged, order, turns, unit, sign)
+    sizes = ((1.0, ""), (np.pi / 180.0, "deg/s"), (180.0 / np.pi, "rad/s"))
+    for order, turns in product((logged.order,) if logged.angles else ("wxyz", "xyzw"), TURNS):
+        other = logged.read(q, order, turns)
+        for (factor, unit), sign in product(sizes, (1.0, -1.0)):
+            left = attitude_left(t, other, factor * w, AttitudeWay(signs=(1.0, sign, sign)))
+            if left < best:
+                best, words = left, _attitude_words(logged, order, turns, unit, sign)
     if BETTER * best < own:
         text = f"the rates leave {own:.0%} of the attitude's turning, and {best:.1%} if {words}."
         return LogCheck(ATTITUDE, False, text, f"{_ATTITUDE_AS}, or say in a mapping that {words}")
@@ -568,7 +568,7 @@ def _attitude_words(logged: _Logged, order: str, turns: str, unit: str, sign: fl
 
 def _velocity(t: Array, q: Array, p: Array, v: Array, names: Sequence[str]) -> LogCheck:
     orders = (VelocityWay("world", (i, j, k)) for i, j, k in permutations(range(3)) if i > 0 or j > 1)
-    ways = [*velocity_ways(), *orders]
+    ways = [*VELOCITY_WAYS, *orders]
     left = [velocity_left(t, q, p, v, way) for way in ways]
     sizes = [velocity_left(t, q, p, factor * v, ways[0]) for factor in _SIZES]
     if not np.isfinite(left[0]):

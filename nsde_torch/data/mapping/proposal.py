@@ -22,6 +22,7 @@ from nsde_torch.data.mapping.checks import (
     NOISY_VELOCITY,
     SOUND_ATTITUDE,
     SOUND_VELOCITY,
+    VELOCITY_WAYS,
     AttitudeWay,
     attitude_left,
     attitude_ways,
@@ -29,7 +30,6 @@ from nsde_torch.data.mapping.checks import (
     lean,
     read_attitude,
     velocity_left,
-    velocity_ways,
 )
 from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping, mapping_of, targets
 from nsde_torch.data.mapping.names import Named, bare, is_measured
@@ -125,7 +125,7 @@ def _by_what_holds(stream: Stream, motors: int) -> dict[str, str]:
         return {}
     q = table[:, places]
     take(places, "q_0", "q_1", "q_2", "q_3")
-    ways = list(attitude_ways(None, None))
+    ways = attitude_ways(None, None)
     turning = [
         (left[k], p, ways[k])
         for p in free(3)
@@ -413,7 +413,7 @@ class _Vehicle:
                 w = self._on(stream, rate)
                 # Euler angles turn the body into the world; a frame that the log fixes leaves no other signs open
                 order = entry.order or ("wxyz" if len(one.columns) == 3 else None)
-                ways = list(attitude_ways(order, rate_entry.unit))
+                ways = attitude_ways(order, rate_entry.unit)
                 left = [attitude_left(stream.t, q, w, way) for way in ways]
                 if (k := best(left)) is not None:
                     tried.append((left[k], one, entry, rate_entry, ways[k]))
@@ -453,7 +453,7 @@ class _Vehicle:
             p, q = stream.columns(*one.columns), self._known(attitude, stream.t)
             for velocity, velocity_entry in velocities:
                 v = self._on(stream, velocity)
-                ways = [w for w in velocity_ways() if velocity_entry.axes in (None, w.axes)]
+                ways = [w for w in VELOCITY_WAYS if velocity_entry.axes in (None, w.axes)]
                 left = [velocity_left(stream.t, q, p, v, way) for way in ways]
                 if (k := best(left)) is not None:
                     tried.append((left[k], one, entry, velocity_entry, ways[k]))

@@ -154,6 +154,7 @@ def test_a_stopped_experiment_does_not_count_and_is_flown_again_alone(
         (lambda flight, vehicle: setattr(vehicle, "mute", True), 4, "NOT seen to land"),
     ],
 )
+@pytest.mark.slow
 def test_a_vehicle_that_was_taken_or_lost_is_not_flown_on(
     harm: Any, status: int, said: str, flights: Flights, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -39,6 +39,7 @@ def test_a_diagnosis_that_was_stopped_is_no_question(folder: Path, tmp_path: Pat
     assert "is not finished" in refused("design", f"run={stopped}", f"out_dir={tmp_path / 'plan'}")
 
 
+@pytest.mark.slow
 def test_a_tie_is_planned_flown_and_broken(folder: Path, shown: Said) -> None:
     asked = ["design", f"run={folder / 'diagnosis'}"]
     told = shown(*asked, MEMBERS, *FEW, f"out_dir={folder / 'plan'}")

@@ -24,7 +24,7 @@ ODD = (
     *("ünï", "logs (1)", "[1]", "a=b", "a,b", "it's", 'say "hi"', "~x", "-x", "{x: 1}", "$HOME", "a\\b"),
     *("#1; ls", "007", "true", "1e3", " a ", "x" * 250),
 )
-ODDEST = ("[1]", "a,b", "-x")
+ODDEST = ("a,b", "-x")
 """Read wrongly by one of the commands below before paths were quoted; the others go through the same function."""
 COMMANDS = hydra_commands()
 

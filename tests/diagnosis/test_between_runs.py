@@ -116,6 +116,7 @@ def test_on_a_linear_spring_a_zero_is_a_force_of_each_run() -> None:
     assert values["run_2"] - others == pytest.approx(0.1 * stiffness, rel=0.15)
 
 
+@pytest.mark.slow
 def test_runs_of_one_machine_are_not_said_to_differ() -> None:
     content = diagnosed(springs(6, *[{}] * 4))
     assert (content["verdict"], content["added"]) == ("no_effect", [])

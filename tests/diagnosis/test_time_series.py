@@ -41,6 +41,7 @@ def values(encoded: list[Any]) -> np.ndarray[Any, Any]:
     return np.where(whole == -32768, np.nan, low + (whole + 32767) * size)
 
 
+@pytest.mark.slow
 def test_states_inputs_and_residuals_of_every_run_are_there(found: Diagnosis) -> None:
     content = json.loads(time_series(found))
     assert [run["name"] for run in content["runs"]] == list(found.runs)

@@ -88,6 +88,7 @@ def test_a_command_that_takes_too_long_is_stopped(tmp_path: Path) -> None:
     assert "took longer than 0.025 min" in end.sentence
 
 
+@pytest.mark.slow
 def test_a_command_has_no_more_memory_than_it_may(tmp_path: Path) -> None:
     end = _process(tmp_path, ["inspect", str(tmp_path)], memory=1 << 28).run()
     assert end.status != 0
@@ -95,6 +96,7 @@ def test_a_command_has_no_more_memory_than_it_may(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the signal at a parent's end is Linux's")
+@pytest.mark.slow
 def test_a_command_ends_with_the_page_however_that_ends(tmp_path: Path) -> None:
     code = (
         "import sys\nfrom pathlib import Path\n"

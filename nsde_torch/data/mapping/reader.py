@@ -148,6 +148,8 @@ def scaled_by_all(mapping: LogMapping, files: Sequence[LogFile]) -> LogMapping:
             values += [stream.fields[column] for stream, column in found]
     whole = replace(entry, low=None, high=None, full=None)
     read = in_unit(whole, np.concatenate(values), None if entry.unit == "us" else entry.unit)
+    if entry.unit == read.unit == "us":  # with the ends that the log says
+        return mapping
     return mapping.changed("u", unit=read.unit, low=read.low, high=read.high, full=read.full)
 
 

@@ -26,6 +26,7 @@ Measurements: docs/content/theory/feedback.md.
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
+from math import floor, log10
 from typing import Any
 
 import numpy as np
@@ -184,7 +185,7 @@ class FeedbackTest:
     def most_known(self) -> str:
         """What inputs surely predict most of, in words; empty if nothing."""
         said = [
-            f"{a.input} predicts {a.share:.0%} of the innovation of {a.channel}"
+            f"{a.input} predicts {_percent(a.share)} of the innovation of {a.channel}"
             for a in _surely(self.knowledge)
         ]
         return said[0] if said else ""
@@ -211,7 +212,7 @@ class FeedbackTest:
         if answers:
             told = "; ".join(
                 f"{a.input} answers what the physics leaves unexplained of {a.channel} within "
-                f"{1e3 * a.within_s:.0f} ms ({a.share:.{0 if a.share >= 0.01 else 1}%} of its innovation)"
+                f"{1e3 * a.within_s:.0f} ms ({_percent(a.share)} of its innovation)"
                 for a in answers[:_SHOWN]
             )
             rest = f"; {len(answers) - _SHOWN} further pairs" if len(answers) > _SHOWN else ""
@@ -233,7 +234,7 @@ class FeedbackTest:
         predictive = _surely(self.knowledge)
         if predictive:
             told = "; ".join(
-                f"{a.input} predicts {a.share:.1%} of the innovation of {a.channel}"
+                f"{a.input} predicts {_percent(a.share)} of the innovation of {a.channel}"
                 for a in predictive[:_SHOWN]
             )
             lost = [c for c in self.smoothed if c in {a.channel for a in predictive}]
@@ -271,6 +272,11 @@ class FeedbackTest:
             "not_tested": self.why_not,
             "findings": self.findings,
         }
+
+
+def _percent(share: float) -> str:
+    """Two digits: of an hour of log a ten-thousandth of an innovation is sure, and was said to be 0 %."""
+    return f"{share:.{max(0, -1 - floor(log10(max(share, 1e-9))))}%}" if share < 0.1 else f"{share:.0%}"
 
 
 def _surely(answers: Sequence[Answer]) -> list[Answer]:

@@ -236,3 +236,11 @@ def test_a_lag_is_suspected_beside_what_was_found_without_it() -> None:
     assert with_suspects(replace(found, selected={}), search, system).suspected == ()
     found = replace(found, selected={"coulomb_friction": cast(Any, None)})
     assert set(with_suspects(found, search, system).suspected) & {"input_delay", "actuator_lag"}
+
+
+@pytest.mark.parametrize(
+    ("share", "said"), [(0.91, "91%"), (0.034, "3.4%"), (0.0003, "0.030%"), (1e-5, "0.0010%")]
+)
+def test_a_small_share_that_is_sure_is_not_said_to_be_nothing(share: float, said: str) -> None:
+    test = FeedbackTest(knowledge=(Answer("force", "q_dot", share, 1e-9),))
+    assert test.most_known == f"force predicts {said} of the innovation of q_dot"

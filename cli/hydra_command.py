@@ -215,12 +215,16 @@ class HydraCommand:
 
 @contextlib.contextmanager
 def _composed_once(words: Sequence[str]) -> Iterator[None]:
-    """Without Hydra's first composition, which only reads `hydra.mode`: a third of a second of every start."""
+    """Without Hydra's first composition, which only reads `hydra.mode`: a third of a second of every start.
+
+    Words may set it, and files of the user's own.
+    """
     from hydra._internal import hydra
 
     owner: Any = hydra.Hydra
     composes = owner.get_mode
-    if not any(word.lstrip("+").startswith("hydra.mode") for word in words):
+    typed = any(word.lstrip("+").startswith("hydra.mode") for word in words)
+    if not typed and groups.config_dir(words) is None:
         owner.get_mode = lambda *_, **__: None
     try:
         yield

@@ -230,11 +230,11 @@ def test_a_value_with_slashes_and_brackets_makes_a_plain_folder(probe: Probe, tm
 
 
 @pytest.mark.slow
-def test_optuna_minimises_the_score_and_outlives_failed_trials(probe: Probe, tmp_path: Path) -> None:
+def test_optuna_minimises_the_score_and_outlives_failed_trials(own_process: Probe, tmp_path: Path) -> None:
     _needs("hydra_optuna_sweeper")
     sampled = [f"hydra.sweeper.{word}" for word in ("n_trials=6", "n_jobs=1", "sampler.seed=1")]
     space = ["trainer.lr=interval(0.001,0.1)", "seed=choice(0,13)"]
-    done = probe("-m", "hydra/sweeper=optuna", "sweep_dir=sweep", *sampled, *space)
+    done = own_process("-m", "hydra/sweeper=optuna", "sweep_dir=sweep", *sampled, *space)
     results = (tmp_path / "sweep" / "optimization_results.yaml").read_text()
     assert "seed: 0" in results, done.stderr
     jobs = _jobs(tmp_path / "sweep")
@@ -243,9 +243,9 @@ def test_optuna_minimises_the_score_and_outlives_failed_trials(probe: Probe, tmp
 
 
 @pytest.mark.slow
-def test_optuna_with_nothing_but_failures_says_so(probe: Probe) -> None:
+def test_optuna_with_nothing_but_failures_says_so(own_process: Probe) -> None:
     _needs("hydra_optuna_sweeper")
     words = ["hydra/sweeper=optuna", "sweep_dir=s", "hydra.sweeper.n_trials=2", "seed=choice(13,14)"]
-    done = probe("-m", *words)
+    done = own_process("-m", *words)
     assert done.returncode != 0
     assert "nsde sweep-report s" in done.stderr

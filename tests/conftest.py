@@ -2,7 +2,7 @@
 
 import gc
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -41,24 +41,19 @@ def _imports_are_no_garbage(_one_torch_thread: None) -> None:
     gc.freeze()
 
 
-@pytest.fixture(scope="session")
-def _savefig() -> Callable[..., None]:
-    from matplotlib.figure import Figure
-
-    return Figure.savefig
-
-
 @pytest.fixture(scope="module", autouse=True)
-def _blank_pictures(request: pytest.FixtureRequest, _savefig: Callable[..., None]) -> Iterator[None]:
+def _blank_pictures(request: pytest.FixtureRequest) -> Iterator[None]:
     """Pictures are files of one white dot: drawing them is two thirds of the time of a small training or diagnosis.
 
     Modules marked `drawn` draw theirs: those whose claim is a picture, and one run of each command from end to end.
     """
     from matplotlib.figure import Figure
 
+    draw = Figure.savefig
+
     def blank(figure: Figure, to: Any, **how: Any) -> None:
         film = how.get("format") == "rgba"  # whose frames have one size
-        _savefig(figure if film else Figure(figsize=(0.1, 0.1)), to, **(how if film else {**how, "dpi": 10}))
+        draw(figure if film else Figure(figsize=(0.1, 0.1)), to, **(how if film else {**how, "dpi": 10}))
 
     with pytest.MonkeyPatch.context() as patch:
         if not any(mark.name == "drawn" for mark in request.node.iter_markers()):

@@ -172,7 +172,7 @@ def _mapped(
     guessed = machine or system_options((given and given.system) or guess_system(log)).make()
     found = Proposal(given) if given else propose(log, guessed, kind=files[0].kind)
     if given is None:
-        found.mapping = scaled_by_all(_with_blanks(found.mapping, guessed, files[0].kind, log), files)
+        found.mapping = scaled_by_all(_with_blanks(found.mapping, guessed, files[0].kind, log), log, files)
     out = Inspection(
         str(path), files[0].kind, [file.name for file in files], rows_of(log), guessed.name, found.mapping,
         missing=found.missing, open=found.open, notes=[*log.notes, *found.notes],

@@ -139,16 +139,14 @@ class DataSummary:
         lines += [f"  {row}" for row in aligned(table)]
         e = self.envelope
         if e is not None:
-            table = [("envelope", "95 %", "max")]
-            table += [("speed [m/s]", f"{e.speed_q95:.2f}", f"{e.speed_max:.2f}")]
-            for angle, key in (
-                ("roll", "roll"),
-                ("pitch", "pitch"),
-                ("yaw", "yaw"),
-                ("yaw - mean", "heading"),
-            ):
-                ends = (f"{getattr(e, f'{key}_{end}'):.1f}" for end in ("q95", "max"))
-                table.append((f"|{angle}| [deg]", *ends))
+            table = [
+                ("envelope", "95 %", "max"),
+                ("speed [m/s]", f"{e.speed_q95:.2f}", f"{e.speed_max:.2f}"),
+                ("|roll| [deg]", f"{e.roll_q95:.1f}", f"{e.roll_max:.1f}"),
+                ("|pitch| [deg]", f"{e.pitch_q95:.1f}", f"{e.pitch_max:.1f}"),
+                ("|yaw| [deg]", f"{e.yaw_q95:.1f}", f"{e.yaw_max:.1f}"),
+                ("|yaw - mean| [deg]", f"{e.heading_q95:.1f}", f"{e.heading_max:.1f}"),
+            ]
             lines += [f"  {row}" for row in aligned(table)]
         if self.input_rank.channels:
             lines.append(f"inputs span {self.input_rank.rank} of {self.input_rank.channels} dimensions")

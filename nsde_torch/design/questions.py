@@ -216,7 +216,10 @@ class Standing:
             "found": list(self.found),
             "tied": [list(t) for t in self.tied],
             "tied_whatever_the_input": [list(t) for t in self.beyond],
-            **{key: list(getattr(self, key)) for key in ("leads", "wide", "confounded", "suspected")},
+            "leads": list(self.leads),
+            "wide": list(self.wide),
+            "confounded": list(self.confounded),
+            "suspected": list(self.suspected),
             "words": self.words,
         }
 

@@ -15,12 +15,13 @@ from typing import Any
 
 import numpy as np
 
+from nsde_torch.arrays import Array
 from nsde_torch.data.csv_folder import fits
 from nsde_torch.data.formats.betaflight import logs_of
 from nsde_torch.data.formats.table import TEXT, are_runs
 from nsde_torch.data.mapping.apply import apply
 from nsde_torch.data.mapping.checks import checks
-from nsde_torch.data.mapping.mapping import LogMapping, read_mapping
+from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping, read_mapping
 from nsde_torch.data.mapping.proposal import in_unit, propose
 from nsde_torch.data.places import entries, files_of, log_place
 from nsde_torch.data.raw import Finding, RawRun
@@ -132,25 +133,27 @@ def read_log(system: SystemInfo, *, path: str | Path, mapping: str | None = None
     return runs
 
 
-def scaled_by_all(mapping: LogMapping, files: Sequence[LogFile]) -> LogMapping:
-    """The mapping with ends of the motors' range that hold in all logs: what lies beyond them is refused.
+def scaled_by_all(mapping: LogMapping, log: StreamLog, files: Sequence[LogFile]) -> LogMapping:
+    """A mapping proposed from the first log, with ends of the motors' range that hold in all, if the log says none.
 
-    Speeds of rotors of one flight can pass for pulses in microseconds (Neural-Fly without wind: 944 to 1675 rpm).
+    What lies beyond the ends is refused. Speeds of rotors of one flight can pass for pulses in microseconds
+    (Neural-Fly in the strongest wind, 1027 to 1675; in less wind 592 to 1357).
     """
     entry = mapping.columns.get("u")
-    if entry is None or (entry.full is None and entry.unit != "us"):
+    if entry is None or "u" in log.columns or (entry.full is None and entry.unit != "us"):
         return mapping
-    values = []
-    for file in files:
+    values = _inputs(log, entry)
+    for file in files[1:]:
         with suppress(DataError):  # said where it is read
-            log = file.open(mapping.time)
-            found = [log.find(source) for source in entry.source if log.has(source)]
-            values += [stream.fields[column] for stream, column in found]
+            values += _inputs(file.open(mapping.time), entry)
     whole = replace(entry, low=None, high=None, full=None)
     read = in_unit(whole, np.concatenate(values), None if entry.unit == "us" else entry.unit)
-    if entry.unit == read.unit == "us":  # with the ends that the log says
-        return mapping
     return mapping.changed("u", unit=read.unit, low=read.low, high=read.high, full=read.full)
+
+
+def _inputs(log: StreamLog, entry: ColumnEntry) -> list[Array]:
+    found = [log.find(source) for source in entry.source if log.has(source)]
+    return [stream.fields[column] for stream, column in found]
 
 
 def read_mapped(
@@ -175,7 +178,7 @@ def read_mapped(
     for file in files:
         log = file.open(given.time if given else None)
         if given is None:
-            given = scaled_by_all(_proposed(log, system, kind, path), files)
+            given = scaled_by_all(_proposed(log, system, kind, path), log, files)
         run = apply(log, given, system)
         del log
         for check in checks(system, run, given):

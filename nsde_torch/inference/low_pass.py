@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
+from scipy.fft import next_fast_len
 from torch import Tensor
 
 from nsde_torch.arrays import Array
@@ -75,8 +76,11 @@ def low_passed(values: Tensor, hz: float, dt: float, *, level: bool = False) -> 
         share = torch.linspace(0.0, 1.0, len(longer), dtype=values.dtype).view(-1, *(1,) * (values.dim() - 1))
         line = longer[:some].mean(0) + share * (longer[-some:].mean(0) - longer[:some].mean(0))
         longer = longer - line
-    f = torch.fft.rfftfreq(len(longer), dt, dtype=torch.float64)
+    size = next_fast_len(len(longer), real=True)  # a prime takes five times as long
+    f = torch.fft.rfftfreq(size, dt, dtype=torch.float64)
     keep = 0.5 * (1.0 + torch.cos(torch.pi * ((f - hz) / (_FADES * hz) + 1.0).clamp(0.0, 1.0)))
-    spectrum = torch.fft.rfft(longer, dim=0) * keep.to(values.dtype).view(-1, *(1,) * (values.dim() - 1))
-    out = torch.fft.irfft(spectrum, len(longer), dim=0) + line
+    spectrum = torch.fft.rfft(longer, size, dim=0) * keep.to(values.dtype).view(
+        -1, *(1,) * (values.dim() - 1)
+    )
+    out = torch.fft.irfft(spectrum, size, dim=0)[: len(longer)] + line
     return out[around : around + n]

@@ -26,7 +26,7 @@ Over single steps sensor noise hides everything; over a quarter of a second it m
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, final
 
@@ -94,6 +94,12 @@ class Physics:
         """The same with forces that no parameter has: of a state (N, nx), by port (N, width)."""
         out = copy.copy(self)
         out._forces, out._foreseen = forces, None
+        return out
+
+    def with_inputs(self, u: Tensor) -> "Physics":
+        """The same under other inputs and exogenous channels (N, nu + n)."""
+        out = copy.copy(self)
+        out.steps, out._foreseen, out._remembered = replace(self.steps, u=u), None, None
         return out
 
     def _drift(self, t: Tensor, z: Tensor, u: Tensor) -> Tensor:

@@ -4,7 +4,8 @@ What a smoother took away, a noise model takes for noise that is not there, and 
 alone ends in the white noise of the sensor, and not in the log's digits. A log was smoothed where it ends in no such
 noise, and where position and integrated rate do not agree in the band in which S falls, or else the declared physics
 predicts changes better behind S, each with the lag and the delay of actuators that suit it best. Physics is not asked
-where kinematics show it: in a closed loop inputs answer the noise of sensors (docs/content/theory/recording.md).
+where kinematics show it: in a closed loop inputs answer the noise of sensors (docs/content/theory/recording.md). Of
+sensors in which nothing was found by their noise, it is asked what they show of the inputs (`response_ends`).
 
 An estimator integrates body rates to an attitude. Its error is an integral too, which falls with the frequency as
 behind a filter of first order; restored, it would put an attitude that was on time 13 ms before its rates (seen in logs
@@ -49,6 +50,7 @@ from nsde_torch.recording.unmeasured_rates import measured_part
 from nsde_torch.rotation import turned
 from nsde_torch.sysid import signals
 from nsde_torch.sysid.regression import Regression
+from nsde_torch.sysid.response_ends import ends_of_response
 from nsde_torch.sysid.rough import rough_fit
 from nsde_torch.systems import System
 
@@ -127,6 +129,7 @@ class Smoothed:
 
     smoother: Smoother
     behind: tuple[SmoothedSensor, ...]
+    by_response: bool = False  # whether it was found by what the inputs do, and not by what is left of noise
 
     def finding(self) -> Finding:
         """What the data summary says."""
@@ -135,13 +138,21 @@ class Smoothed:
         if whole:
             what = f"restored up to {low:.3g} Hz; above, white noise as large as the sensor's stands in"
         else:
-            what = f"no known filter fits well: white noise is added, so that nothing is read from above {low:.3g} Hz"
+            what = f"white noise is added, so that nothing is read from above {low:.3g} Hz"
+            what = what if self.by_response else f"no known filter fits well: {what}"
+        through = f"{self.smoother} (|S| = 0.7 at {self.smoother.falls_to(0.7):.3g} Hz)"
+        if self.by_response:
+            found = (
+                f"do not show what the inputs do above {low:.3g} Hz: they went through a smoother, as {through}, or "
+                "the logged inputs hold noise of their own"
+            )
+        else:
+            found = f"went through {through}, by what it left of their noise"
         return Finding(
             "state_smoothing",
             "",
             len(names),
-            f"{', '.join(names)} went through {self.smoother} (|S| = 0.7 at {self.smoother.falls_to(0.7):.3g} Hz), by "
-            f"what it left of their noise; {what}. `data.state_smoothing=keep` leaves them as they are",
+            f"{', '.join(names)} {found}; {what}. `data.state_smoothing=keep` leaves them as they are",
             "restored" if whole else "noise added",
             {
                 "states": names,
@@ -183,7 +194,32 @@ def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> 
             reach = min(_reach(odd[k], one, smoother), likely.agree_to) if sound else 0.0
             behind.append(SmoothedSensor(k, max(reach, begins), sound, one, odd[k]))
         out.append(Smoothed(smoother, tuple(behind)))
-    return on_time(out, runs, system, clock)
+    out = on_time(out, runs, system, clock)
+    found = {sensor for one in out for sensor in (k.sensor for k in one.behind)}
+    return [*out, *_by_response(runs, system, {k: s for k, s in seen.items() if k not in found}, clock)]
+
+
+def _by_response(
+    runs: Sequence[Run], system: System, seen: Mapping[SensorGroup, Spectra], clock: float
+) -> list[Smoothed]:
+    """Sensors that do not show what the inputs do above some frequency, with partners that know of no more."""
+    out: list[Smoothed] = []
+    ends = ends_of_response(runs, system, [sensor.columns for sensor in seen], clock)
+    for sensor, smoother in zip(seen, ends, strict=True):
+        if smoother is None:
+            continue
+        partners = [
+            k
+            for k in seen
+            if k.group == sensor.group != "" and k.rates != sensor.rates
+            if not _apart(system, runs, k, smoother, runs[0].dt * clock) > APART
+        ]
+        behind = [
+            SmoothedSensor(k, smoother.falls_to(BEGINS), False, smoothers.fit(seen[k], smoother), seen[k])
+            for k in (*partners, sensor)
+        ]
+        out.append(Smoothed(smoother, tuple(behind), by_response=True))
+    return out
 
 
 def on_time(found: Sequence[Smoothed], runs: Sequence[Run], system: System, clock: float) -> list[Smoothed]:

@@ -19,7 +19,7 @@ from nsde_torch.control.controller import SafetyOptions
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.shapes import lemniscate
 from nsde_torch.control.solve import SolverOptions
-from nsde_torch.px4.flight.path import PathPoints
+from nsde_torch.px4.flight.cascade import PathPoints
 from nsde_torch.px4.flight.predictive import PredictiveMaker
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.simulated import fly_simulated

@@ -12,7 +12,7 @@ from typing import Any
 
 from benchmarks.px4.line import Line
 from nsde_torch.control import shapes
-from nsde_torch.px4.flight.path import PathPoints
+from nsde_torch.px4.flight.cascade import PathPoints
 from nsde_torch.px4.link import dialect as d
 
 

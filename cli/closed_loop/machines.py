@@ -17,10 +17,10 @@ from nsde_torch.control.controller import Controller
 from nsde_torch.control.loop import DECLARED, knowledge, write_log
 from nsde_torch.control.loop import fly as fly_plant
 from nsde_torch.control.reference import FlightPath, Reference
+from nsde_torch.px4.flight.cascade import PathPoints
 from nsde_torch.px4.flight.controller import FlightController
 from nsde_torch.px4.flight.flying import fly as fly_vehicle
 from nsde_torch.px4.flight.options import FlightOptions
-from nsde_torch.px4.flight.path import PathPoints
 from nsde_torch.px4.flight.predictive import PredictiveController, told
 from nsde_torch.px4.simulator.simulated import fly_simulated
 from nsde_torch.systems import Multirotor, System

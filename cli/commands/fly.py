@@ -91,8 +91,8 @@ def run(config: DictConfig, job: Job) -> float | None:
     Raises:
         NsdeError: nothing was flown, or it ended otherwise than asked for, and why.
     """
+    from nsde_torch.px4.flight.cascade import PathPoints
     from nsde_torch.px4.flight.flying import fly
-    from nsde_torch.px4.flight.path import PathPoints
 
     from .. import build, fly_build, track_build
 

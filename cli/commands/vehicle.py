@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.errors import ConfigError
-from nsde_torch.px4.simulator.clock import CLOCK
+from nsde_torch.px4.simulator import CLOCK
 from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 
 from ..hydra_command import HydraCommand, Job, say
@@ -124,7 +124,7 @@ def _fly(config: DictConfig, body: Body, parameters: dict[str, float], errors: S
     """Be a vehicle with a PX4 in it."""
     from nsde_torch.px4.link.transport import open_transport
     from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
-    from nsde_torch.px4.simulator.vehicle import Vehicle
+    from nsde_torch.px4.simulator.simulated import Vehicle
 
     from .. import fly_build
 

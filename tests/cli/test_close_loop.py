@@ -14,7 +14,7 @@ from nsde_torch.cli.main import main
 from nsde_torch.control.reference import FlightPath
 from nsde_torch.design import designing
 from nsde_torch.effects import files
-from nsde_torch.px4.flight.path import CascadeController, PathPoints
+from nsde_torch.px4.flight.cascade import CascadeController, PathPoints
 from tests.helpers.commands import Said
 
 pytestmark = pytest.mark.usefixtures("elsewhere")

@@ -16,8 +16,7 @@ from nsde_torch.cli.main import main
 from nsde_torch.effects import files
 from nsde_torch.errors import ConfigError
 from nsde_torch.px4.flight import flying
-from nsde_torch.px4.flight.phases import FlightOutcome, Phase
-from nsde_torch.px4.flight.safety import Action, Trouble
+from nsde_torch.px4.flight.safety import Action, FlightOutcome, Phase, Trouble
 from nsde_torch.px4.link import connection as links
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.transport import LinkError

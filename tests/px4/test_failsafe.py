@@ -6,10 +6,9 @@ import pytest
 
 from nsde_torch.control import shapes
 from nsde_torch.px4.flight import failsafe
+from nsde_torch.px4.flight.cascade import PathPoints
 from nsde_torch.px4.flight.options import FlightOptions
-from nsde_torch.px4.flight.path import PathPoints
-from nsde_torch.px4.flight.phases import Phase
-from nsde_torch.px4.flight.safety import Limits
+from nsde_torch.px4.flight.safety import Limits, Phase
 from tests.helpers.px4_world import World
 
 FAST = PathPoints(shapes.lemniscate(duration=20.0))
@@ -18,7 +17,7 @@ SHORT = PathPoints(shapes.hover(duration=2.0, height=1.0))
 
 def _killed(parameters: dict[str, float]) -> float:
     """Speed at which the ground is met after the link was cut in fast flight [m/s]."""
-    world = World(path=FAST, parameters={"COM_RC_IN_MODE": 0.0}).until(Phase.TRACK, 6.0)
+    world = World(path=FAST, parameters={"COM_RC_IN_MODE": 0.0}).until(Phase.TRACK, 4.0)
     world.vehicle.parameters.update(parameters)  # some are refused before the flight
     for _ in range(1500):
         before = world.body.v

@@ -9,10 +9,9 @@ import pytest
 from pyulog import ULog
 
 from nsde_torch.control import shapes
-from nsde_torch.px4.flight.flight_log import FlightLog
+from nsde_torch.px4.flight.cascade import PathPoints
+from nsde_torch.px4.flight.flight_log import FlightLog, UlogFile
 from nsde_torch.px4.flight.flying import Recorder
-from nsde_torch.px4.flight.path import PathPoints
-from nsde_torch.px4.flight.ulog_file import UlogFile
 from nsde_torch.recording import read
 from nsde_torch.systems import make_system
 from tests.helpers.px4_world import World

@@ -16,15 +16,15 @@ from contextlib import contextmanager
 import pytest
 
 from nsde_torch.control import shapes
+from nsde_torch.px4.flight.cascade import CascadeController, PathPoints
 from nsde_torch.px4.flight.flying import fly
 from nsde_torch.px4.flight.options import FlightOptions
-from nsde_torch.px4.flight.path import CascadeController, PathPoints
 from nsde_torch.px4.flight.runner import Inline
 from nsde_torch.px4.link.connection import Link
 from nsde_torch.px4.link.transport import LinkError, Serial, UdpIn, UdpOut, open_transport
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
-from nsde_torch.px4.simulator.vehicle import Vehicle
+from nsde_torch.px4.simulator.simulated import Vehicle
 
 
 def test_the_newest_state_comes_and_a_flood_of_rubbish_changes_nothing() -> None:

@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from nsde_torch.control import shapes
-from nsde_torch.px4.flight.path import PathPoints
-from nsde_torch.px4.flight.phases import Phase
+from nsde_torch.px4.flight.cascade import PathPoints
+from nsde_torch.px4.flight.safety import Phase
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link import frames
 from nsde_torch.px4.link.codec import Codec

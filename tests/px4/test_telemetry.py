@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from nsde_torch.control import shapes
+from nsde_torch.px4.flight.cascade import PathPoints
 from nsde_torch.px4.flight.flying import Recorder
-from nsde_torch.px4.flight.path import PathPoints
 from nsde_torch.px4.link.dialect import mavlink
 from nsde_torch.px4.link.telemetry import Telemetry
 from nsde_torch.px4.link.timesync import PERIOD, TimeSync
@@ -77,18 +77,14 @@ def test_a_state_that_cannot_be_is_not_taken(bad: dict[str, Any]) -> None:
     telemetry.take(_odometry(5.0), 100.0)
     telemetry.take(_odometry(5.01, **bad), 100.01)
     assert telemetry.state.stamp == 5.0
-    assert telemetry.rejected == 1
 
 
-@pytest.mark.parametrize(("stamps", "rejected"), [((5.0, 5.02, 5.01, 5.02), 2), ((5.0, 9000.0, 5.02), 1)])
-def test_late_and_repeated_states_and_those_of_the_future_are_not_taken(
-    stamps: tuple[float, ...], rejected: int
-) -> None:
+@pytest.mark.parametrize("stamps", [(5.0, 5.02, 5.01, 5.02), (5.0, 9000.0, 5.02)])
+def test_late_and_repeated_states_and_those_of_the_future_are_not_taken(stamps: tuple[float, ...]) -> None:
     telemetry = Telemetry()
     for k, stamp in enumerate(stamps):
         telemetry.take(_odometry(stamp, p=(stamp, 0.0, 0.0)), 100.0 + 0.01 * k)
-    assert telemetry.state.p[1] == pytest.approx(5.02)
-    assert telemetry.rejected == rejected
+    assert [state.stamp for state in telemetry.history] == [5.0, 5.02]
 
 
 def test_a_clock_that_starts_again_is_believed_after_it_said_so_five_times() -> None:
@@ -166,7 +162,7 @@ def test_a_clock_that_is_set_is_followed_at_once_and_makes_no_drift() -> None:
 @pytest.mark.parametrize("speed", [0.98, 1.01])
 def test_a_flight_on_a_clock_that_drifts_reads_the_true_age_and_goes_to_its_end(speed: float) -> None:
     world = World(
-        path=PathPoints(shapes.circle(duration=12.0)), speed=speed, down=delayed(0.002, 0.006, seed=1)
+        path=PathPoints(shapes.hover(duration=3.0)), speed=speed, down=delayed(0.002, 0.006, seed=1)
     )
     recorder, wrong = Recorder(world.flight, None), []
 

@@ -42,11 +42,6 @@ class DemandPlan:
         a, b, share = self.demands[k], self.demands[k + 1], s - k
         return Demand(between(a.w, b.w, share), a.thrust + share * (b.thrust - a.thrust))
 
-    @property
-    def end(self) -> float:
-        """Until when it holds [s]."""
-        return self.time + self.dt * len(self.demands)
-
 
 Asked = Sequence[tuple[float, Demand]]
 """What was sent lately, and when it left [s], the oldest first."""

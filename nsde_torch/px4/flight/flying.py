@@ -17,18 +17,17 @@ from typing import Any
 
 import numpy as np
 
+from nsde_torch.px4.flight.cascade import PathPoints
 from nsde_torch.px4.flight.flight_log import FlightLog
 from nsde_torch.px4.flight.offboard import Offboard
 from nsde_torch.px4.flight.options import FlightOptions
-from nsde_torch.px4.flight.path import PathPoints
-from nsde_torch.px4.flight.phases import FLYING, REFUSED, FlightOutcome, Phase
 from nsde_torch.px4.flight.runner import Runner
-from nsde_torch.px4.flight.safety import Action, Limits, Trouble
+from nsde_torch.px4.flight.safety import FLYING, REFUSED, Action, FlightOutcome, Limits, Phase, Trouble
 from nsde_torch.px4.flight.setpoint import SetpointLimits
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.connection import STREAM, Connection, urgent, why_no_state
 from nsde_torch.px4.link.telemetry import VehicleState
-from nsde_torch.px4.link.vectors import Vec, distance
+from nsde_torch.px4.link.vectors import Vec, distance, plus
 
 LOOK = 0.05
 """Time between looks at the vehicle [s]."""
@@ -209,16 +208,15 @@ class Recorder:
                     self._ages.append(now - state.time)
             self._sent = f.sent[0]
         elif self._streamed and not (flying and f.streaming):
-            self._gaps.append(
-                now - self._sent
-            )  # the last one was not closed by a setpoint, however long it was
+            # the last one was not closed by a setpoint, however long it was
+            self._gaps.append(now - self._sent)
         self._streamed = flying and f.streaming
 
     def _take(self, state: VehicleState, known: tuple[Any, ...], tracked: bool, home: Vec) -> None:
         """A state that is known to be ours: into the statistics while the reference was tracked, and into the log."""
         f = self._flight
         # PX4 counts from where it was switched on; fences and plans count from the place of take-off
-        at: Vec = (state.p[0] - home[0], state.p[1] - home[1], state.p[2] - home[2])
+        at = plus(state.p, home, -1.0)
         if self._log is not None and at[2] > LOGGED_FROM:
             self._log.add(replace(state, p=at), *known)
         if f.started is None or not tracked:

@@ -15,19 +15,17 @@ from math import degrees, inf, pi
 from typing import final
 
 from nsde_torch.px4.flight import failsafe, preflight
-from nsde_torch.px4.flight.cascade import GRAVITY, Point, SetpointCascade
+from nsde_torch.px4.flight.cascade import GRAVITY, LEAD, PathPoints, Point, SetpointCascade
 from nsde_torch.px4.flight.controller import Demand, DemandPlan
 from nsde_torch.px4.flight.options import FlightOptions
-from nsde_torch.px4.flight.path import LEAD, PathPoints
-from nsde_torch.px4.flight.phases import FLYING, REFUSED, FlightOutcome, Phase
 from nsde_torch.px4.flight.runner import Runner
-from nsde_torch.px4.flight.safety import Action, Limits, Trouble, Watch
+from nsde_torch.px4.flight.safety import FLYING, REFUSED, Action, FlightOutcome, Limits, Phase, Trouble, Watch
 from nsde_torch.px4.flight.setpoint import Guard, HoverThrottle, SetpointLimits, level
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.connection import why_no_state
 from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.link.telemetry import Status, VehicleState
-from nsde_torch.px4.link.vectors import Vec, between, distance, length, yaw_of
+from nsde_torch.px4.link.vectors import Vec, between, distance, length, plus, yaw_of
 
 REST, SETTLE = 1.0, 4.0
 """Time of rest after the reference, and longest wait for it above the place of take-off [s]."""
@@ -563,13 +561,12 @@ class Offboard:
     def _own(self, state: VehicleState) -> tuple[float, ...]:
         """The state in the coordinates of the reference."""
         assert self.home is not None
-        row = state.row
-        return (row[0] - self.home[0], row[1] - self.home[1], row[2] - self._ground, *row[3:])
+        return (*plus(state.p, self.home, -1.0), *state.row[3:])
 
     def _moved(self, p: Vec) -> Vec:
         """A point of the reference in the world."""
         assert self.home is not None
-        return (p[0] + self.home[0], p[1] + self.home[1], p[2] + self._ground)
+        return plus(p, self.home)
 
     def _stop_point(self, state: VehicleState) -> Point:
         """Where to hold: where it comes to rest from its speed, inside the fence, above the ground."""

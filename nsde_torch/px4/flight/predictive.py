@@ -18,11 +18,11 @@ from __future__ import annotations
 import copy
 import time as clock
 from bisect import bisect_right
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
 from math import cos, radians
 from pathlib import Path
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 import torch
 from torch import Tensor
@@ -37,11 +37,10 @@ from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.export.exported import ExportedController
 from nsde_torch.models import Model
-from nsde_torch.px4.flight.cascade import GRAVITY
+from nsde_torch.px4.flight.cascade import GRAVITY, PAUSE
 from nsde_torch.px4.flight.controller import TIPPED, Asked, Demand, DemandPlan
-from nsde_torch.px4.flight.path import PAUSE
 from nsde_torch.px4.link.connection import PLANS, urgent
-from nsde_torch.px4.link.vectors import Vec, rotate, rotate_back, turned_by_rates
+from nsde_torch.px4.link.vectors import Vec, bounded, parts, plus, rotate, rotate_back, turned_by_rates
 from nsde_torch.systems import Multirotor, System
 from nsde_torch.systems.machines import Effects, named_effects
 
@@ -61,6 +60,10 @@ from nsde_torch.systems.machines import Effects, named_effects
 
 SLOPE_TIME, LEARNT_FROM, STEEPEST = 2.0, 1.0, 1.0
 """Time constant of learning how it brakes [s], speed below which little is learned [m/s], largest slope [1/s]."""
+LONGEST = 0.2
+"""Time between two states beyond which nothing is learned from them [s]."""
+PUSH_TIME, PUSH_LIMIT = 0.2, 4.0
+"""Time constant [s] and largest size along each axis [m/s2] of the push that is learned."""
 STEP = 0.01
 """Longest step of the integration, about [s]."""
 Drag = tuple[Vec, Vec, Vec]
@@ -89,8 +92,7 @@ def carried(
         drag: How the machine brakes by its speed along the body, D of a = -D v [1/s].
         push: Acceleration along the body's axes that the model does not know [m/s2].
     """
-    p, v, q = row[0:3], row[3:6], row[6:10]
-    w: Vec = (row[10], row[11], row[12])
+    p, v, q, w = parts(row)
     steps = max(round(span / STEP), 1)
     dt = span / steps
     times = [left for left, _ in asked]
@@ -99,34 +101,25 @@ def carried(
         thrust = GRAVITY  # where nothing is known it hovers
         if newest >= 0:
             w, thrust = asked[newest][1].w, asked[newest][1].thrust
-        u = rotate_back(q, v)  # type: ignore[arg-type]
+        u = rotate_back(q, v)
         x, y, z = (d[0] * u[0] + d[1] * u[1] + d[2] * u[2] for d in drag)
-        force = rotate(q, (push[0] - x, push[1] - y, push[2] + thrust - z))  # type: ignore[arg-type]
+        force = rotate(q, (push[0] - x, push[1] - y, push[2] + thrust - z))
         a = (force[0], force[1], force[2] - GRAVITY)
-        p = tuple(pi + dt * vi + 0.5 * dt * dt * ai for pi, vi, ai in zip(p, v, a, strict=True))
-        v = tuple(vi + dt * ai for vi, ai in zip(v, a, strict=True))
-        q = turned_by_rates(q, w, dt)  # type: ignore[arg-type]
+        p, v = plus(plus(p, v, dt), a, 0.5 * dt * dt), plus(v, a, dt)
+        q = turned_by_rates(q, w, dt)
     return (*p, *v, *q, *w)
 
 
 @final
-@dataclass(eq=False, kw_only=True)
+@dataclass(eq=False)
 class PushEstimate:
     """What pushes the vehicle, learned from velocities while it flies."""
 
-    LONGEST: ClassVar[float] = 0.2  # time between two states beyond which nothing is learned from them [s]
-
     delay: float  # see `carried`
     known: Drag  # how the machine brakes, as the model says [1/s]
-    time: float  # time constant of learning [s]; 0: nothing is learned
-    limit: float  # largest push along each axis [m/s2]
 
     def __post_init__(self) -> None:
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget what was learned."""
-        self.value = self.rest = self.slopes = NO_PUSH
+        self.rest = self.slopes = NO_PUSH
         self._last: tuple[float, tuple[float, ...]] | None = None
 
     @property
@@ -137,44 +130,35 @@ class PushEstimate:
 
     def at(self, row: tuple[float, ...]) -> Vec:
         """The push that the model does not know, at a state of 13 numbers [m/s2]."""
-        u = rotate_back(row[6:10], row[3:6])  # type: ignore[arg-type]
-        return self._bounded(d - k * v for d, k, v in zip(self.rest, self.slopes, u, strict=True))
+        _, v, q, _ = parts(row)
+        (d, e, f), (k, m, n), (x, y, z) = self.rest, self.slopes, rotate_back(q, v)
+        return bounded((d - k * x, e - m * y, f - n * z), PUSH_LIMIT)
 
-    def take(self, row: tuple[float, ...], time: float, asked: Asked) -> Vec:
-        """Learn from a state of 13 numbers, when it was valid [s], and what was sent lately; returns `value`."""
+    def take(self, row: tuple[float, ...], time: float, asked: Asked) -> None:
+        """Learn from a state of 13 numbers, when it was valid [s], and what was sent lately."""
         last, self._last = self._last, (time, row)
-        if last is None or not self.time > 0 or not 0.0 < time - last[0] <= self.LONGEST:
-            return self.value
+        if last is None or not 0.0 < time - last[0] <= LONGEST:
+            return
         dt = time - last[0]
         told = carried(last[1], last[0], dt, asked, delay=self.delay, drag=self.drag, push=self.rest)
-        off = (row[3] - told[3], row[4] - told[4], row[5] - told[5])
-        error = rotate_back(row[6:10], off)  # type: ignore[arg-type]
-        share = 1.0 / max(self.time, dt)
-        self.rest = self._bounded(d + share * e for d, e in zip(self.rest, error, strict=True))
-        u = rotate_back(row[6:10], row[3:6])  # type: ignore[arg-type]
+        _, v, q, _ = parts(row)
+        error = rotate_back(q, plus(v, parts(told)[1], -1.0))
+        self.rest = bounded(plus(self.rest, error, 1.0 / max(PUSH_TIME, dt)), PUSH_LIMIT)
+        u = rotate_back(q, v)
         k, m, n = (
             min(max(s - dt / SLOPE_TIME * d * v / (v * v + LEARNT_FROM * SLOW), -STEEPEST), STEEPEST)
             for s, d, v in zip(self.slopes, self.rest, u, strict=True)
         )
         # the push at this state stays what it is, whatever it is put down to
-        self.rest = self._bounded(
-            d + (new - old) * v for d, new, old, v in zip(self.rest, (k, m, n), self.slopes, u, strict=True)
-        )
+        x, y, z = plus((k, m, n), self.slopes, -1.0)
+        self.rest = bounded(plus(self.rest, (x * u[0], y * u[1], z * u[2])), PUSH_LIMIT)
         self.slopes = (k, m, n)
-        self.value = self.at(row)
-        return self.value
-
-    def _bounded(self, push: Iterable[float]) -> Vec:
-        x, y, z = (min(max(d, -self.limit), self.limit) for d in push)
-        return (x, y, z)
 
 
 DELAY, LEAD = 0.08, 0.01
 """Measured best on a real PX4 in simulation [s]: rates that are asked for are there 88 ms later."""
 TRIM_TIME, TRIM_LIMIT = 10.0, 0.3
 """Time constant [s] and largest size [m] of the trim."""
-PUSH_TIME, PUSH_LIMIT = 0.2, 4.0
-"""Time constant [s] and largest size [m/s2] of the push that is learned."""
 TILT = radians(65.0)
 """Tilt of a plan that is not flown [rad]; that at which a flight ends."""
 KEEP = 0.25
@@ -253,7 +237,6 @@ class PredictiveController:
     delay: float = DELAY  # from a setpoint to its effect [s]
     lead: float = LEAD  # how much earlier than the plan says rates are asked for [s]
     tilt: float = TILT  # beyond which a plan is not flown [rad]
-    push_time: float = PUSH_TIME  # time constant of the push that is learned [s]; 0: none is
 
     def __post_init__(self) -> None:
         predictor = self.controller.predictor
@@ -262,15 +245,13 @@ class PredictiveController:
         check_uncovered(predictor.system)
         self._upright = cos(self.tilt)
         self._system, self._ports = predictor.system, predictor.ports
-        drag = braking(self.controller) if isinstance(self.controller, Controller) else NO_DRAG
-        self._push = PushEstimate(delay=self.delay, known=drag, time=self.push_time, limit=PUSH_LIMIT)
-        self._last: tuple[float, MotorPlan] | None = None
-        self._trim = torch.zeros(3, dtype=torch.float64)
+        self._drag = braking(self.controller) if isinstance(self.controller, Controller) else NO_DRAG
+        self.reset()
 
     def reset(self) -> None:
         """Forget the last flight."""
-        self._last = None
-        self._push.reset()
+        self._last: tuple[float, MotorPlan] | None = None
+        self._push = PushEstimate(self.delay, self._drag)
         self._trim = torch.zeros(3, dtype=torch.float64)
 
     @torch.no_grad()
@@ -290,11 +271,11 @@ class PredictiveController:
             self._trim = self._trim.clamp(-TRIM_LIMIT, TRIM_LIMIT)
         window[:, :3] += self._trim
         before = None if self._last is None else self._last[1]
-        self._push.take(row, time, asked)
         known = self._push
+        known.take(row, time, asked)
         ahead = carried(row, time, self.delay, asked, delay=self.delay, drag=known.drag, push=known.rest)
         x = torch.tensor([ahead], dtype=torch.float64)
-        forces = self._forces(self._push.at(ahead))
+        forces = self._forces(known.at(ahead))
         plan = c.plan(x, window[None], before, elapsed=elapsed, push=forces)
         status = f"{plan.status[0]}: failed" if plan.status[0].endswith(HOVER) else plan.status[0]
         if self._tips(plan):

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from math import acos, degrees, hypot, isfinite
+from math import hypot, isfinite
 
 from nsde_torch.px4.flight import failsafe
+from nsde_torch.px4.flight.cascade import PathPoints
 from nsde_torch.px4.flight.options import FlightOptions
-from nsde_torch.px4.flight.path import PathPoints
 from nsde_torch.px4.flight.safety import MARGIN, Limits, contradicted
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.link.telemetry import Status, VehicleState
-from nsde_torch.px4.link.vectors import cos_tilt, length
+from nsde_torch.px4.link.vectors import length, tilt_of
 
 PARAMETERS = ("MPC_THR_HOVER", *failsafe.PARAMETERS)
 """Parameters that are asked for."""
@@ -52,18 +52,16 @@ def faults(
     if age > limits.estimate:
         out.append(f"the newest state is {age:.2f} s old")
     late = endpoint.telemetry.sync.late
-    if (
-        late is not None
-    ):  # the age of states is then a guess from below, and a late line looks like a quick one
+    # the age of states is then a guess from below, and a late line looks like a quick one
+    if late is not None:
         out.append(f"TIMESYNC is answered after {late:.1f} s: a faster link is needed")
     if endpoint.telemetry.rate < FEWEST:
         out.append(
             f"states come at {endpoint.telemetry.rate:.0f} Hz, less than {FEWEST:.0f}: a faster link is needed"
         )
     out += _not_to_take_over(status, state, limits) if options.takeover else _not_at_rest(status, state)
-    tilt = degrees(acos(min(max(cos_tilt(state.q), -1.0), 1.0)))
-    if tilt > 12.0:
-        out.append(f"it stands tilted by {tilt:.0f} deg")
+    if tilt_of(state.q) > 12.0:
+        out.append(f"it stands tilted by {tilt_of(state.q):.0f} deg")
     if length(state.v) > MOVES or length(state.w) > 0.5:
         out.append(f"it moves: {length(state.v):.1f} m/s, {length(state.w):.1f} rad/s")
     if isfinite(status.remaining) and status.remaining < limits.battery + 0.1:

@@ -26,9 +26,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
-from math import acos, degrees, inf, isfinite, radians
+from math import inf, isfinite, radians
 from typing import final
 
 from nsde_torch.px4.flight.controller import TIPPED, DemandPlan
@@ -36,11 +36,14 @@ from nsde_torch.px4.flight.options import Limits
 from nsde_torch.px4.link.telemetry import EstimateQuality, Followed, Status, VehicleState
 from nsde_torch.px4.link.vectors import (
     Vec,
-    cos_tilt,
+    conjugate,
     distance,
     length,
     multiply,
+    plus,
     rotation_vector,
+    scaled,
+    tilt_of,
     turned_by_rates,
 )
 
@@ -74,12 +77,10 @@ def step_between(last: VehicleState, state: VehicleState) -> EstimateStep | None
     dt = state.stamp - last.stamp
     if not 0.0 < dt < LONGEST:
         return None
-    p: Vec = tuple(a + dt * b for a, b in zip(last.p, last.v, strict=True))  # type: ignore[assignment]
-    w: Vec = tuple(0.5 * (a + b) for a, b in zip(last.w, state.w, strict=True))  # type: ignore[assignment]
-    before = turned_by_rates(last.q, w, dt)
-    turn = multiply(state.q, (before[0], -before[1], -before[2], -before[3]))
+    before = turned_by_rates(last.q, scaled(plus(last.w, state.w), 0.5), dt)
+    turn = multiply(state.q, conjugate(before))
     return EstimateStep(
-        distance(state.p, p),
+        distance(state.p, plus(last.p, last.v, dt)),
         max(distance(state.v, last.v) - HARDEST * dt, 0.0),
         rotation_vector(turn)[2],
         state.resets != last.resets,
@@ -233,9 +234,7 @@ class Watch:
 
     def _motion(self, state: VehicleState, status: Status, now: float) -> Trouble | None:
         m = self.limits
-        at = tuple(a - b for a, b in zip(state.p, self.home, strict=True))
-        speed = length(state.v)
-        tilt = degrees(acos(min(max(cos_tilt(state.q), -1.0), 1.0)))
+        at, speed, tilt = plus(state.p, self.home, -1.0), length(state.v), tilt_of(state.q)
         self._look_for_steps(state)
         where = f"outside the fence at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) m"
         checks = (
@@ -275,3 +274,54 @@ class Watch:
         for c, h, (low, high) in zip(p, self.home, self.limits.fence, strict=True):
             out.append(min(max(c, h + min(low + MARGIN, 0.0)), h + high - MARGIN))
         return (out[0], out[1], out[2])
+
+
+class Phase(Enum):
+    """Where in the flight we are."""
+
+    CONNECT = "connect"
+    PREFLIGHT = "preflight"
+    STREAM = "stream"
+    OFFBOARD = "offboard"
+    ARM = "arm"
+    TAKEOFF = "take off"
+    HOLD = "hold"
+    TRACK = "track"
+    RETURN = "return"
+    SAFE_HOLD = "safe hold"
+    BLIND = "blind"
+    LAND = "land"
+    DISARM = "disarm"
+    WATCH = "watch"
+    DONE = "done"
+
+
+FLYING = (Phase.TAKEOFF, Phase.HOLD, Phase.TRACK, Phase.RETURN, Phase.SAFE_HOLD)
+"""Phases in which we fly the vehicle and it must be in OFFBOARD."""
+
+
+REFUSED = "refused"
+"""Kind of the trouble of a flight that was not begun."""
+
+
+@dataclass
+class FlightOutcome:
+    """How a flight ended."""
+
+    tracked: bool = False  # the reference was flown to its end
+    landed: bool = False  # on the ground and disarmed, as telemetry says
+    trouble: Trouble | None = None  # the first thing that went wrong
+    actions: list[tuple[float, str, str]] = field(default_factory=list)
+    """The phases of the flight, with their times from the start [s] and the reason."""
+    without_plans: float = 0.0
+    """Time for which the built-in cascade flew the reference, because plans were late [s]."""
+    steps: list[tuple[float, EstimateStep]] = field(default_factory=list)
+    """Resets of the estimate in flight, with their times from the start [s]."""
+
+    @property
+    def begun(self) -> bool:
+        """Whether it came to arming or was taken over; before that, and where it was refused, nothing was moved."""
+        refused = self.trouble is not None and self.trouble.kind == REFUSED
+        return not refused and any(
+            phase in (Phase.ARM.value, Phase.HOLD.value) for _, phase, _ in self.actions
+        )

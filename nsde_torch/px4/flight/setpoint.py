@@ -9,14 +9,14 @@ it was a motor's lag before.
 from __future__ import annotations
 
 from collections import Counter, deque
-from math import acos, cos, degrees
+from math import cos
 from typing import final
 
 from nsde_torch.px4.flight.cascade import GRAVITY, levelling
 from nsde_torch.px4.flight.controller import Demand
 from nsde_torch.px4.flight.options import SetpointLimits
 from nsde_torch.px4.link.telemetry import VehicleState
-from nsde_torch.px4.link.vectors import Vec, cos_tilt, finite, rotate_back
+from nsde_torch.px4.link.vectors import Vec, cos_tilt, finite, rotate_back, tilt_of
 
 LAG, WINDOW, LEARNING = 0.07, 0.2, 1.5
 """From throttle to thrust, the window that the velocity is looked at over, and time constant of learning [s]."""
@@ -89,10 +89,8 @@ class HoverThrottle:
         span = state.time - first.time
         if not learn or span < 0.8 * WINDOW:
             return
-        if degrees(acos(min(max(cos_tilt(state.q), -1.0), 1.0))) > 35.0:
-            return
         used = [u for t, u in self._sent if first.time - LAG <= t <= state.time - LAG]
-        if len(used) < 5:
+        if tilt_of(state.q) > 35.0 or len(used) < 5:
             return
         a = tuple((n - o) / span for n, o in zip(state.v, first.v, strict=True))
         force = rotate_back(state.q, (a[0], a[1], a[2] + GRAVITY))[2]
@@ -100,7 +98,7 @@ class HoverThrottle:
             return
         wanted = sum(used) / len(used) * GRAVITY / force
         # states come far more often than windows end; each counts for its own share of the time
-        share = min((state.time - self._states[-2].time) / LEARNING, 0.1) if len(self._states) > 1 else 0.0
+        share = min((state.time - self._states[-2].time) / LEARNING, 0.1)
         self.value = min(max(self.value + share * (wanted - self.value), LOWEST), HIGHEST)
 
 

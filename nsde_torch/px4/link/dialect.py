@@ -15,16 +15,14 @@ mavlink: ModuleType = common
 
 SET_MODE, ARM, SET_INTERVAL, REQUEST_MESSAGE = 176, 400, 511, 512
 """Numbers of commands: MAV_CMD_DO_SET_MODE, _COMPONENT_ARM_DISARM, _SET_MESSAGE_INTERVAL, _REQUEST_MESSAGE."""
-FORCE = 21196.0
-"""Second parameter of the arming command that makes PX4 obey in the air."""
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED = 0, 1, 2, 3
 ARMED_FLAG, RECEIVER = 128, 65536
 """Bits of HEARTBEAT's `base_mode`, and of SYS_STATUS' sensors: PX4 sets the second while it hears a transmitter."""
 GCS = 6
 """Type of a ground station's heartbeat. PX4 sends STATUSTEXT only to a link on which a ground station is heard."""
 AUTOPILOT_PX4, NO_AUTOPILOT = 12, 8
-RATES_MASK, ATTITUDE_MASK = 128, 7
-"""Type masks of SET_ATTITUDE_TARGET: attitude ignored, or rates ignored."""
+RATES_MASK = 128
+"""Type mask of SET_ATTITUDE_TARGET: attitude ignored."""
 ON_GROUND, IN_AIR, TAKING_OFF, LANDING = 1, 2, 3, 4
 
 

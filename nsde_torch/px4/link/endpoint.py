@@ -67,7 +67,6 @@ class Endpoint:
         self._due = {"heartbeat": 0.0, "theirs": 0.0, "timesync": 0.0, "intervals": 0.0}
         self._counts: dict[str, int] = {}
         self._counted_since = 0.0
-        self.rates: dict[str, float] = {}
         self._origin: float | None = None
         self._newest, self._newest_at = 0, -1.0
         self._last: dict[str, int] = {}
@@ -156,11 +155,10 @@ class Endpoint:
 
     def _check_intervals(self, now: float) -> None:
         span = now - self._counted_since
-        self.rates = {k: n / span for k, n in self._counts.items()} if self._counted_since else {}
-        self._counts, self._counted_since = {}, now
         for name, rate in INTERVALS.items():
-            if self.rates.get(name, 0.0) < SHARE * rate:
+            if not self._counted_since or self._counts.get(name, 0) / span < SHARE * rate:
                 self.command(d.SET_INTERVAL, NUMBERS[name], 1e6 / rate)
+        self._counts, self._counted_since = {}, now
 
     def command(self, number: int, *parameters: float) -> None:
         """Send a command to the vehicle, once."""

@@ -16,7 +16,7 @@ from nsde_torch.px4.link import frames
 from nsde_torch.px4.link.codec import Message
 from nsde_torch.px4.link.dialect import ARMED_FLAG, RECEIVER, UNKNOWN, Mode, parameter_value
 from nsde_torch.px4.link.timesync import TimeSync
-from nsde_torch.px4.link.vectors import Quat, Vec, distance, finite, length, normalised, rotate
+from nsde_torch.px4.link.vectors import Quat, Vec, distance, finite, length, normalised, plus, rotate
 
 PAIR = 0.1
 """Longest time over which a position is carried forward to an attitude [s]."""
@@ -84,7 +84,6 @@ class Status:
     voltage: float = nan  # of the battery [V]
     remaining: float = nan  # charge left, 0 to 1
     motors: tuple[float, ...] = ()  # commands of the motors, 0 to 1, as far as the autopilot reports them
-    motors_stamp: float = nan  # their time on the autopilot's clock [s]
     receiver: bool | None = None  # whether it hears a transmitter; None where it does not say
     home: Vec | None = None  # place of take-off, ENU [m], as far as the autopilot reports it
     quality: EstimateQuality | None = None  # what its estimator says of itself, as far as it is sent
@@ -104,8 +103,6 @@ class Telemetry:
         """The newest ones, for who looks less often than they come."""
         self.followed: deque[Followed] = deque(maxlen=50)
         """Setpoints that the autopilot says it follows, for who takes them."""
-        self.rejected = 0
-        """States that were not accepted: not finite, no rotation, or older than what is known."""
         self.rate = 0.0  # states a second, smoothed over 20 of them
         self._position: tuple[float, Vec, Vec] | None = None
         self._last_odometry = -inf
@@ -169,18 +166,17 @@ class Telemetry:
             self.sync.answered(m.tc1 * 1e-9, m.ts1 * 1e-9, now)
 
     def _servo_output_raw(self, m: Message, now: float) -> None:
-        raw = tuple(float(getattr(m, f"servo{k}_raw")) for k in range(1, 9))
-        self._motors(raw, m.time_usec * 1e-6)
+        self._motors(tuple(float(getattr(m, f"servo{k}_raw")) for k in range(1, 9)))
 
     def _actuator_output_status(self, m: Message, now: float) -> None:
-        self._motors(tuple(float(v) for v in m.actuator[:8]), m.time_usec * 1e-6)
+        self._motors(tuple(float(v) for v in m.actuator[:8]))
 
-    def _motors(self, raw: tuple[float, ...], stamp: float) -> None:
+    def _motors(self, raw: tuple[float, ...]) -> None:
         if not finite(*raw):
             return
         if max(raw) > 2.0:  # pulse widths in microseconds
             raw = tuple(min(max((v - 1000.0) * 1e-3, 0.0), 1.0) for v in raw)
-        self.status.motors, self.status.motors_stamp = raw, stamp
+        self.status.motors = raw
 
     def _odometry(self, m: Message, now: float) -> None:
         p = frames.world((m.x, m.y, m.z))
@@ -221,13 +217,11 @@ class Telemetry:
             return
         q = frames.attitude((m.q1, m.q2, m.q3, m.q4))
         w = frames.body((m.rollspeed, m.pitchspeed, m.yawspeed))
-        p = (p[0] + v[0] * ahead, p[1] + v[1] * ahead, p[2] + v[2] * ahead)
-        self._new_state(stamp, now, p, v, q, w)
+        self._new_state(stamp, now, plus(p, v, ahead), v, q, w)
 
     def _new_state(self, stamp: float, now: float, p: Vec, v: Vec, q: Quat, w: Vec) -> bool:
         norm = sum(c * c for c in q)
         if not finite(*p, *v, *q, *w) or not 0.9 < norm < 1.1:
-            self.rejected += 1
             return False
         before = self.state
         if before is not None:
@@ -236,7 +230,6 @@ class Telemetry:
                 # late, repeated, or ahead of the time that has passed; a clock that is set says so more than once
                 self._old = self._old + 1 if leap or stamp < before.stamp - BACK else 0
                 if self._old < 5:
-                    self.rejected += 1
                     return False
                 self.sync.reset()
         self._old = 0

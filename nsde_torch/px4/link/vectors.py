@@ -5,7 +5,7 @@ Loops at hundreds of hertz on one row: a NumPy call costs more than all the arit
 
 from __future__ import annotations
 
-from math import atan2, cos, isfinite, sin, sqrt
+from math import acos, atan2, cos, degrees, isfinite, sin, sqrt
 
 Vec = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
@@ -65,7 +65,7 @@ def from_rotation_vector(r: Vec) -> Quat:
 
 def turned_by_rates(q: Quat, w: Vec, dt: float) -> Quat:
     """Attitude after body rates [rad/s] for a time [s]."""
-    return normalised(multiply(q, from_rotation_vector((w[0] * dt, w[1] * dt, w[2] * dt))))
+    return normalised(multiply(q, from_rotation_vector(scaled(w, dt))))
 
 
 def yaw_of(q: Quat) -> float:
@@ -79,6 +79,33 @@ def cos_tilt(q: Quat) -> float:
     return 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])
 
 
+def tilt_of(q: Quat) -> float:
+    """Angle between the body's z axis and up [deg]."""
+    return degrees(acos(min(max(cos_tilt(q), -1.0), 1.0)))
+
+
+def parts(row: tuple[float, ...]) -> tuple[Vec, Vec, Quat, Vec]:
+    """Position, velocity, attitude and rates of a state of 13 numbers."""
+    px, py, pz, vx, vy, vz, qw, qx, qy, qz, wx, wy, wz = row
+    return (px, py, pz), (vx, vy, vz), (qw, qx, qy, qz), (wx, wy, wz)
+
+
+def plus(a: Vec, b: Vec, k: float = 1.0) -> Vec:
+    """The sum a + k b."""
+    return (a[0] + k * b[0], a[1] + k * b[1], a[2] + k * b[2])
+
+
+def scaled(v: Vec, k: float) -> Vec:
+    """The product k v."""
+    return (k * v[0], k * v[1], k * v[2])
+
+
+def bounded(v: Vec, most: float) -> Vec:
+    """Each component within plus and minus a bound."""
+    x, y, z = (min(max(c, -most), most) for c in v)
+    return (x, y, z)
+
+
 def length(v: Vec) -> float:
     """Euclidean norm."""
     return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
@@ -86,7 +113,7 @@ def length(v: Vec) -> float:
 
 def distance(a: Vec, b: Vec) -> float:
     """Distance of two points."""
-    return length((a[0] - b[0], a[1] - b[1], a[2] - b[2]))
+    return length(plus(a, b, -1.0))
 
 
 def between(a: Vec, b: Vec, share: float) -> Vec:

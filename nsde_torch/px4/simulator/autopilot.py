@@ -23,13 +23,12 @@ from nsde_torch.px4.link import frames
 from nsde_torch.px4.link.codec import Codec, Message
 from nsde_torch.px4.link.dialect import Mode, mavlink
 from nsde_torch.px4.link.endpoint import NUMBERS
-from nsde_torch.px4.link.vectors import Quat, Vec, conjugate, finite, multiply, rotation_vector, yaw_of
+from nsde_torch.px4.link.vectors import Vec, finite, plus, yaw_of
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.estimate import Estimate, SimulatedEstimator
 from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 
 PARAMETERS: dict[str, tuple[float, int]] = {
-    "SYS_AUTOSTART": (6001, d.INT32),
     "COM_OF_LOSS_T": (1.0, d.REAL32),
     "COM_OBL_RC_ACT": (4, d.INT32),  # 4: land
     "COM_RC_IN_MODE": (4, d.INT32),  # no sticks
@@ -50,10 +49,6 @@ PARAMETERS: dict[str, tuple[float, int]] = {
     "MPC_THR_HOVER": (0.5, d.REAL32),
     "MPC_LAND_SPEED": (0.7, d.REAL32),
     "MC_ROLLRATE_MAX": (220.0, d.REAL32),
-    "MC_PITCHRATE_MAX": (220.0, d.REAL32),
-    "MC_YAWRATE_MAX": (200.0, d.REAL32),
-    "BAT1_N_CELLS": (4, d.INT32),
-    "MAV_SYS_ID": (1, d.INT32),
 }
 """The parameters that are answered for."""
 FAILSAFES = {0: d.POSITION, 1: d.ALTITUDE, 2: d.MANUAL, 4: d.LAND}
@@ -61,8 +56,6 @@ FAILSAFES = {0: d.POSITION, 1: d.ALTITUDE, 2: d.MANUAL, 4: d.LAND}
 MOTORS_OFF = (6, 7)
 """Values of COM_OBL_RC_ACT that stop the motors wherever it is: flight termination, and disarming."""
 STICK_MODES = (d.POSITION, d.ALTITUDE, d.MANUAL)
-
-
 ABANDONED = 0.85
 """Share of its weight that it carries in a mode of sticks that nobody holds: it drifts on, into the ground."""
 BOOT = 1.0
@@ -74,6 +67,9 @@ BRAKES = 3.0  # [m/s2], with which a mode of its own comes to where it then stay
 LOW_BATTERY = 0.1
 NEARLY_FULL = 0.95  # what a thrust above 1 becomes
 _NAMES = {number: name for name, number in NUMBERS.items()}
+ESTIMATOR = 0.008
+"""Step at which the estimator publishes [s]."""
+_ESTIMATED = frozenset(("ODOMETRY", "LOCAL_POSITION_NED"))
 
 
 @final
@@ -110,12 +106,11 @@ class SimulatedAutopilot:
         self._out: deque[bytes] = deque()
         self._due: dict[str, tuple[float, float]] = {"HEARTBEAT": (0.0, 1.0), "SYS_STATUS": (0.0, 1.0)}
         self._gcs, self._texts = -inf, 0
-        self._setpoint: tuple[float, int, Vec, Quat, float] | None = None
+        self._setpoint: tuple[float, Vec, float] | None = None  # time, rates and throttle
         self._wanted: Point | None = None  # of the newest setpoint, where that is a position
         self.rates: Vec = (0.0, 0.0, 0.0)  # of the body, which it follows [rad/s]
-        self.position: Vec | None = (
-            None  # that it followed since the last report [m]; None where it followed rates
-        )
+        # position that it followed since the last report [m]; None where it followed rates
+        self.position: Vec | None = None
         self.home: Vec | None = None  # place of take-off [m], None before the first arming
         self._integral: Vec = (0.0, 0.0, 0.0)
         self._cascade = SetpointCascade()
@@ -155,10 +150,17 @@ class SimulatedAutopilot:
         self.commands = self._control(now) if self.armed else (0.0,) * body.nu
         body.step(self.commands)
         self._automatic(now)
+        late = now % ESTIMATOR
+        published = min(late, ESTIMATOR - late) < 1e-6
         for name, (due, interval) in list(self._due.items()):
-            if is_due(name, due, now):
-                self._due[name] = (due_next(name, due, interval, now), interval)
-                self._report(name, now)
+            estimated = name in _ESTIMATED
+            if now < due - 1e-6 or (estimated and not published):
+                continue
+            # an estimate is sent as often as it was asked for, at 100 Hz three after 8 ms each and one after 16; of the
+            # others 100 Hz come as 99
+            due += interval if estimated else interval * 100.0 / 99.0
+            self._due[name] = (max(due, now - interval if estimated else now), interval)
+            self._report(name, now)
 
     # modes
 
@@ -226,10 +228,7 @@ class SimulatedAutopilot:
         dt = self.body.dt
         if self.mode == d.OFFBOARD and self._wanted is None:
             assert self._setpoint is not None
-            _, mask, rates, attitude, thrust = self._setpoint
-            if mask == d.ATTITUDE_MASK:
-                r = rotation_vector(multiply(conjugate(q), attitude))
-                rates = (6.5 * r[0], 6.5 * r[1], 2.8 * r[2])
+            _, rates, thrust = self._setpoint
             if not finite(thrust, *rates):
                 return (0.0,) * self.body.nu  # PX4 does not sanitise them: the motors stop
             throttle = min(thrust, NEARLY_FULL) if thrust > 1.0 else max(thrust, 0.0)
@@ -258,7 +257,7 @@ class SimulatedAutopilot:
         return self._rates(rates, lift, w, dt)
 
     def _rates(self, wanted: Vec, lift: float, w: Vec, dt: float) -> tuple[float, ...]:
-        error = (wanted[0] - w[0], wanted[1] - w[1], wanted[2] - w[2])
+        error = plus(wanted, w, -1.0)
         if self.body.on_ground:
             self._integral = (0.0, 0.0, 0.0)
         else:
@@ -291,12 +290,12 @@ class SimulatedAutopilot:
 
     def _on_set_attitude_target(self, m: Message) -> None:
         rates = frames.body((m.body_roll_rate, m.body_pitch_rate, m.body_yaw_rate))
-        self._setpoint = (self.time, m.type_mask, rates, frames.attitude(tuple(m.q)), m.thrust)
+        self._setpoint = (self.time, rates, m.thrust)
         self._wanted = None
 
     def _on_set_position_target_local_ned(self, m: Message) -> None:
         self._wanted = Point(frames.world((m.x, m.y, m.z)), yaw=yaw_of(self.estimate[2]))
-        self._setpoint = (self.time, 0, (0.0, 0.0, 0.0), self.estimate[2], 0.0)
+        self._setpoint = (self.time, (0.0, 0.0, 0.0), 0.0)
 
     def _on_param_request_read(self, m: Message) -> None:
         name = m.param_id.rstrip("\x00")
@@ -306,21 +305,13 @@ class SimulatedAutopilot:
             place = (len(self.parameters), list(self.parameters).index(name))
             self._send(mavlink.MAVLink_param_value_message(name.encode(), value, kind, *place))
 
-    def _on_param_set(self, m: Message) -> None:
-        name = m.param_id.rstrip("\x00")
-        if name in self.parameters and m.param_type == PARAMETERS[name][1]:
-            self.parameters[name] = d.parameter_value(m.param_value, m.param_type)
-            self._on_param_request_read(m)
-
     def _on_command_long(self, m: Message) -> None:
-        if m.command == d.SET_MODE:
-            self._command_mode(m)
-        elif m.command == d.ARM:
-            self._command_arm(m)
-        elif m.command == d.SET_INTERVAL:
-            self._command_interval(m)
-        elif m.command == d.REQUEST_MESSAGE:
-            self._command_message(m)
+        known = {
+            **{d.SET_MODE: self._command_mode, d.ARM: self._command_arm},
+            **{d.SET_INTERVAL: self._command_interval, d.REQUEST_MESSAGE: self._command_message},
+        }
+        if m.command in known:
+            known[m.command](m)
         else:
             self._ack(m.command, d.UNSUPPORTED)
 
@@ -340,7 +331,7 @@ class SimulatedAutopilot:
     def _command_arm(self, m: Message) -> None:
         if m.param1 >= 0.5:
             reason = self._why_not_arm()
-            if reason is not None and m.param2 != d.FORCE:
+            if reason is not None:
                 self._text(2, f"Arming denied: {reason}")
                 self._ack(d.ARM, d.TEMPORARILY_REJECTED)
                 return
@@ -350,7 +341,7 @@ class SimulatedAutopilot:
                 self._armed_at = self._landed_at = self.time
                 self._text(6, "Armed by external command")
             self._ack(d.ARM, d.ACCEPTED)
-        elif self.armed and not self.landed and m.param2 != d.FORCE:
+        elif self.armed and not self.landed:
             self._text(2, "Disarming denied: not landed")
             self._ack(d.ARM, d.TEMPORARILY_REJECTED)
         else:
@@ -371,7 +362,7 @@ class SimulatedAutopilot:
 
     def _command_interval(self, m: Message) -> None:
         name = _NAMES.get(int(m.param1), "")
-        if name == "HEARTBEAT" or name not in MESSAGES:
+        if name == "HEARTBEAT" or self._reporter(name) is None:
             self._ack(d.SET_INTERVAL, d.DENIED)
             return
         if m.param2 < 0:
@@ -382,13 +373,18 @@ class SimulatedAutopilot:
 
     def _command_message(self, m: Message) -> None:
         name = _NAMES.get(int(m.param1), "")
-        if name not in MESSAGES:
+        if self._reporter(name) is None:
             self._ack(d.REQUEST_MESSAGE, d.DENIED)
             return
         self._ack(d.REQUEST_MESSAGE, d.ACCEPTED)
         self._report(name, self.time)
 
     # saying
+
+    def _reporter(self, name: str) -> Callable[[float], Message | None] | None:
+        """What makes a message of a name; None where it does not send it."""
+        reporter: Callable[[float], Message | None] | None = getattr(self, f"_say_{name.lower()}", None)
+        return reporter
 
     def _send(self, message: Message) -> None:
         self._out.append(self.codec.pack(message))
@@ -398,136 +394,82 @@ class SimulatedAutopilot:
 
     def _text(self, severity: int, text: str) -> None:
         self._texts += 1
-        for piece in texts(severity, text, self._texts) if self.time - self._gcs < 5.0 else ():
-            self._send(piece)
+        if self.time - self._gcs >= 5.0:
+            return
+        data = text.encode()
+        pieces = [data[k : k + 50] for k in range(0, len(data), 50)]
+        number = self._texts if len(pieces) > 1 else 0
+        for k, piece in enumerate(pieces):
+            self._send(mavlink.MAVLink_statustext_message(severity, piece, id=number, chunk_seq=k))
 
     def _report(self, name: str, now: float) -> None:
-        if self.blind and name in _ESTIMATED:
+        reporter = self._reporter(name)
+        if reporter is None or (self.blind and name in _ESTIMATED):
             return
-        message = MESSAGES[name](self, now + self.clock_error)
+        message = reporter(now + self.clock_error)
         if message is not None:
             self._send(message)
 
+    # one method a message that is sent, named like it; each takes the time that it stamps [s]
 
-def _heartbeat(a: SimulatedAutopilot, now: float) -> Message:
-    flags = 1 | (d.ARMED_FLAG if a.armed else 0)
-    state = 4 if a.armed else 3
-    return mavlink.MAVLink_heartbeat_message(13, d.AUTOPILOT_PX4, flags, a.mode.custom, state, 3)
+    def _say_heartbeat(self, now: float) -> Message:
+        flags = 1 | (d.ARMED_FLAG if self.armed else 0)
+        state = 4 if self.armed else 3
+        return mavlink.MAVLink_heartbeat_message(13, d.AUTOPILOT_PX4, flags, self.mode.custom, state, 3)
 
+    def _say_sys_status(self, now: float) -> Message:
+        left, millivolts = round(100 * (1.0 - self.body.used)), round(1000 * self.body.voltage)
+        return mavlink.MAVLink_sys_status_message(0, 0, 0, 0, millivolts, -1, left, *[0] * 6)
 
-def _sys_status(a: SimulatedAutopilot, now: float) -> Message:
-    left, millivolts = round(100 * (1.0 - a.body.used)), round(1000 * a.body.voltage)
-    return mavlink.MAVLink_sys_status_message(0, 0, 0, 0, millivolts, -1, left, *[0] * 6)
+    def _say_extended_sys_state(self, now: float) -> Message:
+        return mavlink.MAVLink_extended_sys_state_message(0, d.ON_GROUND if self.landed else d.IN_AIR)
 
+    def _say_odometry(self, now: float) -> Message:
+        p, v, q, w = self.estimate
+        unknown = [nan] * 21
+        where = (*frames.world(p), frames.attitude(q), *frames.world(v), *frames.body(w))
+        resets = self.estimator.resets % 256
+        return mavlink.MAVLink_odometry_message(
+            int(now * 1e6), 1, 1, *where, unknown, unknown, reset_counter=resets
+        )
 
-def _extended_sys_state(a: SimulatedAutopilot, now: float) -> Message:
-    return mavlink.MAVLink_extended_sys_state_message(0, d.ON_GROUND if a.landed else d.IN_AIR)
+    def _say_attitude_quaternion(self, now: float) -> Message:
+        _, _, q, w = self.estimate
+        return mavlink.MAVLink_attitude_quaternion_message(
+            int(now * 1e3), *frames.attitude(q), *frames.body(w)
+        )
 
+    def _say_local_position_ned(self, now: float) -> Message:
+        p, v, _, _ = self.estimate
+        return mavlink.MAVLink_local_position_ned_message(int(now * 1e3), *frames.world(p), *frames.world(v))
 
-def _odometry(a: SimulatedAutopilot, now: float) -> Message:
-    p, v, q, w = a.estimate
-    unknown = [nan] * 21
-    where = (*frames.world(p), frames.attitude(q), *frames.world(v), *frames.body(w))
-    resets = a.estimator.resets % 256
-    return mavlink.MAVLink_odometry_message(
-        int(now * 1e6), 1, 1, *where, unknown, unknown, reset_counter=resets
-    )
+    def _say_attitude_target(self, now: float) -> Message:
+        unturned = (1.0, 0.0, 0.0, 0.0)
+        return mavlink.MAVLink_attitude_target_message(
+            int(now * 1e3), 0, unturned, *frames.body(self.rates), 0.0
+        )
 
+    def _say_position_target_local_ned(self, now: float) -> Message | None:
+        """Only where a position was followed since the last report."""
+        to, self.position = self.position, None
+        if to is None:
+            return None
+        at = (*frames.world(to), *[0.0] * 8)
+        return mavlink.MAVLink_position_target_local_ned_message(int(now * 1e3), 1, 0, *at)
 
-def _attitude_quaternion(a: SimulatedAutopilot, now: float) -> Message:
-    _, _, q, w = a.estimate
-    return mavlink.MAVLink_attitude_quaternion_message(int(now * 1e3), *frames.attitude(q), *frames.body(w))
+    def _say_estimator_status(self, now: float) -> Message:
+        e = self.estimator
+        ratios = (e.velocity_ratio, e.contradicted, e.contradicted, 0.02, nan, nan)
+        return mavlink.MAVLink_estimator_status_message(int(now * 1e6), 0x33F, *ratios, 0.2, 0.2)
 
+    def _say_home_position(self, now: float) -> Message | None:
+        """Known from the first arming on."""
+        if self.home is None:
+            return None
+        unturned = [1.0, 0.0, 0.0, 0.0]
+        return mavlink.MAVLink_home_position_message(0, 0, 0, *frames.world(self.home), unturned, *[0.0] * 3)
 
-def _local_position_ned(a: SimulatedAutopilot, now: float) -> Message:
-    p, v, _, _ = a.estimate
-    return mavlink.MAVLink_local_position_ned_message(int(now * 1e3), *frames.world(p), *frames.world(v))
-
-
-def _attitude_target(a: SimulatedAutopilot, now: float) -> Message:
-    unturned = (1.0, 0.0, 0.0, 0.0)
-    return mavlink.MAVLink_attitude_target_message(int(now * 1e3), 0, unturned, *frames.body(a.rates), 0.0)
-
-
-def _position_target_local_ned(a: SimulatedAutopilot, now: float) -> Message | None:
-    """Only where a position was followed since the last report."""
-    to, a.position = a.position, None
-    if to is None:
-        return None
-    at = (*frames.world(to), *[0.0] * 8)
-    return mavlink.MAVLink_position_target_local_ned_message(int(now * 1e3), 1, 0, *at)
-
-
-def _estimator_status(a: SimulatedAutopilot, now: float) -> Message:
-    e = a.estimator
-    ratios = (e.velocity_ratio, e.contradicted, e.contradicted, 0.02, nan, nan)
-    return mavlink.MAVLink_estimator_status_message(int(now * 1e6), 0x33F, *ratios, 0.2, 0.2)
-
-
-def _home_position(a: SimulatedAutopilot, now: float) -> Message | None:
-    """Known from the first arming on."""
-    if a.home is None:
-        return None
-    unturned = [1.0, 0.0, 0.0, 0.0]
-    return mavlink.MAVLink_home_position_message(0, 0, 0, *frames.world(a.home), unturned, *[0.0] * 3)
-
-
-def _servo_output_raw(a: SimulatedAutopilot, now: float) -> Message:
-    pulses = [round(1000 + 1000 * u) for u in a.commands]
-    pulses += [0] * (8 - len(pulses))
-    return mavlink.MAVLink_servo_output_raw_message(int(now * 1e6) & 0xFFFFFFFF, 0, *pulses)
-
-
-def _actuator_output_status(a: SimulatedAutopilot, now: float) -> Message:
-    row = [*a.commands, *([0.0] * (32 - len(a.commands)))]
-    return mavlink.MAVLink_actuator_output_status_message(int(now * 1e6), a.body.nu, row)
-
-
-MESSAGES: dict[str, Callable[[SimulatedAutopilot, float], Message | None]] = {
-    "HEARTBEAT": _heartbeat,
-    "HOME_POSITION": _home_position,
-    "SYS_STATUS": _sys_status,
-    "ESTIMATOR_STATUS": _estimator_status,
-    "EXTENDED_SYS_STATE": _extended_sys_state,
-    "ODOMETRY": _odometry,
-    "ATTITUDE_QUATERNION": _attitude_quaternion,
-    "ATTITUDE_TARGET": _attitude_target,
-    "LOCAL_POSITION_NED": _local_position_ned,
-    "POSITION_TARGET_LOCAL_NED": _position_target_local_ned,
-    "SERVO_OUTPUT_RAW": _servo_output_raw,
-    "ACTUATOR_OUTPUT_STATUS": _actuator_output_status,
-}
-"""Name -> function of the autopilot and the time that it stamps [s]."""
-
-
-ESTIMATOR = 0.008
-"""Step at which the estimator publishes [s]."""
-_ESTIMATED = frozenset(("ODOMETRY", "LOCAL_POSITION_NED"))
-
-
-def is_due(name: str, due: float, now: float) -> bool:
-    """Whether a message goes out now; one of the estimate waits for a new one."""
-    late = now % ESTIMATOR
-    new = name not in _ESTIMATED or min(late, ESTIMATOR - late) < 1e-6
-    return new and now >= due - 1e-6
-
-
-def due_next(name: str, due: float, interval: float, now: float) -> float:
-    """When a message that goes out now is due again [s].
-
-    An estimate is sent as often as it was asked for, at 100 Hz three after 8 ms each and one after 16. Of the others
-    100 Hz come as 99.
-    """
-    if name in _ESTIMATED:
-        return max(due + interval, now - interval)
-    return max(due + interval * 100.0 / 99.0, now)
-
-
-def texts(severity: int, text: str, number: int) -> list[Message]:
-    """A text in pieces of fifty characters; one that has several bears its number."""
-    data = text.encode()
-    pieces = [data[k : k + 50] for k in range(0, len(data), 50)]
-    return [
-        mavlink.MAVLink_statustext_message(severity, piece, id=number if len(pieces) > 1 else 0, chunk_seq=k)
-        for k, piece in enumerate(pieces)
-    ]
+    def _say_servo_output_raw(self, now: float) -> Message:
+        pulses = [round(1000 + 1000 * u) for u in self.commands]
+        pulses += [0] * (8 - len(pulses))
+        return mavlink.MAVLink_servo_output_raw_message(int(now * 1e6) & 0xFFFFFFFF, 0, *pulses)

@@ -22,7 +22,7 @@ import torch
 
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError
-from nsde_torch.px4.link.vectors import Quat, Vec, rotate, rotate_back, turned_by_rates
+from nsde_torch.px4.link.vectors import Quat, Vec, parts, plus, rotate, rotate_back, turned_by_rates
 from nsde_torch.rotation import euler_coupling
 from nsde_torch.simulation.battery import ENDURANCE, FULL, HOVER, LOAD, SWING
 from nsde_torch.simulation.noise import Gusts
@@ -153,16 +153,16 @@ class Body:
             return
         self.on_ground = False
         # midpoint for the rates, whose gyroscopic terms are quadratic; all else is smooth over a step
-        middle = _plus(self.w, twist, 0.5 * dt)
+        middle = plus(self.w, twist, 0.5 * dt)
         acceleration, twist = self._rigid(
-            _plus(self.v, acceleration, 0.5 * dt),
+            plus(self.v, acceleration, 0.5 * dt),
             turned_by_rates(self.q, self.w, 0.5 * dt),
             middle,
             self.motors,
         )
         self.q = turned_by_rates(self.q, middle, dt)
-        self.p = _plus(_plus(self.p, self.v, dt), acceleration, 0.5 * dt * dt)
-        self.v, self.w = _plus(self.v, acceleration, dt), _plus(self.w, twist, dt)
+        self.p = plus(plus(self.p, self.v, dt), acceleration, 0.5 * dt * dt)
+        self.v, self.w = plus(self.v, acceleration, dt), plus(self.w, twist, dt)
         if self._memory is not None:
             self._memory = self._memory + dt * self._memory_rate
         self.time += dt
@@ -184,7 +184,7 @@ class Body:
     def _rigid(self, v: Vec, q: Quat, w: Vec, motors: tuple[float, ...]) -> tuple[Vec, Vec]:
         """Accelerations in the world and in the body, with what is held."""
         acceleration, twist = self._bare(v, q, w, motors)
-        return _plus(acceleration, self._push, 1.0), _plus(twist, self._twist, 1.0)
+        return plus(acceleration, self._push), plus(twist, self._twist)
 
     def _bare(self, v: Vec, q: Quat, w: Vec, motors: tuple[float, ...]) -> tuple[Vec, Vec]:
         b = rotate_back(q, v)
@@ -205,7 +205,7 @@ class Body:
         forces = {port: row[0].tolist() for port, row in self._gusts.draw().items()}
         push = tuple(forces.get(Port.WORLD_FORCE, (0.0, 0.0, 0.0)))
         if Port.BODY_FORCE in forces:
-            push = _plus(push, rotate(self.q, tuple(forces[Port.BODY_FORCE])), 1.0)
+            push = plus(push, rotate(self.q, tuple(forces[Port.BODY_FORCE])))
         twist: Vec = tuple(forces.get(Port.BODY_MOMENT, (0.0, 0.0, 0.0)))
         if self._others and not self.on_ground:
             row = torch.tensor([[*self.p, *self.v, *self.q, *self.w]], dtype=torch.float64)
@@ -218,9 +218,9 @@ class Body:
                 z[:, self._lag] = torch.tensor([self.motors], dtype=torch.float64)
             rate = self._full.drift(self.time, z, inputs)
             bare, spin = self._bare(self.v, self.q, self.w, self.motors)
-            found = rate[0].tolist()
-            push = _plus(push, tuple(a - b for a, b in zip(found[3:6], bare, strict=True)), 1.0)
-            twist = _plus(twist, tuple(a - b for a, b in zip(found[10:13], spin, strict=True)), 1.0)
+            _, a, _, turn = parts(tuple(rate[0, :13].tolist()))
+            push = plus(push, plus(a, bare, -1.0))
+            twist = plus(twist, plus(turn, spin, -1.0))
             self._memory, self._memory_rate = z[:, 13:], rate[:, 13:]
             if self._lag is not None:
                 # what effects before the lag (a dead band, a limit) add to the motors' rates
@@ -229,7 +229,3 @@ class Body:
                     for r, c, m in zip(rate[0, self._lag].tolist(), command, self.motors, strict=True)
                 )
         self._push, self._twist = push, twist
-
-
-def _plus(a: Vec, b: Vec, k: float) -> Vec:
-    return (a[0] + k * b[0], a[1] + k * b[1], a[2] + k * b[2])

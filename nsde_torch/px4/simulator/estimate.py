@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from math import cos, radians, sin
 from typing import final
 
-from nsde_torch.px4.link.vectors import Quat, Vec, from_rotation_vector, multiply
+from nsde_torch.px4.link.vectors import Quat, Vec, from_rotation_vector, multiply, plus
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 
@@ -48,15 +48,12 @@ class SimulatedEstimator:
     std: tuple[float, ...]  # noise of position, velocity, attitude and rates
     seed: int
     heading: float | None = None  # error of it until it is reset [rad]; None: another one in each flight
-    errors: SensorErrors = field(
-        default_factory=SensorErrors
-    )  # of which the slow error of the position is this one's
+    errors: SensorErrors = field(default_factory=SensorErrors)  # the slow one of the position is this one's
 
     def __post_init__(self) -> None:
         self.aligns = True  # whether the heading is reset; versions of 2026 were not seen to
-        self.contradicted = (
-            0.02  # innovation ratio of the position, as where its sensors do not share an error
-        )
+        # innovation ratio of the position, as where its sensors do not share an error
+        self.contradicted = 0.02
         self.offset: Vec = (0.0, 0.0, 0.0)  # error of the position that its sensors share, ENU [m]
         self._slow_v: Vec = (0.0, 0.0, 0.0)
         self._slow_p: Vec = (0.0, 0.0, 0.0)
@@ -101,10 +98,9 @@ class SimulatedEstimator:
         self._touch_down(body)
         self._go_astray(body)
         self._drift(body.dt)
-        (x, y, z), (vx, vy, vz) = noisy(body.p, sp), noisy(body.v, sv)
-        (px, py, pz), (ux, uy, uz), (ox, oy, oz) = self._slow_p, self._slow_v, self.offset
-        p: Vec = (x + px + ox, y + py + oy, z + pz + oz - self._sunk)
-        return p, (vx + ux, vy + uy, vz + uz - self._sinking), q, noisy(body.w, sw)
+        x, y, z = plus(plus(noisy(body.p, sp), self._slow_p), self.offset)
+        vx, vy, vz = plus(noisy(body.v, sv), self._slow_v)
+        return (x, y, z - self._sunk), (vx, vy, vz - self._sinking), q, noisy(body.w, sw)
 
     @property
     def velocity_ratio(self) -> float:
@@ -123,13 +119,9 @@ class SimulatedEstimator:
             return
         time, gauss = self.errors.estimate_time, self._random.gauss
         keep = dt / time
-        self._slow_p = tuple(  # type: ignore[assignment]
-            p + dt * v - keep * p for p, v in zip(self._slow_p, self._slow_v, strict=True)
-        )
-        self._slow_v = tuple(  # type: ignore[assignment]
-            v - keep * v + gauss(0.0, 2.0 * s / time * keep**0.5)
-            for v, s in zip(self._slow_v, (east, north, down), strict=True)
-        )
+        x, y, z = (gauss(0.0, 2.0 * s / time * keep**0.5) for s in (east, north, down))
+        self._slow_p = plus(plus(self._slow_p, self._slow_v, dt), self._slow_p, -keep)
+        self._slow_v = plus(plus(self._slow_v, self._slow_v, -keep), (x, y, z))
 
     def _touch_down(self, body: Body) -> None:
         if self._in_air and body.on_ground:

@@ -33,10 +33,13 @@ from nsde_torch.px4.link.vectors import (
     Vec,
     between,
     conjugate,
+    distance,
     length,
     multiply,
+    plus,
     rotate_back,
     rotation_vector,
+    scaled,
     turned_by_rates,
 )
 from nsde_torch.px4.simulator.body import Body
@@ -108,16 +111,10 @@ class HilSensors:
     def messages(self, time: float, p: Vec, v: Vec, q: Quat, w: Vec) -> list[Message]:
         """What is sent of one state, ENU and FLU, at a time [s]; call it once for each sample."""
         k, self._count = self._count, self._count + 1
-        b, r = self._before, self._rest
-        gained = (
-            RATE * (v[0] - b[0]) + r[0],
-            RATE * (v[1] - b[1]) + r[1],
-            RATE * (v[2] - b[2]) + r[2] + GRAVITY,
-        )
-        share = HARDEST / max(length(gained), HARDEST)
-        shown: Vec = (share * gained[0], share * gained[1], share * gained[2])
-        self._rest = (gained[0] - shown[0], gained[1] - shown[1], gained[2] - shown[2])
-        self._before = v
+        x, y, z = plus(self._rest, plus(v, self._before, -1.0), RATE)
+        gained = (x, y, z + GRAVITY)
+        shown = scaled(gained, HARDEST / max(length(gained), HARDEST))
+        self._rest, self._before = plus(gained, shown, -1.0), v
         rates = self._rates(q, w)
         force = rotate_back(self._shown or q, shown)
         e = self._errors
@@ -144,12 +141,12 @@ class HilSensors:
         """Rates that lead from the attitude that was shown to the one that is; those of the machine where they do."""
         last = self._shown
         turn = (0.0, 0.0, 0.0) if last is None else rotation_vector(multiply(conjugate(last), q))
-        off = length((RATE * turn[0] - w[0], RATE * turn[1] - w[1], RATE * turn[2] - w[2]))
+        off = distance(scaled(turn, RATE), w)
         if last is None or off < _STEADY + 0.1 * length(w):
             self._shown = q
             return w
         share = min(FASTEST / max(RATE * length(turn), FASTEST), 1.0) * RATE
-        rates: Vec = (share * turn[0], share * turn[1], share * turn[2])
+        rates = scaled(turn, share)
         self._shown = turned_by_rates(last, rates, 1.0 / RATE)
         return rates
 

@@ -1,30 +1,32 @@
-"""Flights on the simulated vehicle in virtual time: the same link, state machine and logs, and no waiting."""
+"""The simulated vehicle, and flights on it: in real time on a transport, and in virtual time.
+
+In virtual time the flight and the vehicle are in one thread, with the same link, state machine and logs, without
+sockets and without waiting. A flight of forty seconds takes as long as its arithmetic, and the same seed gives the same
+flight on any machine, busy or not. What a real link adds, threads and an operating system that is late, is not in it.
+"""
 
 from __future__ import annotations
 
+import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import final
 
+from nsde_torch.px4.flight.cascade import PathPoints
 from nsde_torch.px4.flight.controller import FlightController
 from nsde_torch.px4.flight.flying import FlightReport, fly
 from nsde_torch.px4.flight.options import FlightOptions
-from nsde_torch.px4.flight.path import PathPoints
 from nsde_torch.px4.flight.runner import Inline
 from nsde_torch.px4.flight.safety import Limits
 from nsde_torch.px4.link.connection import POLL, Connection
 from nsde_torch.px4.link.endpoint import Endpoint
+from nsde_torch.px4.link.transport import Transport
+from nsde_torch.px4.simulator import CLOCK
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
-from nsde_torch.px4.simulator.clock import CLOCK
-
-# A link in virtual time: the flight and the simulated vehicle in one thread, without sockets and without
-# waiting.
-#
-# A flight of forty seconds takes as long as its arithmetic, and the same seed gives the same flight on any
-# machine, busy or not. What a real link adds, threads and an operating system that is late, is not in it.
 
 START = 1000.0
 """First time of our clock; the vehicle's begins at 0 [s]."""
@@ -49,9 +51,6 @@ class VirtualLink(Connection):
         self._time, self._polled = START, START
         self._up: deque[tuple[float, bytes]] = deque()
         self._down: deque[tuple[float, bytes]] = deque()
-
-    def __enter__(self) -> VirtualLink:
-        return self
 
     def now(self) -> float:
         return self._time
@@ -110,3 +109,50 @@ def fly_simulated(
     runner = Inline(controller, period=period, delay=SOLVE)
     with VirtualLink(autopilot, latency=LINE) as link:
         return fly(link, runner, path, motors=body.nu, log=log, limits=limits, options=options, say=say)
+
+
+TICK = 0.004
+LONGEST = 0.1
+"""Most that is made up for at once when the machine was busy [s]; beyond, its clock slips."""
+
+
+@final
+@dataclass(eq=False)
+class Vehicle:
+    """Runs a simulated autopilot on a transport; a context manager does so in a thread."""
+
+    autopilot: SimulatedAutopilot
+    transport: Transport
+    _: KW_ONLY
+    speed: float = CLOCK  # seconds of its clock in one of ours
+
+    def __post_init__(self) -> None:
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self.run, name="vehicle", daemon=True)
+        self.slipped = 0.0  # time that its clock lost because the machine was busy [s]
+
+    def run(self, until: Callable[[], bool] = lambda: False) -> None:
+        """Run until asked to stop."""
+        begun, offset = time.monotonic(), self.autopilot.time
+        while not (self._stop.is_set() or until()):
+            wanted = offset + (time.monotonic() - begun) * self.speed
+            behind = wanted - self.autopilot.time
+            if behind > LONGEST:
+                self.slipped += behind - LONGEST
+                offset -= behind - LONGEST
+                wanted -= behind - LONGEST
+            for frame in self.autopilot.advance(wanted):
+                self.transport.send(frame)
+            wait = TICK
+            while data := self.transport.receive(wait):
+                self.autopilot.receive(data)
+                wait = 0.0
+
+    def __enter__(self) -> Vehicle:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stop.set()
+        self._thread.join(2.0)
+        self.transport.close()

@@ -17,7 +17,7 @@ from nsde_torch.control.shapes import waypoints
 from nsde_torch.design.experiment import write_plan
 from nsde_torch.effects import files
 from nsde_torch.px4.flight.cascade import CascadeController, PathPoints
-from nsde_torch.px4.flight.runner import Inline
+from nsde_torch.px4.flight.controller import Inline
 from nsde_torch.px4.flight.safety import Phase
 from nsde_torch.px4.link import connection as links
 from nsde_torch.px4.link import dialect as d

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 
 from nsde_torch.control import shapes
 from nsde_torch.px4.flight.cascade import CascadeController, PathPoints
+from nsde_torch.px4.flight.controller import Inline, Runner
 from nsde_torch.px4.flight.offboard import Offboard
 from nsde_torch.px4.flight.options import FlightOptions
-from nsde_torch.px4.flight.runner import Inline, Runner
 from nsde_torch.px4.flight.safety import Limits, Phase, Trouble
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.codec import Codec

@@ -12,10 +12,9 @@ import pytest
 
 from nsde_torch.control import shapes
 from nsde_torch.px4.flight.cascade import CascadeController, PathPoints, Point
-from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan
+from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan, Inline, Runner
 from nsde_torch.px4.flight.flight_log import FlightLog
 from nsde_torch.px4.flight.flying import FlightReport, Recorder
-from nsde_torch.px4.flight.runner import Inline, Runner
 from nsde_torch.px4.flight.safety import Limits, Phase
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.dialect import mavlink
@@ -219,7 +218,6 @@ def test_a_controller_that_breaks_is_replaced_by_holding_and_landing(how: str) -
 
 
 TIPS: dict[str, tuple[Callable[[float], bool], bool]] = {
-    "never": (lambda t: False, True),
     "once, for as long as three plans": (lambda t: 1.0 <= t < 1.03, True),
     "again and again": (lambda t: t % 0.2 < 0.01, False),
 }
@@ -306,19 +304,14 @@ def test_a_solver_that_is_killed_or_hangs_ends_in_a_landing(killed: bool) -> Non
     assert world.highest < 2.3
 
 
-@pytest.mark.parametrize(("limit", "flown_on"), [(3.0, True), (1.0, False)])
-def test_while_plans_are_late_the_built_in_cascade_flies_the_reference(limit: float, flown_on: bool) -> None:
+def test_while_plans_are_late_the_built_in_cascade_flies_the_reference() -> None:
     """On a lemniscate at up to 2 m/s: the last plan alone, or holding, would leave it far behind."""
     path = PathPoints(shapes.lemniscate(duration=12.0, speed=2.0))
-    limits = Limits(without_plans=limit)
-    world = World(path=path, runner=_Dead(path, killed=False, after=5.0, hangs=2.5), limits=limits).run()
-    assert world.flight.outcome.tracked == flown_on, world.says
-    assert world.flight.outcome.landed
+    world = World(path=path, runner=_Dead(path, killed=False, after=5.0, hangs=2.5)).run()
+    assert world.flown, world.says
     assert max(world.errors) < 0.35
     assert sum("plans are late" in line for line in world.says) == 1
-    if flown_on:
-        assert world.flight.outcome.trouble is None
-        assert world.flight.outcome.without_plans == pytest.approx(2.2, abs=0.05)
+    assert world.flight.outcome.without_plans == pytest.approx(2.2, abs=0.05)
 
 
 @pytest.mark.parametrize(
@@ -375,12 +368,12 @@ def test_messages_of_another_system_are_not_believed() -> None:
     assert world.endpoint.codec.counts["foreign"] > 1000
 
 
-@pytest.mark.parametrize("key", [None, bytes(32)])
-def test_with_signing_on_unsigned_and_wrongly_signed_messages_are_dropped(key: bytes | None) -> None:
-    other = stranger(system=1, key=key)
+def test_with_signing_on_unsigned_and_wrongly_signed_messages_are_dropped() -> None:
+    others = [stranger(system=1, key=key) for key in (None, bytes(32))]
 
     def attack(world: World) -> None:
-        world.inject(false_mode(other) + false_state(other, world.now - 990.0))
+        for other in others:
+            world.inject(false_mode(other) + false_state(other, world.now - 990.0))
 
     world = World(path=SHORT, key=KEY, vehicle_key=KEY).run(attack)
     assert world.flown, world.says
@@ -463,10 +456,9 @@ def test_a_stop_of_four_seconds_is_a_gap_and_does_not_bring_px4_back_to_our_setp
     assert world.now > resumed
 
 
-@pytest.mark.parametrize("seconds", [0.3, 0.45])
-def test_a_short_stop_is_flown_through_once_what_came_meanwhile_is_heard(seconds: float) -> None:
+def test_a_short_stop_is_flown_through_once_what_came_meanwhile_is_heard() -> None:
     world = World(path=LONG, parameters={"COM_OF_LOSS_T": 0.5}).until(Phase.TRACK, 1.0)
-    _stopped(world, seconds)
+    _stopped(world, 0.45)
     world.run()
     assert world.flown, world.says
 

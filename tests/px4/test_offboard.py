@@ -11,10 +11,10 @@ from nsde_torch.control import shapes
 from nsde_torch.control.shapes import waypoints
 from nsde_torch.px4.flight import preflight
 from nsde_torch.px4.flight.cascade import CascadeController, PathPoints
+from nsde_torch.px4.flight.controller import Inline
 from nsde_torch.px4.flight.flying import land
 from nsde_torch.px4.flight.offboard import Offboard
 from nsde_torch.px4.flight.options import FlightOptions
-from nsde_torch.px4.flight.runner import Inline
 from nsde_torch.px4.flight.safety import Limits, Phase
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
@@ -26,11 +26,19 @@ ORDER = ["preflight", "stream", "offboard", "arm", "take off", "hold", "track", 
 
 
 @pytest.mark.parametrize("system", ["quadrotor", "hexacopter"])
-def test_a_flight_goes_through_its_steps_and_ends_on_the_ground_disarmed(system: str) -> None:
-    world = World(system=system, path=PathPoints(shapes.hover(duration=2.0, height=1.0))).run()
+def test_a_flight_goes_through_its_steps_with_setpoints_at_a_hundred_hertz_until_it_lands(
+    system: str,
+) -> None:
+    world = World(system=system, path=PathPoints(shapes.hover(duration=2.0, height=1.0))).until(Phase.STREAM)
+    begun = world.now
+    world.until(Phase.LAND)
+    assert max(np.diff([begun, *(t for t in world.setpoints if t > begun), world.now])) < 0.021
+    world.run()
     assert world.phases[: len(ORDER)] == ORDER
     assert world.flown, world.says
     assert world.rmse < 0.15
+    landed = next(t for t, p, _ in world.flight.outcome.actions if p == "done")
+    assert max(world.setpoints) < 1000.0 + landed - 1.0
 
 
 def test_the_supplements_circle_is_flown_within_a_quarter_of_a_metre_at_its_speed() -> None:
@@ -53,16 +61,6 @@ def test_a_flight_lands_where_its_reference_ends_or_where_it_took_off(come_back:
     world = World(path=path, options=options).run()
     assert world.flown, world.says
     assert world.body.p[:2] == pytest.approx((left, 0.0), abs=0.3)
-
-
-def test_setpoints_come_at_a_hundred_hertz_from_stream_to_landing_and_none_afterwards() -> None:
-    world = World(path=PathPoints(shapes.hover(duration=1.0, height=1.0))).until(Phase.STREAM)
-    begun = world.now
-    world.until(Phase.LAND)
-    assert max(np.diff([begun, *(t for t in world.setpoints if t > begun), world.now])) < 0.021
-    world.run()
-    landed = next(t for t, p, _ in world.flight.outcome.actions if p == "done")
-    assert max(world.setpoints) < 1000.0 + landed - 1.0
 
 
 def test_hover_throttle_is_learned_from_a_wrong_parameter() -> None:
@@ -93,9 +91,9 @@ def test_flying_is_refused_before_arming_with_every_reason() -> None:
     assert not world.setpoints
 
 
-def _near_the_top(path: float = 1.0, height: float = 1.0, climb: float = 0.8, top: float = 1.8) -> World:
+def _near_the_top(path: float = 1.0, height: float = 1.0, climb: float = 0.8) -> World:
     options = FlightOptions(height=height, climb=climb, hold=0.3, idle=0.4, spool=0.4, checks=1.0)
-    fence = Limits(fence=((-6.0, 6.0), (-6.0, 6.0), (-0.5, top)))
+    fence = Limits(fence=((-6.0, 6.0), (-6.0, 6.0), (-0.5, 1.8)))
     reference = PathPoints(shapes.hover(duration=1.0, height=path))
     return World(path=reference, options=options, limits=fence).run()
 

@@ -10,8 +10,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan, FlightController
-from nsde_torch.px4.flight.runner import Maker, Process
+from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan, FlightController, Maker, Process
 from nsde_torch.px4.link.connection import PLANS, STREAM, urgent
 
 ROW = (0.0,) * 6 + (1.0,) + (0.0,) * 6

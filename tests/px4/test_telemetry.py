@@ -159,8 +159,8 @@ def test_a_clock_that_is_set_is_followed_at_once_and_makes_no_drift() -> None:
             assert abs(sync.drift) < 0.02
 
 
-@pytest.mark.parametrize("speed", [0.98, 1.01])
-def test_a_flight_on_a_clock_that_drifts_reads_the_true_age_and_goes_to_its_end(speed: float) -> None:
+def test_a_flight_on_a_clock_that_drifts_reads_the_true_age_and_goes_to_its_end() -> None:
+    speed = 0.98
     world = World(
         path=PathPoints(shapes.hover(duration=3.0)), speed=speed, down=delayed(0.002, 0.006, seed=1)
     )

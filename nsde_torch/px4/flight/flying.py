@@ -7,7 +7,6 @@ import gc
 import signal
 import sys
 import threading
-from array import array
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -18,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from nsde_torch.px4.flight.cascade import PathPoints
+from nsde_torch.px4.flight.controller import Runner
 from nsde_torch.px4.flight.flight_log import FlightLog
 from nsde_torch.px4.flight.offboard import Offboard
 from nsde_torch.px4.flight.options import FlightOptions
-from nsde_torch.px4.flight.runner import Runner
 from nsde_torch.px4.flight.safety import FLYING, REFUSED, Action, FlightOutcome, Limits, Phase, Trouble
 from nsde_torch.px4.flight.setpoint import SetpointLimits
 from nsde_torch.px4.link import dialect as d
@@ -171,7 +170,6 @@ class Recorder:
         self._flight, self._log = flight, log
         self.report = FlightReport(flight.outcome)
         self._sent, self._plan, self._streamed = -1.0, None, False
-        self._ages, self._gaps = array("d"), array("d")
         self._looked: VehicleState | None = None
         self._flown: deque[tuple[VehicleState, tuple[Any, ...], bool]] = deque()
 
@@ -203,13 +201,13 @@ class Recorder:
         flying = f.phase in FLYING
         if f.sent is not None and f.sent[0] != self._sent:
             if flying and self._sent >= 0:
-                self._gaps.append(f.sent[0] - self._sent)
+                self.report.gaps.append(f.sent[0] - self._sent)
                 if state is not None:
-                    self._ages.append(now - state.time)
+                    self.report.ages.append(now - state.time)
             self._sent = f.sent[0]
         elif self._streamed and not (flying and f.streaming):
             # the last one was not closed by a setpoint, however long it was
-            self._gaps.append(now - self._sent)
+            self.report.gaps.append(now - self._sent)
         self._streamed = flying and f.streaming
 
     def _take(self, state: VehicleState, known: tuple[Any, ...], tracked: bool, home: Vec) -> None:
@@ -243,7 +241,6 @@ class Recorder:
     def finish(self) -> FlightReport:
         """The report."""
         f, r = self._flight, self.report
-        r.gaps, r.ages = list(self._gaps), list(self._ages)
         r.bounded, r.hover = dict(f.guard.counts), f.hover.value
         r.link = dict(f.endpoint.codec.counts)
         r.drift = f.endpoint.telemetry.sync.drift

@@ -16,9 +16,8 @@ from typing import final
 
 from nsde_torch.px4.flight import failsafe, preflight
 from nsde_torch.px4.flight.cascade import GRAVITY, LEAD, PathPoints, Point, SetpointCascade
-from nsde_torch.px4.flight.controller import Demand, DemandPlan
+from nsde_torch.px4.flight.controller import Demand, DemandPlan, Runner
 from nsde_torch.px4.flight.options import FlightOptions
-from nsde_torch.px4.flight.runner import Runner
 from nsde_torch.px4.flight.safety import FLYING, REFUSED, Action, FlightOutcome, Limits, Phase, Trouble, Watch
 from nsde_torch.px4.flight.setpoint import Guard, HoverThrottle, SetpointLimits, level
 from nsde_torch.px4.link import dialect as d
@@ -68,8 +67,8 @@ class Offboard:
         self._watch: Watch | None = None
         self._begun = inf  # until the first tick
         self._since = self._asked = self._now = self._last = self._grace = self._arrived = 0.0
-        self._good_since: float | None = None
-        self._bad_since: float | None = None
+        self._fit: bool | None = None  # to fly, and since when
+        self._fit_since = 0.0
         self._where = Point((0.0, 0.0, 0.0))
         self._ground = 0.0
         self._yaw = 0.0
@@ -160,19 +159,16 @@ class Offboard:
         found = preflight.faults(
             self.endpoint, status, state, self.path, self.limits, options=self.options, now=self._now
         )
+        if self._fit is not (not found):
+            self._fit, self._fit_since = not found, self._now
+        lasted = self._now - self._fit_since
         if found:
-            self._good_since = None
-            if self._bad_since is None:
-                self._bad_since = self._now
-            if self._now - self._bad_since > self.options.checks:
+            if lasted > self.options.checks:
                 self._list(found, status)
                 self._refuse("not fit to fly: " + "; ".join(found))
             return
-        self._bad_since = None
-        if self._good_since is None:
-            self._good_since = self._now
         known = all(name in status.parameters for name in preflight.PARAMETERS)
-        settled = self._now - self._good_since >= 1.0 and (known or self._elapsed > 3.0)
+        settled = lasted >= 1.0 and (known or self._elapsed > 3.0)
         if not (settled and self._controller_ready()):
             return
         self._list([], status)

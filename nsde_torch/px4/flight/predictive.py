@@ -288,13 +288,10 @@ class PredictiveController:
 
     def _forces(self, push: Vec) -> Tensor | None:
         """The push on the ports of the model (1, nd); None where it has none."""
-        parts = []
-        for port, width in self._ports.items():
-            own = torch.zeros(1, width, dtype=torch.float64)
-            if port is Port.BODY_FORCE:
-                own[0] = torch.tensor(push, dtype=torch.float64)
-            parts.append(own)
-        return torch.cat(parts, 1) if parts else None
+        forces = [
+            x for port, n in self._ports.items() for x in (push if port is Port.BODY_FORCE else [0.0] * n)
+        ]
+        return torch.tensor([forces], dtype=torch.float64) if forces else None
 
     def _tips(self, plan: MotorPlan) -> bool:
         """Whether a plan tilts too far; one that begins beyond the limit may come back from it."""

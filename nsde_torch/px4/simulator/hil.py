@@ -125,15 +125,16 @@ class HilSensors:
         height = ALTITUDE + p[2]
         air = pressure(height) + self._random.gauss(0.0, e.barometer * self._noise)
         fields = ACCELEROMETER | GYROSCOPE
-        fields |= MAGNETOMETER if _due("mag", k) else 0
-        fields |= BAROMETER if _due("baro", k) else 0
+        due = {sensor for sensor, (every, first) in _EVERY.items() if k % every == first}
+        fields |= MAGNETOMETER if "mag" in due else 0
+        fields |= BAROMETER if "baro" in due else 0
         stamp = round(time * 1e6)
         self._flown.append((p, v))
         rest = (air, 0.0, _height(air), 15.0 - 0.0065 * height, fields, 0)
         out = [mavlink.MAVLink_hil_sensor_message(stamp, *acc, *gyro, *mag, *rest)]
-        if _due("gps", k):
+        if "gps" in due:
             out.append(self._gps(stamp, *self._before_delay()))
-        if _due("truth", k):
+        if "truth" in due:
             out.append(_truth(stamp, p, v, q, w, force))
         return out
 
@@ -175,11 +176,6 @@ class HilSensors:
 def _int16(value: float) -> int:
     """The nearest whole number that a field of 16 bits holds."""
     return min(max(round(value), -0x7FFF), 0x7FFF)
-
-
-def _due(sensor: str, count: int) -> bool:
-    every, first = _EVERY[sensor]
-    return count % every == first
 
 
 def _height(shown: float) -> float:

@@ -16,10 +16,9 @@ from pathlib import Path
 from typing import final
 
 from nsde_torch.px4.flight.cascade import PathPoints
-from nsde_torch.px4.flight.controller import FlightController
+from nsde_torch.px4.flight.controller import FlightController, Inline
 from nsde_torch.px4.flight.flying import FlightReport, fly
 from nsde_torch.px4.flight.options import FlightOptions
-from nsde_torch.px4.flight.runner import Inline
 from nsde_torch.px4.flight.safety import Limits
 from nsde_torch.px4.link.connection import POLL, Connection
 from nsde_torch.px4.link.endpoint import Endpoint

@@ -30,7 +30,11 @@ START = 1000.0
 TICK = 0.01
 SETPOINT = mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET
 
-BRISK = {"height": 1.0, "climb": 1.2, "hold": 0.3, "idle": 0.4, "spool": 0.4, "safe_hold": 0.8, "watch": 15.0}
+BRISK = {
+    **{"height": 1.0, "climb_past": 1.0, "climb": 1.2, "hold": 0.3, "idle": 0.4, "spool": 0.4},
+    **{"safe_hold": 0.8, "watch": 15.0},
+}
+"""A flight that waits no longer than it must; it stays below where the heading is reset."""
 
 Line = Callable[[bytes, float], list[tuple[float, bytes]]]
 """What becomes of a frame that was sent at a time: frames and when they arrive."""

@@ -234,7 +234,7 @@ def test_the_height_of_the_reset_is_climbed_past_before_the_reference() -> None:
 
 @pytest.mark.parametrize(("kind", "by"), [("position", 0.2), ("velocity", 0.8)])
 def test_small_resets_of_position_and_velocity_are_noted_and_flown_through(kind: str, by: float) -> None:
-    world = World(path=HIGH).until(Phase.TRACK, 0.5)
+    world = World(path=HIGH, heading_error=0.0).until(Phase.TRACK, 0.5)
     if kind == "position":
         world.body.p = (world.body.p[0] + by, *world.body.p[1:])
     else:
@@ -243,7 +243,8 @@ def test_small_resets_of_position_and_velocity_are_noted_and_flown_through(kind:
     world.run()
     assert world.flight.outcome.tracked, world.says
     step = world.flight.outcome.steps[-1][1]
-    assert getattr(step, kind) == pytest.approx(by if kind == "position" else 0.5, abs=0.1)
+    # of a velocity 30 m/s2 may be thrust, in the 8 or 16 ms between two states
+    assert getattr(step, kind) == pytest.approx(by if kind == "position" else 0.44, abs=0.14)
 
 
 def test_the_log_is_cut_at_a_reset_so_that_no_model_must_explain_it(tmp_path: Path) -> None:

@@ -97,18 +97,6 @@ def _loopback(host: str) -> bool:
         return False
 
 
-def _udp(host: str, port: int, *, listens: bool) -> socket.socket:
-    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
-    sock.setblocking(False)
-    try:
-        (sock.bind if listens else sock.connect)((host, port))
-    except OSError:
-        sock.close()
-        raise
-    return sock
-
-
 def _readable(sock: socket.socket, timeout: float) -> bool:
     try:
         return bool(select.select([sock], [], [], timeout)[0])
@@ -116,12 +104,29 @@ def _readable(sock: socket.socket, timeout: float) -> bool:
         return False
 
 
+class _Udp(Transport):
+    """A socket for datagrams, which waits at an address or sends to it."""
+
+    def __init__(self, host: str, port: int, *, listens: bool) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+        self._socket.setblocking(False)
+        try:
+            (self._socket.bind if listens else self._socket.connect)((host, port))
+        except OSError:
+            self._socket.close()
+            raise
+
+    def close(self) -> None:
+        self._socket.close()
+
+
 @final
-class UdpIn(Transport):
+class UdpIn(_Udp):
     """Waits for the vehicle; answers to the address from which its first good message came."""
 
     def __init__(self, host: str, port: int) -> None:
-        self._socket = _udp(host, port, listens=True)
+        super().__init__(host, port, listens=True)
         self.address: tuple[str, int] = self._socket.getsockname()
         self._peer: tuple[str, int] | None = None
         self._last: tuple[str, int] | None = None
@@ -155,16 +160,13 @@ class UdpIn(Transport):
             with suppress(OSError):  # nobody there, or no room: the next one is due in milliseconds
                 self._socket.sendto(data, self._peer)
 
-    def close(self) -> None:
-        self._socket.close()
-
 
 @final
-class UdpOut(Transport):
+class UdpOut(_Udp):
     """Sends to an address and hears only it."""
 
     def __init__(self, host: str, port: int) -> None:
-        self._socket = _udp(host, port, listens=False)
+        super().__init__(host, port, listens=False)
 
     def receive(self, timeout: float) -> bytes:
         if not _readable(self._socket, timeout):
@@ -178,9 +180,6 @@ class UdpOut(Transport):
     def send(self, data: bytes) -> None:
         with suppress(OSError):
             self._socket.send(data)
-
-    def close(self) -> None:
-        self._socket.close()
 
 
 class _Connected(Transport):

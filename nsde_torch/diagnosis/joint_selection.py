@@ -323,7 +323,12 @@ class JointSearch:
 
         A fit that has no way to a log likelihood that is wanted ends early, and is not kept.
         """
-        made = fitted_at(self._problem.of(system), system, None if like is None else like.at, wanted)
+        try:
+            made = fitted_at(self._problem.of(system), system, None if like is None else like.at, wanted)
+        except np.linalg.LinAlgError:  # an end of travel went 2,600 rad away, where its slopes are no numbers
+            if like is None:
+                raise
+            return replace(like, best=replace(like.best, likelihood=-inf))
         if made.best.likelihood < wanted:
             return made
         added = frozenset(system.effect_names)

@@ -49,6 +49,7 @@ from nsde_torch.recording.times import is_longer, on_longer_step
 from nsde_torch.recording.unmeasured_rates import measured_part
 from nsde_torch.rotation import turned
 from nsde_torch.sysid import signals
+from nsde_torch.sysid.input_noise import without_input_noise
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.response_ends import ends_of_response
 from nsde_torch.sysid.rough import rough_fit
@@ -447,15 +448,17 @@ def undone_at_own_rate(
     state_smoothing: str,
     taken_out: Iterable[str] = (),
 ) -> DataSet:
-    """A data set on the step that was asked for, without what the recording did to its states.
+    """A data set on the step that was asked for, without what the recording did to its states and inputs.
 
     Args:
         dt: The step that was asked for [s]; None: that of the data.
         stream_offsets: "undo", or "keep" streams, and sensors that a longer step would hide, where they are.
-        state_smoothing: "restore", or "keep" states as they are.
+        state_smoothing: "restore", or "keep" states, and inputs with noise about levels, as they are.
         taken_out: Names of the faults that the reader took out.
     """
     data = on_one_clock(data, system, policy=stream_offsets)
+    if state_smoothing != "keep" and isinstance(system, System):
+        data = without_input_noise(data, system)
     found = [] if state_smoothing == "keep" else smoothers_of(data, system, taken_out)
     if dt is None or not is_longer(dt, data.dt):
         return restored(data, found)

@@ -54,6 +54,19 @@ def test_two_frictions_of_one_speed_are_both_selected_with_their_sizes() -> None
         assert error < 0.2 * true
 
 
+def test_a_candidate_whose_slopes_are_no_numbers_costs_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    fit = joint_selection.fitted_at
+
+    def failing(problem: Any, system: Any, *how: Any) -> FittedPhysics:
+        if "quadratic_damping" in system.effect_names:
+            raise np.linalg.LinAlgError("Eigenvalues did not converge")
+        return fit(problem, system, *how)
+
+    monkeypatch.setattr(joint_selection, "fitted_at", failing)
+    found = selected(two_frictions(seed=1)).selected
+    assert set(found) == {"stribeck_friction"}  # the next best, see `STRIBECK`
+
+
 def test_a_delay_is_selected_whose_lack_hides_the_gain_of_the_input() -> None:
     late = 13  # rows; forces of ten rows each are white from there
     runs = [Run(r.name, r.t[:-late], r.x[:-late], r.u[late:]) for r in linear_runs(4, 8.0, seed=1)]

@@ -67,13 +67,8 @@ def without_input_noise(data: DataSet, system: System) -> DataSet:
             if likelier - likely > NATS:
                 findings.append(_finding(one, system, likelier - likely))
                 runs, some, likely = [one.on_levels(run) for run in runs], other, likelier
-    except (
-        ConfigError,
-        DataError,
-        NonFiniteError,
-        np.linalg.LinAlgError,
-    ):  # whoever fits these data next says why
-        return data
+    except (ConfigError, DataError, NonFiniteError, np.linalg.LinAlgError):
+        return data  # whoever fits these data next says why
     return data.changed(runs, findings)
 
 

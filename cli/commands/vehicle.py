@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.errors import ConfigError
-from nsde_torch.px4.simulator import CLOCK
+from nsde_torch.px4.simulator.clock import CLOCK
 from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 
 from ..hydra_command import HydraCommand, Job, say

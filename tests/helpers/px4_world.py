@@ -21,9 +21,9 @@ from nsde_torch.px4.link.codec import Codec
 from nsde_torch.px4.link.dialect import mavlink
 from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.link.vectors import Vec, distance
-from nsde_torch.px4.simulator import CLOCK
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
+from nsde_torch.px4.simulator.clock import CLOCK
 from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 
 START = 1000.0

@@ -23,9 +23,9 @@ from nsde_torch.px4.flight.safety import Limits
 from nsde_torch.px4.link.connection import POLL, Connection
 from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.link.transport import Transport
-from nsde_torch.px4.simulator import CLOCK
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
+from nsde_torch.px4.simulator.clock import CLOCK
 
 START = 1000.0
 """First time of our clock; the vehicle's begins at 0 [s]."""

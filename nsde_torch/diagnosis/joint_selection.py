@@ -323,12 +323,7 @@ class JointSearch:
 
         A fit that has no way to a log likelihood that is wanted ends early, and is not kept.
         """
-        try:
-            made = fitted_at(self._problem.of(system), system, None if like is None else like.at, wanted)
-        except np.linalg.LinAlgError:  # an end of travel went 2,600 rad away, where its slopes are no numbers
-            if like is None:
-                raise
-            return replace(like, best=replace(like.best, likelihood=-inf))
+        made = fitted_at(self._problem.of(system), system, None if like is None else like.at, wanted)
         if made.best.likelihood < wanted:
             return made
         added = frozenset(system.effect_names)
@@ -336,6 +331,16 @@ class JointSearch:
         if known is None or made.best.likelihood > known.best.likelihood:
             self._places[added] = made
         return self._places[added]
+
+    def _tried(self, system: System, like: FittedPhysics, wanted: float = -inf) -> FittedPhysics:
+        """As `fitted`, with a candidate; without any likelihood where its slopes are no numbers.
+
+        The end of travel of an arm went 2,600 rad away. Physics that others are compared with has to have a likelihood.
+        """
+        try:
+            return self.fitted(system, like, wanted)
+        except np.linalg.LinAlgError:
+            return replace(like, best=replace(like.best, likelihood=-inf))
 
     def look(self, place: FittedPhysics) -> Look:
         """What the catalogue would explain beside some physics."""
@@ -419,7 +424,7 @@ class JointSearch:
             if few is not None and not few.wins_here(proposal, place):
                 continue
             least = place.best.likelihood + self.search.decisions.alike_nats
-            there = self.fitted(proposal.system, place, least)
+            there = self._tried(proposal.system, place, least)
             if there.best.likelihood > least and self._surely_brings(there, place, last):
                 best = last = there
         return best
@@ -430,12 +435,12 @@ class JointSearch:
         Fits that have no way to more nats than some end early.
         """
         wanted = place.best.likelihood + max(least, self.search.decisions.alike_nats)
-        there = self.fitted(proposal.system, place, wanted)
+        there = self._tried(proposal.system, place, wanted)
         if there.best.likelihood > place.best.likelihood + _RISES * proposal.nats:
             return there
         # an undeclared delay makes a gain of 0, beside which a step of the delay goes anywhere
         # (test_a_delay_is_selected_whose_lack_hides_the_gain_of_the_input)
-        other = self.fitted(proposal.begun, place, wanted)
+        other = self._tried(proposal.begun, place, wanted)
         return max(there, other, key=lambda f: f.best.likelihood)
 
     def _surely_brings(
@@ -515,7 +520,7 @@ class JointSearch:
         place = self._here(whole)
         by_chance = 0.5 * len(proposal.values) + self.search.decisions.alike_nats
         least = place.best.likelihood + by_chance
-        return self.fitted(proposal.system, place, least).best.likelihood > least
+        return self._tried(proposal.system, place, least).best.likelihood > least
 
     def instead_here(self, name: str, whole: FittedPhysics) -> Instead:
         """What comes near in the place of an effect in these few rows; see `needed_here`."""
@@ -578,7 +583,7 @@ class JointSearch:
                 continue
             # from the noise levels that its step was made at: from those beside the effect, of which one was a tenth, a
             # dry friction ended 24,000 nats below (tests/diagnosis/test_standing.py)
-            there = self.fitted(system, without, least)
+            there = self._tried(system, without, least)
             gained = _compared(self.search, name, rival, place, there)
             if gained > 0 and (best is None or gained > best[0]):
                 best = gained, there
@@ -599,11 +604,11 @@ class JointSearch:
         """
         simpler, out = effect_class(name).includes, []
         for part in (p for p in self.look(without) if p.name in simpler):
-            half = self.fitted(part.system, without)
+            half = self._tried(part.system, without)
             others = (p for p in self.look(half) if p.nats > 0 and p.name != name)
             rest = next((p for p in others if part.name not in effect_class(p.name).includes), None)
             if rest is not None:
-                there = self.fitted(rest.system, half)
+                there = self._tried(rest.system, half)
                 if _compared(self.search, name, rest.name, place, there) >= 0:
                     out.append(part.name + AND + rest.name)
         return out
@@ -640,7 +645,7 @@ class JointSearch:
         least = self._as_likely(place, without)
         for _, term in sorted(rivals, key=lambda r: -r[0])[:_LAWS]:
             system = joined(without.system, term.law, term.start)
-            there = self.fitted(system, without, least)
+            there = self._tried(system, without, least)
             difference = there.at.blocks - place.at.blocks
             fewer = len(place.best.vector) - len(there.best.vector)
             gained = float(difference.sum()) + 0.5 * fewer * log(len(difference))

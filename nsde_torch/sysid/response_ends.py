@@ -34,7 +34,7 @@ from nsde_torch.systems import System
 
 Complex = NDArray[np.complex128]
 
-NATS = 20.0  # by which a smoother must be likelier than lags
+NATS = 20.0  # by which the declared physics must be likelier behind a smoother than behind lags alone
 MISSING = 0.3  # share of what the inputs do that a log may surely show at most, above
 NOISE = 3.0
 """Power of all that is seen above, over that of what inputs do there. In a closed loop inputs answer the noise of
@@ -100,7 +100,7 @@ def ends_of_response(
         clock: Physical seconds per logged second.
     """
     some = beginnings(runs, clock, seconds=_PART_S, fewest=_FEWEST * _SHORTEST)
-    regression = rough_fit(system, some, clock, levels=False) if system.nu else None
+    regression = rough_fit(system, some, clock, levels=False) if system.nu and sensors else None
     if regression is None:
         return [None for _ in sensors]
     physics = regression.physics

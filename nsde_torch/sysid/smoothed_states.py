@@ -51,7 +51,7 @@ from nsde_torch.rotation import turned
 from nsde_torch.sysid import signals
 from nsde_torch.sysid.input_noise import without_input_noise
 from nsde_torch.sysid.regression import Regression
-from nsde_torch.sysid.response_ends import ends_of_response
+from nsde_torch.sysid.response_ends import NATS, ends_of_response
 from nsde_torch.sysid.rough import rough_fit
 from nsde_torch.systems import System
 
@@ -67,7 +67,6 @@ _NO_MORE = 2.0  # times what rounding makes, up to which nothing else is seen
 ALIKE = 0.3  # deviance that a sensor may lose by being fitted together with others
 APART = 0.5
 """Share of the changes in which position and integrated rate differ, above which they are noise (independent: 1)."""
-NATS = 20.0  # by which the declared physics must be likelier behind a smoother
 LAGS_S, LATEST_S = (0.0, 0.02, 0.05, 0.1), 0.05
 """Lags of actuators that the declared physics may lack, and the longest delay [s], by halves of a step."""
 DEPTH, BEGINS = 1e-2, 0.9  # |S| down to which is restored; and at which noise is added instead

@@ -145,6 +145,8 @@ def with_differences(
         return now
     # the run in the middle is the reference: where one run has another load, that one is named
     there = sorted(set(begun.at.of.space.steps.runs))
+    if len(there) < 2:  # of the others no stretch is long enough
+        return now
     middle = there[int(np.argsort(first[0].each[:, 0], kind="stable")[(len(there) - 1) // 2])]
     numbered, names = _numbered(log, [middle, *(r for r in there if r != middle)])
     again = numbered.search(numbered.runs).apart(apart)

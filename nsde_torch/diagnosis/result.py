@@ -287,6 +287,7 @@ def content(found: Diagnosis) -> Content:
             left.shapes,
             _functions_of(functions["rows"]),
             moments=found.moments,
+            channels=left.channels,
         ),
         "warnings": _warnings(found),
         "not_done": [asdict(one) for one in found.not_done],
@@ -352,11 +353,12 @@ def summary(
     functions: str = "",
     *,
     moments: Moments,
+    channels: Sequence[ChannelResidual] = (),
 ) -> str:
     """The verdict in one or two sentences.
 
     `faults` are names of those of the recording chain, `shapes` what the residual still depends on; `functions` says
-    what functions that explain more are of, where no test of structure says what is missing.
+    what functions that explain more are of, where no test of structure says what is missing; `channels` what is left.
     """
     added, provisional = [*faults, *shown.few, *shown.rest], {f.name for f in outcome.found if f.provisional}
     moved, left = {name for f in outcome.found for name in f.moves}, outcome.structured
@@ -384,6 +386,7 @@ def summary(
             for run, (a, b) in moments.items()
         ),
         "not_believed": sorted(outcome.doubted_channels),
+        "above": _far_above_noise(outcome, channels),
     }
     return rendered("summary.txt", values).strip()
 
@@ -604,12 +607,16 @@ def ceiling_content(
         "rows": rows,
     }
     left = outcome.structured[0].variable if outcome.structured else ""
-    far = [c for c in channels if outcome.decisions.far_above_noise < c.times_noise < math.inf]
-    most = max(far, key=lambda c: c.times_noise, default=None)
-    above = {} if most is None else {"channel": most.name, "times": most.times_noise}
-    of = {"functions": _functions_of(rows), "structured": left, "above": above}
+    of = {"functions": _functions_of(rows), "structured": left, "above": _far_above_noise(outcome, channels)}
     said = rendered("ceiling.txt", out, found=bool(outcome.found), **of).splitlines()
     return out | {"sentence": said[0], "remedy": said[1] if rows else None}
+
+
+def _far_above_noise(outcome: Outcome, channels: Sequence[ChannelResidual]) -> dict[str, Any]:
+    """The channel of which most is left over white noise, and how many times it; empty where none is far above."""
+    far = [c for c in channels if outcome.decisions.far_above_noise < c.times_noise < math.inf]
+    most = max(far, key=lambda c: c.times_noise, default=None)
+    return {} if most is None else {"channel": most.name, "times": most.times_noise}
 
 
 def _functions_of(rows: Sequence[Mapping[str, Any]]) -> str:

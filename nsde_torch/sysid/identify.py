@@ -36,7 +36,8 @@ from nsde_torch.inference.states import filtered_at
 from nsde_torch.inference.steps import inferred_columns
 from nsde_torch.sysid.feedback_test import FeedbackTest, tested
 from nsde_torch.sysid.guard import LENGTHS_S, LONGER, asks_for_longer_boxes, guarded
-from nsde_torch.sysid.instruments import Instrumented, adopted, between, instrumental, with_columns
+from nsde_torch.sysid.instruments import Instrumented, adopted, instrumental, with_columns
+from nsde_torch.sysid.measured_inputs import later
 from nsde_torch.sysid.physics import bump, explained
 from nsde_torch.sysid.regression import ITERATIONS, Regression, narrower, regression_of
 from nsde_torch.sysid.result import Identification
@@ -149,7 +150,7 @@ def _by_instruments(
     if not hidden:  # then the log has the inputs as they were
         return held, sure
     system = regression.physics.vector.system
-    moving = regression_of(system, between(runs, system.nu), clock=clock, width=width)
+    moving = regression_of(system, later(runs, system.nu, 0.5), clock=clock, width=width)
     moving.run(ITERATIONS)
     other = replace(instrumental(moving, names, ordinary=regression), between_rows=True)
     if not other.moved.any() or len(other.refused) > len(held.refused):

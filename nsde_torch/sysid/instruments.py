@@ -206,16 +206,6 @@ def exogenous(regression: Regression, names: Sequence[str]) -> dict[str, str]:
     return out
 
 
-def between(runs: Sequence[Run], nu: int) -> list[Run]:
-    """Runs whose first `nu` inputs are the mean of each row and the next: what acted, if they move between rows."""
-    out = []
-    for run in runs:
-        u = run.u.copy()
-        u[:-1, :nu] = 0.5 * (run.u[:-1, :nu] + run.u[1:, :nu])
-        out.append(replace(run, u=u))
-    return out
-
-
 def instrumental(
     regression: Regression, names: Sequence[str], *, ordinary: Regression | None = None
 ) -> Instrumented:

@@ -49,7 +49,7 @@ from nsde_torch.recording.times import is_longer, on_longer_step
 from nsde_torch.recording.unmeasured_rates import measured_part
 from nsde_torch.rotation import turned
 from nsde_torch.sysid import signals
-from nsde_torch.sysid.input_noise import without_input_noise
+from nsde_torch.sysid.measured_inputs import as_they_act, held_over_rows, without_noise_about_levels
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.response_ends import NATS, ends_of_response
 from nsde_torch.sysid.rough import rough_fit
@@ -167,9 +167,7 @@ class Smoothed:
 def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> list[Smoothed]:
     """Sensors whose states were smoothed before they were logged, by smoother."""
     dt = runs[0].dt * clock
-    guessed = {name for run in runs for name in run.inferred}
-    measured = [sensor for sensor in sensors_of(system) if not guessed & set(sensor.names)]
-    seen = {sensor: s for sensor in measured if (s := group_spectra(sensor, runs, dt)) is not None}
+    seen = _spectra(runs, system, dt)
     without = {sensor: smoothers.fit(s, None).deviance for sensor, s in seen.items()}
     odd = {sensor: s for sensor, s in seen.items() if without[sensor] > MISFIT}
     out = []
@@ -194,15 +192,18 @@ def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> 
             reach = min(_reach(odd[k], one, smoother), likely.agree_to) if sound else 0.0
             behind.append(SmoothedSensor(k, max(reach, begins), sound, one, odd[k]))
         out.append(Smoothed(smoother, tuple(behind)))
-    out = on_time(out, runs, system, clock)
-    found = {sensor for one in out for sensor in (k.sensor for k in one.behind)}
-    return [*out, *_by_response(runs, system, {k: s for k, s in seen.items() if k not in found}, clock)]
+    return on_time(out, runs, system, clock)
 
 
-def _by_response(
-    runs: Sequence[Run], system: System, seen: Mapping[SensorGroup, Spectra], clock: float
+def smoothed_by_response(
+    runs: Sequence[Run], system: System, known: Sequence[Smoothed], clock: float = 1.0
 ) -> list[Smoothed]:
-    """Sensors that do not show what the inputs do above some frequency, with partners that know of no more."""
+    """Sensors beside those known that do not show what the inputs do above some frequency.
+
+    With partners that know of no more.
+    """
+    others = {k.sensor for one in known for k in one.behind}
+    seen = {k: s for k, s in _spectra(runs, system, runs[0].dt * clock).items() if k not in others}
     out: list[Smoothed] = []
     ends = ends_of_response(runs, system, [sensor.columns for sensor in seen], clock)
     for sensor, smoother in zip(seen, ends, strict=True):
@@ -253,6 +254,13 @@ def sensors_of(system: System) -> list[SensorGroup]:
 def _smooth(q: Array, dt: float) -> Array:
     smooth = gaussian_filter1d(q, _REFERENCE_S / dt, axis=0, mode="nearest")
     return np.asarray(smooth / np.linalg.norm(smooth, axis=1, keepdims=True))
+
+
+def _spectra(runs: Sequence[Run], system: System, dt: float) -> dict[SensorGroup, Spectra]:
+    """Spectra of all sensors that were measured and move."""
+    guessed = {name for run in runs for name in run.inferred}
+    measured = [sensor for sensor in sensors_of(system) if not guessed & set(sensor.names)]
+    return {sensor: s for sensor in measured if (s := group_spectra(sensor, runs, dt)) is not None}
 
 
 def group_spectra(sensor: SensorGroup, runs: Sequence[Run], dt: float) -> Spectra | None:
@@ -452,13 +460,13 @@ def undone_at_own_rate(
     Args:
         dt: The step that was asked for [s]; None: that of the data.
         stream_offsets: "undo", or "keep" streams, and sensors that a longer step would hide, where they are.
-        state_smoothing: "restore", or "keep" states, and inputs with noise about levels, as they are.
+        state_smoothing: "restore", or "keep" states, and measured inputs, as they are.
         taken_out: Names of the faults that the reader took out.
     """
     data = on_one_clock(data, system, policy=stream_offsets)
+    found: list[Smoothed] = []
     if state_smoothing != "keep" and isinstance(system, System):
-        data = without_input_noise(data, system)
-    found = [] if state_smoothing == "keep" else smoothers_of(data, system, taken_out)
+        data, found = smoothers_of(data, system, taken_out)
     if dt is None or not is_longer(dt, data.dt):
         return restored(data, found)
     seen = measured_part(system, {name for run in data.runs for name in run.inferred})
@@ -468,17 +476,24 @@ def undone_at_own_rate(
     return restored(on_longer_step(data, system, dt, late=late), found)
 
 
-def smoothers_of(data: DataSet, system: SystemInfo, taken_out: Iterable[str] = ()) -> list[Smoothed]:
-    """What smoothed the states of a data set, for `restored`; nothing of columns without physics, or once it is undone.
+def smoothers_of(
+    data: DataSet, system: System, taken_out: Iterable[str] = ()
+) -> tuple[DataSet, list[Smoothed]]:
+    """A data set with its inputs as they act, and what smoothed its states, for `restored`; nothing once it is undone.
 
-    Behind a fault that the reader took out (`taken_out`) and that smooths, no smoother can be identified.
+    Behind a fault that the reader took out (`taken_out`) and that smooths, no smoother can be identified. Noise of
+    inputs is none of the states: what they do not show of the inputs is asked for last.
     """
     known = remedies()
     smooths = any(known[name].remedy_smooths for name in taken_out if name in known)
     done = any(finding.kind == "state_smoothing" for finding in data.summary.findings)
-    if smooths or done or not isinstance(system, System):
-        return []
-    return smoothed_states(data.runs, system, data.clock_scale)
+    ask, clock = not (smooths or done), data.clock_scale
+    held = not system.nu or held_over_rows(data.runs, system.nu)
+    data = without_noise_about_levels(data, system)
+    found = smoothed_states(data.runs, system, clock) if ask else []
+    if not held:
+        data = as_they_act(data, system, restored(data, found).runs)
+    return data, [*found, *(smoothed_by_response(data.runs, system, found, clock) if ask else ())]
 
 
 def restored(data: DataSet, found: Sequence[Smoothed]) -> DataSet:

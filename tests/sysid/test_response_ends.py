@@ -110,7 +110,7 @@ def test_a_machine_without_inputs_shows_all() -> None:
 def test_values_are_right_where_nothing_is_read_above() -> None:
     runs = pushed(5, input_noise=4.0)
     kept, read_below = (read(runs, system=SPRING, state_smoothing=how) for how in ("keep", "restore"))
-    (found,) = smoothers_of(kept, SPRING)
+    _, (found,) = smoothers_of(kept, SPRING)
     assert found.by_response
     assert "do not show what the inputs do above" in found.finding().message
     off = [abs(float(identify(SPRING, data.runs).values[0]) - 1.0) for data in (kept, read_below)]

@@ -1,0 +1,131 @@
+"""Inputs as a sensor measured them: machines that NumPy integrates."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from nsde_torch.api.reading import read
+from nsde_torch.data import DataSet
+from nsde_torch.data.raw import RawRun
+from nsde_torch.sysid.measured_inputs import around_levels
+from nsde_torch.systems import make_system
+
+Array = NDArray[np.float64]
+DT, STIFFNESS, DAMPING = 0.01, 2.0, 0.4
+SPRING = make_system("mass_spring_damper")
+
+
+def thrown(seed: int, *, levels: tuple[float, ...], noise: float, acts: bool = False) -> list[RawRun]:
+    """A spring under a force that changes its level at random, 30 s in steps of 1 ms, logged every 10 ms with noise."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for name in ("a", "b"):
+        n, x = 3000, np.zeros((3000, 2))
+        force = np.array(levels)[np.repeat(rng.integers(len(levels), size=n // 40), 40)]
+        logged = force + noise * rng.standard_normal(n)
+        q, v = 0.3, 0.0
+        for k in range(n):
+            x[k] = q, v
+            for _ in range(10):
+                q, v = (
+                    q + 0.001 * v,
+                    v + 0.001 * ((logged if acts else force)[k] - STIFFNESS * q - DAMPING * v),
+                )
+        x += 0.0003 * rng.standard_normal(x.shape)
+        out.append(RawRun(name, DT * np.arange(n), x, logged[:, None]))
+    return out
+
+
+@pytest.mark.parametrize("levels", [(-0.6, 0.6), (-0.7, 0.0, 0.7), (0.0, 0.9)])
+def test_noise_of_a_measured_force_is_taken_out(levels: tuple[float, ...]) -> None:
+    data = read(thrown(1, levels=levels, noise=0.03), system=SPRING)
+    (found,) = [f for f in data.summary.findings if f.kind == "input_noise"]
+    assert np.allclose(found.values["levels"], levels, atol=0.003)
+    assert "force holds noise of 0.03 N about the levels" in found.message
+    u = np.concatenate([run.u[:, 0] for run in data.runs])
+    assert np.mean(np.abs(u[:, None] - np.array(levels)).min(1) < 0.003) > 0.99
+
+
+def test_a_wobble_that_moves_the_machine_stays() -> None:
+    runs = thrown(2, levels=(-0.6, 0.6), noise=0.03, acts=True)
+    data = read(runs, system=SPRING)
+    assert "input_noise" not in {f.kind for f in data.summary.findings}
+    assert np.allclose(data.runs[0].u, runs[0].u)
+
+
+def test_noise_stays_where_the_log_is_kept_as_it_is() -> None:
+    data = read(thrown(1, levels=(-0.6, 0.6), noise=0.03), system=SPRING, state_smoothing="keep")
+    assert "input_noise" not in {f.kind for f in data.summary.findings}
+
+
+@pytest.mark.parametrize("wave", ["sine", "noise", "levels without noise"])
+def test_other_inputs_hold_no_levels(wave: str) -> None:
+    t, rng = DT * np.arange(3000), np.random.default_rng(0)
+    forms = {
+        "sine": np.sin(3.0 * t) + 0.002 * rng.standard_normal(3000),
+        "noise": rng.standard_normal(3000),
+        "levels without noise": np.sign(np.sin(3.0 * t)),
+    }
+    runs = [RawRun("a", t, np.outer(np.sin(t), [1.0, 1.0]), forms[wave][:, None])]
+    data = read(runs, system=SPRING, state_smoothing="keep")
+    assert around_levels(data.runs, 0) is None
+
+
+def driven(seed: int, *, lag_s: float = 0.0, noise: float = 0.0, gap: float = 0.0) -> list[RawRun]:
+    """A spring under a force of many waves, or steps behind an actuator, 30 s in steps of 1 ms, logged every 10 ms.
+
+    The force is held over 10 ms, but behind an actuator's lag. It is logged as it was at each row, with noise that does
+    not move the spring. `gap` is that of play behind the logged force [N].
+    """
+    rng = np.random.default_rng(seed)
+    out = []
+    for name in ("a", "b"):
+        n, x, logged = 3000, np.zeros((3000, 2)), np.zeros(3000)
+        t, waves = DT * np.arange(n), 2.0 * np.pi * rng.uniform(0.1, 2.0, 6)
+        wanted = 0.4 * np.sin(np.outer(t, waves) + rng.uniform(0.0, 6.0, 6)).sum(1)
+        if lag_s:
+            wanted = np.where(np.repeat(rng.integers(2, size=n // 20), 20) > 0, 0.6, -0.6)
+        q, v, force, moved = 0.3, 0.0, wanted[0], 0.0
+        for k in range(n):
+            force = force if lag_s else wanted[k]
+            x[k], logged[k] = (q, v), force
+            for _ in range(10):
+                force += 0.001 / lag_s * (wanted[k] - force) if lag_s else 0.0
+                moved = min(max(moved, force - 0.5 * gap), force + 0.5 * gap) if gap else force
+                q, v = q + 0.001 * v, v + 0.001 * (moved - STIFFNESS * q - DAMPING * v)
+        x += (0.0003, 0.001) * rng.standard_normal(x.shape)
+        out.append(RawRun(name, t, x, (logged + noise * rng.standard_normal(n))[:, None]))
+    return out
+
+
+def inputs_of(runs: list[RawRun]) -> tuple[DataSet, list[str]]:
+    data = read(runs, system=SPRING)
+    return data, [f.kind for f in data.summary.findings if f.kind.startswith("input_")]
+
+
+def test_a_force_that_moves_between_rows_acts_as_the_mean_of_both() -> None:
+    runs = driven(3, lag_s=0.03)
+    data, kinds = inputs_of(runs)
+    assert kinds == ["input_between_rows"]
+    assert np.allclose(data.runs[0].u[:-1, 0], 0.5 * (runs[0].u[:-1, 0] + runs[0].u[1:, 0]))
+
+
+def test_white_noise_of_a_measured_force_is_taken_out_as_far_as_it_is_known() -> None:
+    runs, true = driven(4, noise=0.1), driven(4)
+    data, kinds = inputs_of(runs)
+    assert kinds == ["input_noise"]
+    errors = [
+        np.std(np.concatenate([a.u[:, 0] - b.u[:, 0] for a, b in zip(some, true, strict=True)]))
+        for some in (runs, data.runs)
+    ]
+    assert errors[1] < 0.6 * errors[0]
+    (found,) = [f for f in data.summary.findings if f.kind == "input_noise"]
+    assert found.values["noise"] == pytest.approx([0.1], rel=0.5)
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.3])
+def test_a_force_that_acts_as_it_is_logged_or_through_play_stays(gap: float) -> None:
+    runs = driven(5, gap=gap)
+    data, kinds = inputs_of(runs)
+    assert kinds == []
+    assert np.allclose(data.runs[0].u, runs[0].u)

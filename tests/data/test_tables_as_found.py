@@ -167,12 +167,20 @@ def test_objects_of_matlab_are_refused_with_what_to_save(
         open_table(tmp_path / "out.mat")
 
 
+def test_an_array_without_columns_is_no_table(tmp_path: Path) -> None:
+    savemat(tmp_path / "out.mat", {"data": np.column_stack([T, Q, V, F]), "names": np.zeros((4, 0))})
+    (stream,) = open_table(tmp_path / "out.mat").streams
+    assert len(stream.t) == len(T)
+
+
 def test_runs_of_which_some_logged_more_are_no_streams_of_one_run(tmp_path: Path) -> None:
     (tmp_path / "run_1.csv").write_text("\n".join([NAMES, *ROWS]), encoding="utf-8")
     more = [f"{NAMES},q_des", *(f"{row},0.0" for row in ROWS)]
     (tmp_path / "run_2.csv").write_text("\n".join(more), encoding="utf-8")
     assert [file.name for file in log_files("table", tmp_path)] == ["run_1", "run_2"]
-    (tmp_path / "run_2.csv").rename(tmp_path / "setpoints.csv")
+    (tmp_path / "run_2.csv").rename(tmp_path / "steps.csv")  # another experiment, in a word
+    assert [file.name for file in log_files("table", tmp_path)] == ["run_1", "steps"]
+    (tmp_path / "steps.csv").write_text("\n".join(["t,q_des", "0.0,0.0", "0.5,1.0"]), encoding="utf-8")
     assert [file.path for file in log_files("table", tmp_path)] == [tmp_path]
 
 

@@ -490,7 +490,7 @@ def _upright(value: NDArray[Any], lengths: set[int]) -> NDArray[Any] | None:
     """A table (rows, columns); one that lies on its side is turned. None for anything that is no table."""
     if value.ndim == 1:
         value = value[:, None]
-    if value.ndim != 2 or value.dtype.kind not in "fiub" or max(value.shape) < 2:
+    if value.ndim != 2 or value.dtype.kind not in "fiub" or max(value.shape) < 2 or not value.size:
         return None
     sideways = value.shape[0] < value.shape[1]
     if (value.shape[1] in lengths and value.shape[0] not in lengths) or (
@@ -503,10 +503,8 @@ def _upright(value: NDArray[Any], lengths: set[int]) -> NDArray[Any] | None:
 def are_runs(files: list[Path]) -> bool:
     """Whether files of text are a run each, and not streams of one run.
 
-    Runs have one header; where a recorder logged more in some of them, most columns are shared and the names of the
-    files differ by their numbers alone. Streams measure different things under names of their own.
+    Runs have one header, or share most columns where a recorder logged more in some of them (experiments of a DC motor:
+    `t, u, y` and `t, r, y, u`). Streams measure different things under names of their own.
     """
     headers = [set(_layout(file).names) for file in files]
-    alike = len({re.sub(r"\d+", "", file.stem) for file in files}) == 1
-    shared = len(set.intersection(*headers)) / max(map(len, headers))
-    return all(one == headers[0] for one in headers) or (alike and shared > 0.5)
+    return len(set.intersection(*headers)) / max(map(len, headers)) > 0.5

@@ -1,10 +1,7 @@
 """Configurations compose, and files of the user's own are choices like the others."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hydra import compose, initialize_config_module
@@ -49,14 +46,6 @@ def test_every_choice_of_every_group_composes_and_passes_its_checks(group: str, 
     config = compose("train", overrides=words)
     jobs.check_config(config, "train", words)
     assert OmegaConf.get_type(config) is TrainConfig
-
-
-@pytest.mark.usefixtures("hydra_ready")
-def test_help_and_hydra_agree_on_every_default() -> None:
-    config: Any = compose("train", overrides=["run_dir=r", "sweep_dir=s"])
-    for entry in groups.keys("train", groups.defaults("train")):
-        if entry.path not in ("run_dir", "sweep_dir"):
-            assert OmegaConf.select(config, entry.path) == entry.default, entry.path
 
 
 def test_choices_of_systems_and_solvers_are_those_of_the_library() -> None:

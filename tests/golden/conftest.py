@@ -1,7 +1,5 @@
 """The option that writes the kept files anew."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

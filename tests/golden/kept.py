@@ -4,8 +4,6 @@
 read the difference before it is committed.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -62,6 +60,17 @@ def rounded(value: Any) -> Any:
     return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
 
 
+def _lines(value: Any, indent: str = "", room: int = 110) -> str:
+    """JSON, what fits a line on one."""
+    flat = json.dumps(value)
+    if len(flat) <= room or not isinstance(value, dict | list):
+        return flat
+    named = isinstance(value, dict)
+    items = [(f"{json.dumps(k)}: ", v) for k, v in value.items()] if named else [("", v) for v in value]
+    inner = [f"{indent} {name}{_lines(of, indent + ' ', room - len(name) - 1)}" for name, of in items]
+    return "\n".join((flat[0], ",\n".join(inner), indent + flat[-1]))
+
+
 def same_text(file: Path, text: str, *, regenerate: bool) -> None:
     """Hold a text against a file."""
     if regenerate:
@@ -75,6 +84,6 @@ def same_values(file: Path, value: Any, *, regenerate: bool, rel: float = 0.0, a
     plain = rounded(json.loads(json.dumps(value)))
     if regenerate:
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps(plain, indent=1) + "\n", encoding="utf-8")
+        file.write_text(_lines(plain) + "\n", encoding="utf-8")
     found = list(differences(plain, json.loads(file.read_text(encoding="utf-8")), rel=rel, abs=abs))
     assert not found, f"{file.name} has changed; see tests/golden/kept.py\n" + "\n".join(found[:20])

@@ -1,8 +1,7 @@
-"""The configuration of every command and its help are what they were."""
-
-from __future__ import annotations
+"""The keys of every command and their help are what they were, and Hydra composes what the help says."""
 
 import contextlib
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,12 +12,10 @@ from omegaconf import OmegaConf
 
 from nsde_torch.cli import groups
 from nsde_torch.cli.help import value_text
-from nsde_torch.cli.keys import walk
 from nsde_torch.cli.main import main
 from nsde_torch.cli.registry import all_commands, hydra_commands
-from nsde_torch.cli.schemas import CHOICES
 from nsde_torch.cli.store import store
-from tests.golden.kept import same_text, same_values
+from tests.golden.kept import same_text
 
 HERE = Path(__file__).parent
 HYDRA = hydra_commands()
@@ -32,38 +29,54 @@ def hydra_ready() -> Iterator[None]:
         yield
 
 
+def _chosen(command: str) -> list[dict[str, str]]:
+    """Choices of every group, so few that each choice is among them; the first are the defaults."""
+    known = {group: [first, *groups.choices(group)] for group, first in groups.defaults(command).items()}
+    return [
+        {group: of[k % len(of)] for group, of in known.items()}
+        for k in range(max(map(len, known.values()), default=1))
+    ]
+
+
 @pytest.mark.usefixtures("hydra_ready")
 @pytest.mark.parametrize("command", HYDRA)
-def test_a_command_composes_what_it_did(command: str, regenerate: bool) -> None:
-    text = OmegaConf.to_yaml(compose(command))
-    same_text(HERE / "config" / f"{command}.yaml", text, regenerate=regenerate)
+def test_hydra_composes_what_the_help_says_for_every_choice(command: str) -> None:
+    defaults = groups.defaults(command)
+    for chosen in _chosen(command):
+        wanted: dict[str, Any] = {}
+        for entry in groups.keys(command, chosen):
+            *parents, last = entry.path.split(".")
+            place = wanted
+            for parent in parents:
+                place = place.setdefault(parent, {})
+            place[last] = entry.default
+        words = [f"{group}={choice}" for group, choice in chosen.items() if choice != defaults[group]]
+        config = compose(command, overrides=words)
+        # a command's own values win over those of a group's default, and where a choice has none
+        for group, values in HYDRA[command].values.items():
+            known = defaults[group] == groups.NOTHING
+            wanted[group] |= {k: v for k, v in values.items() if not known or wanted[group][k] == "???"}
+        # the help calls folders that a command writes into dated
+        wanted |= {HYDRA[command].folder_key: HYDRA[command].folder} if HYDRA[command].folder else {}
+        wanted |= {"sweep_dir": "multirun/${now:%Y-%m-%d}/${now:%H-%M-%S}"} if "sweep_dir" in wanted else {}
+        assert OmegaConf.to_container(config) == wanted, chosen
 
 
-@pytest.mark.usefixtures("hydra_ready")
-def test_every_choice_of_every_group_sets_what_it_did(regenerate: bool) -> None:
-    found: dict[str, Any] = {}
+def test_every_choice_has_the_keys_defaults_units_ranges_and_help_that_it_had(regenerate: bool) -> None:
+    choices: dict[str, dict[str, None]] = defaultdict(dict)
     for command in HYDRA:
-        known = {group: groups.choices(group) for group in groups.defaults(command)}
-        new = {group: of for group, of in known.items() if f"{group}={of[0]}" not in found}
-        found |= {f"{group}={choice}": None for group, of in new.items() for choice in of}
-        # one composition for a choice of every group
-        for k in range(max(map(len, new.values()), default=0)):
-            chosen = {group: of[k % len(of)] for group, of in new.items()}
-            config = compose(command, overrides=[f"{group}={choice}" for group, choice in chosen.items()])
-            for group, choice in chosen.items():
-                found[f"{group}={choice}"] = OmegaConf.to_container(config[group])
-    same_values(HERE / "choices.json", found, regenerate=regenerate)
-
-
-def test_every_key_has_the_default_unit_range_and_help_that_it_had(regenerate: bool) -> None:
-    own = {f"{group}={name}": cls for group, of in CHOICES.items() for name, cls in of.items()}
-    every = {**{name: command.schema for name, command in HYDRA.items()}, **own}
-    lines = [
-        f"{name}: {e.path}={value_text(e.default)} [{e.unit}] ({e.allowed}) {e.help}"
-        for name, cls in sorted(every.items())
-        for e in walk(cls)
-    ]
-    same_text(HERE / "keys.txt", "\n".join(lines) + "\n", regenerate=regenerate)
+        for chosen in _chosen(command):
+            for e in groups.keys(command, chosen):
+                group = e.path.split(".")[0]
+                if chosen.get(group, groups.NOTHING) != groups.NOTHING:
+                    line = f"{e.path}={value_text(e.default)} [{e.unit}] ({e.allowed}) {e.help}"
+                    choices[line][chosen[group]] = None
+    own = {
+        name: (of.values, of.folder_key, of.folder) for name, of in HYDRA.items() if of.values or of.folder
+    }
+    lines = [f"{name}: {values} {key}={folder}\n" for name, (values, key, folder) in own.items()]
+    lines += [f"{' '.join(sorted(names))}: {line}\n" for line, names in choices.items()]
+    same_text(HERE / "keys.txt", "".join(lines), regenerate=regenerate)
 
 
 @pytest.mark.parametrize("command", all_commands())

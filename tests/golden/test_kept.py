@@ -1,7 +1,5 @@
 """The comparison itself sees what differs, and nothing else."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

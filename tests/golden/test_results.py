@@ -1,7 +1,5 @@
 """What commands write on a small data set has the keys and, within tolerance, the values that it had."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

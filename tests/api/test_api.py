@@ -1,7 +1,5 @@
 """The functions of `nsde_torch` do what the commands do, and their examples run."""
 
-from __future__ import annotations
-
 import doctest
 import json
 import runpy

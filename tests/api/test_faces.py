@@ -1,7 +1,5 @@
 """Every package says what is public, and each name is what it says."""
 
-from __future__ import annotations
-
 import ast
 from importlib import import_module
 from pathlib import Path

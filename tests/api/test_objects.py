@@ -1,7 +1,5 @@
 """What a notebook shows of data, models, scores and predictions, and what they are as tables."""
 
-from __future__ import annotations
-
 import sys
 from types import SimpleNamespace
 from typing import Any

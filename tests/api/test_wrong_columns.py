@@ -1,7 +1,5 @@
 """Columns that hold something else: `read` and `inspect` name the same cause, and sound logs are not suspected."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path

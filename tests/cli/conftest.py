@@ -1,7 +1,5 @@
 """Running `nsde` in this process and in one of its own."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """From the configuration to objects."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`nsde close-loop` from the command line to files; the diagnosis itself is tested where it is."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`nsde close-loop by=link`: what a flight over a link may do to the loop, on vehicles in virtual time."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`nsde design` from a diagnosis to a plan, from the plan to a flown run, and what that told."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`nsde diagnose` from the command line to files, and what `nsde train` makes of them."""
 
-from __future__ import annotations
-
 import json
 from math import degrees
 from pathlib import Path

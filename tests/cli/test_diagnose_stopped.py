@@ -1,7 +1,5 @@
 """`nsde diagnose` that is stopped: what is known is on disk and printed, and the exit status says so."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """`nsde effects`: the catalogue as a table and as JSON."""
 
-from __future__ import annotations
-
 import json
 import re
 

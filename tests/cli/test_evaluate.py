@@ -1,7 +1,5 @@
 """`nsde evaluate` from the command line, on tiny trainings of the spring."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

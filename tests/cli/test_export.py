@@ -1,7 +1,5 @@
 """`nsde export`, `nsde verify` and `nsde track controller=` from the command line."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

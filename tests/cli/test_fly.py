@@ -1,7 +1,5 @@
 """`nsde fly` from the command line to files: what is wrong is said before anything is connected to."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

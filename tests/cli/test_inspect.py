@@ -1,7 +1,5 @@
 """`nsde inspect`: from a log to a mapping to a model."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Schemas declare what every key means and allows."""
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 import math

@@ -1,7 +1,5 @@
 """The table of commands, and help."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

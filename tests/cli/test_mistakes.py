@@ -1,7 +1,5 @@
 """A mistake in what was typed is one clean message with the remedy, whatever the command, and nothing is made."""
 
-from __future__ import annotations
-
 import shlex
 from pathlib import Path
 

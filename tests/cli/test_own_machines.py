@@ -1,7 +1,5 @@
 """What a user with a machine of their own meets on the command line: one sentence with the remedy, or it works."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import sys

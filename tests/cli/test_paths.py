@@ -1,7 +1,5 @@
 """Paths with every odd letter: each key of a file or folder takes them as they are, and printed commands too."""
 
-from __future__ import annotations
-
 import json
 import random
 import shlex

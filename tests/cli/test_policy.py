@@ -1,7 +1,5 @@
 """`nsde policy` from the command line to a directory, in the truth and in a learned model."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

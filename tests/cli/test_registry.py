@@ -1,7 +1,5 @@
 """A command is one file and one line of the table: that of a page of the docs is registered here and used."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """`nsde serve` as a process: the address that it prints, its port, its end."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """`nsde simulate` from the command line to files."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

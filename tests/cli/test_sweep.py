@@ -3,8 +3,6 @@
 The work of these jobs is a probe that writes one number, so that the machinery is tested alone.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

@@ -1,7 +1,5 @@
 """`nsde sweep-report` on folders made by hand."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`nsde track` from the command line to files."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`nsde train` from the command line to a run directory that another process can use, on every kind of input."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """`nsde train model=ensemble` and `model=sysid`: what they write and say, that they load, sample, resume and sweep."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

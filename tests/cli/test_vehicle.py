@@ -1,7 +1,5 @@
 """`nsde vehicle` from the command line: what it is, and what it refuses to be."""
 
-from __future__ import annotations
-
 import socket
 from pathlib import Path
 

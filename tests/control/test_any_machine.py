@@ -1,7 +1,5 @@
 """Machines that do not fly: swing-ups, paths of arms, and pushes that are learned on any port."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

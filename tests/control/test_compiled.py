@@ -1,7 +1,5 @@
 """The compiled solver and estimator: torch's numbers, kept libraries, and life without them."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

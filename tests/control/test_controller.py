@@ -1,7 +1,5 @@
 """Plans in trouble: whatever comes in, what goes out is finite, within bounds, and says how it came about."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

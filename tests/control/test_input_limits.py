@@ -1,7 +1,5 @@
 """Limits, weights and centres that are not the same for all inputs."""
 
-from __future__ import annotations
-
 import copy
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Closed loops: tracking, latency, pushes, weak motors, lost machines."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """One step of a model as the controller has it."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 
 import pytest

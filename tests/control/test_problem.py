@@ -1,7 +1,5 @@
 """Costs of plans."""
 
-from __future__ import annotations
-
 from math import cos, sin
 
 import pytest

@@ -1,7 +1,5 @@
 """References: closed forms, minimum snap, files, and whether a machine can fly them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

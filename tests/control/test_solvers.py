@@ -1,7 +1,5 @@
 """Both solvers against an independent optimiser, and what iterations promise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

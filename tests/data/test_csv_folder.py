@@ -1,7 +1,5 @@
 """CSV data sets: read back as written, and every fault of a file named by file, line and column."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

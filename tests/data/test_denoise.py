@@ -1,7 +1,5 @@
 """White sensor noise out of smooth motions: how much is left, and what is left alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Interventions: where predictions start, and what a column that is none is told."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Logs of every format: written as their programs write them, read back as the run; and damaged or hostile ones."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

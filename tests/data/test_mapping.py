@@ -1,7 +1,5 @@
 """Mappings: YAML, units, axes, orders, clocks; and what kinematics and gravity say against one."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

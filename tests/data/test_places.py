@@ -1,7 +1,5 @@
 """What is no log at all: the cause is named before anything is opened, within seconds and without memory."""
 
-from __future__ import annotations
-
 import os
 import socket
 import tracemalloc

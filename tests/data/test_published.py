@@ -1,7 +1,5 @@
 """The authors' files: kinds told by shape, the repeated test flight left out, scales and angles converted."""
 
-from __future__ import annotations
-
 import pickle
 from pathlib import Path
 

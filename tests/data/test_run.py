@@ -1,7 +1,5 @@
 """Runs refuse what does not fit; splits are by whole run and never let training data into the test."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The summary holds the figures of the data, as JSON and as a table."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Tables as people and programs write them: comments, no header, words, lists in cells, Simulink's structures."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

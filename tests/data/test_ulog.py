@@ -1,7 +1,5 @@
 """PX4 logs: frames by hand-worked cases, one clock, and missing topics named with the remedy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A pickle may hold NumPy arrays and plain containers; all else is refused by name and never executed."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import pickle

@@ -1,7 +1,5 @@
 """Windows are cut lazily, never cross a gap, and validation shares no row with training."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Inputs before windows reach every rollout that is scored, fitted or shown."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

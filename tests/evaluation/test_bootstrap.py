@@ -1,7 +1,5 @@
 """The paired bootstrap: intervals hold what they say on errors correlated in time; no difference where none is."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Calibration: the factor on sigma that makes intervals right is found, and carried to a new run by the formula."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

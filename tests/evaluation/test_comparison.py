@@ -1,7 +1,5 @@
 """Models on a common grid: figures that agree with `evaluate`, differences, marks of training runs."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

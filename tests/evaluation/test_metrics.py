@@ -1,7 +1,5 @@
 """Held-out scores: against closed forms, and against an evaluation written independently of the package."""
 
-from __future__ import annotations
-
 import importlib.util
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a model's steps leave, with forces that are not declared."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import pytest

@@ -1,7 +1,5 @@
 """Runs that a model was trained on are found again by what is in them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Controllers of machines that do not fly, as files: what they do is what the controller in Python does."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 from typing import Any

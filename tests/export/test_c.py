@@ -1,7 +1,5 @@
 """The controller in C: built without a warning, equal to the one in Python, or refused with the reason."""
 
-from __future__ import annotations
-
 import functools
 import json
 import math

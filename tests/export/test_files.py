@@ -1,7 +1,5 @@
 """Files of controllers: the same bytes for the same controller, the same plans as the controller, and refusals."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Graphs of fewer operations keep their values, and lose the operations that they need not have."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import pytest

@@ -1,7 +1,5 @@
 """The exported step does what the controller does, whatever happens, and its stages are graphs."""
 
-from __future__ import annotations
-
 import itertools
 
 import pytest

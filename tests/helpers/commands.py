@@ -1,7 +1,5 @@
 """What a command of `nsde` says in this process, and a machine of the user's own for it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -4,8 +4,6 @@ No sockets, no threads and no waiting: forty seconds of flight take some four se
 same time in every run.
 """
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -130,7 +128,7 @@ class World:
         self.highest = max(self.highest, self.body.p[2])
         self.now += TICK
 
-    def run(self, at: Callable[[World], None] = lambda world: None, *, longest: float = 120.0) -> World:
+    def run(self, at: Callable[["World"], None] = lambda world: None, *, longest: float = 120.0) -> "World":
         """Fly until the flight is over, and then until the vehicle has come to rest."""
         while not self.flight.done:
             at(self)
@@ -142,7 +140,7 @@ class World:
             self.tick()
         return self
 
-    def until(self, phase: Phase, then: float = 0.0) -> World:
+    def until(self, phase: Phase, then: float = 0.0) -> "World":
         """Fly until a phase has lasted for a time [s]."""
         while not (self.phase is phase and self.flight._elapsed >= then):
             self.tick()

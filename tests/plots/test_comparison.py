@@ -1,7 +1,5 @@
 """Figures that compare models, and policies."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

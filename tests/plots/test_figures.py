@@ -1,7 +1,5 @@
 """Figures show what they are given: panels, labels with units, finite limits, the figures of the data."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """What does not fit into a figure is refused by its name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A policy on disk: tensors and plain words, and nothing else is believed."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

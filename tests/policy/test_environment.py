@@ -1,7 +1,5 @@
 """The swing-up task and batches of it: the truth is the plant, machines are rows, episodes end as they should."""
 
-from __future__ import annotations
-
 from math import cos, pi, sin
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The faces that gymnasium and stable-baselines3 know, held against their own checkers."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

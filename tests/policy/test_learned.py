@@ -1,7 +1,5 @@
 """A learned model as a machine: stepped one sample at a time, it does what it samples in one go."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

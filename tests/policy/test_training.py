@@ -1,7 +1,5 @@
 """Learning a policy: what is kept, what is written, how an interrupted one goes on, and what the score is."""
 
-from __future__ import annotations
-
 import json
 import tempfile
 from dataclasses import replace

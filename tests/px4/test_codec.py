@@ -1,7 +1,5 @@
 """Frames: what is right comes through, what is wrong is counted and costs little."""
 
-from __future__ import annotations
-
 import random
 
 import pytest

@@ -1,7 +1,5 @@
 """The vehicle's estimate: what its estimator says of itself (ESTIMATOR_STATUS), and its resets, one in every flight."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from math import degrees, inf, nan, radians

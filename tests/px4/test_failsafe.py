@@ -1,7 +1,5 @@
 """What PX4 does when the stream ends is judged before anything is armed, with the line that sets it."""
 
-from __future__ import annotations
-
 import pytest
 
 from nsde_torch.control import shapes

@@ -1,7 +1,5 @@
 """Injected faults: each ends in its safe action, none in a crash, a hang or a stale stream."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from math import inf

@@ -1,7 +1,5 @@
 """What was flown is a data set of the package."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The border between NED/FRD and ENU/FLU, against values worked by hand and against the reader of logs."""
 
-from __future__ import annotations
-
 from math import cos, degrees, pi, sin, sqrt
 
 import numpy as np

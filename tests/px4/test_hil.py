@@ -1,7 +1,5 @@
 """A machine as PX4's simulator, against values worked by hand and against a stand-in for PX4 in lockstep."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import threading

@@ -1,7 +1,5 @@
 """Over real sockets, and over a serial line of pseudo-terminals: as slow as its baud rate, late, with bytes lost."""
 
-from __future__ import annotations
-
 import os
 import random
 import select

@@ -1,7 +1,5 @@
 """Flights that go well, in virtual time, and those that are refused with the autopilot's own words."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

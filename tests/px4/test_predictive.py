@@ -1,7 +1,5 @@
 """Rates and thrust out of plans of motor commands, and pushes learned from velocities."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import atan2, cos, exp, pi, radians, sin, tan
 from pathlib import Path

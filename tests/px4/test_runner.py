@@ -1,7 +1,5 @@
 """A controller in a process of its own: its faults are known to the loop, which never waits."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -3,8 +3,6 @@
 docs/content/results/px4.md lists them with these tests.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from itertools import pairwise
 from math import nan

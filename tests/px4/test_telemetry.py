@@ -1,7 +1,5 @@
 """One consistent state out of messages in any order, the time that it is valid for, and the autopilot's clock."""
 
-from __future__ import annotations
-
 import random
 from math import nan, sqrt
 from typing import Any

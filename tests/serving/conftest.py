@@ -1,7 +1,5 @@
 """The page without a network: its application, a client, and commands that run in this process or are played."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json
@@ -48,7 +46,7 @@ class Played:
 
     def __call__(
         self, words: list[str], *, folder: Path, log: Path, limits: ServeLimits, say: Any
-    ) -> PlayedWork:
+    ) -> "PlayedWork":
         self.words.append(words)
         log.write_text("played\n")
         return PlayedWork(self, words, limits, say)

@@ -1,7 +1,5 @@
 """The page in a real browser, over a real socket; the commands behind it are played."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import threading

@@ -1,7 +1,5 @@
 """Real logs through the real commands: what is found, that the shown command repeats it, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A job from drop to report, stopped, taken up again, and after a restart."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A command in a process of its own: its end, its limits, and that nothing of it is left."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """Who may ask what: nothing is told or done without the token, under another name, or for another site."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import re

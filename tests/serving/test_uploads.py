@@ -1,7 +1,5 @@
 """Only logs are taken, under names of our own, as large as announced; what is refused leaves nothing behind."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The cache gives back what was stored, forgives damage, and never answers a changed question."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Data sets whose files do not say what is in them, and the truth beside."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A plant does what physics says in closed form, and adds the noise that it was told to."""
 
-from __future__ import annotations
-
 from math import exp, pi, sqrt
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Interventions on a plant: states of flights, commands of other times, nothing else."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The built-in data sets: envelope of the flights, episodes, springs, and the checks that files pass too."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -8,7 +8,6 @@ import torch
 
 @pytest.fixture
 def regenerate(request: pytest.FixtureRequest) -> bool:
-    """Whether `--regenerate` was given."""
     return bool(request.config.getoption("--regenerate"))
 
 

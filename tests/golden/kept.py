@@ -72,7 +72,6 @@ def _lines(value: Any, indent: str = "", room: int = 110) -> str:
 
 
 def same_text(file: Path, text: str, *, regenerate: bool) -> None:
-    """Hold a text against a file."""
     if regenerate:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text, encoding="utf-8")
@@ -80,7 +79,6 @@ def same_text(file: Path, text: str, *, regenerate: bool) -> None:
 
 
 def same_values(file: Path, value: Any, *, regenerate: bool, rel: float = 0.0, abs: float = 0.0) -> None:
-    """Hold a JSON value against a file."""
     plain = rounded(json.loads(json.dumps(value)))
     if regenerate:
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -84,8 +84,9 @@ def test_the_help_of_a_command_reads_as_it_did(
     command: str, regenerate: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "100")
+    every = ["all"] if command == "train" else []  # elsewhere keys of groups are those of keys.txt
     with contextlib.suppress(SystemExit):
-        assert main([command, "--help", "all"]) == 0
+        assert main([command, "--help", *every]) == 0
     same_text(HERE / "help" / f"{command}.txt", capsys.readouterr().out, regenerate=regenerate)
 
 

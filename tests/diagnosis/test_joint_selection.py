@@ -1,4 +1,4 @@
-"""Effects selected by the joint likelihood, on machines from a simulator that shares no code with the package."""
+""""""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -198,7 +198,7 @@ def test_a_dry_friction_is_no_law_of_one_term() -> None:
 
 def test_a_flight_with_drag_is_selected_by_the_likelihood() -> None:
     effect = {"linear_drag": {"drag": [0.35, 0.3, 0.15]}}
-    made = nsde_torch.simulate("hexacopter", effects=[effect], durations=[15.0], seed=8)
+    made = nsde_torch.simulate("hexacopter", effects=[effect], durations=[10.0], seed=8)
     system = make_system("hexacopter")
     runs = nsde_torch.read(made, system=system).runs
     options = Options(candidates=("linear_drag", "quadratic_drag", "constant_wind", "thrust_misalignment"))

@@ -1,14 +1,21 @@
-"""Strong order of every step on one Brownian path coarsened by summing, against closed forms."""
+"""Order of every step against closed forms, strong and of ordinary equations; what paths are distributed as."""
+
+import math
 
 import pytest
 import torch
+from scipy import stats
+from torch import Tensor
+from torchdiffeq import odeint
 
 from nsde_torch.sde import STEPS, Time, brownian, coarsen, make_step, rollout
 from tests.helpers.sde_problems import (
     DistanceAware,
     GeometricBrownianMotion,
+    OrnsteinUhlenbeck,
     Problem,
     Quiet,
+    SharedSum,
     SquareRoot,
     Tangent,
     slope,
@@ -56,15 +63,15 @@ def test_the_limit_is_the_closed_form_of_the_stated_calculus_and_not_the_other(n
 def test_the_order_drops_to_half_on_coupled_noise(name: str) -> None:
     problem, step = DistanceAware(), make_step(name)
     g = torch.Generator().manual_seed(3)
-    fine = brownian(1500, 1, 4096, 3, dt=1 / 4096, generator=g, dtype=torch.float64)
+    fine = brownian(1500, 1, 2048, 3, dt=1 / 2048, generator=g, dtype=torch.float64)
     z0 = torch.full((1, 3), 0.5, dtype=torch.float64)
 
     def end(factor: int) -> torch.Tensor:
         dw = coarsen(fine, factor)
         u = z0.new_zeros(1, dw.shape[2], 1)
-        return rollout(problem, z0, u, dt=factor / 4096, step=step, noise=dw)[:, :, -1]
+        return rollout(problem, z0, u, dt=factor / 2048, step=step, noise=dw)[:, :, -1]
 
-    reference, factors = end(1), (64, 128, 256, 512)
+    reference, factors = end(1), (32, 64, 128, 256)
     errors = [float((end(factor) - reference).abs().mean()) for factor in factors]
     assert slope(factors, errors) == pytest.approx(0.5, abs=0.12)
 
@@ -97,3 +104,64 @@ def test_milstein_heun_is_as_its_drift_where_noise_is_small_and_steps_are_long()
     }
     assert max(errors["milstein_heun"]) < 0.1 * min(errors["milstein"])
     assert errors["milstein_heun"][1] / errors["milstein_heun"][0] > 3.0  # four, of a second order
+
+
+class Pendulum:
+    """theta'' = -sin(theta) - 0.1 theta' + 0.3 cos(t) + u; its diffusion must not be asked for."""
+
+    calculus = "either"
+
+    def drift(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        time = torch.as_tensor(t, dtype=z.dtype)
+        forcing = 0.3 * torch.cos(time) + u[:, 0]
+        return torch.stack((z[:, 1], -torch.sin(z[:, 0]) - 0.1 * z[:, 1] + forcing), -1)
+
+    def diffusion(self, t: Time, z: Tensor, u: Tensor) -> Tensor:
+        raise AssertionError("a deterministic step evaluated the diffusion")
+
+    def project(self, z: Tensor) -> Tensor:
+        return z
+
+
+def start() -> Tensor:
+    return torch.tensor([[0.5, 0.0], [2.0, -1.0]], dtype=torch.float64)
+
+
+def reference() -> Tensor:
+    u = torch.full((2, 1), 0.2, dtype=torch.float64)
+    times = torch.tensor([0.0, 2.0], dtype=torch.float64)
+    return odeint(lambda t, z: Pendulum().drift(t, z, u), start(), times, rtol=1e-12, atol=1e-12)[-1]
+
+
+def end(name: str, steps: int) -> Tensor:
+    u = torch.full((2, steps, 1), 0.2, dtype=torch.float64)
+    return rollout(Pendulum(), start(), u, dt=2 / steps, step=make_step(name), noise=None)[0, :, -1]
+
+
+@pytest.mark.parametrize(("name", "order"), [("midpoint", 2.0), ("rk4", 4.0)])
+def test_method_has_its_classical_order(name: str, order: float) -> None:
+    counts = (20, 40, 80, 160)
+    errors = [float((end(name, n) - reference()).abs().max()) for n in counts]
+    assert slope(tuple(2 / n for n in counts), errors) == pytest.approx(order, abs=0.15)
+    assert make_step(name).strong_order == order
+
+
+@pytest.mark.parametrize("name", STOCHASTIC)
+def test_ornstein_uhlenbeck_ends_in_its_normal_law(name: str) -> None:
+    problem, steps = OrnsteinUhlenbeck(), 256
+    noise = brownian(4000, 1, steps, 1, dt=1 / steps, generator=torch.Generator().manual_seed(4))
+    z0, u = torch.ones(1, 1), torch.zeros(1, steps, 1)
+    end = rollout(problem, z0, u, dt=1 / steps, step=make_step(name), noise=noise)[:, 0, -1, 0]
+    spread = problem.sigma * math.sqrt((1 - math.exp(-2 * problem.rate)) / (2 * problem.rate))
+    law = stats.norm(math.exp(-problem.rate), spread)
+    assert stats.kstest(end.double().numpy(), law.cdf).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("name", STOCHASTIC)
+def test_the_mean_on_coupled_noise_is_that_of_the_stated_calculus(name: str) -> None:
+    step, steps = make_step(name), 64
+    g = torch.Generator().manual_seed(6)
+    noise = brownian(40000, 1, steps, 2, dt=1 / steps, generator=g, dtype=torch.float64)
+    z0, u = torch.full((1, 2), 0.5, dtype=torch.float64), torch.zeros(1, steps, 1, dtype=torch.float64)
+    mean = rollout(SharedSum(0.5), z0, u, dt=1 / steps, step=step, noise=noise)[:, 0, -1].sum(-1).mean()
+    assert float(mean) == pytest.approx(1.0 if step.calculus == "ito" else math.exp(0.25), rel=0.02)

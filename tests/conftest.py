@@ -19,7 +19,6 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """`--regenerate` writes the files of tests/golden anew."""
     parser.addoption("--regenerate", action="store_true", help="write the files of tests/golden anew")
 
 
@@ -63,7 +62,6 @@ def _blank_pictures(request: pytest.FixtureRequest) -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def root() -> Path:
-    """The checkout."""
     return ROOT
 
 

@@ -47,7 +47,6 @@ class TestPendulum(SystemContract):
 
 
 def run(words: list[str], folder: Path) -> str:
-    """Standard output and error of a command, which must succeed."""
     how = {"cwd": folder, "env": {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}, "timeout": 280}
     done = subprocess.run(words, capture_output=True, text=True, check=False, **how)
     assert done.returncode == 0, done.stdout + done.stderr

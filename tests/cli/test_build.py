@@ -20,7 +20,7 @@ from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import MODELS, kind
 from nsde_torch.models.kind import Choice, model_kind, model_options
-from nsde_torch.systems import SYSTEMS, System, make_system
+from nsde_torch.systems import SYSTEMS, make_system
 from nsde_torch.training.options import LOSSES, TRAINERS, LossOptions, TrainerOptions, machine_losses
 
 
@@ -60,11 +60,6 @@ def test_runs_are_read_and_split_as_the_configuration_says(tmp_path: Path) -> No
     ]
 
 
-def _still(machine: System) -> tuple[Run, ...]:
-    """One training run in which nothing moves."""
-    return (Run("still", 0.01 * np.arange(50), np.zeros((50, machine.nx)), np.zeros((50, machine.nu))),)
-
-
 def _configuration(*words: str) -> Any:
     store(hydra_command("train"))
     with initialize_config_module("nsde_torch.conf", version_base="1.3"):
@@ -73,9 +68,10 @@ def _configuration(*words: str) -> Any:
 
 def _spec(config: Any) -> Any:
     machine = build.system(config.system)
+    still = Run("still", 0.01 * np.arange(50), np.zeros((50, machine.nx)), np.zeros((50, machine.nu)))
     choice = Choice(
         options=build.model_options(config.model), system=build.system_options(config.system), machine=machine,
-        runs=_still(machine), loss=config.loss.kind,
+        runs=(still,), loss=config.loss.kind,
         integrator=build.integrator(config.solver),
     )  # fmt: skip
     return model_kind(choice.options.kind).make_spec(choice)

@@ -81,7 +81,6 @@ class Obtained:
     """What an experiment told, as if it had been looked at."""
 
     def content(self) -> dict[str, Any]:
-        """See `nsde_torch.design.Obtained`."""
         nats = {"linear_drag": 9.0, "quadratic_drag": -9.0}
         return {
             **{"nats": nats, "speaks_for": "linear_drag", "broken": True},

@@ -28,7 +28,6 @@ Diagnosed = tuple[Path, dict[str, Any]]
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Runs of a spring with dry friction, as CSV files."""
     folder = tmp_path_factory.mktemp("data") / "spring"
     made = simulate(
         "mass_spring_damper", effects=[{"coulomb_friction": {"size": 0.3}}], durations=(6.0,) * 4, seed=1

@@ -27,7 +27,6 @@ FRICTION = "coulomb_friction"
 
 @pytest.fixture(scope="module")
 def words(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """The command, but for its folder."""
     folder = tmp_path_factory.mktemp("data") / "spring"
     made = simulate("mass_spring_damper", effects=[{FRICTION: {"size": 0.3}}], durations=(3.0,) * 3, seed=1)
     write(made, folder)

@@ -51,8 +51,6 @@ def metrics(folder: Path) -> dict[str, Any]:
 
 @pytest.fixture
 def refused(refused: Said) -> Said:
-    """Run `nsde evaluate WORDS`, which the user's fault ends; what is said of it."""
-
     def run(*words: str) -> str:
         said = refused("evaluate", *words)
         assert said.startswith("nsde evaluate: ")

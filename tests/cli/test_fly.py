@@ -1,7 +1,8 @@
-"""`nsde fly` from the command line to files: what is wrong is said before anything is connected to."""
+"""`nsde fly` and `nsde vehicle`, to files: what is wrong is said before anything is connected to."""
 
 import csv
 import json
+import socket
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from nsde_torch.px4.flight import flying
 from nsde_torch.px4.flight.safety import Action, FlightOutcome, Phase, Trouble
 from nsde_torch.px4.link import connection as links
 from nsde_torch.px4.link import dialect as d
+from nsde_torch.px4.link.codec import Codec, signing_key
 from nsde_torch.px4.link.transport import LinkError
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
@@ -208,12 +210,6 @@ def test_a_vehicle_in_the_air_is_landed_and_one_on_the_ground_is_refused(
     assert body.on_ground
 
 
-def test_help_lists_every_key_of_the_link_and_the_limits(shown: Said) -> None:
-    printed = shown("fly", "--help", "all")
-    keys = "link.url link.key_file limits.fence mpc.period system.effects reference.speed"
-    assert all(key in printed for key in keys.split())
-
-
 def _ended(kind: str | None, *, landed: bool = True) -> FlightOutcome:
     trouble = None if kind is None else Trouble(kind, "so it was", Action.LAND)
     return FlightOutcome(tracked=kind is None, landed=landed, trouble=trouble, actions=[(3.0, "arm", "")])
@@ -256,3 +252,46 @@ def test_ctrl_c_is_an_interruption_whenever_it_comes(phase: Phase, said: str) ->
     with pytest.raises(EndedError, match=said) as error:
         check_end(world.flight.outcome)
     assert error.value.status == INTERRUPTED
+
+
+def test_a_port_in_use_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        url = f"udpin:127.0.0.1:{other.getsockname()[1]}"
+        assert main(["vehicle", f"link.url={url}", "duration=5"]) == 2
+    assert "another program" in capsys.readouterr().err
+
+
+def test_it_says_what_it_is_and_its_frames_are_signed_and_of_its_system(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    Path("key").write_text("open sesame")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
+        ours.bind(("127.0.0.1", 0))
+        words = [f"link.url=udpout:127.0.0.1:{ours.getsockname()[1]}", "link.system=7", "link.key_file=key"]
+        machine = ["plant=quadrotor", "plant.effects=[{linear_drag:{drag:[0.5,0.5,0.1]}}]", "seed=3"]
+        assert main(["vehicle", *words, *machine, "duration=1.5", "parameters.COM_OF_LOSS_T=0.5"]) == 0
+        ours.settimeout(5.0)
+        codec = Codec(1, 1, key=signing_key("open sesame"))
+        heard = codec.unpack(ours.recv(4096), 0.0)
+    printed = capsys.readouterr().out
+    assert "a simulated quadrotor" in printed
+    assert "ran " in printed
+    assert heard[0].get_type() == "HEARTBEAT"
+    assert heard[0].get_srcSystem() == 7
+    assert list(Path().iterdir()) == [Path("key")]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["hil=tcpin:127.0.0.1:0"],
+        ["--hil", "tcpin:127.0.0.1:0"],
+        ["--hil=tcpin:127.0.0.1:0", "sensors=sih", "sensors.accelerometer_bias=[0.1,0,-0.1]"],
+    ],
+)
+def test_as_px4s_simulator_it_waits_and_says_what_px4_must_know(words: list[str], shown: Said) -> None:
+    printed = shown("vehicle", *words, "duration=0.1")
+    assert "waiting for PX4" in printed
+    assert "param set CA_ROTOR_COUNT 6" in printed
+    assert "param set CA_ROTOR0_PY 1" in printed

@@ -36,7 +36,6 @@ def train(folder: Path, *words: str) -> dict[str, Any]:
 
 
 def sampled(model: Model, dt: float) -> Tensor:
-    """Four paths (4, 2, 4, nx) of a model."""
     x0 = model.project(torch.ones(2, model.system.nx))
     u = torch.full((2, 3, model.system.nu), 0.4)
     path = model.sample(x0, u, dt=dt, particles=4, generator=torch.Generator().manual_seed(0))

@@ -1,18 +1,25 @@
-"""Paths of multirotors: what is written is read back as what was judged, and no path asks for more than it may."""
+"""Inputs and paths of experiments: fine about rest, within their ranges, and no more than the cascade can fly."""
 
 import csv
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+import nsde_torch
 from nsde_torch.control.shapes import from_csv
+from nsde_torch.design import DesignOptions, question_of
+from nsde_torch.design.designing import first_state
 from nsde_torch.design.experiment import write_plan
 from nsde_torch.design.limits import ExperimentLimits
-from nsde_torch.design.members import Rollouts
-from nsde_torch.design.paths import SIDE, UP, Paths, flown_paths, point_times
+from nsde_torch.design.members import Rollouts, members_of
+from nsde_torch.design.paths import SIDE, STEP, UP, Paths, flown_paths, flyable, point_times
+from nsde_torch.design.proposals import Signals
 from nsde_torch.systems import Multirotor, make_system
+from nsde_torch.systems.options import system_options
 
 DT = 0.02
 START = np.array([0.2, -0.1, 1.0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0], dtype=np.float64)
@@ -63,3 +70,65 @@ def test_the_cascade_flies_a_path(paths: Paths) -> None:
     assert torch.isfinite(torch.as_tensor(states)).all()
     assert np.abs(states[0, 1:, :3] - table[0, :, :3]).max() < 0.5
     assert ((inputs >= 0) & (inputs <= 1)).all()
+
+
+@pytest.mark.slow
+def test_no_parameters_are_drawn_with_which_the_machine_is_lost() -> None:
+    system = system_options("quadrotor").make()
+    assert isinstance(system, Multirotor)
+    drag = [{"linear_drag": {"drag": [0.3, 0.3, 0.1]}}]
+    made = nsde_torch.simulate("quadrotor", durations=[4.0], seed=1, declared_only=True, effects=drag)
+    data = nsde_torch.read(made, system="quadrotor")
+    asked = DesignOptions(parameters=("linear_drag.drag",))
+    question = question_of({}, system, asked)
+    (member,) = members_of(system, data.runs, question, {}, clock=1.0)
+    (only,) = member.branches
+    # runs that leave the gains open
+    open_, dt = replace(member, branches=(replace(only, known=1e-4 * only.known),)), member.log.dt
+    start = first_state(system, data.runs, {})
+    drive = partial(flown_paths, system=system, dt=dt)
+
+    def left(thetas: np.ndarray) -> np.ndarray:
+        table = np.zeros((len(thetas), 300, 11))
+        table[..., :3] = start[:3] + STEP
+        begun = np.tile(start, (len(thetas), 1))
+        states, _, _ = Rollouts(member.system, dt=dt).run(thetas, begun, drive(table), 300)
+        return np.asarray(np.nan_to_num(np.abs(states[:, -1, :3] - start[:3] - STEP).max(1), nan=np.inf))
+
+    wild = left(open_.draws(12, np.random.default_rng(0)))
+    assert wild.max() > 0.5
+    kept = flyable(open_, 3, np.random.default_rng(0), start=start, drive=drive)
+    assert kept.shape == (3, len(member.theta))
+    np.testing.assert_array_equal(kept[0], member.theta)
+    assert left(kept).max() < 0.5
+
+
+@pytest.fixture
+def signals() -> Signals:
+    """A force from -10 to 30 N: rest is not in the middle."""
+    none = np.array([-np.inf]), np.array([np.inf])
+    limits = ExperimentLimits(("force",), np.array([-10.0]), np.array([30.0]), ("x",), *none)
+    return Signals(limits, 0.02, 200, (0.2, 5.0))
+
+
+def test_proposals_are_of_all_sizes_about_rest_and_stay_within_the_range(signals: Signals) -> None:
+    u = signals.inputs(signals.random(400, np.random.default_rng(0)))
+    assert u.shape == (400, 200, 1)
+    assert u.min() >= -10.0
+    assert u.max() <= 30.0
+    largest = np.abs(u).max((1, 2))
+    for low, high in ((0.0, 1.0), (1.0, 5.0), (5.0, 30.1)):
+        assert ((largest >= low) & (largest < high)).mean() > 0.1
+
+
+def test_gentle_inputs_are_nearly_nothing(signals: Signals) -> None:
+    u = signals.inputs(signals.gentle(8, np.random.default_rng(0)))
+    assert np.abs(u[0]).max() < 0.2
+    assert np.abs(u).max() < 4.0
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0])
+def test_a_smaller_experiment_is_the_same_wave_in_proportion(signals: Signals, share: float) -> None:
+    genes = signals.gentle(8, np.random.default_rng(1))  # not clipped at the ends of the range
+    smaller = signals.shrunk(genes, np.full(8, share))
+    np.testing.assert_allclose(signals.inputs(smaller), share * signals.inputs(genes), atol=1e-9)

@@ -1,15 +1,19 @@
-"""The evidence of an experiment is the density that it had before it was flown."""
+"""What an experiment is expected to tell is what it tells; members and widths are fitted as the data leave them."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import nsde_torch
 from nsde_torch.data import Run
-from nsde_torch.design.members import Branch, Rollouts, as_run, open_loop
+from nsde_torch.design import Question
+from nsde_torch.design.members import Branch, Member, Rollouts, as_run, members_of, open_loop, width_columns
+from nsde_torch.design.proposals import Precision, Separation, nearest
 from nsde_torch.design.rehearsal import against, fit_all
 from nsde_torch.inference.posterior import LogWithPrior
-from tests.helpers.ties import DT, Tie
+from nsde_torch.systems.options import system_options
+from tests.helpers.ties import BIASED, DT, SIDED, Tie
 
 HOLD = np.repeat([[0.1], [-0.1], [0.0]], 25, 0)
 
@@ -59,3 +63,86 @@ def test_no_rehearsal_speaks_against_what_it_simulates_on_average(tie: Tie, trut
     """Of an experiment that tells nothing, too: the last term of the density is what keeps it so."""
     told = tie.rehearsed(truth, np.zeros((20, 1)), count=8, seed=3)
     assert told.evidence.mean() > -0.5
+
+
+TWICE = 2.0
+
+
+def _held(tie: Tie, truth: int, table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    member = tie.members[truth]
+    rollouts, drive = Rollouts(member.system, dt=DT), open_loop(table[None])
+    states, _, inputs = rollouts.run(member.theta[None], np.zeros((1, 2)), drive, len(table))
+    return states, inputs
+
+
+def _nats(tie: Tie, truth: int, pair: Separation, table: np.ndarray) -> float:
+    states, inputs = _held(tie, truth, table)
+    told = pair.nats(states[None], inputs[None], tie.members[truth].theta[None])
+    assert told.shape == (1, 1)
+    return float(told[0, 0])
+
+
+@pytest.mark.parametrize("truth", [0, 1])
+@pytest.mark.slow
+def test_rehearsed_evidence_is_within_a_factor_of_two_of_what_is_expected_without_noise(
+    tie: Tie, truth: int
+) -> None:
+    a, b = tie.members[truth], tie.members[1 - truth]
+    expected = _nats(tie, truth, Separation(a, b), HOLD)
+    told = tie.rehearsed(truth, HOLD, count=8, seed=truth)
+    assert expected > 3.0
+    assert expected / TWICE < np.median(told.evidence) < expected * TWICE
+
+
+def test_no_evidence_is_expected_against_what_a_refit_takes_away(tie: Tie) -> None:
+    member = tie.members[0]
+    assert _nats(tie, 0, Separation(member, member), HOLD) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_standard_errors_fall_with_an_experiment_and_never_rise(tie: Tie) -> None:
+    member = tie.members[0]
+    now = np.sqrt(np.diag(member.covariance))
+    then = Precision(member, [0], member.theta[:1]).errors(*_held(tie, 0, HOLD), member.theta)[0]
+    assert (then <= 1.0001 * now).all()
+    steady = member.vector.labels.index("constant_force.acceleration")
+    assert then[steady] < 0.9 * now[steady]
+
+
+NARROW = 0.005
+
+
+@pytest.fixture(scope="module")
+def fast() -> Member:
+    """Fitted to runs that mostly move much faster than friction takes to develop."""
+    effects = [{"coulomb_friction": {"size": 0.2, "width": NARROW}}, {"constant_force": {}}]
+    how = {"durations": [5.0] * 2, "seed": 3, "dt": DT, "options": {"force_size": 4.0}}
+    made = nsde_torch.simulate("mass_spring_damper", effects=effects, **how)
+    system = system_options("mass_spring_damper").make()
+    runs = nsde_torch.read(made, system=system).runs
+    return members_of(system, runs, Question((BIASED, SIDED)), {}, clock=1.0)[0]
+
+
+@pytest.mark.slow
+def test_a_width_that_no_run_shows_is_followed_down_to_the_true_one(fast: Member) -> None:
+    (column,) = width_columns(fast.vector)
+    widths = np.array([b.theta[column] for b in fast.branches])
+    assert len(widths) > 1
+    assert widths.min() < 2.0 * NARROW < widths.max()
+    nats = [b.nats for b in fast.branches]
+    assert nats == sorted(nats, reverse=True)
+    assert nats[0] == fast.nats
+    assert nats[-1] > fast.nats - 4.0
+    np.testing.assert_array_equal(fast.theta, fast.branches[0].theta)
+
+
+@pytest.mark.slow
+def test_draws_take_their_share_of_every_width_and_say_where_they_are_from(fast: Member) -> None:
+    (column,) = width_columns(fast.vector)
+    draws = fast.draws(40, np.random.default_rng(0))
+    np.testing.assert_array_equal(draws[0], fast.theta)
+    drawn = np.log(draws[1:, column])
+    widths = np.log([b.theta[column] for b in fast.branches])
+    assert drawn.min() < widths.mean() < drawn.max()
+    assert (draws[:, column] >= fast.vector.low[column]).all()
+    for branch in fast.branches:
+        assert nearest(fast, branch.theta) is branch

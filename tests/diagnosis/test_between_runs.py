@@ -1,18 +1,24 @@
-"""What differs between runs is named with its runs and its sizes; runs of one machine are not said to differ."""
+"""What differs between runs, or begins or drifts within one, is named with its moment and its sizes."""
 
 import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import nsde_torch
 from nsde_torch.data import DataSet, Run
+from nsde_torch.data.raw import RawRun
+from nsde_torch.diagnosis.decisions import Options
+from nsde_torch.diagnosis.pipeline import diagnose
+from nsde_torch.diagnosis.reading import cut_at
 from nsde_torch.diagnosis.text import lines, short_lines
 from nsde_torch.errors import ConfigError
+from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording import assemble
 from nsde_torch.simulation.generate import simulate
 from nsde_torch.systems import make_system
@@ -117,12 +123,6 @@ def test_on_a_linear_spring_a_zero_is_a_force_of_each_run() -> None:
 
 
 @pytest.mark.slow
-def test_runs_of_one_machine_are_not_said_to_differ() -> None:
-    content = diagnosed(springs(6, *[{}] * 4))
-    assert (content["verdict"], content["added"]) == ("no_effect", [])
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(("state", "column"), [("q1", 0), ("q2", 1)])
 def test_a_zero_of_a_joint_that_differs_has_its_runs_and_the_option_that_takes_it_out(
     state: str, column: int, folder: Path
@@ -151,8 +151,146 @@ def test_a_reader_takes_out_what_one_run_reads_too_much(folder: Path) -> None:
         assert np.allclose(before.x[:, 1] - after.x[:, 1], 0.03 if before.name == "run_1" else 0.01)
 
 
-def test_a_run_that_is_not_there_is_refused(folder: Path) -> None:
-    with pytest.raises(
-        ConfigError, match=r"`sensor_bias` names 'run_9', which is no run; runs are run_0, run_1"
-    ):
-        nsde_torch.read(folder, system=HOME, options={"sensor_bias": {"run_9": {"q1": 0.12}}})
+def test_a_run_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    nsde_torch.simulate("mass_spring_damper", durations=[2.0] * 2, seed=1).save(tmp_path)
+    said = r"`sensor_bias` names 'run_9', which is no run; runs are run_0, run_1"
+    with pytest.raises(ConfigError, match=said):
+        nsde_torch.read(tmp_path, system="mass_spring_damper", sensor_bias={"run_9": {"q": 0.12}})
+
+
+STEP = 0.01
+
+
+def pushed_spring(seed: int, seconds: float, push: Any) -> Run:
+    """A pushed_spring that is pushed by u and `push(t, v, u)` [m/s2]."""
+    rng = np.random.default_rng(seed)
+    t = STEP * np.arange(round(seconds / STEP) + 1)
+    f, phase = rng.uniform(0.1, 1.6, (4, 1)), rng.uniform(0.0, 2.0 * np.pi, (4, 1))
+    u = 1.2 * np.sin(2.0 * np.pi * f * t + phase).sum(0)
+    rows, q, v = np.empty((len(t), 2)), 0.2, 0.0
+    for k, (now, force) in enumerate(zip(t, u, strict=True)):
+        rows[k] = q, v
+        for _ in range(10):  # semi-implicit Euler, 1 ms
+            v += 1e-3 * (force - 4.0 * q - 0.5 * v + push(now, v, force) + rng.normal(0.0, 0.05))
+            q += 1e-3 * v
+    return Run("run", t, rows + rng.normal(0.0, (0.002, 0.01), rows.shape), u[:, None])
+
+
+def diagnosed_file(folder: Path, *runs: Run) -> dict[str, Any]:
+    folder.mkdir()
+    for r, run in enumerate(runs):
+        columns = np.column_stack((run.t, run.x, run.u))
+        np.savetxt(folder / f"run_{r}.csv", columns, "%.6f", ",", header="t,q,q_dot,force", comments="")
+    few = ("coulomb_friction", "quadratic_damping", "actuator_gain_drift", "constant_force")
+    return dict(nsde_torch.diagnose(folder, system="mass_spring_damper", candidates=few, say=False).content())
+
+
+@pytest.mark.slow
+def test_a_gain_that_falls_at_moments_of_two_runs_is_no_drift(tmp_path: Path) -> None:
+    moments = (17.0, 12.5)
+    runs = [
+        pushed_spring(r, 30.0, lambda t, v, u, at=at: -0.25 * u * (t > at))
+        for r, at in enumerate(moments)  # type: ignore[misc]
+    ]
+    content = diagnosed_file(tmp_path / "gain", *runs)
+    name = "run_difference[force_gain]"
+    assert content["added"] == [name]
+    assert not any(f["lead"] for f in content["findings"])
+    for (first, last), moment in zip(content["data"]["moments"].values(), moments, strict=True):
+        assert first - 0.1 <= moment <= last + 0.1
+        assert last - first < 2.0
+        assert f"between {first:.2f} and {last:.2f} s" in content["summary"]
+    own = [p for key, p in content["parameters"].items() if key.startswith(name)]
+    gain = content["declared_parameters"]["force_gain"]["value"]
+    # the reference is one of the parts
+    values = sorted([gain, *(gain + p["value"] for p in own)])
+    assert values == pytest.approx([0.75, 0.75, 1.0, 1.0], abs=0.02)
+
+
+def test_friction_that_begins_in_a_single_run(tmp_path: Path) -> None:
+    run = pushed_spring(5, 50.0, lambda t, v, u: -0.3 * np.tanh(v / 0.01) * (t > 22.0))
+    content = diagnosed_file(tmp_path / "friction", run)
+    name = "run_difference[coulomb_friction/size]"
+    assert set(content["added"]) == {name, "coulomb_friction"}
+    (size,) = (p for key, p in content["parameters"].items() if key.startswith(name))
+    assert abs(size["value"]) == pytest.approx(0.3, abs=0.02)
+    ((first, last),) = content["data"]["moments"].values()
+    assert first - 0.1 <= 22.0 <= last + 0.1
+
+
+@pytest.mark.slow
+def test_a_gain_that_falls_all_the_time_stays_a_drift(tmp_path: Path) -> None:
+    runs = [pushed_spring(7 + r, 40.0, lambda t, v, u: -0.006 * t * u) for r in range(2)]
+    content = diagnosed_file(tmp_path / "drift", *runs)
+    assert content["added"] == ["actuator_gain_drift"]
+    assert content["data"]["moments"] == {}
+
+
+def test_rows_between_the_two_times_are_in_neither_part() -> None:
+    run = pushed_spring(1, 2.0, lambda t, v, u: 0.0)
+    before, after = cut_at([run], {"run": (0.5, 0.8)})
+    assert (before.name, after.name) == ("run before 0.50 s", "run from 0.80 s")
+    assert (before.t[-1], after.t[0]) == (pytest.approx(0.49), pytest.approx(0.8))
+    assert len(before) + len(after) == len(run) - 30
+
+
+Array = NDArray[np.float64]
+Factor = Callable[[int, float], float]
+SPRING = make_system("mass_spring_damper")
+FINE, ROWS, RUNS = 5, 800, 6
+
+
+def one(number: int, factor_of_stiffness: Factor, factor_of_mass: Factor, memory: float) -> RawRun:
+    """A spring under a random force that is held over rows, logged behind a filter of time constant `memory` [s]."""
+    rng = np.random.default_rng(number)
+    t = STEP * np.arange(ROWS)
+    waves = rng.normal(size=8) @ np.sin(np.outer(rng.uniform(1, 16, 8), t) + rng.uniform(0, 6.28, 8)[:, None])
+    force = waves + 0.3 * rng.normal(size=ROWS)
+    x = np.zeros((ROWS, 2))
+    q, v = 0.3 * rng.normal(size=2)
+    for k in range(ROWS):
+        x[k] = q, v
+        for j in range(FINE):
+            at, h = t[k] + j * STEP / FINE, STEP / FINE
+            stiffness, mass = 6.0 * factor_of_stiffness(number, at), 1.2 * factor_of_mass(number, at)
+
+            def pull(q: float, v: float, f: float = force[k], c: float = stiffness, m: float = mass) -> float:
+                return (f - c * q - 0.5 * v) / m
+
+            middle = q + 0.5 * h * v, v + 0.5 * h * pull(q, v)
+            q, v = q + h * middle[1], v + h * pull(*middle)
+    logged = force.copy()
+    if memory:
+        for k in range(1, ROWS):
+            logged[k] = logged[k - 1] + (force[k] - logged[k - 1]) * STEP / (memory + STEP)
+    return RawRun(
+        f"run_{number}", t, x + 5e-4 * np.array([0.3, 1.0]) * rng.normal(size=x.shape), logged[:, None]
+    )
+
+
+def same(number: int, at: float) -> float:
+    return 1.0
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "mass", "memory", "variable", "words"),
+    [
+        (lambda n, at: 1.0 - 0.03 * at, same, 0.0, "q over time", "something drifts"),
+        (same, lambda n, at: 1.2 if n % 2 else 1.0, 0.0, "force by run", "something differs between runs"),
+        (same, same, 0.04, "force before", "something has a memory"),
+        (same, same, 0.0, "", ""),
+    ],
+    ids=["stiffness falls", "mass differs", "filtered force", "a sound spring"],
+)
+@pytest.mark.slow
+def test_it_is_said_and_told_apart(
+    stiffness: Factor, mass: Factor, memory: float, variable: str, words: str
+) -> None:
+    made = [one(k, stiffness, mass, memory) for k in range(RUNS)]
+    data = assemble(made, SPRING, kind="test")
+    spec = SysidSpec(SPRING.name, dt=data.dt, horizon=SPRING.defaults.horizon)
+    content = diagnose(SPRING, spec, data, data.runs, Options(max_effects=0)).content()
+    assert content["verdict"] == ("unexplained" if words else "no_effect")
+    if words:
+        assert content["structure"]["after"][0]["variable"] == variable
+        assert words in content["unexplained"][0]["sentence"]

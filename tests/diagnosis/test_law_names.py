@@ -1,4 +1,4 @@
-"""A law that the catalogue has takes its name; one that it lacks keeps its own. Behind smoothers, no law is tried."""
+"""A law has one name, the catalogue's where it has one, and none beside what it contains or behind smoothers."""
 
 from dataclasses import replace
 
@@ -7,11 +7,13 @@ from scipy.signal import butter, filtfilt
 
 import nsde_torch
 from nsde_torch.diagnosis.beyond_catalogue import same_effect
-from nsde_torch.diagnosis.candidates import joined
+from nsde_torch.diagnosis.candidates import candidate_names, effect_of, joined, starts, values_of
 from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.diagnosis.search import Search
+from nsde_torch.diagnosis.search import Search, fitted_system
+from nsde_torch.effects import effect_class
+from nsde_torch.inference.steps import data_sizes
 from nsde_torch.simulation import simulate
-from nsde_torch.systems import make_system
+from nsde_torch.systems import System, make_system
 from nsde_torch.systems.vocabulary import vocabulary
 from tests.helpers.diagnosed import recorded
 
@@ -55,3 +57,39 @@ def test_a_law_is_compared_with_every_candidate_of_a_machine_within_its_bounds(m
         law = f"{port.value}{place} = c1 {system.state_names[-1]}^5"
         law = system.effect_key(law)
         assert same_effect(steps, system.with_effects(system.make_effect(law, {"c1": 1.0})), law) is None
+
+
+SPRING = "mass_spring_damper"
+FRICTION = {"coulomb_friction": {"size": 0.3, "width": 0.002}}
+_FRICTIONS = ("asymmetric_friction", "coulomb_friction", "stribeck_friction")
+
+
+def spring(*effects: str) -> System:
+    return make_system(SPRING, effects=effects)
+
+
+def test_a_spring_is_sought_where_none_is_declared() -> None:
+    assert "linear_spring[cart]" in candidate_names(make_system("cartpole"))
+    assert not [n for n in candidate_names(spring()) if n.startswith("linear_spring")]
+
+
+def test_what_an_effect_contains_is_not_tried_beside_it() -> None:
+    assert "coulomb_friction" in candidate_names(spring())
+    assert "coulomb_friction" not in candidate_names(spring("asymmetric_friction"))
+    assert "coulomb_friction" not in candidate_names(spring("stribeck_friction"))
+    assert "asymmetric_friction" in candidate_names(spring("coulomb_friction"))
+
+
+@pytest.mark.parametrize("name", ["asymmetric_friction", "stribeck_friction"])
+def test_what_stands_in_for_an_effect_starts_as_that_effect(name: str) -> None:
+    made = recorded(SPRING, FRICTION, seed=3, dt=0.02, durations=(6.0,) * 4)
+    rubbing = Search(spring(), made.runs, 1.0, Options(candidates=_FRICTIONS))
+    friction = spring().make_effect("coulomb_friction", FRICTION["coulomb_friction"])
+    system = fitted_system(rubbing.quick(spring().with_effects(friction)))
+    scales = data_sizes(system, rubbing.steps)
+    begun = starts(system, name, scales, ())
+    coulomb = effect_of(system, "coulomb_friction")
+    size = values_of(coulomb)["size"]
+    sizes = [own for own, theirs in effect_class(name).shared(type(coulomb)).items() if theirs == "size"]
+    assert any(all(start[key] == pytest.approx(size) for key in sizes) for start in begun)
+    assert len(begun) == len({tuple(map(str, start.items())) for start in begun})

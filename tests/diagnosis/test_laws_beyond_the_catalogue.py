@@ -1,19 +1,26 @@
-"""Laws that no catalogue has: found, added, verified and written; and silence where there are none."""
+"""Laws that no catalogue has: found, verified and written, or unexplained; silence where there are none."""
 
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
+import nsde_torch
+from nsde_torch.data import RawRun
 from nsde_torch.diagnosis.decisions import Budgets, Decisions, Options
 from nsde_torch.diagnosis.laws import terms_of, with_places
 from nsde_torch.diagnosis.result import looks_like
+from nsde_torch.diagnosis.search import bent_shape
 from nsde_torch.effects.expression_grammar import parse
 from nsde_torch.sysid.feedback_test import FeedbackTest
+from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import make_system
 from nsde_torch.systems.options import system_options
-from tests.helpers.diagnosed import diagnosed
+from nsde_torch.systems.parameters import ParameterVector
+from tests.helpers.diagnosed import assert_interval, diagnosed
 
 OUTSIDE = Path(__file__).parents[2] / "benchmarks" / "blind"
 LAW = "force = c1 q q_dot"
@@ -121,15 +128,6 @@ def test_beside_an_effect_of_the_catalogue_that_one_keeps_its_name() -> None:
 
 
 @pytest.mark.slow
-def test_what_the_catalogue_has_is_named_by_it_and_nothing_is_made_of_nothing() -> None:
-    _, content = diagnosed("mass_spring_damper", {"cubic_stiffness": {"stiffness": 3.0}}, **SHORT)
-    assert content["added"] == ["cubic_stiffness"]
-    found, content = diagnosed("mass_spring_damper", **SHORT)
-    assert (content["verdict"], content["added"]) == ("no_effect", [])
-    assert not found.effects
-
-
-@pytest.mark.slow
 def test_laws_are_tried_neither_beside_named_candidates_nor_where_the_budget_has_none() -> None:
     truth = {LAW: {"c1": 0.8}}
     few = Options(candidates=("coulomb_friction",))
@@ -204,3 +202,103 @@ def test_what_a_law_looks_like_is_said_where_something_can_be_said(
 ) -> None:
     found = looks_like(parse(law), {"c1": c1}, make_system(system))
     assert found is None if words is None else words in str(found)
+
+
+FOLDER = Path(__file__).parents[2] / "benchmarks" / "blind"
+needs_outside = pytest.mark.skipif(not FOLDER.is_dir(), reason="the benchmarks are not part of a wheel")
+
+
+@pytest.fixture
+def _outside(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(FOLDER)
+
+
+@needs_outside
+@pytest.mark.usefixtures("_outside")
+@pytest.mark.slow
+def test_a_magnet_on_the_pole_is_a_ripple_of_the_catalogue_and_unexplained_without_it() -> None:
+    magnet = {"outside:PoleMagnet": {"size": 1.5}}
+    _, content = diagnosed("cartpole", magnet, durations=(4.0,) * 16)
+    assert content["added"] == ["ripple[pole]"]
+    found = content["parameters"]
+    assert found["ripple[pole].order"]["value"] == pytest.approx(2.0, abs=0.02)
+    assert_interval(found, "ripple[pole].sine", -1.5)
+    few = Options(candidates=("coulomb_friction[pole]", "quadratic_damping[pole]"))
+    _, content = diagnosed("cartpole", magnet, options=few, durations=(4.0,) * 16)
+    assert content["verdict"] == "unexplained"
+    assert "no effect of the catalogue" in content["summary"]
+    first = next(s for s in content["unexplained"] if s["variable"] == "theta")
+    assert first["channel"] == "theta_dot"
+    assert first["period"] == pytest.approx(np.pi, rel=0.1)
+    assert "periodically" in first["sentence"]
+
+
+@needs_outside
+@pytest.mark.usefixtures("_outside")
+@pytest.mark.slow
+def test_a_spring_that_hardens_faster_than_the_catalogue_knows_is_a_law_with_its_power() -> None:
+    case = ("mass_spring_damper", {"outside:QuinticStiffness": {"size": 8.0}})
+    _, content = diagnosed(*case, durations=(10.0,) * 6)
+    law = "force = c1 q^5"
+    assert (content["verdict"], content["added"]) == ("effect_found", [law])
+    assert content["parameters"][f"{law}.c1"]["value"] == pytest.approx(-8.0, rel=0.15)
+    _, content = diagnosed(*case, durations=(10.0,) * 6, budgets=Budgets(laws=0))
+    assert content["verdict"] == "unexplained" or all(f["lead"] for f in content["findings"])
+    assert content["added"] in ([], ["cubic_stiffness"])
+    first = content["unexplained"][0]
+    assert (first["channel"], first["variable"], first["symmetry"]) == ("q_dot", "q", "odd")
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[RawRun]:
+    """A spring that is damped where it is stretched: -0.7 q q_dot above zero, by an integrator of its own."""
+    rng, out = np.random.default_rng(5), []
+    t = np.arange(0.0, 20.0, 0.01)
+    for number in range(4):
+        waves = np.sin(np.outer(t, rng.uniform(0.2, 2.5, 6)) + rng.uniform(0, 6.28, 6))
+        force, gusts = waves @ rng.uniform(0.2, 0.6, 6), 0.3 * rng.standard_normal(len(t))
+        x = [np.array([0.3 * rng.standard_normal(), 0.0])]
+        for u, w in zip(force[:-1], gusts[:-1], strict=True):
+
+            def rate(_: float, y: np.ndarray, push: float = 1.1 * u + w) -> list[float]:
+                return [y[1], push - 1.3 * y[0] - (0.6 + 0.7 * max(y[0], 0.0)) * y[1]]
+
+            x.append(solve_ivp(rate, (0.0, 0.01), x[-1], rtol=1e-6, atol=1e-9).y[:, -1])
+        seen = np.array(x) + rng.standard_normal((len(t), 2)) * [0.001, 0.01]
+        out.append(RawRun(f"run_{number}", t, seen, force[:, None]))
+    return out
+
+
+@pytest.mark.slow
+def test_a_law_is_sought_in_the_place_of_a_friction_that_is_none(runs: list[RawRun]) -> None:
+    found = nsde_torch.diagnose(runs, system="mass_spring_damper").content()
+    assert found["added"] == ["force = c1 max(q, 0) q_dot"]
+    assert_interval(found["parameters"], "force = c1 max(q, 0) q_dot.c1", -0.7)
+
+
+@pytest.mark.slow
+def test_a_friction_that_is_dry_has_no_such_shape() -> None:
+    found, content = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5, "width": 0.01}})
+    assert content["added"] == ["coulomb_friction"]
+    assert bent_shape(found.outcome.final, "coulomb_friction") == ""
+
+
+@pytest.mark.slow
+def test_where_no_law_may_be_tried_it_is_provisional(runs: list[RawRun]) -> None:
+    only = ("position_dependent_friction",)
+    found = nsde_torch.diagnose(runs, system="mass_spring_damper", candidates=only).content()
+    (finding,) = [f for f in found["findings"] if f["kind"] == "effect"]
+    assert finding["name"] == "position_dependent_friction"
+    assert finding["lead"]
+    assert "another law" in finding["lead_reason"]
+
+
+def test_a_force_that_repeats_less_than_once_a_turn_is_none_that_repeats() -> None:
+    system = make_system("cartpole", effects=["ripple[pole]"])
+    vector = ParameterVector(system)
+    at = vector.labels.index("ripple[pole].order")
+    ends, theta = [], vector.start.copy()
+    for order in (float(vector.low[at]), 3.0):
+        theta[at] = order
+        ends.append(bent_shape(cast(Regression, SimpleNamespace(vector=vector, theta=theta)), "ripple[pole]"))
+    assert ends == ["ripple[pole].order", ""]

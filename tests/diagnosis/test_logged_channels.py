@@ -19,8 +19,6 @@ from tests.helpers.diagnosed import recorded
 
 @final
 class Supply(Effect):
-    """The force follows the logged voltage of its amplifier."""
-
     name = "supply"
     port = Port.INPUT
     systems = ("mass_spring_damper",)

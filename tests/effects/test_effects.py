@@ -6,10 +6,8 @@ from pathlib import Path
 import pytest
 import torch
 
-import tests.effects.test_delay
 import tests.effects.test_effects_on_machines
 import tests.effects.test_formulas
-import tests.effects.test_hysteresis
 import tests.effects.test_lag
 import tests.effects.test_laws_on_coordinates  # noqa: F401
 from nsde_torch.effects import EFFECTS, effects_of

@@ -1,4 +1,4 @@
-"""Effects by expression: the same as a class written by hand, in every use, and the same after a file."""
+"""Expressions as effects: their grammar, their values by hand, and what is refused."""
 
 from pathlib import Path
 
@@ -9,6 +9,7 @@ from torch import Tensor
 
 import nsde_torch
 from nsde_torch.effects import Effect, Parameter, Port, effect_class, files, key_of
+from nsde_torch.effects.expression_grammar import in_text, is_law, latex, parse, sympy_text, valued
 from nsde_torch.errors import ConfigError
 from nsde_torch.export.graph import graph_of
 from nsde_torch.rotation import rotate_back
@@ -130,3 +131,137 @@ def test_a_controller_with_a_law_is_exported_as_it_is(declared: System) -> None:
         graph, plain = graph_of(step.stage(name), example), step.stage(name)(*example)
         for ours, theirs in zip(graph(*example), plain, strict=True):
             assert torch.allclose(ours, theirs, rtol=1e-9, atol=1e-9, equal_nan=True), name
+
+
+SPRING, HEXA = "mass_spring_damper", "hexacopter"
+
+
+def units(system: str, law: str) -> dict[str, str]:
+    made = make_system(system).make_effect(law)
+    return {name: unit for name, (_, unit) in made.declared_parameters().items()}
+
+
+@pytest.mark.parametrize(
+    ("written", "name"),
+    [
+        ("force=c1*q*q_dot", "force = c1 q q_dot"),
+        ("force = c1 q  q_dot - c2*max( q-k1 , 0 )^2", "force = c1 q q_dot - c2 max(q - k1, 0)^2"),
+        ("body_moment[y] = -c_swing v_body_x w_z", "body_moment[y] = -c_swing v_body_x w_z"),
+        ("torque = c1 ((q + k1)) sin(2 theta)", "torque = c1 (q + k1) sin(2 theta)"),
+        ("force=c1 logged(voltage) sign(q_dot, k1)", "force = c1 logged(voltage) sign(q_dot, k1)"),
+        ("force = c1 (-q)^2 (-(q - k1))", "force = c1 (-q)^2 (-(q - k1))"),
+        ("force = c1", "force = c1"),
+    ],
+)
+def test_every_spelling_of_a_law_has_one_name_which_is_a_spelling_of_it(written: str, name: str) -> None:
+    assert parse(written).text == name
+    assert parse(name) == parse(written)
+    assert is_law(name)
+
+
+def test_sizes_are_the_factors_of_terms_and_all_other_coefficients_are_shapes() -> None:
+    law = parse("force = c1 max(q - k1, 0) - c2 sign(q_dot, k2) cos(k1 q)")
+    assert (law.sizes, law.shapes) == (("c1", "c2"), ("k1", "k2"))
+    assert in_text(law.right).startswith("c1 max(q - k1, 0)")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("force = c1 __import__('os').system('true')", r"\"'\" is not of the grammar \(character 23\)"),
+        ("force = c1 q.__class__", r"'\.' is not of the grammar \(character 13\)"),
+        ("force = c1 eval(q)", "'eval' is no function; functions are abs, sin"),
+        ("force = c1 [q for q in q]", r"'\[' does not belong here"),
+        ("force = c1 q; c2", "';' is not of the grammar"),
+        ("force = c1 ${oc.env:HOME}", r"'\$' is not of the grammar"),
+        ("force = c1 {c1}", r"'\{' is not of the grammar"),
+        ("force = c1 " + "(" * 40 + "q" + ")" * 40, "nested more than 12 deep"),
+        ("force = c1 " + "q " * 300, "at most 400 characters"),
+        ("force = c1 q^99", "whole number from 2 to 9; got '99'"),
+        ("force = c1 q^q", "whole number from 2 to 9; got 'q'"),
+        ("force = c1 q^2^2", "does not belong here"),
+        ("force = 0.3 q", r"numbers in a law are whole .* \{c1: 0.3\}"),
+        ("force = q q_dot", "the term 'q q_dot' has no coefficient"),
+        ("force = c1 c2 q", "has 2 coefficients as a factor"),
+        ("force = c1 q + c1 q_dot", "'c1' stands twice"),
+        ("force = c1 (q + c1)", "'c1' stands twice"),
+        ("force = c1 max(q)", r"max takes 2 argument\(s\); got 1"),
+        ("force = c1 max(q, 0", r"expected '\)', got the end"),
+        ("force = c1 q +", "expected a variable, a coefficient or a function, got the end"),
+        ("force[ = c1 q", "expected the name of a row, got '='"),
+        ("= c1 q", "expected the name of a port, got '='"),
+        ("force = ", "expected a variable"),
+    ],
+)
+def test_what_is_not_of_the_grammar_is_refused_with_its_place(text: str, says: str) -> None:
+    with pytest.raises(ConfigError, match=says):
+        parse(text)
+
+
+@pytest.mark.parametrize(
+    ("system", "text", "says"),
+    [
+        (SPRING, "force = c1 qdot", "'qdot' is no variable .* there are q, q_dot, force.*Did you mean 'q"),
+        (SPRING, "forse = c1 q", "'forse' is no port .* there are force, input, rate"),
+        (HEXA, "body_moment = c1 w_x", r"written body_moment\[x\], body_moment\[y\], body_moment\[z\]"),
+        (SPRING, "force[y] = c1 q", "is written force = "),
+        (SPRING, "force = c1 max(q - q_dot, 0)", "q is in m and q_dot in m/s"),
+        (SPRING, "force = c1 expm1(q)", "takes a number without unit; q is in m"),
+        (SPRING, "force = c1 sin(q)", r"takes an angle \[rad\]; q is in m. Write sin\(k1 q\)"),
+        (HEXA, "input[u_1] = c1 v_body_x", "a law of the input reads states and inputs, not 'v_body_x'"),
+    ],
+)
+def test_what_does_not_fit_the_machine_is_refused_and_what_there_is_is_listed(
+    system: str, text: str, says: str
+) -> None:
+    with pytest.raises(ConfigError, match=says):
+        make_system(system, effects=[text])
+
+
+def test_a_coefficient_that_is_a_variable_of_the_machine_is_refused() -> None:
+    plain = make_system("mass_spring_damper")
+
+    class Named(System):
+        name = "named"
+        state_names, state_units = ("c1", "c1_dot"), ("m", "m/s")
+        input_names, input_units = ("force",), ("N",)
+        ports, residual_ports, defaults = plain.ports, plain.residual_ports, plain.defaults
+
+        def dynamics(self, t, x, u, forces):  # type: ignore[no-untyped-def]
+            return x
+
+    words = "'c1' is a variable of system 'named'; name the coefficient otherwise"
+    with pytest.raises(ConfigError, match=words):
+        Named.effect_class("force = c1 c1_dot")
+
+
+def test_coefficients_have_the_units_that_the_port_asks_for() -> None:
+    law = "force = c1 q q_dot - c2 max(q - k1, 0)^2 + c3 sin(k2 q) + c4 sign(q_dot, k3) + c5 q force"
+    assert units(SPRING, law) == {
+        **{"c1": "1/(m s)", "c2": "1/(m s2)", "c3": "m/s2", "c4": "m/s2", "c5": "1/(s2 N)"},
+        **{"k1": "m", "k2": "rad/m", "k3": "m/s"},
+    }
+    assert units("hexacopter", "body_moment[y] = c1 v_body_x w_z") == {"c1": "1/m"}
+    assert units("hexacopter", "body_force[z] = c1 logged(battery_voltage)") == {"c1": "SI"}
+    assert units("cartpole", "rate[x_dot] = c1 sin(theta)") == {"c1": "m/s2"}
+
+
+def test_a_law_with_its_values_reads_in_text_in_latex_and_for_sympy() -> None:
+    law = parse("body_force[z] = c1 v_body_x^2 - c2 max(q_dot - k1, 0) abs(theta) + c3 sign(q_dot, k2)")
+    values = {"c1": -0.298, "c2": -1e-5, "c3": 2.0, "k1": -0.4, "k2": 0.01}
+    text = "body_force[z] = -0.298 v_body_x^2 + 1e-05 max(q_dot + 0.4, 0) abs(theta) + 2 sign(q_dot, 0.01)"
+    assert valued(law, values) == text
+    assert latex(law, values) == (
+        r"\mathrm{body\ force}_{z} = -0.298\,v_{body\,x}^{2} + 1 \cdot 10^{-5}\,\max\left(\dot{q} + 0.4, 0\right)"
+        r"\,\left|\theta\right| + 2\,\tanh\left(\dot{q} / 0.01\right)"
+    )
+    assert sympy_text(law, values) == (
+        "-0.298*v_body_x**2 + 1e-05*Max(q_dot + 0.4, 0)*Abs(theta) + 2.0*tanh((q_dot)/(0.01))"
+    )
+    law = parse("force = c1 peak(q_dot, k1) + c2 expm1(k2 q)")
+    values = {"c1": -30.0, "c2": 0.5, "k1": 8.0, "k2": 2.0}
+    assert valued(law, values) == "force = -30 peak(q_dot, 8) + 0.5 (exp(2 q) - 1)"
+    assert latex(law, values) == (
+        r"\mathrm{force} = -30\,\frac{2\,(\dot{q})\,8}{(\dot{q})^2 + 8^2} + 0.5\,\left(e^{2\,q} - 1\right)"
+    )
+    assert sympy_text(law, values) == ("-30.0*2*(q_dot)*(8.0)/((q_dot)**2 + (8.0)**2) + 0.5*(exp(2.0*q) - 1)")

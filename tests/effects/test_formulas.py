@@ -82,10 +82,6 @@ TestAsymmetricFriction = contract("asymmetric_friction", SPRING, size=0.01)
 TestStribeckFriction = contract("stribeck_friction", SPRING, size=0.1)
 TestQuadraticDamping = contract("quadratic_damping", CART)
 TestPositionDependentFriction = contract("position_dependent_friction", SPRING, size=0.1)
-TestCartCoulombFriction = contract("cart_coulomb_friction", CART, size=0.01)
-TestCartViscousFriction = contract("cart_viscous_friction", CART)
-TestPoleViscousFriction = contract("pole_viscous_friction", CART)
-TestPoleCoulombFriction = contract("pole_coulomb_friction", CART, size=0.01)
 TestLinearDrag = contract("linear_drag", HEXA)
 TestQuadraticDrag = contract("quadratic_drag", QUAD)
 TestRotorDrag = contract("rotor_drag", HEXA)
@@ -123,10 +119,6 @@ def at(*rows: list[float]) -> Tensor:
          [[-2.0], [8.0]], {}),
         (SPRING, "position_dependent_friction", {**DRY, "slope": 0.5}, at([0.2, 1.0], [-0.2, -1.0]),
          [[-0.4], [0.2]], {}),
-        (CART, "cart_coulomb_friction", DRY, at([0.0, 1.0, 0.0, 0.0], [0.0, -2.0, 0.0, 0.0]), [[-0.3], [0.3]], {}),
-        (CART, "pole_coulomb_friction", DRY, at([0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, -2.0]), [[-0.3], [0.3]], {}),
-        (CART, "cart_viscous_friction", {"damping": 0.4}, at([0.0, 2.0, 0.0, 9.0]), [[-0.8]], {}),
-        (CART, "pole_viscous_friction", {"damping": 0.4}, at([0.0, 9.0, 0.0, 2.0]), [[-0.8]], {}),
         # turned left by a quarter: world's +x is the body's right (-y)
         (HEXA, "linear_drag", DRAG, flying([2.0, 0.0, 1.0], LEFT), [[0.0, 0.4, -0.3]], EXACT),
         (QUAD, "quadratic_drag", {"drag": [0.1, 0.1, 0.2]}, flying([3.0, 0.0, 4.0]), [[-1.5, 0.0, -4.0]], {}),

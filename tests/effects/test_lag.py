@@ -1,14 +1,18 @@
-"""Lags: the contract, and the response to a step by hand."""
+"""Effects with memory: lags, delays and hysteresis in closed form, and what each contract says."""
 
 from typing import ClassVar
 
 import numpy as np
 import pytest
 import torch
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
+from nsde_torch.effects import make_effect
+from nsde_torch.effects.friction import Hysteresis, InputPlay
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import make_system
-from tests.helpers.effect_contract import EffectContract
+from tests.helpers.effect_contract import EffectContract, contract
 from tests.helpers.effect_rows import flying
 from tests.helpers.system_contract import solve
 
@@ -104,3 +108,102 @@ def _rk4(s: torch.nn.Module, z: torch.Tensor, u: torch.Tensor, dt: float) -> tor
         c = s.drift(0.0, z + 0.5 * dt * b, u)  # type: ignore[operator]
         d = s.drift(0.0, z + dt * c, u)  # type: ignore[operator]
         return z + dt / 6 * (a + 2 * b + 2 * c + d)
+
+
+class TestInputDelay(EffectContract):
+    name, system, memory = "input_delay", "cartpole", 2
+
+    def test_a_slow_input_comes_out_late_and_whole(self) -> None:
+        delay = 0.05
+        effect = self.make({"delay": delay}).double()
+        x, one = torch.zeros(1, 4).double(), torch.ones(1, 1).double()
+        columns = [  # the linear system behind the effect, column by column
+            effect.memory_rate(0.0, x, 0 * one, m[None])[0].detach().numpy() for m in torch.eye(2).double()
+        ]
+        a = np.stack(columns, 1)
+        b = effect.memory_rate(0.0, x, one, torch.zeros(1, 2).double())[0].detach().numpy()
+        c = np.array([1.0, -1.0 / 3.0])
+        for omega in (0.1, 2.0, 10.0, 20.0):
+            response = c @ np.linalg.solve(1j * omega * np.eye(2) - a, b)
+            wanted = np.exp(-1j * omega * delay)
+            assert abs(response - wanted) < 0.02 * max(omega * delay, 0.01)
+        assert np.abs(expm(10.0 * a)).max() < 1e-6  # what was before is forgotten
+
+    def test_a_delay_comes_before_a_lag_whatever_the_order_of_their_names(self) -> None:
+        x, u = flying([0.0, 0.0, 0.0]), torch.full((1, 6), 0.4)
+        for names in (["input_delay", "motor_lag"], ["motor_lag", "input_delay"]):
+            s = make_system("hexacopter", effects=names, values={"thrust_gain": 5.0})
+            z = s.augment(x, u)
+            rate = s.drift(0.0, z, torch.full((1, 6), 0.9))[0]
+            # the lag still holds the old command, and the new one has not come through
+            torch.testing.assert_close(rate[5] + 9.81, torch.tensor(5.0 * 6 * 0.4))
+            start = 13 + (12 if names[0] == "input_delay" else 0)
+            torch.testing.assert_close(rate[start : start + 6], torch.zeros(6))
+
+
+@pytest.mark.parametrize("name", ["input_delay", "motor_lag"])
+@pytest.mark.parametrize("delay", [0.004, 0.03, 0.07, 0.2])
+def test_coarse_steps_stay_stable_and_keep_the_mean_delay(name: str, delay: float) -> None:
+    dt = 0.05
+    key = {"input_delay": "delay", "motor_lag": "time_constant"}[name]
+    s = make_system("hexacopter", effects=[name], values={f"{name}.{key}": delay}).double()
+    s.set_step(dt)
+    effect = s.effects[0]
+    x = flying([0.0, 0.0, 0.0]).double()
+    u = torch.zeros(1, 6).double()
+    m = effect.memory_start(x, u)
+    for k in range(200):  # a command that rises by 1 a second, by Euler's method
+        u = torch.full((1, 6), k * dt).double()
+        late = -effect(0.0, x, u, m).detach()
+        m = m + dt * effect.memory_rate(0.0, x, u, m).detach()
+    torch.testing.assert_close(late, torch.full_like(late, delay), rtol=1e-3, atol=1e-6)
+
+
+DT = 0.01
+
+
+TestHysteresis = contract("hysteresis", "mass_spring_damper", memory=1)
+TestInputPlay = contract("input_play", "mass_spring_damper", memory=1)
+
+
+def _bouc_wen(t: np.ndarray, reach: float) -> np.ndarray:
+    def rate(at: float, z: np.ndarray) -> np.ndarray:
+        v = np.cos(at) + 0.7 * np.cos(2.9 * at)
+        return np.asarray((v - 0.5 * (abs(v) * z + v * abs(z))) / reach)
+
+    found = solve_ivp(rate, (0.0, t[-1]), [1.0], t_eval=t, rtol=1e-9, atol=1e-9, max_step=0.01)
+    return np.asarray(found.y[0])
+
+
+@pytest.mark.parametrize("reach", [0.02, 0.3])
+def test_memory_along_states_is_that_of_the_differential_equation(reach: float) -> None:
+    t = DT * np.arange(1000)
+    effect = Hysteresis({"reach": reach})
+    v = np.cos(t) + 0.7 * np.cos(2.9 * t)
+    z = effect.followed(torch.from_numpy(np.column_stack([np.zeros_like(t), v])), DT)[:, 0].numpy()
+    middle = _bouc_wen(np.append(t, t[-1] + DT), reach)
+    np.testing.assert_allclose(z, 0.5 * (middle[1:] + middle[:-1]), atol=0.02)
+    assert np.abs(z).max() <= 1.0
+
+
+def test_the_rate_of_the_memory_is_that_of_bouc_and_wen() -> None:
+    effect = Hysteresis({"reach": 0.1})
+    x, z = torch.tensor([[0.0, 0.5], [0.0, -0.5]]).double(), torch.tensor([[0.4], [0.4]]).double()
+    rate = effect.double().memory_rate(0.0, x, x[:, :1], z)[:, 0]
+    assert rate.tolist() == pytest.approx([(0.5 - 0.5 * 0.4) / 0.1, -0.5 / 0.1])
+
+
+def test_play_is_its_own_definition() -> None:
+    u = torch.tensor([0.0, 0.5, 1.0, 0.8, 0.3, -0.5, 0.0]).double()[:, None]
+    effect = InputPlay({"gap": 0.25})
+    acts = effect.held(u, DT)[:, 0]
+    assert acts.tolist() == pytest.approx([0.0, 0.25, 0.75, 0.75, 0.55, -0.25, -0.25])
+    x = u.new_zeros(len(u), 2)
+    torch.testing.assert_close(u + effect.double()(0.0, x, u, acts[:, None]), acts[:, None])
+
+
+def test_both_are_made_by_name_with_units_and_say_that_they_remember() -> None:
+    play = make_effect("input_play", system="cartpole", ports={"force", "input"}, n_inputs=1)
+    assert play.n_memory == 1
+    assert all("remembers" in effect.sentence for effect in (Hysteresis, InputPlay))
+    assert [Hysteresis.PARAMETERS[name].unit for name in ("reach", "size")] == ["m", "m/s2"]

@@ -24,8 +24,6 @@ X = torch.tensor([[3.0, -0.5, 0.4, 0.2]])  # w2, w1, q2, q1
 
 
 class Teeth(Law):
-    """A law of a user's own."""
-
     name = "teeth"
     reads_position = True
     formula = "-c sin(2 pi q / p)"
@@ -39,25 +37,19 @@ class Teeth(Law):
         return -self.value("size") * torch.sin(2.0 * torch.pi * self.q(x) / self.value("pitch"))
 
 
-class Narrow(Effect):
-    """An effect of width 1 on a port of width 2."""
-
+class Narrow(Effect):  # of width 1 on a port of width 2
     name, port, formula, source = "narrow", Port.TORQUE, "1", "a test"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         return x[:, :1]
 
 
-class Wide(Narrow):
-    """An effect that says no sentence."""
-
+class Wide(Narrow):  # says no sentence
     name, formula = "wide", "size for all"
     PARAMETERS = {"size": Parameter(0.1, "N m")}
 
 
-class Far(Narrow):
-    """An effect that reads a column that is not there."""
-
+class Far(Narrow):  # reads columns that are not there
     name = "far"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
@@ -65,8 +57,6 @@ class Far(Narrow):
 
 
 class Nameless(Effect):
-    """An effect that forgot its name."""
-
     port, formula, source = Port.TORQUE, "0", "a test"
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
@@ -178,6 +168,8 @@ def test_a_machine_with_one_coordinate_has_plain_names_and_takes_the_long_ones()
     ("older", "name"),
     [
         ("cart_coulomb_friction", "coulomb_friction[cart]"),
+        ("pole_coulomb_friction", "coulomb_friction[pole]"),
+        ("cart_viscous_friction", "viscous_friction[cart]"),
         ("pole_viscous_friction", "viscous_friction[pole]"),
         ("stribeck_friction", "stribeck_friction[cart]"),
         ("constant_force", "constant_force[cart]"),

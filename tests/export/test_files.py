@@ -43,7 +43,6 @@ def _export(model: NeuralSDE, run_dir: Path, path: Path, **options: object) -> P
 
 @pytest.fixture(scope="module")
 def file(model: NeuralSDE, run_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An exported controller."""
     folder = tmp_path_factory.mktemp("file")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SOURCE_DATE_EPOCH", "0")

@@ -26,7 +26,6 @@ def small_controller(
     solver: str = "gauss_newton",
     **options: object,
 ) -> Controller:
-    """A controller of 6 steps without compilation."""
     return Controller(
         knowledge,
         problem=ProblemOptions(**{"horizon": 0.3, "steps": 6, **options}),  # type: ignore[arg-type]

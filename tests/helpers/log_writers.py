@@ -43,7 +43,6 @@ columns:
 
 
 def write_table(path: Path, columns: dict[str, Array]) -> Path:
-    """Columns as a file of the format that the suffix says."""
     kind = path.suffix
     if kind in (".csv", ".tsv"):
         mark = "," if kind == ".csv" else "\t"

@@ -177,7 +177,6 @@ class World:
 
 
 def lossy(share: float, seed: int = 0) -> Line:
-    """A line that loses frames."""
     rng = random.Random(seed)
     return lambda data, now: [] if rng.random() < share else [(now, data)]
 
@@ -189,12 +188,10 @@ def delayed(least: float, most: float, seed: int = 0) -> Line:
 
 
 def doubled(after: float) -> Line:
-    """A line that delivers everything twice."""
     return lambda data, now: [(now, data), (now + after, data)]
 
 
 def corrupted(share: float, seed: int = 0) -> Line:
-    """A line that flips bits."""
     rng = random.Random(seed)
 
     def line(data: bytes, now: float) -> list[tuple[float, bytes]]:

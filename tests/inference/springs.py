@@ -21,12 +21,10 @@ SENSOR, WHITE, GUST, LASTS = (0.004, 0.01), 0.02, 0.3, 0.4
 
 
 def spring(*effects: str, values: Mapping[str, float] = TRUTH) -> System:
-    """A spring as the package has it."""
     return make_system("mass_spring_damper", effects=list(effects), values=dict(values))
 
 
 def moved(by: Mapping[str, float]) -> System:
-    """The true spring with some values moved."""
     return spring(values={name: value + by.get(name, 0.0) for name, value in TRUTH.items()})
 
 

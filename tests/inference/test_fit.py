@@ -15,8 +15,14 @@ from nsde_torch.inference import LogLikelihood, estimate, fit, log_likelihood
 from nsde_torch.inference.estimate import maximised, nearly_maximised
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.maximum import likeliest
+from nsde_torch.inference.posterior import LogWithPrior, Posteriors
+from nsde_torch.inference.states import filtered_at
+from nsde_torch.recording import assemble
+from nsde_torch.simulation import simulate
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
+from tests.helpers.encoders import TRUTH as ENCODED
+from tests.helpers.encoders import encoder_runs
 from tests.inference.springs import (
     GUST,
     SENSOR,
@@ -215,3 +221,120 @@ def test_standard_errors_hold_the_truth_as_often_as_they_say() -> None:
         inside = int((away < norm.ppf(0.5 + 0.5 * share)).sum())
         low, high = binom.ppf((0.0025, 0.9975), len(away), share)
         assert low <= inside <= high
+
+
+def flight(seconds: float) -> tuple[Sequence[Run], dict[str, float]]:
+    """A flight of the declared physics alone, and its true values."""
+    made = simulate("hexacopter", seed=1, durations=[seconds], declared_only=True)
+    data = assemble(list(made.runs), make_system("hexacopter"), kind="test")
+    return data.runs, {name: told["value"] for name, told in made.truth["declared"].items()}
+
+
+@pytest.mark.slow
+def test_a_flight_settles_near_the_simulated_gains() -> None:
+    (run,), truth = flight(12.0)
+    found = fit(make_system("hexacopter"), [run])
+    assert found.settled
+    assert np.isfinite(found.likelihood)
+    assert np.isfinite(found.theta).all()
+    assert np.isfinite(found.levels.vector().numpy()).all()
+    assert len(found.channels) == 12  # an attitude is three of them, not four
+    assert found.objections == []
+    values = dict(zip(found.vector.labels, found.theta, strict=True))
+    for name in ("thrust_gain", "roll_gain", "pitch_gain", "yaw_gain"):
+        assert values[name] == pytest.approx(truth[name], rel=0.2)
+    assert list(found.free) == list(range(len(found.theta)))
+    assert (found.standard_errors[found.free] < np.abs(found.theta[found.free])).all()
+
+
+@pytest.mark.slow
+def test_the_likelihood_asks_for_the_attitude_and_not_for_the_sign_of_its_quaternion() -> None:
+    (run,), truth = flight(4.0)
+    system = make_system("hexacopter", values=truth)
+    turned = np.array(run.x)
+    assert system.quaternion is not None
+    turned[:, system.quaternion] *= -1.0
+    sensor = [1e-3] * 3 + [1e-2] * 3 + [3.5e-3] * 3 + [2e-2] * 3
+    levels = Levels(
+        torch.tensor(sensor, dtype=torch.float64).log(),
+        *(torch.full((6,), np.log(size), dtype=torch.float64) for size in (0.01, 0.3, 0.3)),
+    )
+    expected = log_likelihood(system, [run], levels=levels)
+    assert log_likelihood(system, [replace(run, x=turned)], levels=levels) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.2])
+def test_what_is_not_known_of_a_rate_is_as_large_as_its_error(friction: float) -> None:
+    system = make_system("mass_spring_damper", values=ENCODED)
+    data = assemble(encoder_runs("none", friction=friction, runs=2), system, kind="test")
+    true = np.concatenate([run.x[:, 1] for run in encoder_runs("truth", friction=friction, runs=2)])
+    found = filtered_at(LogLikelihood(system, data.runs, states=True))
+    rate = np.concatenate([x[:, 1] for x in found.states(data.runs)])
+    assert 0.7 < np.std(rate - true) / float(found.unknown()[1]) < 1.2
+    assert float(found.square()[0]) == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_friction_narrower_than_all_speeds_is_widened() -> None:
+    narrow = {**ENCODED, "coulomb_friction.size": 0.2, "coulomb_friction.width": 1e-5}
+    system = make_system("mass_spring_damper", effects=["coulomb_friction"], values=narrow)
+    data = assemble(encoder_runs("none", runs=2), system, kind="test")
+    found = filtered_at(LogLikelihood(system, data.runs, states=True))
+    assert np.isfinite(found.at.total)
+
+
+def test_rows_that_no_stretch_holds_stay_as_they_were_read() -> None:
+    system = make_system("mass_spring_damper", values=ENCODED)
+    (run,) = assemble(encoder_runs("none", runs=1), system, kind="test").runs
+    whole = filtered_at(LogLikelihood(system, [run], states=True)).states([run])[0]
+    parts = replace(run, segments=((0, 700), (710, len(run))))
+    (found,) = filtered_at(LogLikelihood(system, [parts], states=True)).states([parts])
+    np.testing.assert_array_equal(found[700:710], run.x[700:710])
+    assert np.abs(found[:700] - whole[:700]).max() < 0.02
+    assert np.abs(found[900:] - whole[900:]).max() < 0.02
+
+
+@pytest.mark.parametrize("effects", [(), ("actuator_lag",)])
+def test_logs_side_by_side_have_the_likelihood_that_they_have_alone(effects: tuple[str, ...]) -> None:
+    system = spring(*effects)
+    own = Posteriors(system, levels_of())
+    start = own.vector.start
+    runs = linear_runs(3, 5.0, seed=1)
+    short = runs[1]
+    runs[1] = Run("short", short.t[:60], short.x[:60], short.u[:60])
+    none = np.zeros((len(start), len(start)))
+    problems = [LogWithPrior((run,), f * start, none) for f, run in zip((1.0, 1.05, 0.9), runs, strict=True)]
+    for problem, here in zip(problems, own.at_centres(problems), strict=True):
+        (alone,) = own.at_centres([problem])
+        assert here.nats == pytest.approx(alone.nats, abs=1e-6)
+        np.testing.assert_allclose(here.information, alone.information, rtol=1e-6, atol=1e-3)
+        if not effects:  # those that remember bring up their memory first there
+            machine = spring()
+            own.vector.write(machine, problem.centre)
+            whole = log_likelihood(machine, problem.runs, levels=levels_of())
+            assert here.nats == pytest.approx(whole, abs=1e-3)
+
+
+def test_parameters_are_found_within_their_standard_errors_and_the_prior_counts() -> None:
+    own = Posteriors(spring(), levels_of())
+    truth, runs = own.vector.start, linear_runs(2, 20.0, seed=2)
+    assert dict(zip(own.vector.labels, truth, strict=True)) == pytest.approx(dict(TRUTH))
+    wide, narrow = (np.diag(1.0 / np.square(share * truth)) for share in (10.0, 1e-4))
+    found, held = own.modes([LogWithPrior((runs[0],), 1.5 * truth, k) for k in (wide, narrow)])
+    errors = np.sqrt(np.diag(np.linalg.inv(found.information)))
+    assert (np.abs(found.theta - truth) < 3.5 * errors).all()
+    assert 0.9 < found.excess < 1.1
+    assert found.moved < 0.2
+    np.testing.assert_allclose(held.theta, 1.5 * truth, rtol=0.01)
+    assert held.nats < found.nats
+    # of all runs together more is known than of one
+    (both,) = own.modes([LogWithPrior(tuple(runs), truth, wide)])
+    assert (np.sqrt(np.diag(np.linalg.inv(both.information))) < errors).all()
+
+
+def test_parameters_stay_within_their_bounds() -> None:
+    own = Posteriors(spring(), levels_of())
+    own.vector.high = np.minimum(own.vector.high, 0.8 * own.vector.start)
+    wide = np.diag(1.0 / np.square(10.0 * own.vector.start))
+    (found,) = own.modes([LogWithPrior(tuple(linear_runs(1, 10.0, seed=3)), 0.5 * own.vector.start, wide)])
+    assert (found.theta <= own.vector.high).all()
+    assert found.theta == pytest.approx(own.vector.high, rel=1e-3)

@@ -1,23 +1,32 @@
-"""The log likelihood is that of the joint Gaussian of all rows, cut into chunks or whole."""
+"""The log likelihood is that of the joint Gaussian of all rows, cut into chunks or whole, and of outliers nothing."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+import torch
 
 import nsde_torch
+from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.errors import DataError
-from nsde_torch.inference import LogLikelihood, chunks, log_likelihood
+from nsde_torch.inference import LogLikelihood, chunks, kernels, log_likelihood
+from nsde_torch.inference.chunks import Chunks
 from nsde_torch.inference.estimate import maximised, nearly_maximised
+from nsde_torch.inference.filtering import linearised_about
+from nsde_torch.inference.lanes import WIDTH, lanes, load, root, store
+from nsde_torch.inference.low_pass import low_passed, rows_apart
+from nsde_torch.inference.steps import steps_of
+from nsde_torch.jit import compiled
 from nsde_torch.systems import make_system
+from tests.helpers.diagnosed import recorded
 from tests.inference.springs import (
     GUST,
     LASTS,
     SENSOR,
     TRUTH,
     WHITE,
+    B,
     G,
     K,
     exact_step,
@@ -25,9 +34,8 @@ from tests.inference.springs import (
     linear_runs,
     moved,
     spring,
+    value,
 )
-
-Array = NDArray[np.float64]
 
 LATE = 30  # rows that are not counted where rates are inferred
 UNKNOWN = 3.0  # times what is not known of an inferred rate: where a filter starts
@@ -152,3 +160,198 @@ def test_a_fit_ends_where_it_has_no_way_to_what_is_wanted() -> None:
     assert cut.likelihood < whole.likelihood - 50.0
     assert same.likelihood == pytest.approx(whole.likelihood, abs=1.0)
     assert whole.likelihood == pytest.approx(best.likelihood, abs=1.0)
+
+
+Stretches = tuple[tuple[int, int], ...]
+
+
+def numbered(lengths: tuple[int, ...], gaps: dict[int, Stretches], dt: float) -> list[Run]:
+    out, at = [], 0
+    for k, n in enumerate(lengths):
+        number = np.arange(at, at + n, dtype=np.float64)
+        x = np.column_stack([number, number])
+        out.append(Run(f"run_{k}", dt * number, x, number[:, None], segments=gaps.get(k, ())))
+        at += n
+    return out
+
+
+CASES: dict[str, tuple[tuple[int, ...], dict[int, Stretches]]] = {
+    "one shorter than a chunk": ((50,), {}),
+    "of two rows": ((2, 2), {}),
+    "exactly a chunk": ((140,), {}),
+    "a row more than a chunk": ((141,), {}),
+    "long": ((2357,), {}),
+    "several, long and short": ((700, 33, 141, 90), {}),
+    "with gaps": ((800, 300), {0: ((0, 40), (45, 450), (500, 800)), 1: ((10, 12), (20, 299))}),
+}
+
+
+@pytest.mark.parametrize("dt", [0.1, 0.02, 0.001])
+@pytest.mark.parametrize("late", [0, 30])
+@pytest.mark.parametrize("case", CASES)
+def test_each_row_after_the_first_ones_of_a_stretch_counts_once(case: str, late: int, dt: float) -> None:
+    runs = numbered(*CASES[case], dt)
+    chunks = Chunks(steps_of(spring(), runs, clock=1.0, smooth=False), late=late)
+    expected = np.concatenate([run.x[a + 1 + late : b, 0] for run in runs for a, b in run.segments])
+    counted = chunks.y[chunks.counted][:, 0].numpy()
+    np.testing.assert_array_equal(np.sort(counted), expected)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_blocks_of_time_hold_each_counted_row_once(case: str) -> None:
+    runs = numbered(*CASES[case], 0.02)
+    chunks = Chunks(steps_of(spring(), runs, clock=1.0, smooth=False))
+    edges = [a for a, _ in chunks.parts] + [chunks.parts[-1][1]]
+    assert (edges[0], edges[-1]) == (0, chunks.size)
+    assert edges == sorted(set(edges))
+    assert [b for _, b in chunks.parts] == edges[1:]
+
+
+@compiled
+def _worked_out(a: Array, b: Array, number: float, out: Array) -> None:
+    total = lanes(0.0)
+    for k in range(len(a)):
+        total += load(a[k]) * load(b[k])
+        total -= number * load(a[k]) / load(b[k])
+    store(out[0], root(total) - 1.0)
+    store(out[1], number)
+
+
+def test_lanes_are_numbers_of_their_own() -> None:
+    random = np.random.default_rng(0)
+    a, b = random.uniform(1.0, 2.0, (2, 5, WIDTH))
+    out = np.zeros((2, WIDTH))
+    _worked_out(a, b, 0.25, out)
+    np.testing.assert_allclose(out[0], np.sqrt((a * b - 0.25 * a / b).sum(0)) - 1.0, rtol=1e-13)
+    np.testing.assert_array_equal(out[1], 0.25)
+
+
+@pytest.mark.parametrize("count", [1, WIDTH, WIDTH + 3])
+def test_covariances_are_those_of_dense_matrices_however_many_chunks_there_are(count: int) -> None:
+    random = np.random.default_rng(count)
+    rows, ne, d, observed = 12, 3, 2, np.array([0, 2])
+    n, m = ne + d, len(observed)
+    slopes = 0.2 * random.standard_normal((rows, count, ne, n))
+    slopes[..., :ne] += np.eye(ne)
+    keep, white, gust = np.array([0.9, 0.7]), np.array([0.1, 0.2]), np.array([0.3, 0.1])
+    sensor, begun = np.array([0.05, 0.02]), random.uniform(0.1, 1.0, n)
+    measured = random.random((rows, count, m)) > 0.3
+    whitening, gain = np.zeros((rows, count, m, m)), np.zeros((rows, count, n, m))
+    left = np.zeros((rows, count, n, d))
+    noise = (keep, white, gust, sensor, begun, observed)
+    kernels.covariances(0, count, slopes, *noise, measured, whitening, gain, left)
+    for c in range(count):
+        p = np.diag(begun)
+        for k in range(1, rows):
+            step = np.zeros((n, n))
+            step[:ne], step[ne:, ne:] = slopes[k - 1, c], np.diag(keep)
+            ports = step[:, ne:].copy()
+            ports[ne:] = 0.0
+            p = step @ p @ step.T + ports @ np.diag(white) @ ports.T
+            p[ne:, ne:] += np.diag(gust)
+            some = measured[k, c]
+            h, g = np.eye(n)[observed[some]], np.zeros((n, m))
+            s = h @ p @ h.T + np.diag(sensor[some])
+            g[:, some] = p @ h.T @ np.linalg.inv(s)
+            p = p - g[:, some] @ h @ p
+            np.testing.assert_allclose(gain[k, c], g, atol=1e-12)
+            np.testing.assert_allclose(left[k, c], p[:, ne:], atol=1e-12)
+            information = (whitening[k, c].T @ whitening[k, c])[np.ix_(some, some)]
+            np.testing.assert_allclose(information, np.linalg.inv(s), atol=1e-10)
+
+
+ROWS, FIRST, COUNT = 3000, 1777, 10
+
+
+@pytest.mark.parametrize("by", [0.1, 1.0, 5.0])
+def test_a_jump_of_ten_rows_is_left_out_and_moves_nothing(by: float) -> None:
+    """As markers jump that a camera system confuses: far off for a moment, and back on the way."""
+    runs = linear_runs(8, ROWS * 0.02, seed=2)
+    x = np.array(runs[1].x)
+    x[FIRST : FIRST + COUNT, 0] += by
+    problem = LogLikelihood(spring(), [runs[0], replace(runs[1], x=x), *runs[2:]])
+    found, at = maximised(problem)
+    sound, _ = maximised(LogLikelihood(spring(), runs))
+    row = problem.space.chunks.row[problem.outliers.any(-1)]
+    assert sorted(row.tolist()) == [ROWS + FIRST + k for k in range(COUNT)]
+    assert at.outlier_times == {1: runs[1].t[FIRST : FIRST + COUNT].tolist()}
+    for name in (K, B):
+        (here, _), (there, error) = value(found, name), value(sound, name)
+        assert here == pytest.approx(there, abs=0.2 * error)
+    assert found.likelihood > sound.likelihood - 10 * COUNT
+
+
+def test_a_sound_log_has_no_outliers() -> None:
+    problem = LogLikelihood(spring(), linear_runs(2, 20.0))
+    maximised(problem)
+    assert not bool(problem.outliers.any())
+
+
+def test_rows_that_an_effect_explains_are_no_outliers_any_more() -> None:
+    """A force that was cut to a limit in a few rows: they are left out before anybody knows of the limit."""
+    runs = recorded("mass_spring_damper", durations=(20.0,) * 4).runs
+    most = max(float(abs(run.u).max()) for run in runs)
+    # what was asked for in the rows of the largest force is more than the limit let through
+    more = [np.where(abs(run.u) > 0.995 * most, np.sign(run.u) * 10.0 * most, run.u) for run in runs]
+    cut = [replace(run, u=u) for run, u in zip(runs, more, strict=True)]
+    problem = LogLikelihood(make_system("mass_spring_damper"), cut, run_in=True)
+    _, before = maximised(problem)
+    assert before.outlier_times
+    level = {"actuator_saturation.level": most}
+    limited = make_system("mass_spring_damper", effects=["actuator_saturation"], values=level)
+    _, after = maximised(problem.of(limited), before)
+    assert bool(after.of.outliers.any())
+    assert not after.outlier_times
+
+
+DT, HZ = 0.02, 5.0
+
+
+def test_what_is_below_stays_and_what_is_above_goes() -> None:
+    t = DT * torch.arange(1000, dtype=torch.float64)
+    slow = 0.3 + 0.05 * t + torch.sin(2 * torch.pi * 1.7 * t)
+    fast = torch.sin(2 * torch.pi * 8.0 * t)
+    out = low_passed(torch.stack((slow, slow + fast, fast), 1), HZ, DT, level=True)
+    inner = slice(50, -50)
+    assert float((out[inner, 0] - slow[inner]).abs().max()) < 0.01
+    assert float((out[inner, 1] - slow[inner]).abs().max()) < 0.02
+    assert float(out[inner, 2].abs().max()) < 0.02
+
+
+def test_increments_of_states_without_what_is_above_are_increments_without_it() -> None:
+    x = torch.cumsum(torch.from_numpy(np.random.default_rng(0).normal(size=(2000, 1))), 0)
+    states = low_passed(x, HZ, DT, level=True)
+    steps = low_passed(x[1:] - x[:-1], HZ, DT)
+    inner = slice(100, -100)
+    error = (states[1:] - states[:-1] - steps)[inner].std()
+    assert float(error) < 0.01 * float(steps[inner].std())
+
+
+@pytest.mark.parametrize(("hz", "rows"), [(50.0, 1), (5.0, 10), (7.0, 7), (1000.0, 1)])
+def test_a_band_is_measured_as_often_as_it_says_something_new(hz: float, rows: int) -> None:
+    assert rows_apart([], {"q": hz}, DT) == {"q": rows}
+
+
+def test_a_state_is_measured_as_far_apart_as_its_noise_in_any_run_and_its_band_ask_for() -> None:
+    still, undone = (
+        replace(run, apart=apart) for run, apart in zip(linear_runs(2, 4.0), ({}, {"q": 4}), strict=True)
+    )
+    assert rows_apart([undone, still], {"q_dot": 5.0}, DT) == {"q": 4, "q_dot": 10}
+    assert rows_apart([still, undone], {"q": 5.0}, DT) == {"q": 10}
+    assert LogLikelihood(spring(), [still, undone]).space.every == [4, 1]
+
+
+def test_a_row_that_measures_nothing_changes_nothing() -> None:
+    runs = linear_runs(2, 4.0)
+    whole = LogLikelihood(spring(), runs, apart=0.1)
+    first, about = whole.first(whole.vector.start)
+    at = whole.filtered(first, about)
+    assert whole.space.every == [5, 5]
+    measured = whole.space.measured
+    assert bool((at.rows[~measured.all(-1)] == 0.0).all())
+    # other values there do not matter
+    moved = [replace(run, x=run.x + 0.5 * (np.arange(len(run.x)) % 5 != 0)[:, None]) for run in runs]
+    other = LogLikelihood(spring(), moved, apart=0.1)
+    other.space.use(other.vector.start)
+    same = linearised_about(other.space, whole.space.chunks.y, other.start)
+    assert other.filtered(first, same).total == pytest.approx(at.total, rel=1e-9)

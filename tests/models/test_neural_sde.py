@@ -1,7 +1,8 @@
-"""The neural SDE: its drift, its samples, its memory, its sensors, and what it refuses."""
+"""The neural SDE: its drift with and without physics, samples, memory, sensors, disturbances, and what it refuses."""
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -10,9 +11,11 @@ from torch import Tensor
 
 from nsde_torch.errors import ConfigError, NonFiniteError, NsdeError, ShapeError
 from nsde_torch.models import NeuralSDE, SDESpec
+from nsde_torch.models.ensemble import Chart
 from nsde_torch.sde import brownian
 from nsde_torch.sde.derivative import diffusion_and_slope
-from tests.helpers.toy_systems import Decay, Gusty, fix_sigma, make_model
+from nsde_torch.systems import make_system
+from tests.helpers.toy_systems import DT, Decay, Gusty, fix_sigma, make_model
 
 SYSTEMS = ("mass_spring_damper", "cartpole", "hexacopter", "quadrotor")
 
@@ -277,3 +280,210 @@ def test_memory_faster_than_the_step_does_not_blow_up(step: str) -> None:
             for model in (with_memory, plain)
         )
     assert float((a - b)[..., 10:].abs().max()) < 0.5 * float(b[..., 10:].abs().max())
+
+
+BLACK = SDESpec("cartpole", kind="blackbox_nsde", physics=False, dt=0.02, horizon=10, step="euler_maruyama")
+
+
+def black_box(spec: SDESpec = BLACK) -> NeuralSDE:
+    return NeuralSDE(spec, generator=torch.Generator().manual_seed(0))
+
+
+def test_no_physics_is_left_in_the_drift() -> None:
+    model = black_box()
+    x, u = torch.randn(5, 4, generator=torch.Generator().manual_seed(1)), torch.ones(5, 1)
+    before = model.drift(0.0, x, u)
+    with torch.no_grad():
+        for parameter in model.system.parameters():
+            parameter.add_(1.0)
+    assert torch.equal(model.drift(0.0, x, u), before)
+    assert len(model.residuals) == 0
+    assert not any(p.requires_grad for p in model.system.parameters())
+
+
+def test_the_rate_depends_on_the_input_and_has_the_size_of_the_data() -> None:
+    model = black_box()
+    g = torch.Generator().manual_seed(2)
+    x = torch.cumsum(torch.tensor([0.1, 1.0, 10.0, 100.0]) * torch.randn(200, 11, 4, generator=g), 1)
+    u = torch.randn(200, 10, 1, generator=g)
+    model.black_box.fit(x, u, 0.02)
+    sizes = torch.tensor([5.0, 50.0, 500.0, 5000.0])
+    torch.testing.assert_close(model.black_box.scale, sizes, rtol=0.1, atol=0.0)
+    assert not torch.equal(model.drift(0.0, x[:, 0], u[:, 0]), model.drift(0.0, x[:, 0], u[:, 1]))
+
+
+def test_effects_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"system\.effects"):
+        black_box(replace(BLACK, effects=("constant_force",)))
+
+
+def alike(name: str, n: int = 64, seed: int = 0) -> torch.Tensor:
+    system = make_system(name)
+    x = torch.randn(n, system.nx, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    return system.double().project(x)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_a_state_moved_by_its_change_is_the_other_state(name: str) -> None:
+    system = make_system(name).double()
+    chart = Chart(system)
+    x, after = alike(name), alike(name, seed=1)
+    assert chart.inputs(x).shape == (64, chart.width)
+    before = x.clone(), after.clone()
+    change = chart.change(x, after)
+    assert change.shape == (64, chart.n_change)
+    assert float(system.error(chart.moved(x, change), after).abs().max()) <= 1e-9
+    assert torch.equal(x, before[0])
+    assert torch.equal(after, before[1])
+
+
+def test_the_angle_of_the_cartpole_is_found_and_a_full_turn_is_not_seen() -> None:
+    chart = Chart(make_system("cartpole"))
+    assert chart.angles == [2]
+    x, after = alike("cartpole"), alike("cartpole", seed=1)
+    turned, turned_after = x.clone(), after.clone()
+    turned[:, 2] += 2 * math.pi
+    turned_after[:, 2] -= 4 * math.pi
+    torch.testing.assert_close(chart.inputs(turned), chart.inputs(x))
+    torch.testing.assert_close(chart.change(turned, turned_after), chart.change(x, after))
+    assert bool((chart.change(x, after)[:, 2].abs() <= math.pi).all())
+
+
+@pytest.mark.parametrize("name", ["mass_spring_damper", "hexacopter"])
+def test_no_angle_is_seen_where_there_is_none(name: str) -> None:
+    assert Chart(make_system(name)).angles == []
+
+
+def test_the_sign_of_a_quaternion_is_not_seen_and_its_change_is_a_rotation_vector() -> None:
+    system = make_system("hexacopter").double()
+    chart = Chart(system)
+    x, after = alike("hexacopter"), alike("hexacopter", seed=1)
+    other, other_after = x.clone(), after.clone()
+    other[:, 6:10] *= -1
+    torch.testing.assert_close(chart.inputs(other), chart.inputs(x))
+    torch.testing.assert_close(chart.change(other, other_after), chart.change(x, after))
+    torch.testing.assert_close(chart.change(x, after), system.error(after, x))
+
+
+def test_disturbance_is_not_returned_and_starts_in_its_stationary_law() -> None:
+    sigma, scale = 0.6, 1.3
+    model = fix_sigma(make_model(Gusty, disturbance=True, dtype=torch.float64), torch.tensor([1e-9, sigma]))
+    with torch.no_grad():
+        model.log_tau.fill_(math.log(0.2))
+        model.clock_scale.fill_(scale)
+        tau = float(model.tau) / scale  # on the logged clock
+        n = 40_000
+        normal, none = (
+            torch.randn(n, 1, generator=generator(), dtype=torch.float64),
+            torch.zeros(n, 1).double(),
+        )
+        z = model.augment(none, none, normal)
+        assert z.shape == (n, 2)
+        stationary = sigma * math.sqrt(tau / 2)
+        assert float(z[:, 1].std()) == pytest.approx(stationary, rel=0.02)
+        dt = 0.005
+        for _ in range(60):  # it stays there
+            dw = math.sqrt(dt) * torch.randn(n, 2, generator=generator(_), dtype=torch.float64)
+            u = torch.zeros(n, 1, dtype=torch.float64)
+            z = z + dt * model.drift(0.0, z, u) + model.diffusion(0.0, z, u) * dw
+        assert float(z[:, 1].std()) == pytest.approx(stationary, rel=0.03)
+    out = model.sample(torch.zeros(2, 1), torch.zeros(2, 5, 1), dt=DT, particles=3, generator=generator())
+    assert out.shape == (3, 2, 6, 1)
+
+
+def test_a_disturbance_acts_on_its_port_like_a_force() -> None:
+    model = make_model(Gusty, disturbance=True, dtype=torch.float64).requires_grad_(False)
+    x, u = torch.randn(5, 1, dtype=torch.float64), torch.zeros(5, 1, dtype=torch.float64)
+    d = torch.randn(5, 1, dtype=torch.float64)
+    rate = model.drift(0.0, torch.cat((x, d), 1), u) - model.drift(0.0, torch.cat((x, 0 * d), 1), u)
+    torch.testing.assert_close(rate[:, :1], d)
+    torch.testing.assert_close(rate[:, 1:], -d / model.tau)
+
+
+def sensing(std: float) -> NeuralSDE:
+    model = fix_sigma(make_model(Decay, measurement=True), 1e-9)
+    with torch.no_grad():
+        model.log_measurement_std.fill_(math.log(std))
+    return model.requires_grad_(False)
+
+
+def test_predicted_measurements_carry_sensor_noise_at_the_start_and_at_every_later_state() -> None:
+    model, n = sensing(0.2), 20_000
+    out = model.sample(torch.ones(1, 1), torch.zeros(1, 20, 1), dt=DT, particles=n, generator=generator())
+    assert float(out[:, 0, 0].std()) == 0.0  # x0 was measured: it is what it is
+    for k in (1, 10, 20):  # the noise of the start decays with the state, that of the sensor does not
+        expected = 0.2 * math.sqrt(1 + (1 - DT) ** (2 * k))
+        assert float(out[:, 0, k].std()) == pytest.approx(expected, rel=0.03)
+    late = out[:, 0, 19:, 0] - out[:, 0, 19:, 0].mean(0)
+    shared = 0.2**2 * (1 - DT) ** 39  # only the start's noise is shared by neighbours
+    assert float((late[:, 0] * late[:, 1]).mean()) == pytest.approx(shared, abs=0.002)
+
+
+def test_without_measurement_paths_start_exactly_at_x0_and_have_no_sensor_noise() -> None:
+    model = sensing(0.2)
+    x0, u = torch.ones(1, 1), torch.zeros(1, 20, 1)
+    out = model.sample(x0, u, dt=DT, particles=50, generator=generator(), measurement=False)
+    assert bool((out[:, :, 0] == 1.0).all())
+    assert float(out.std(0).max()) < 1e-6
+
+
+def test_other_sensors_noise_replaces_that_of_the_training_data() -> None:
+    model = sensing(0.2)
+    given = {"dt": DT, "particles": 20_000, "generator": generator(), "measurement_std": torch.tensor([0.05])}
+    out = model.sample(torch.ones(1, 1), torch.zeros(1, 20, 1), **given)
+    assert float(out[:, 0, 20].std()) == pytest.approx(0.05 * math.sqrt(1 + (1 - DT) ** 40), rel=0.03)
+
+
+EFFECTS = ("linear_drag", "angular_damping", "motor_lag")
+LEARNED = {"measurement": True, "disturbance": True, "effects": EFFECTS}
+COMPILED = SDESpec("hexacopter", dt=0.05, horizon=5, step="milstein", **LEARNED)
+
+
+def model(seed: int, kind: str) -> NeuralSDE:
+    spec = SDESpec.from_dict({**COMPILED.as_dict(), "loss": kind})
+    return NeuralSDE(spec, generator=torch.Generator().manual_seed(seed))
+
+
+def paths(sde: NeuralSDE, batch: int, *, compile: bool) -> Tensor:
+    g = torch.Generator().manual_seed(batch)
+    x0 = 0.3 * torch.randn(batch, 13, generator=g)
+    x0[:, 6] = 3.0
+    x0 = sde.project(x0)
+    u = 0.4 + 0.05 * torch.randn(batch, 5, 6, generator=g)
+    noise = brownian(2, batch, 5, sde.nz, dt=0.05, generator=g)
+    start = torch.randn(2, batch, sde.n_start, generator=g)
+    given = {"noise": noise, "start": start, "std": sde.measurement_std, "t0": torch.zeros(batch)}
+    return sde.paths(x0, u, dt=0.05, compile=compile, **given)
+
+
+def gradients(sde: NeuralSDE, batch: int, *, compile: bool) -> dict[str, Tensor]:
+    sde.zero_grad()
+    path = paths(sde, batch, compile=compile)
+    path[:, :, 1:].square().mean().backward()
+    found = {name: p.grad.clone() for name, p in sde.named_parameters() if p.grad is not None}
+    return {"path": path.detach(), **found}
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["replay", "paper"])
+def test_compiled_hexacopter_gives_the_eager_paths_and_gradients(kind: str) -> None:
+    sde = model(0, kind)
+    fast, slow = gradients(sde, 7, compile=True), gradients(sde, 7, compile=False)
+    assert fast.keys() == slow.keys()
+    some = {"h.slope", "log_tau", "system.raw.yaw_gain", "residuals.body_moment.layers.0.weight"}
+    assert some <= fast.keys()
+    for name, value in slow.items():
+        scale = float(value.abs().max())
+        assert torch.allclose(fast[name], value, rtol=1e-4, atol=2e-5 * max(scale, 1e-3)), name
+    if kind == "paper":
+        return
+    other = model(1, kind)
+    with torch.no_grad():
+        paths(sde, 6, compile=True)
+    with torch._dynamo.config.patch(error_on_recompile=True):
+        fast = gradients(other, 7, compile=True)
+        assert torch.allclose(fast["path"], gradients(other, 7, compile=False)["path"], atol=1e-5)
+        with torch.no_grad():
+            path = paths(other, 3, compile=True)
+    assert torch.allclose(path, paths(other, 3, compile=False), atol=1e-5)

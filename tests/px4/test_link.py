@@ -109,7 +109,6 @@ class Cable:
                         continue
 
     def close(self) -> None:
-        """Pull the plug."""
         self._stop.set()
         self._thread.join(2.0)
         for port in (*self._far, *self._near):

@@ -19,13 +19,10 @@ def _still(row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> 
 
 
 def good(say: Callable[[str], None]) -> FlightController:
-    """Makes a controller."""
     return _still
 
 
 def crashing(say: Callable[[str], None]) -> FlightController:
-    """Makes one that crashes."""
-
     def crash(row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> DemandPlan:
         raise ValueError("no plan today")
 

@@ -36,30 +36,24 @@ class Client:
         self.run(boot)
 
     def run(self, seconds: float) -> None:
-        """Let time pass."""
         for frame in self.vehicle.advance(self.vehicle.time + seconds):
             self.heard += self.codec.unpack(frame, self.vehicle.time)
 
     def say(self, message: Any) -> None:
-        """Send a message."""
         self.vehicle.receive(self.codec.pack(message))
 
     def command(self, number: int, *values: float) -> None:
-        """Send a command, and hear what comes of it."""
         row = [*values, *[0.0] * (7 - len(values))]
         self.say(mavlink.MAVLink_command_long_message(1, 1, number, 0, *row))
         self.run(0.02)
 
     def rates(self, thrust: float, w: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
-        """Send a setpoint."""
         self.say(mavlink.MAVLink_set_attitude_target_message(0, 1, 1, 128, (1.0, 0.0, 0.0, 0.0), *w, thrust))
 
     def all(self, name: str) -> list[Any]:
-        """What was heard of a kind."""
         return [m for m in self.heard if m.get_type() == name]
 
     def results(self, command: int) -> list[int]:
-        """Answers to a command."""
         return [m.result for m in self.all("COMMAND_ACK") if m.command == command]
 
 
@@ -68,7 +62,6 @@ def _flying(after: float = 1.0) -> World:
 
 
 def _sent(world: World, w: tuple[float, float, float], thrust: float) -> None:
-    """A setpoint of ours reaches the vehicle."""
     world.endpoint.send_rates(w, thrust, world.now)
     for data in world._due(world._to_vehicle):
         world.vehicle.receive(data)

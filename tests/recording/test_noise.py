@@ -173,14 +173,10 @@ def test_decimals_encoders_and_significant_digits_have_steps_and_floats_next_to_
 # ---- lines between every few rows --------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def simulated() -> RawRun:
-    return nsde_torch.simulate("mass_spring_damper", durations=[10.0], seed=5).runs[0]
-
-
 @pytest.fixture
-def log(simulated: RawRun) -> list[RawRun]:
-    return [RawRun("a", simulated.t, simulated.x, simulated.u)]
+def log() -> list[RawRun]:
+    (run,) = nsde_torch.simulate("mass_spring_damper", durations=[10.0], seed=5).runs
+    return [RawRun("a", run.t, run.x, run.u)]
 
 
 def told(runs: list[RawRun], *, system: str = "mass_spring_damper") -> list[Finding]:

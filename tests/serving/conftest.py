@@ -143,7 +143,6 @@ class Page:
         raise AssertionError(job)
 
     def jobs(self) -> list[Any]:
-        """What is kept."""
         return self.ask("GET", "/api/jobs").json["jobs"]
 
 
@@ -158,7 +157,6 @@ def make_page(
 
 @pytest.fixture
 def played() -> Played:
-    """What the commands of `page` do."""
     return Played()
 
 

@@ -43,11 +43,9 @@ class Screen:
         self.driver, self.address, self.folder = driver, address, folder
 
     def drop(self, files: dict[str, str]) -> None:
-        """Drop files on the page."""
         self.driver.execute_script(DROP, files)
 
     def until(self, css: str, seen: Callable[[Any], bool] = lambda found: True) -> Any:
-        """The first element that matches, once it is so."""
         from selenium.common.exceptions import NoSuchElementException, StaleElementReferenceException
         from selenium.webdriver.common.by import By
         from selenium.webdriver.support.ui import WebDriverWait
@@ -61,7 +59,6 @@ class Screen:
         return WebDriverWait(self.driver, 20, poll_frequency=0.05, ignored_exceptions=gone).until(look)
 
     def all(self, css: str) -> list[Any]:
-        """All elements that match."""
         from selenium.webdriver.common.by import By
 
         found: list[Any] = self.driver.find_elements(By.CSS_SELECTOR, css)
@@ -72,7 +69,6 @@ class Screen:
         self.until("#message", lambda box: text in box.text)
 
     def press(self, text: str) -> None:
-        """Press the button of this name."""
         self.until("button", lambda _: any(b.text == text for b in self.all("button")))
         next(b for b in self.all("button") if b.text == text).click()
 

@@ -36,7 +36,6 @@ def _springs(seconds: float, effects: list[dict[str, dict[str, float]]]) -> dict
 
 @pytest.fixture(scope="module")
 def springs() -> dict[str, bytes]:
-    """A spring that lacks nothing."""
     return _springs(12.0, [])
 
 

@@ -1,4 +1,4 @@
-"""A fit whose noise model learned a friction is made again over longer boxes, and says so; others stay as they are."""
+"""Fits of frictions: over longer boxes where a noise model learned it, without standstill, and of any width."""
 
 from dataclasses import replace
 from typing import Any
@@ -9,12 +9,17 @@ from scipy.signal import butter, filtfilt
 
 import nsde_torch
 from nsde_benchmarks.public.emps import PositioningDrive
-from nsde_torch.data import DataSet, RawRun
+from nsde_torch.data import DataSet, RawRun, Run
 from nsde_torch.errors import DataError
 from nsde_torch.recording import assemble
-from nsde_torch.sysid import Identification, identify_in_loop
+from nsde_torch.sysid import Identification, identify, identify_in_loop
+from nsde_torch.sysid import regression as regressions
 from nsde_torch.sysid.guard import Guarded, Objection, asks_for_longer_boxes
 from nsde_torch.sysid.identify import in_longer_boxes
+from nsde_torch.sysid.regression import Regression, narrower, regression_of
+from nsde_torch.sysid.standstill import moving, slowest
+from nsde_torch.systems import System, make_system
+from tests.helpers.sticking import STICKING, sticking_runs
 
 STEP = 1e-3
 GAIN, VISCOUS, DRY, PUSH = 0.02, 2.0, 0.3, 0.05
@@ -115,3 +120,136 @@ def test_a_diagnosis_looks_at_rows_further_apart_where_only_these_are_as_predict
     # a friction that gives way is no function of the speed: its size is rough, and a lead
     assert content["parameters"]["coulomb_friction.size"]["value"] == pytest.approx(DRY, rel=0.5)
     assert all(f["lead"] for f in content["findings"])
+
+
+SIZE = 1.4
+TRUTH = {**STICKING, "coulomb_friction.size": SIZE}
+
+
+@pytest.fixture(scope="module")
+def system() -> System:
+    return make_system("mass_spring_damper", effects=["coulomb_friction"])
+
+
+@pytest.fixture(scope="module")
+def data(system: System) -> DataSet:
+    return assemble(sticking_runs(SIZE), system, kind="test")
+
+
+def _off_all(found: Identification) -> np.ndarray:
+    """Distance from the truth in half-widths of 90 % intervals."""
+    at = [found.vector.labels.index(name) for name in TRUTH]
+    return np.abs(found.values[at] - list(TRUTH.values())) / found.half_widths(0.9)[at]
+
+
+@pytest.mark.slow
+def test_physics_of_a_machine_that_sticks_is_right_where_it_moves(
+    system: System, data: DataSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = identify_in_loop(system, data.runs)
+    assert (_off_all(found) < 1.5).all()
+    at = [found.vector.labels.index(name) for name in TRUTH]
+    assert found.values[at] == pytest.approx(list(TRUTH.values()), rel=0.03)
+    assert found.as_dict()["standing_share"] == pytest.approx(found.standstill)
+    assert f"{found.standstill:.0%} of the rows were left out" in found.notes[0]
+    monkeypatch.setattr(identify, "SHARE", 2.0)
+    bent = identify_in_loop(system, data.runs)
+    assert not bent.standstill
+    assert not any("left out" in note for note in bent.notes)
+    assert bent.values[at[2]] < 0.7 * TRUTH["viscous_friction.damping"]
+
+
+def test_rows_within_noise_of_a_standstill_and_of_a_turn_are_left_out() -> None:
+    t = 0.01 * np.arange(400)
+    v = np.where(t < 2.0, np.clip(2.0 * (t - 1.0), 0.0, 1.0), np.cos(np.pi * (t - 2.0)))
+    run = Run("run", t, np.stack((np.cumsum(v) * 0.01, v), 1), np.zeros((400, 1)))
+    (cut,), share = moving([run], {1: 0.02})
+    assert share == pytest.approx(0.28, abs=0.03)
+    assert cut.segments[0][0] == pytest.approx(100, abs=3)
+    kept = np.concatenate([np.arange(a, b) for a, b in cut.segments])
+    assert np.abs(v[kept]).min() > 0.02
+    turns = np.flatnonzero(np.diff(np.sign(v[201:]))) + 201
+    assert not set(turns) & set(kept)
+
+
+def test_a_run_that_stands_throughout_stays() -> None:
+    still = Run("still", 0.01 * np.arange(50), np.zeros((50, 2)), np.zeros((50, 1)))
+    (kept,), share = moving([still], {1: 0.1})
+    assert kept.segments == still.segments
+    assert share == 0.0
+
+
+def test_no_speed_is_slow_without_dry_friction_or_of_inferred_rates(data: DataSet) -> None:
+    std = np.array([0.005, 0.005])
+    dry = make_system("mass_spring_damper", effects=["coulomb_friction"])
+    assert slowest(dry, std, data.runs) == {1: pytest.approx(0.015)}
+    wet = make_system("mass_spring_damper", effects=["quadratic_damping"])
+    assert slowest(wet, std, data.runs) == {}
+    run = data.runs[0]
+    inferred = Run(run.name, run.t, run.x, run.u, inferred={"q_dot": 0.01})
+    assert slowest(dry, std, [inferred]) == {}
+
+
+FORCE, DRY_SIZE, WIDTH = 1.0, 0.6, 0.004
+
+
+def _run(seed: int, width: float) -> RawRun:
+    """A mass on a spring at 100 Hz that mostly moves at 2 m/s; Euler and Cromer's rule, a hundred times in a step."""
+    rng, dt, inner = np.random.default_rng(seed), 0.01, 100
+    t = dt * np.arange(1000)
+    force = np.sin(t[:, None] * (0.9, 2.3, 3.1) + rng.uniform(0.0, 6.3, 3)) @ (2.0, 2.0, 1.5)
+    x, q, v, h = np.empty((len(t), 2)), 0.0, 0.5, dt / inner
+    for i, push in enumerate(force):
+        x[i] = q, v
+        for _ in range(inner):
+            v += h * (FORCE * push - 2.0 * q - 0.3 * v - DRY_SIZE * np.tanh(v / width))
+            q += h * v
+    return RawRun(f"run_{seed}", 100.0 * seed + t, x + 1e-4 * rng.normal(size=x.shape), force[:, None])
+
+
+@pytest.fixture(scope="module")
+def fast(system: System) -> DataSet:
+    return assemble([_run(k, WIDTH) for k in range(2)], system, kind="test")
+
+
+def _value(regression: Regression, name: str) -> float:
+    return float(regression.theta[regression.vector.labels.index(name)])
+
+
+def _off(regression: Regression) -> float:
+    """Distance of the size from the truth in standard errors."""
+    j = regression.vector.labels.index("coulomb_friction.size")
+    basis = regression.shown.basis
+    error = np.sqrt((basis @ regression.spread().covariance @ basis.T)[j, j])
+    return float(abs(regression.theta[j] - DRY_SIZE) / error)
+
+
+def test_a_width_goes_on_below_the_bound_of_the_search_and_the_size_is_right(
+    system: System, fast: DataSet
+) -> None:
+    within = regression_of(system, fast.runs)
+    within.run(20)
+    bound = within.vector.low[within.vector.labels.index("coulomb_friction.width")]
+    assert _value(within, "coulomb_friction.width") == pytest.approx(bound, rel=1e-3)
+    found = narrower(within, 20)
+    assert _value(found, "coulomb_friction.width") < 0.75 * bound
+    assert _off(within) > 2.5
+    assert _off(found) < 1.5
+
+
+def test_a_width_that_the_search_finds_stays(system: System) -> None:
+    wide = assemble([_run(k, 0.1) for k in range(2)], system, kind="test")
+    found = regression_of(system, wide.runs)
+    found.run(20)
+    assert narrower(found, 20) is found
+
+
+def test_bounds_are_back_where_going_on_leads_nowhere(
+    system: System, fast: DataSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = regression_of(system, fast.runs)
+    found.run(20)
+    low = found.vector.low.copy()
+    monkeypatch.setattr(regressions, "MOVED", np.inf)
+    assert narrower(found, 20) is found
+    assert found.vector.low.tolist() == low.tolist()

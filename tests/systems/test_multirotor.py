@@ -1,5 +1,6 @@
-"""Multirotors against their geometry and an independent rigid body in NumPy."""
+"""Machines against closed forms, Lagrange's equations and an independent rigid body in NumPy."""
 
+from math import pi
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import SYSTEMS, System, make_system
 from tests.helpers.effect_rows import flying
@@ -170,3 +172,85 @@ def test_neighbouring_propellers_turn_against_each_other(name: str) -> None:
     around = sorted(GEOMETRY[name], key=lambda m: np.arctan2(m[1], m[0]))
     senses = [m[2] for m in around]
     assert all(a != b for a, b in zip(senses, [*senses[1:], senses[0]], strict=True))
+
+
+TOTAL, POLE, LENGTH, G = 1.7, 0.3, 0.8, 9.8
+CART = {"force_gain": 1 / TOTAL, "pole_share": POLE / TOTAL, "half_length": LENGTH}
+
+
+def accelerations(x: Array, force: float, torque: float = 0.0) -> Array:
+    """(x'', theta'') by Lagrange; `torque` acts on the pole [N m]."""
+    _, _, theta, rate = x
+    arm = POLE * LENGTH
+    mass = np.array([[TOTAL, arm * np.cos(theta)], [arm * np.cos(theta), 4 / 3 * arm * LENGTH]])
+    right = np.array([force + arm * rate**2 * np.sin(theta), arm * G * np.sin(theta) + torque])
+    return np.linalg.solve(mass, right)
+
+
+def energy(x: Array) -> Array:
+    _, v, theta, rate = x.T
+    kinetic = 0.5 * TOTAL * v**2 + POLE * LENGTH * np.cos(theta) * v * rate
+    return kinetic + 2 / 3 * POLE * LENGTH**2 * rate**2 + POLE * G * LENGTH * np.cos(theta)
+
+
+class TestCartpole(SystemContract):
+    def make(self, **options: Any) -> System:
+        return make_system("cartpole", **options)
+
+    def twin(self, x: Tensor) -> Tensor:
+        return x + torch.tensor([0.0, 0.0, 2 * pi, 0.0], dtype=x.dtype)
+
+    def test_motion_is_lagranges(self) -> None:
+        s = self.make(values=CART).double()
+        x, u = 2 * self.states(50), 5 * (self.inputs(50) - 0.5)
+        rate = s.drift(0.0, x, u).detach().numpy()
+        for k in range(50):
+            expected = accelerations(x[k].numpy(), float(u[k, 0]))
+            np.testing.assert_allclose(rate[k, [1, 3]], expected, rtol=1e-6, atol=1e-6)
+
+    def test_a_torque_on_the_pole_also_moves_the_cart(self) -> None:
+        s = self.make(values=CART).double()
+        x, torque = np.array([0.0, 0.1, 0.4, 0.2]), 0.7
+        shift = accelerations(x, 0.0, torque) - accelerations(x, 0.0)
+        port = {Port.TORQUE: torch.tensor([[torque / (4 / 3 * POLE * LENGTH**2)]]).double()}
+        state, none = torch.from_numpy(x)[None], torch.zeros(1, 1).double()
+        found = s.drift(0.0, state, none, port) - s.drift(0.0, state, none)
+        np.testing.assert_allclose(found.detach().numpy()[0, [1, 3]], shift, rtol=1e-6)
+
+    def test_energy_is_conserved_through_full_turns(self) -> None:
+        s = self.make(values=CART).double()
+        start = torch.tensor([[0.0, 0.3, 0.2, 1.0]], dtype=torch.float64)
+        path = solve(s, start, torch.zeros(1, 4000, 1).double(), 0.0025)[0].numpy()
+        assert np.ptp(path[:, 2]) > 2 * pi
+        np.testing.assert_allclose(energy(path), energy(path)[0], rtol=1e-5)
+
+    @pytest.mark.parametrize("turns", [-3, 1, 5])
+    def test_the_error_of_the_angle_goes_the_short_way(self, turns: int) -> None:
+        s = self.make().double()
+        a = torch.tensor([[0.0, 0.0, 3.0 + 2 * pi * turns, 0.0]], dtype=torch.float64)
+        b = torch.tensor([[0.0, 0.0, -3.0, 0.0]], dtype=torch.float64)
+        assert float(s.error(a, b)[0, 2]) == pytest.approx(6.0 - 2 * pi)
+
+
+class TestMassSpringDamper(SystemContract):
+    def make(self, **options: Any) -> System:
+        return make_system("mass_spring_damper", **options)
+
+    @pytest.mark.parametrize("stiffness", [1.0, 4.0])
+    def test_a_damped_spring_follows_its_closed_form(self, stiffness: float) -> None:
+        values = {"linear_spring.stiffness": stiffness, "viscous_friction.damping": 0.5}
+        s = self.make(values=values).double()
+        n, dt = 500, 0.01
+        path = solve(s, torch.tensor([[0.1, 0.0]]).double(), torch.zeros(1, n, 1).double(), dt)[0].numpy()
+        t, w = dt * np.arange(n + 1), np.sqrt(stiffness - 0.0625)
+        expected = 0.1 * np.exp(-0.25 * t) * (np.cos(w * t) + 0.25 / w * np.sin(w * t))
+        np.testing.assert_allclose(path[:, 0], expected, atol=1e-7)
+
+    @pytest.mark.parametrize("gain", [0.5, 1.0, 2.0])
+    def test_without_declared_physics_only_the_force_acts_and_it_is_divided_by_the_mass(
+        self, gain: float
+    ) -> None:
+        s = self.make(declared=[], values={"force_gain": gain})
+        assert s.effect_names == ()
+        rate = s.drift(0.0, torch.tensor([[5.0, 2.0]]), torch.tensor([[3.0]]))
+        torch.testing.assert_close(rate, torch.tensor([[2.0, 3.0 * gain]]))

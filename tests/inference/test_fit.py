@@ -54,20 +54,17 @@ def climbing(effects: Sequence[str], runs: list[Run], monkeypatch: pytest.Monkey
 
 
 @pytest.mark.slow
-def test_with_linear_physics_no_turn_lowers_the_likelihood(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = climbing([], linear_runs(1, 12.0, seed=1), monkeypatch)
-    assert (np.diff(found) >= 0.0).all()
-    assert found[-1] > found[0] + 10.0
-
-
-@pytest.mark.slow
-def test_with_dry_friction_a_turn_loses_no_more_than_the_linearisation_may(
+def test_no_turn_lowers_the_likelihood_by_more_than_the_linearisation_may(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    found = climbing(["coulomb_friction"], small_runs(rubbing(0.2), 1, 12.0, seed=1), monkeypatch)
-    # 0.4 nats from the fourth turn to the fifth, where the linearised filter rose
-    assert (np.diff(found) >= -1.0).all()
-    assert found[-1] > found[0] + 10.0
+    for effects, runs, lost in (
+        ([], linear_runs(1, 12.0, seed=1), 0.0),
+        # 0.4 nats from the fourth turn to the fifth, where the linearised filter rose
+        (["coulomb_friction"], small_runs(rubbing(0.2), 1, 12.0, seed=1), 1.0),
+    ):
+        found = climbing(effects, runs, monkeypatch)
+        assert (np.diff(found) >= -lost).all()
+        assert found[-1] > found[0] + 10.0
 
 
 def test_it_ends_above_the_truth_and_what_it_reports_is_the_likelihood_there() -> None:

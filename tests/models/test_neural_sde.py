@@ -193,11 +193,14 @@ def test_refusals_name_the_argument_what_was_expected_and_what_came(
         model.sample(*change(x, u), dt=0.05, particles=2, generator=generator())
 
 
-def test_a_step_that_is_not_positive_is_refused() -> None:
+@pytest.mark.parametrize("wrong", [{"dt": 0.0}, {"measurement_std": torch.ones(13)}], ids=["step", "noise"])
+def test_a_step_that_is_not_positive_and_noise_of_sensors_that_it_has_not_are_refused(
+    wrong: dict[str, Any],
+) -> None:
     model = make("hexacopter")
     x, u = states(model, 3)
-    with pytest.raises(NsdeError, match="dt"):
-        model.sample(x, u, dt=0.0, particles=2, generator=generator())
+    with pytest.raises(NsdeError, match=next(iter(wrong))):
+        model.sample(x, u, **{"dt": 0.05, **wrong}, particles=2, generator=generator())
 
 
 def test_sigma_max_of_another_length_is_refused() -> None:
@@ -256,13 +259,6 @@ def test_rotation_noise_is_the_same_at_every_attitude() -> None:
     covariance = torch.einsum("nki,nk,nkj->nij", tangent, sigma**2, tangent)
     expected = float(sigma[0, 0]) ** 2 * eye
     torch.testing.assert_close(covariance, expected.expand(4, 3, 3))
-
-
-def test_sensor_noise_for_a_model_without_it_is_refused() -> None:
-    model = make("hexacopter")
-    x, u = states(model, 2)
-    with pytest.raises(ConfigError, match="measurement_std"):
-        model.sample(x, u, dt=0.05, particles=2, generator=generator(), measurement_std=torch.ones(13))
 
 
 @pytest.mark.parametrize("step", ["milstein", "heun"])

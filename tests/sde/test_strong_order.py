@@ -26,18 +26,16 @@ STOCHASTIC = [name for name, cls in STEPS.items() if not cls.deterministic]
 FACTORS = (4, 8, 16, 32)
 
 
-@pytest.mark.parametrize("name", STOCHASTIC)
-@pytest.mark.parametrize("kind", [GeometricBrownianMotion, Tangent])
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        *((kind, name) for kind in (GeometricBrownianMotion, Tangent) for name in STOCHASTIC),
+        *((SquareRoot, name) for name in ("euler_maruyama", "heun", "milstein_stratonovich_free")),
+    ],
+)
 def test_step_has_the_strong_order_it_states_on_uncoupled_noise(name: str, kind: type[Problem]) -> None:
     step = make_step(name)
     errors = strong_errors(kind(calculus=step.calculus), step, paths=1500, finest=1024, factors=FACTORS)
-    assert slope(FACTORS, errors) == pytest.approx(step.strong_order, abs=0.15)
-
-
-@pytest.mark.parametrize("name", ["euler_maruyama", "heun", "milstein_stratonovich_free"])
-def test_step_has_the_strong_order_it_states_on_square_root_noise(name: str) -> None:
-    step = make_step(name)
-    errors = strong_errors(SquareRoot(step.calculus), step, paths=1500, finest=1024, factors=FACTORS)
     assert slope(FACTORS, errors) == pytest.approx(step.strong_order, abs=0.15)
 
 

@@ -43,9 +43,8 @@ from nsde_torch.inference.estimate import LogLikelihood, nearly_maximised
 from nsde_torch.sysid.rough import beginnings
 from nsde_torch.systems import System
 
-NATS = (
-    5.0  # by which a log must be likelier with another reading of its inputs; where that does nothing: 0 +- 1
-)
+NATS = 5.0
+"""By which a log must be likelier with another reading of its inputs; one that does nothing brings 0 +- 1."""
 _PART_S, _FEWEST = 120.0, 600  # of the log that is asked for levels [s], and rows of each run at least
 _ROWS, _FEWEST_ROWS = 3000, 100  # of the log, and of each run at least, that are asked for the others
 _HELD = 0.5  # share of values that are as in the row before, above which inputs are held
@@ -54,10 +53,7 @@ _MOST_LEVELS, _SAME = 8, 0.2  # levels at most, and share of the rows that stay 
 _FEW, _BETWEEN = 0.03, 0.4  # shares of the rows: at a level, at least, and between levels, at most
 _TIGHT = 0.85  # share of those at a level that are within two standard deviations: normal 0.95, of waves 0.5
 _ORDER = 20  # rows before, that predict an input
-_WINDOW, _SLOW = (
-    2048,
-    4,
-)  # rows of which a spectrum is made, and its lowest frequencies, which hold no noise to speak of
+_WINDOW, _SLOW = 2048, 4  # rows of a spectrum, and its lowest frequencies, which it does not resolve
 _AROUND, _WAVE = 7, 4.0  # frequencies about each, and times their median that a wave is
 _TOP, _NOTHING = 0.35, 1e-6
 """Rows^-1 above which a spectrum may be white noise, and the share of an input's variance below which that is none."""
@@ -217,20 +213,13 @@ class _WhiteNoise:
         kernels = []
         for power, noise in zip(self.power, self.variances(share), strict=True):
             level = np.clip(1.0 - 2.0 * noise / power, 0.0, 1.0)
-            level[:_SLOW] = (
-                1.0  # a mean over the window is known, and what is nearly one is not in the spectrum
-            )
+            level[:_SLOW] = 1.0  # the spectrum lacks the mean and what is nearly one
             kernels.append(fftshift(irfft(level)) * get_window("hann", 2 * len(level) - 2))
 
         def through(u: Array, j: int) -> Array:
             reach = len(kernels[j]) // 2
-            return np.asarray(
-                fftconvolve(
-                    np.pad(u, (reach - 1, reach), mode="reflect", reflect_type="odd"),
-                    kernels[j],
-                    mode="valid",
-                )
-            )
+            longer = np.pad(u, (reach - 1, reach), mode="reflect", reflect_type="odd")
+            return np.asarray(fftconvolve(longer, kernels[j], mode="valid"))
 
         return changed(runs, len(kernels), through)
 

@@ -159,7 +159,7 @@ class Files(DataConfig):
     dt: float | None = key(None, "step to resample to; null: the step of the data", unit="s", above=0)
     state_smoothing: str = key(
         "restore",
-        "what to do with states that were smoothed, and inputs that hold noise about levels, before they were logged",
+        "what to do with states that were smoothed before they were logged, and with inputs that were measured",
         choices=("restore", "keep"),
     )
     derived_rates: str = key(

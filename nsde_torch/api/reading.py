@@ -63,8 +63,8 @@ def read(
         dt: Step to resample to [s]; None: the step of the data. A longer one is taken after all checks.
         gap: A longer pause between rows splits a run [s]; None: 2.5 steps of the data.
         clock: What to do when the kinematics disagree with the clock: "rescale", "trust" or "refuse".
-        state_smoothing: What to do with states that were smoothed before they were logged, and with noise of inputs
-            about levels that does not act: "restore" (take it out) or "keep".
+        state_smoothing: What to do with states that were smoothed before they were logged, and with inputs that were
+            measured and act in another way: "restore" or "keep".
         stream_offsets: What to do with streams whose offsets against others differ between runs: "undo" or "keep".
         derived_rates: What to do with rates that were made of positions, and that no sensor measured: "infer" them
             again from the positions, or "keep".

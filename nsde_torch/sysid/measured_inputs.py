@@ -185,6 +185,8 @@ def _without_white_noise(fits: _Fits, runs: Sequence[Run], system: System, dt: f
         np.where(np.arange(nu) == j, factor, 1.0) for j in range(nu) for factor in (4.0, 0.25) if not alike
     ]
     for factor in factors:
+        if (noise.variances(share * factor) == noise.variances(share)).all():
+            continue  # all that the spectra allow, already
         if (more := fits.likelier(noise.smoothed(share * factor, runs))) > nats:
             share, nats = share * factor, more
     before = fits.likelier(noise.filtered(share, runs))
@@ -279,8 +281,8 @@ def _of_an_effect(fits: _Fits, runs: Sequence[Run], nats: float, dt: float, nu: 
         *(partial(lagged, nu=nu, rows=lag / dt) for lag in _LAGS_S),
         *(partial(later, nu=nu, rows=-rows) for rows in _DELAYS),
         *(partial(with_play, gap=part * size) for part in _GAPS),
-        *(partial(bent, dead=part * size, most=np.full(nu, np.inf)) for part in _DEAD),
-        *(partial(bent, dead=none, most=np.quantile(np.abs(every), share, axis=0)) for share in _WITHIN),
+        *(partial(limited, dead=part * size, most=np.full(nu, np.inf)) for part in _DEAD),
+        *(partial(limited, dead=none, most=np.quantile(np.abs(every), share, axis=0)) for share in _WITHIN),
     ]
     return any(fits.likelier(other(runs)) > nats - NATS for other in others)
 
@@ -302,7 +304,7 @@ def lagged(runs: Sequence[Run], nu: int, rows: float) -> list[Run]:
     return changed(runs, nu, lambda u, _: lfilter([1.0 - kept], [1.0, -kept], u, zi=[kept * u[0]])[0])
 
 
-def bent(runs: Sequence[Run], dead: Array, most: Array) -> list[Run]:
+def limited(runs: Sequence[Run], dead: Array, most: Array) -> list[Run]:
     """Runs whose inputs do nothing up to a size (nu,), and no more beyond another (nu,), in their units."""
 
     def through(u: Array, j: int) -> Array:
@@ -313,12 +315,10 @@ def bent(runs: Sequence[Run], dead: Array, most: Array) -> list[Run]:
 
 def with_play(runs: Sequence[Run], gap: Array) -> list[Run]:
     """Runs whose inputs went through play, of gaps (nu,) in their units."""
+    from nsde_torch.effects.recursions import play  # compiled: few logs need it
 
     def through(u: Array, j: int) -> Array:
-        at, out = u[0], np.empty_like(u)
-        for k, value in enumerate(u.tolist()):
-            at = out[k] = min(max(at, value - 0.5 * gap[j]), value + 0.5 * gap[j])
-        return out
+        return np.asarray(play(np.ascontiguousarray(u)[:, None], 0.5 * float(gap[j]))[:, 0])
 
     return changed(runs, len(gap), through)
 

@@ -17,6 +17,7 @@ import numpy as np
 from nsde_torch.data import Run
 from nsde_torch.data.system_info import common_name, derivative_columns, rate_columns
 from nsde_torch.recording.latency import moved
+from nsde_torch.sysid.measured_inputs import later
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.sysid.rough import beginnings, left_at, rough_fit
 from nsde_torch.systems import System
@@ -148,18 +149,16 @@ def _mover(system: System, rows: float, states: list[int]) -> Callable[[Run], Ru
     """Take out that some states, or the inputs where there are none, are so many rows late."""
 
     def read(run: Run) -> Run:
-        x, u, q = np.array(run.x), np.array(run.u), system.quaternion
+        x, q = np.array(run.x), system.quaternion
         lost = int(np.ceil(abs(rows)))
         long = [(a, b) for a, b in run.segments if b - a >= 2 * lost + 4]
+        inner = tuple((a + lost, b - lost) for a, b in long) or run.segments
+        if not states:
+            return replace(later([run], system.nu, rows)[0], segments=inner)
         for a, b in long:
-            k = np.arange(b - a)
-            if states:
-                x[a:b, states] = moved(np.asarray(run.x[a:b, states]), rows)
-                continue
-            for column in range(system.nu):
-                u[a:b, column] = np.interp(k + rows, k, run.u[a:b, column])
-        if q is not None and states:
+            x[a:b, states] = moved(np.asarray(run.x[a:b, states]), rows)
+        if q is not None:
             x[:, q] /= np.linalg.norm(x[:, q], axis=1, keepdims=True)
-        return replace(run, x=x, u=u, segments=tuple((a + lost, b - lost) for a, b in long) or run.segments)
+        return replace(run, x=x, segments=inner)
 
     return read

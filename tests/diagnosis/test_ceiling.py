@@ -14,7 +14,7 @@ from nsde_torch.diagnosis.evidence import nats_by_channel
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.report import page, pictures
 from nsde_torch.diagnosis.residual_tests import Dependence
-from nsde_torch.diagnosis.result import ceiling_content, summary
+from nsde_torch.diagnosis.result import ceiling_content, content, summary
 from nsde_torch.diagnosis.text import lines
 from tests.helpers.diagnosed import Diagnosed, diagnosed
 
@@ -50,6 +50,20 @@ def test_functions_that_explain_no_more_are_not_said_to_explain_all_where_struct
     sentence = ceiling_content(nothing[0].explanation.ceiling, outcome)["sentence"]
     assert sentence.startswith("Functions of what was measured explain no more of blocks of time left out,")
     assert "still depends on q:" in sentence
+
+
+def test_what_is_left_far_above_white_noise_is_said_beside_that_nothing_is_missing(
+    nothing: Diagnosed,
+) -> None:
+    diagnosis, said = nothing
+    assert "times white noise" not in said["summary"]
+    channels = [replace(c, after=50.0 * c.floor) for c in diagnosis.explanation.channels]
+    much = replace(diagnosis, explanation=replace(diagnosis.explanation, channels=channels))
+    summary_of = content(much)["summary"]
+    assert summary_of.startswith(
+        "Nothing is missing that a test or a function of what was measured shows, but"
+    )
+    assert "of q_dot is 50 times white noise" in summary_of
 
 
 @pytest.fixture(scope="module")

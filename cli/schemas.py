@@ -122,7 +122,7 @@ class DataConfig(RunChoice):
     )
     clock: str = key(
         "rescale",
-        "what to do when the kinematics disagree with the clock",
+        "what to do when the kinematics disagree with the clock, or with a single rate",
         choices=("rescale", "trust", "refuse"),
     )
     instruments: list[str] = key(

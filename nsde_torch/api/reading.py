@@ -62,7 +62,8 @@ def read(
         options: Further arguments of the reader.
         dt: Step to resample to [s]; None: the step of the data. A longer one is taken after all checks.
         gap: A longer pause between rows splits a run [s]; None: 2.5 steps of the data.
-        clock: What to do when the kinematics disagree with the clock: "rescale", "trust" or "refuse".
+        clock: What to do when the kinematics disagree with the clock, or with a single rate: "rescale", "trust" or
+            "refuse".
         state_smoothing: What to do with states that were smoothed before they were logged, and with inputs that were
             measured and act in another way: "restore" or "keep".
         stream_offsets: What to do with streams whose offsets against others differ between runs: "undo" or "keep".
@@ -143,7 +144,7 @@ def _assembled(
         return read_kind(kind or format_of(data, machine), machine, path=str(data), **given, **options)
     for name, fault in remedies().items():
         if fault.remedy_first and given.pop(name, None):
-            raise ConfigError(f"`{name}` is taken out of files; subtract it from the arrays of your own.")
+            raise ConfigError(f"`{name}` is taken out of files; take it out of arrays of your own before.")
     runs = data.runs if isinstance(data, Simulation) else data
     copies = [RawRun(r.name, r.t.copy(), r.x.copy(), r.u.copy(), dict(r.extra), r.source) for r in runs]
     made = "simulated" if isinstance(data, Simulation) else "arrays"

@@ -1,9 +1,12 @@
-"""A wrong clock, and biased rates: slope and intercept of positions over the integral of their rates.
+"""A wrong clock, and scaled or biased rates: slope and intercept of positions over the integral of their rates.
 
     p(t + T) - p(t) = s * integral of v dt - b T
 
 p and q move as far as v and omega say only if a logged second is one second (`nsde_torch.data.kinematics` measures s);
-for a rate that reads b too much, the rest is -b T on average.
+for a rate that reads b too much, the rest is -b T on average. Of a single position and its rate, s is a wrong clock or
+a rate that reads 1/s times too much. Such a rate is mostly computed of the position, by a nominal step or a filter,
+and s is its fault: the time column of a pendulum's video with smoothed rates was right, and its gravity 9 % off by a
+clock that was rescaled.
 """
 
 from collections.abc import Mapping, Sequence
@@ -91,18 +94,26 @@ def check_scales(system: SystemInfo, slopes: Sequence[Slope], report: Report) ->
         report(Finding("odd_scale", one.run, 1, message, "reported", values))
 
 
-def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:
-    """The clock scale of a data set: physical seconds for each logged second.
+def decide(
+    slopes: Sequence[Slope], rate: str | None = None, *, policy: str, report: Report
+) -> tuple[float, dict[str, float]]:
+    """The clock scale of a data set, physical seconds for each logged second, and how many times too much a rate reads.
 
     A wrong clock shows in every group of axes (positions and attitude) on the same side. Where only one group
     disagrees, its velocity is at fault, not the clock; that is reported and nothing is scaled. The policy `rescale`
-    returns the measured scale where it differs from 1, `trust` returns 1 and reports.
+    returns what was measured, `trust` reports it alone.
+
+    Args:
+        slopes: Of all runs.
+        rate: The `single_rate` of the machine, which is scaled in place of the clock.
+        policy: One of `POLICIES`.
+        report: Takes what was found.
 
     Raises:
-        DataError: the clock is wrong and the policy is `refuse`.
+        DataError: the clock, or the single rate, is wrong and the policy is `refuse`.
     """
     if not slopes:
-        return 1.0
+        return 1.0, {}
     groups = {g: pool([s for s in slopes if s.group == g]) for g in sorted({s.group for s in slopes})}
     total = pool(slopes)
     axes = {g: list(dict.fromkeys(s.axis for s in slopes if s.group == g)) for g in groups}
@@ -115,7 +126,7 @@ def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:
     }
     off = {g: p for g, p in groups.items() if abs(p.value - 1) > max(MIN_DEPARTURE, SIGNIFICANT * p.error)}
     if not off:
-        return 1.0
+        return 1.0, {}
     sides = {p.value > 1 for p in off.values()}
     # a log that stands still has a slope of nothing
     clock_like = IMPLAUSIBLE[0] <= total.value <= IMPLAUSIBLE[1]
@@ -132,23 +143,32 @@ def decide(slopes: Sequence[Slope], *, policy: str, report: Report) -> float:
                 f"(multiply them by {p.value:.4f}), or {one} itself is off (multiply it by {1 / p.value:.4f})"
             )
         report(Finding("kinematic_mismatch", "", len(off), disagree, "reported", values))
-        return 1.0
+        return 1.0, {}
+    kind, column = ("clock", "time column") if rate is None else ("sensor_scale", f"column of {rate}")
     message = (
         f"the logged clock runs wrong: one logged second holds {total.value:.4f} +- {total.error:.4f} "
         f"physical seconds by the kinematics ({text})"
+        if rate is None
+        else f"{rate} reads {1 / total.value:.4g} times what its position moves ({text}); or the time column is off: "
+        "a single position and its rate cannot tell"
     )
-    if sum(map(len, axes.values())) == 1:
-        (axis,) = next(iter(axes.values()))
-        scaled = f"or the rate of {axis} is {1 / total.value:.4g} times too large"
-        message += f"; {scaled}: a single position and its rate cannot tell"
     if policy == "refuse":
         raise DataError(
-            f"{message}. Set `clock` to `rescale` (use the measured scale) or `trust` (keep the logged "
-            "time), or correct the time column."
+            f"{message}. Set `clock` to `rescale` (use the measured scale) or `trust` (keep the log as it is), or "
+            f"correct the {column}."
         )
     trusted = policy == "trust"
-    report(Finding("clock", "", 1, message, "reported" if trusted else "rescaled", values))
-    return 1.0 if trusted else total.value
+    report(Finding(kind, "", 1, message, "reported" if trusted else "rescaled", values))
+    if trusted:
+        return 1.0, {}
+    return (total.value, {}) if rate is None else (1.0, {rate: 1.0 / total.value})
+
+
+def single_rate(system: SystemInfo) -> str | None:
+    """The rate of a machine that measures one position and its rate, and nothing else whose rate it measures."""
+    groups = pairs_of(system)
+    rates = [rate for group, (_, rates) in groups.items() for rate in rates]
+    return rates[0] if len(rates) == 1 and ATTITUDE not in groups else None
 
 
 def of_runs(slopes: Sequence[Slope], runs: Sequence[str], *, measured: float) -> float:
@@ -159,7 +179,7 @@ def of_runs(slopes: Sequence[Slope], runs: Sequence[str], *, measured: float) ->
     own = [s for s in slopes if s.run in set(runs)]
     if measured == 1.0 or not own:
         return measured
-    return decide(own, policy="rescale", report=lambda finding: None)
+    return decide(own, policy="rescale", report=lambda finding: None)[0]
 
 
 def wrong_clock(fault: Fault, log: LoggedRuns) -> Detected | None:
@@ -168,33 +188,69 @@ def wrong_clock(fault: Fault, log: LoggedRuns) -> Detected | None:
     The reader decides at three standard errors, however few intervals they are from.
     """
     clock, system = log.data.clock_scale, log.system
-    if clock == 1.0:
-        return None
-    pooled = pool(log.data.summary.slopes)
-    degrees = max(pooled.slopes - 1, FOLDS - 1)  # errors of slopes are from so many folds each
-    off = Uncertain(pooled.value - 1.0, max(pooled.error, 1e-12), degrees)
-    if off.p >= log.level(fault.stage):
+    off = _sure(fault, log) if clock != 1.0 else None
+    if off is None:
         return None
     groups = pairs_of(system)
-    turns = ATTITUDE in groups
-    pairs = [p for group, both in groups.items() if group != ATTITUDE for p in zip(*both, strict=True)]
-    single = len(pairs) == 1 and not turns
-    what = "positions and attitude" if turns else " and ".join(position for position, _ in pairs)
-    moves, says = ("moves", "its rate says") if single else ("move", "their rates say")
-    rate, how = pairs[0][1], "further" if clock > 1.0 else "less far"
-    experiment = (
-        "hold the time column against another clock over a few minutes; if it is right, "
-        f"{rate} is logged {1 / clock:.4g} times too large: multiply it by {clock:.4g}"
+    positions = [p for group, (names, _) in groups.items() if group != ATTITUDE for p in names]
+    what = "positions and attitude" if ATTITUDE in groups else " and ".join(positions)
+    moves, says = (
+        ("moves", "its rate says")
+        if len(positions) == 1 and ATTITUDE not in groups
+        else ("move", "their rates say")
     )
+    how = "further" if clock > 1.0 else "less far"
     return Detected(
         fault.name,
         {"scale": (clock, clock - off.half, clock + off.half, "1")},
         off.p,
         f"A second of the log lasts {clock:.4g} s: {what} {moves} {how} than {says}.",
         clock=clock,
-        ties=("sensor_scale",) if single else (),
-        experiment=experiment if single else "",
     )
+
+
+def scaled_rate(fault: Fault, log: LoggedRuns) -> Detected | None:
+    """Whether the scale of a single rate that the reader took out is surely a fault."""
+    rate = single_rate(log.system)
+    done = [f for f in log.data.summary.findings if f.kind == fault.name and f.action == "rescaled"]
+    off = _sure(fault, log) if done and rate is not None else None
+    if off is None or rate is None:
+        return None
+    clock = 1.0 + off.value
+    return Detected(
+        fault.name,
+        {rate: (1.0 / clock, 1.0 / (clock + off.half), 1.0 / (clock - off.half), "1")},
+        off.p,
+        f"{rate} reads {1.0 / clock:.4g} times what its position moves.",
+        ties=("clock_scale",),
+        experiment=(
+            f"hold the time column against another clock over a few minutes; if a logged second lasts {clock:.4g} s, "
+            "correct the times"
+        ),
+    )
+
+
+def _sure(fault: Fault, log: LoggedRuns) -> Uncertain | None:
+    """By how much slopes depart from 1, if surely."""
+    pooled = pool(log.data.summary.slopes)
+    degrees = max(pooled.slopes - 1, FOLDS - 1)  # errors of slopes are from so many folds each
+    off = Uncertain(pooled.value - 1.0, max(pooled.error, 1e-12), degrees)
+    return off if off.p < log.level(fault.stage) else None
+
+
+def without_scales(x: Array, system: SystemInfo, values: Mapping[str, Any]) -> Array:
+    """States (n, nx) divided by how many times too much their sensors read."""
+    x, names = x.copy(), list(system.state_names)
+    for name, value in values.items():
+        if name not in names:
+            raise ConfigError(
+                f"`sensor_scale` names {name!r}, which is no state; states: {', '.join(names)}."
+            )
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not (number and isfinite(value) and value != 0.0):
+            raise ConfigError(f"`sensor_scale.{name}` must be a finite number other than 0; got {value!r}.")
+        x[:, names.index(name)] /= value
+    return x
 
 
 _FEWEST = 12  # intervals

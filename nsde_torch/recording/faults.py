@@ -158,14 +158,7 @@ class SensorBias(Fault):
     remedy_first = True
 
     def check(self, value: Any, system: SystemInfo) -> None:
-        turned = () if system.quaternion is None else system.state_names[system.quaternion]
-        free = [n for n in system.state_names if n not in turned]
-        unknown = sorted(set(value) - set(free))
-        if unknown:
-            raise ConfigError(
-                f"`sensor_bias` takes {', '.join(free)} of system {system.name!r}; got {', '.join(unknown)}."
-                + (" An attitude is turned with `frame_misalignment`." if turned else "")
-            )
+        _check_free(self.name, value, system)
 
     def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
         run.x = run.x.copy()
@@ -180,6 +173,45 @@ class SensorBias(Fault):
 
     def undo_raw(self, run: RawRun, system: SystemInfo, values: Mapping[str, float]) -> None:
         run.x = clock_and_biases.without_biases(run, system, values)
+
+
+@final
+class SensorScale(Fault):
+    """Sensors that read too much by a factor: x_log = k x. The reader takes that of a single rate out."""
+
+    name = "sensor_scale"
+    rank = 48
+    stage = "clock"
+    option = key({}, "how many times too much a state is read, recording.sensor_scale.STATE=1.05")
+    annotation = Mapping[str, float]
+    remedy = key({}, "how many times too much sensors read, {STATE: 1.05}, to take out")
+    remedy_first = True
+
+    def check(self, value: Any, system: SystemInfo) -> None:
+        _check_free(self.name, value, system)
+
+    def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
+        run.x = run.x.copy()
+        for name, scale in value.items():
+            run.x[:, list(system.state_names).index(name)] *= scale
+
+    def detect(self, log: LoggedRuns) -> Detected | None:
+        return clock_and_biases.scaled_rate(self, log)
+
+    def undo_raw(self, run: RawRun, system: SystemInfo, values: Mapping[str, float]) -> None:
+        run.x = clock_and_biases.without_scales(run.x, system, values)
+
+
+def _check_free(name: str, value: Any, system: SystemInfo) -> None:
+    """Refuse a size for what is no state, or is part of an attitude."""
+    turned = () if system.quaternion is None else system.state_names[system.quaternion]
+    free = [n for n in system.state_names if n not in turned]
+    unknown = sorted(set(value) - set(free))
+    if unknown:
+        raise ConfigError(
+            f"`{name}` takes {', '.join(free)} of system {system.name!r}; got {', '.join(unknown)}."
+            + (" An attitude is turned with `frame_misalignment`." if turned else "")
+        )
 
 
 @final
@@ -379,8 +411,8 @@ class RotorSpeed(Fault):
 
 
 _ALL: tuple[Fault, ...] = (
-    InputSmoothing(), LateStates(), ClockScale(), SensorBias(), DerivedRate(), SensorDelay(), SensorLag(),
-    TurnedFrame(), RotorSpeed(), Dropout(),
+    InputSmoothing(), LateStates(), ClockScale(), SensorBias(), SensorScale(), DerivedRate(), SensorDelay(),
+    SensorLag(), TurnedFrame(), RotorSpeed(), Dropout(),
 )  # fmt: skip
 FAULTS: dict[str, Fault] = {fault.name: fault for fault in _ALL}
 """Faults by name, as options list them."""

@@ -256,7 +256,10 @@ def assemble(
     columns.check_runs(system, runs)
     clock_and_biases.check_units(slopes, tuple(system.state_names))
     clock_and_biases.check_scales(system, slopes, report)
-    scale = clock_and_biases.decide(slopes, policy=clock, report=report)
+    rate = clock_and_biases.single_rate(system)
+    scale, read_too_much = clock_and_biases.decide(slopes, rate, policy=clock, report=report)
+    if read_too_much:
+        runs = [replace(r, x=clock_and_biases.without_scales(r.x, system, read_too_much)) for r in runs]
     runs = unmeasured_rates.inferred(whole, runs, rates, scale)
     for fault, values in _asked(faults):
         runs = [fault.undo(run, system, values) for run in runs]

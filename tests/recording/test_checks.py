@@ -11,8 +11,10 @@ from nsde_torch.data import DataSet, RawRun
 from nsde_torch.data.kinematics import Slope, clock_slopes
 from nsde_torch.data.quaternion import conjugate, rotate, rotation_vector, slerp
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.recording import assemble
+from nsde_torch.recording import Recording, assemble
+from nsde_torch.recording.faults import FAULTS
 from nsde_torch.recording.times import no_finer, resample
+from nsde_torch.simulation import simulate
 from nsde_torch.systems import make_system
 from tests.helpers.data_systems import CARTPOLE, HEXACOPTER
 from tests.helpers.flights import flight
@@ -53,6 +55,36 @@ def test_a_late_sensor_is_reported_with_the_option_that_takes_it_out() -> None:
     assert kinds(put_right) == []
     assert put_right[0].segments == ((0, len(t) - 5),)
     assert put_right.fingerprint != late.fingerprint
+
+
+@pytest.mark.parametrize("scale", [0.9, 1.05])
+def test_a_single_rate_is_scaled_in_place_of_the_clock(scale: float) -> None:
+    chain = Recording(sensor_scale={"q_dot": scale})
+    made = simulate("mass_spring_damper", durations=(12.0,) * 3, seed=1, recording=chain)
+    system, logged = make_system("mass_spring_damper"), [run.x for run in made.runs]
+
+    def read(clock: str = "rescale", **values: float) -> DataSet:
+        runs = [RawRun(run.name, run.t.copy(), run.x.copy(), run.u.copy()) for run in made.runs]
+        for run in runs:
+            FAULTS["sensor_scale"].undo_raw(run, system, values)
+        return assemble(runs, system, kind="test", clock=clock)
+
+    data = read()
+    (finding,) = data.summary.findings
+    assert (finding.kind, finding.action, data.clock_scale) == ("sensor_scale", "rescaled", 1.0)
+    for run, x in zip(data, logged, strict=True):
+        np.testing.assert_allclose(x[:, 1] / run.x[:, 1], scale, rtol=5e-3)
+        np.testing.assert_array_equal(x[:, 0], run.x[:, 0])
+    kept = read(clock="trust")
+    assert [f.action for f in kept.summary.findings] == ["reported"]
+    np.testing.assert_array_equal(kept[0].x, logged[0])
+    assert kinds(read(q_dot=scale)) == []
+    with pytest.raises(DataError, match="column of q_dot"):
+        read(clock="refuse")
+    with pytest.raises(ConfigError, match="names 'p', which is no state"):
+        read(p=2.0)
+    with pytest.raises(ConfigError, match=r"other than 0; got 0\.0"):
+        read(q=0.0)
 
 
 def test_gaps_in_time_split_and_the_threshold_can_be_set() -> None:

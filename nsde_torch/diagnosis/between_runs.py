@@ -81,8 +81,12 @@ class ExplainedDifference:
                 low = shared_by_all.parameter(own).low
                 low = -np.inf if low is None else low + 1e-6 * shared_by_all.scale_of(own)
                 shared_by_all.set_value(own, np.maximum(each[0], low).tolist())
-            made = difference_on(system, target)({"change": (each[1:] - each[0]).T.ravel().tolist()})
-            out = system.with_effects(made)
+            made, change = [], (each[1:] - each[0]).T
+            for part in target.split(","):
+                cls = difference_on(system, part)
+                made.append(cls({"change": change[: cls.width].ravel().tolist()}))
+                change = change[cls.width :]
+            out = system.with_effects(*made)
         for one in out.effects:
             if isinstance(one, ByRun) and not one.runs:
                 one.runs = names

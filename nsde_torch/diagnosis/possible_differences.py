@@ -23,6 +23,7 @@ from nsde_torch.errors import NsdeError
 from nsde_torch.inference.sensitivity import grams
 from nsde_torch.systems import System
 from nsde_torch.systems.in_run import OVER_MASS, may_differ
+from nsde_torch.systems.parameters import Place
 
 _ROWS = 5  # of the data, at which formulas are asked whether a parameter may differ between rows
 
@@ -32,7 +33,8 @@ class PossibleDifference:
     """Something that may differ between runs."""
 
     system: System  # the physics; with what is no part of it yet
-    # parameter that differs (`RunDifference.target`), or name of an effect with a size for each run
+    # parameter that differs (`RunDifference.target`), or several with a comma between, or name of an effect with a size
+    # for each run
     target: str
     turn: Array  # columns of the table that change together (K, k)
     new: bool  # whether the first run has numbers too: of what is no part of the physics yet
@@ -109,10 +111,18 @@ def _may_differ(place: FittedPhysics, system: System, target: str) -> bool:
 
 
 def _of_the_physics(place: FittedPhysics, whole: int) -> Iterator[PossibleDifference]:
-    """Parameters of the machine, sizes of its effects, and its mass, of a table of so many columns."""
+    """Parameters of the machine, sizes of its effects, its mass, and all its own parameters together.
+
+    A load at the tip of an arm changes inertias and weights of both links, and no single parameter explains it.
+
+    Args:
+        place: The physics.
+        whole: Columns of the table.
+    """
     system, vector, theta = place.system, place.best.vector, place.best.theta
     differing = {getattr(e, "target", "") for e in system.effects}
     mass, every = np.zeros((whole, 1)), np.eye(whole)
+    machine: list[Place] = []
     for at in vector.places:
         name, dot, own = at.name.rpartition(".")
         effect = effect_of(system, name) if dot else None
@@ -127,6 +137,14 @@ def _of_the_physics(place: FittedPhysics, whole: int) -> Iterator[PossibleDiffer
             yield PossibleDifference(system, each, every[:, at.columns], False)
         elif target not in differing and _may_differ(place, system, target):
             yield PossibleDifference(system, target, every[:, at.columns], False)
+            if (
+                effect is None
+                and np.isin(np.arange(at.columns.start, at.columns.stop), place.best.free).all()
+            ):
+                machine.append(at)
+    if len(machine) > 1:
+        turn = np.concatenate([every[:, at.columns] for at in machine], 1)
+        yield PossibleDifference(system, ",".join(at.name for at in machine), turn, False)
     if system.over_mass and MASS not in differing and int((mass != 0).sum()) > 1:
         yield PossibleDifference(system, MASS, mass, False)
 

@@ -25,7 +25,7 @@ from nsde_torch.effects.expression import expression_at
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.systems import coordinates as coordinates_of
-from nsde_torch.systems.in_run import OVER_MASS, in_its_run
+from nsde_torch.systems.in_run import OVER_MASS, in_its_run, row_by_row
 from nsde_torch.systems.machine import Machine
 from nsde_torch.systems.values import Defaults, ErrorGroup, ResidualPort, split_values
 from nsde_torch.systems.vocabulary import given, vocabulary
@@ -352,7 +352,9 @@ class System(Parametrised, ABC):
             forces[effect.port] = forces[effect.port] + term if effect.port in forces else term
             if effect.n_memory:
                 rates[k] = effect.memory_rate(t, x, own, memories[k])
-        rate = self.dynamics(t, x, command, forces)
+        rate = (
+            row_by_row(self, t, x, command, forces) if self.in_run else self.dynamics(t, x, command, forces)
+        )
         if Port.RATE in forces:
             rate = rate + forces[Port.RATE]
         return join_columns((rate, *(rates[k] for k in sorted(rates)))) if rates else rate

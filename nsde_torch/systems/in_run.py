@@ -62,6 +62,32 @@ def in_its_run(system: System, effects: Sequence[int], u: Tensor) -> Iterator[Te
             module.in_run.pop(name, None)
 
 
+def row_by_row(
+    system: System, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]
+) -> Tensor:
+    """The machine's `dynamics` (N, nx) with parameters of each row, whatever way its formulas are written in.
+
+    A formula that takes columns of states apart, or puts a matrix together, has no place for a number of each row.
+    """
+    values = {name: system.value(name) for name in system.declared_parameters()}
+    rows = {name: value for name, value in values.items() if value.dim() > 1}
+    before = dict(system.in_run)
+    of_time = 0 if isinstance(t, Tensor) and t.dim() else None
+
+    def one(
+        t: float | Tensor, x: Tensor, u: Tensor, pushed: dict[Port, Tensor], own: dict[str, Tensor]
+    ) -> Tensor:
+        system.in_run.update({name: lambda _, value=value: value for name, value in own.items()})  # type: ignore[misc]
+        return system.dynamics(t, x[None], u[None], {port: part[None] for port, part in pushed.items()})[0]
+
+    try:
+        out: Tensor = torch.func.vmap(one, (of_time, 0, 0, 0, 0))(t, x, u, dict(forces), rows)
+    finally:
+        system.in_run.clear()
+        system.in_run.update(before)
+    return out
+
+
 def owner_of(system: System, target: str) -> tuple[Parametrised, str]:
     """The machine or the effect that has a parameter, and the name of it there.
 

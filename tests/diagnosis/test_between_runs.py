@@ -140,6 +140,42 @@ def test_a_zero_of_a_joint_that_differs_has_its_runs_and_the_option_that_takes_i
 
 
 @pytest.mark.slow
+def test_a_load_at_the_tip_of_an_arm_differs_in_all_parameters_that_it_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    maker = importlib.import_module("make_data")
+    mass, centre, inertia, tip, still = 0.6, 0.14, 0.006, 0.28, maker.friction(np.zeros(2), np.zeros(2))
+    true: dict[str, dict[str, float]] = {name: {} for name in ("a", "b", "d", "g1", "g2")}
+    for r, load in enumerate((0.0, 0.1, 0.2)):
+        both, at = mass + load, (mass * centre + load * tip) / (mass + load)
+        own = inertia + mass * centre**2 + load * tip**2
+        for name, value in (("MASS_2", both), ("CENTRE_2", at), ("INERTIA_2", own - both * at**2)):
+            monkeypatch.setattr(maker, name, value)
+        maker.write(tmp_path / str(r), still, seed=31 + r, runs=1, seconds=10.0)
+        (tmp_path / str(r) / "run_0.csv").rename(tmp_path / f"run_{r}.csv")
+        far, low = both * 0.25 * at, own
+        values = (
+            0.012 + 0.12**2 + both * 0.25**2 + low,
+            far,
+            low,
+            (0.12 + both * 0.25) * 9.81,
+            both * at * 9.81,
+        )
+        for name, value in zip(true, values, strict=True):
+            true[name][f"run_{r}"] = value
+    data = nsde_torch.read(tmp_path, system=HOME)
+    found = nsde_torch.diagnose(data, system=HOME, candidates=["viscous_friction"], say=False).content()
+    assert found["verdict"] == "effect_found"
+    assert set(found["added"]) == {f"run_difference[{name}]" for name in true}
+    for name, values in true.items():
+        each = sizes(found, f"run_difference[{name}]")
+        (reference,) = set(values) - set(each)
+        for run, (change, low, high) in each.items():
+            assert change == pytest.approx(values[run] - values[reference], rel=0.01)
+            assert low < change < high
+
+
+@pytest.mark.slow
 def test_a_reader_takes_out_what_one_run_reads_too_much(folder: Path) -> None:
     plain = nsde_torch.read(folder, system=HOME)
     data = nsde_torch.read(

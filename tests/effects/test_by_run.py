@@ -6,10 +6,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from nsde_torch.effects import Effect, effect_class, effects_of, key_of
+from nsde_torch.effects import Effect, Parameter, Port, effect_class, effects_of, key_of
 from nsde_torch.effects.by_run import BY_RUN, MASS, RUN, ByRun, difference_name
 from nsde_torch.errors import ConfigError
-from nsde_torch.systems import System, make_system
+from nsde_torch.systems import Defaults, System, make_system
 from nsde_torch.systems.in_run import difference_on, may_differ
 from nsde_torch.systems.parameters import ParameterVector
 
@@ -97,19 +97,53 @@ def test_the_vector_of_parameters_works_out_the_same(name: str) -> None:
     assert torch.allclose(vector.system.drift(0.0, x, wide), other.drift(0.0, x, wide), atol=1e-12)
 
 
-def test_formulas_that_take_no_value_for_each_row_are_found_out() -> None:
-    system = machine("hexacopter")
-    x, u, _ = rows(system)
-    assert may_differ(system, "roll_gain", x, u)
+class Flat(System):
+    """A machine whose formulas take columns apart, with a number of each parameter for all rows."""
 
-    class Flat(type(system)):  # type: ignore[misc]
-        name = "flat"
+    name = "flat"
+    state_names, state_units, input_names, input_units = ("a", "b"), ("m", "m"), ("u",), ("N",)
+    ports, position_derivatives, residual_ports = {Port.FORCE: 1}, (), {}
+    defaults = Defaults(0.01, 25, (0.01, 0.01), 0.1, 1.0, "euler_maruyama")
+    PARAMETERS = {name: Parameter(1.0, "1/s", low=0.0) for name in ("own", "mixed")}
 
+    def dynamics(self, t: Any, x: Tensor, u: Tensor, forces: Any) -> Tensor:
+        a, b = x.unbind(1)
+        own, mixed = self.value("own"), self.value("mixed")
+        push = u[:, 0] + forces[Port.FORCE][:, 0] if Port.FORCE in forces else u[:, 0]
+        return torch.stack((t * push - own * a + mixed * b, mixed * (a - b)), 1)
+
+
+def flat(own: float) -> System:
+    system = Flat().double()
+    system.set_value("own", own)
+    return system
+
+
+@pytest.mark.parametrize("t", [0.5, torch.tensor(0.5), torch.full((5,), 0.5)])
+def test_formulas_may_be_written_in_any_way(t: float | Tensor) -> None:
+    system = flat(2.0)
+    x, u, wide = rows(system)
+    assert may_differ(system, "own", x, u)
+    found = differing(system, "own", 0.5, -0.25)
+    push = {Port.FORCE: torch.randn(len(x), 1, dtype=torch.float64)}
+    rate = found.drift(t, x, wide, push)
+    vector = ParameterVector(found)
+    assert torch.allclose(vector.system.drift(t, x, wide, push), rate, atol=1e-12)
+    for row, own in enumerate((2.0, 2.5, 1.75, 2.0, 2.0)):
+        one, force = slice(row, row + 1), {Port.FORCE: push[Port.FORCE][row : row + 1]}
+        there = flat(own).drift(0.5, x[one], u[one], force)
+        assert torch.allclose(rate[one], there, rtol=1e-6)
+    assert torch.allclose(found.drift(t, x, wide, push), rate)  # the parameters are put back
+
+
+def test_a_formula_that_needs_plain_numbers_is_found_out() -> None:
+    class Plain(Flat):
         def dynamics(self, t: Any, x: Tensor, u: Tensor, forces: Any) -> Tensor:
-            rate = super().dynamics(t, x, u, forces)
-            return rate + torch.cat((self.value("roll_gain"), torch.zeros(12, dtype=rate.dtype)))
+            return -float(self.value("own")) * x
 
-    assert not may_differ(Flat().double(), "roll_gain", x, u)
+    system = Plain().double()
+    x, u, _ = rows(system)
+    assert not may_differ(system, "own", x, u)
 
 
 def test_an_effect_that_is_gone_takes_what_differs_in_it_along() -> None:

@@ -71,6 +71,8 @@ _LATER = (  # than the committed seeds, whose draws stay what they were
     "asymmetric_lag",
     "tracked_point",
     "supply_sag",
+    "slung_load",
+    *(f"hidden_mass{of}" for of in ("", "[cart]", "[pole]", "[q1]", "[q2]")),
     *(f"stop_{side}{of}" for side in ("above", "below") for of in ("", "[cart]", "[q1]", "[q2]")),
     "link_weight[q1]",
     "link_weight[q2]",

@@ -55,19 +55,18 @@ def with_laws(
     joint: JointSelection,
     outcome: Outcome,
     conclude: Callable[[JointSelection], Outcome],
-    predicted: Callable[[FittedPhysics], float],
     *,
     of_functions: bool,
 ) -> Outcome:
     """The outcome with laws that no catalogue has, where functions explain more and such laws do too.
 
-    `joint` is the selection that was concluded from, `predicted` how much of what some physics leaves inputs surely
-    predict, and `of_functions` whether functions of what was measured say anything of such a log.
+    `joint` is the selection that was concluded from, and `of_functions` says whether functions of what was measured say
+    anything of such a log.
     """
     settings = search.search
     if not search.tries_laws:
         return outcome
-    laws, before = _LawSearch(search, predicted, of_functions), set(joint.selected)
+    laws, before = _LawSearch(search, of_functions), set(joint.selected)
     joint = laws.named_by_the_catalogue(joint)  # laws that took the place of effects
     if joint.selected.keys() != before:
         outcome = conclude(joint)
@@ -96,16 +95,11 @@ def with_laws(
     )
 
 
-_LESS = 0.9  # of what inputs predict, that is left by a law which is the reason of it
-
-
 class _LawSearch:
     """Adds laws to physics; remembers functions beside physics."""
 
-    def __init__(
-        self, search: JointSearch, predicted: Callable[[FittedPhysics], float], of_functions: bool
-    ) -> None:
-        self._search, self._predicted, self._of_functions = search, predicted, of_functions
+    def __init__(self, search: JointSearch, of_functions: bool) -> None:
+        self._search, self._of_functions = search, of_functions
         self._functions: dict[frozenset[str], Functions | None] = {}
         self._unseen: dict[frozenset[str], list[Term]] = {}
 
@@ -173,24 +167,14 @@ class _LawSearch:
         of_effects = {n: e for n in replaced if isinstance(e := effect_of(place.system, n), Law)}
         for name in replaced:
             place = search.without(place, name)
-        laws, unseen, most = set[str](), set[str](), search.search.decisions.most_effects
-        known: float | None = None
+        laws, most = set[str](), search.search.decisions.most_effects
         while len(laws) < search.search.budgets.laws and len(search.added(place.system)) < most:
             better = self._with_a_law(place, list(of_effects.values()))
             if better is None:
                 break
             laws |= search.added(better.system) - search.added(place.system)
-            unseen |= {term.law for term in self.unseen(place)}
-            # where inputs know what the log does not whatever the law, it would be a lead, and take the place of what
-            # else there is (of a wind of 4.2 m/s a force that goes with the height, Neural-Fly, pulses below 1000 cut
-            # off; half of the time of such flights)
-            if known != 0.0 and not laws <= unseen:
-                before = self._predicted(place) if known is None else known
-                known = self._predicted(better) if before > 0.0 else 0.0
-                if known > _LESS * before:
-                    return None
             place = better
-        if not laws or known:
+        if not laws:
             return None
         found = self.named_by_the_catalogue(search.concluded(place, before=joint.selected))
         if found.selected.keys() == joint.selected.keys():
@@ -309,8 +293,10 @@ def same_effect(steps: Steps, system: System, law: str) -> tuple[str, Start] | N
             more = [_made(system, name, {**sizes, **shaped, k: 1.5 * v}) for k, v in sizes.items()]
         except ConfigError:  # beyond the bounds of its shapes
             continue
+        if other.n_memory:
+            continue
         theirs = _pushes(steps, system, other)
-        if other.n_memory or theirs.shape != mine.shape or not mine @ mine > 0:
+        if theirs.shape != mine.shape or not mine @ mine > 0:
             continue
         parts = np.stack([_pushes(steps, system, one) - theirs for one in more], 1)
         off = mine - parts @ np.linalg.lstsq(parts, mine, rcond=1e-12)[0]

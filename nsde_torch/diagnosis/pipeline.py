@@ -407,7 +407,6 @@ def _concluded_with_laws(log: Log, search: Search, made: JointSearch, joint: Joi
             joint,
             outcome,
             partial(_concluded, log, search),
-            lambda place: log.loop(_of_the_same_rows(search, joint).at(place)).predicted,
             of_functions=not silent(log),
         ),
         outcome,

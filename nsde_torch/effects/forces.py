@@ -1,13 +1,70 @@
-"""Forces of one coordinate: constant, periodic, elastic."""
+"""Forces of one coordinate: constant, periodic, elastic, of a hidden mass."""
 
+from abc import abstractmethod
 from math import pi
-from typing import final
+from typing import ClassVar, final
 
 import torch
 from torch import Tensor
 
-from nsde_torch.effects.base import Parameter, Port, elapsed
+from nsde_torch.effects.base import Effect, Parameter, Port, elapsed
 from nsde_torch.effects.law import Law
+
+
+class HiddenSwing(Effect):
+    """A mass that hangs on a machine and is not in the log: its place y follows the machine's, and pulls back.
+
+    y'' = w^2 (q - y) + 2 d w (q' - y');  memory holds y - q and y', in one or two directions.
+    """
+
+    RATIO: ClassVar[Parameter] = Parameter(
+        0.1, "1", low=0.005, high=1.0, scale=0.05, help="damping, as a ratio to the critical one"
+    )
+    ways: ClassVar[int] = 1  # directions
+
+    @abstractmethod
+    def swing(self) -> Tensor:
+        """Its frequency w [rad/s] (1,), the machine held."""
+
+    @abstractmethod
+    def velocity(self, x: Tensor) -> Tensor:
+        """Velocity of the machine (N, ways), from the state."""
+
+    @property
+    def n_memory(self) -> int:
+        """How far it is ahead of the machine, and its velocity."""
+        return 2 * self.ways
+
+    def pull(self, x: Tensor, memory: Tensor) -> Tensor:
+        """Force on the machine (N, ways)."""
+        return -self.value("mass") * self._acceleration(x, memory)
+
+    def _acceleration(self, x: Tensor, memory: Tensor) -> Tensor:
+        w, (ahead, speed) = self.swing(), memory.split(self.ways, 1)
+        return -w * (w * ahead + 2.0 * self.value("damping") * (speed - self.velocity(x)))
+
+    def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return torch.cat((memory[:, self.ways :] - self.velocity(x), self._acceleration(x, memory)), 1)
+
+    def followed(self, x: Tensor, dt: float) -> Tensor:
+        """See `Effect.followed`; exact for a velocity that is a straight line between the rows."""
+        import numpy as np
+        from scipy.linalg import expm
+
+        from nsde_torch.effects.recursions import second_order
+
+        w, damping = float(self.swing().detach()), float(self.value("damping").detach())
+        rub = 2.0 * damping * w
+        # rates of [ahead, speed, velocity, its slope]
+        rates = np.array([[0, 1, -1, 0], [-w * w, -rub, rub, 0], [0, 0, 0, 1], [0, 0, 0, 0]])
+        v = self.velocity(x).double().numpy()
+        along = second_order(expm(rates * dt)[:2], np.concatenate((v, v[-1:])), dt)
+        return torch.from_numpy(0.5 * (along[1:] + along[:-1])).to(x.dtype)
+
+    def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
+        """See `Effect.memory_start`: it moves along."""
+        v = self.velocity(x)
+        return torch.cat((torch.zeros_like(v), v), 1)
 
 
 class ConstantForce(Law):
@@ -215,6 +272,40 @@ class CubicStiffness(Law):
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         q = self.q(x)
         return -self.value("stiffness") * q * q * q
+
+
+@final
+class HiddenMass(HiddenSwing, Law):
+    """A further mass on a spring that is not in the log: liquid that sloshes, a flexible arm."""
+
+    name = "hidden_mass"
+    formula = "-m y'', y'' = w^2 (q - y) + 2 d w (v - y'), w = 2 pi f"
+    source = "the absorber of den Hartog, Mechanical Vibrations (1934)"
+    PARAMETERS = {
+        "mass": Parameter(0.1, "force s/speed", low=0.0, help="hidden mass (over mass, where forces are)"),
+        "frequency": Parameter(
+            1.0, "Hz", low=0.05, high=20.0, scale=0.5, help="of it alone, the machine held"
+        ),
+        "damping": HiddenSwing.RATIO,
+    }
+    amplitudes = ("mass",)
+    shapes = {"frequency": (0.4, 0.8, 1.6, 3.2, 6.4), "damping": (0.1,)}
+    sentence = (
+        "A hidden mass of {mass} swings on {it}: {frequency} if the machine is held, with {damping} of the critical "
+        "damping."
+    )
+    separate = "stop the machine at once and hold it: what swings on is not in the log"
+
+    def swing(self) -> Tensor:
+        """See `HiddenSwing`."""
+        return 2.0 * pi * self.value("frequency")
+
+    def velocity(self, x: Tensor) -> Tensor:
+        """See `HiddenSwing`."""
+        return self.v(x)
+
+    def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return self.pull(x, memory)
 
 
 class PositionBias(Law):

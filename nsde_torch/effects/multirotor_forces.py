@@ -7,6 +7,7 @@ from torch import Tensor
 
 from nsde_torch.columns import columns, split_columns, stack_columns
 from nsde_torch.effects.base import Effect, Parameter, Port, elapsed
+from nsde_torch.effects.forces import HiddenSwing
 from nsde_torch.rotation import cross, euler_coupling, matrix, rate_products, rotate_back, turned
 
 GRAVITY = 9.81
@@ -180,6 +181,43 @@ class ConstantWorldForce(Effect):
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         return self.value("acceleration").expand(x.shape[0], 3)
+
+
+@final
+class SlungLoad(HiddenSwing):
+    """A load that hangs below the centre of mass and is not in the log; it swings by small angles.
+
+    Its weight is part of what hovering takes, and of the declared gain of thrust.
+    """
+
+    name = "slung_load"
+    port = Port.WORLD_FORCE
+    needs = (Port.BODY_FORCE,)
+    formula = "-m y'', y'' = (g / l) (p - y) + 2 d sqrt(g / l) (v - y'), east and north"
+    source = "to first order; Goodarzi, Lee, Lee, American Control Conference (2014)"
+    PARAMETERS = {
+        "mass": Parameter(0.1, "1", low=0.0, help="mass of the load over that of the machine"),
+        "length": Parameter(
+            1.0, "m", low=0.05, high=50.0, scale=0.5, help="from the centre of mass to the load"
+        ),
+        "damping": HiddenSwing.RATIO,
+    }
+    ways = 2
+    amplitudes = ("mass",)
+    shapes = {"length": (0.3, 0.7, 1.5, 3.5), "damping": (0.05,)}
+    sentence = "A load of {mass} of the machine's mass swings {length} below it, at {damping} of the critical damping."
+    separate = "fly to and fro at the pace at which it swings, and at half and twice that"
+
+    def swing(self) -> Tensor:
+        """See `HiddenSwing`."""
+        return (GRAVITY / self.value("length")).sqrt()
+
+    def velocity(self, x: Tensor) -> Tensor:
+        """See `HiddenSwing`: to east and north."""
+        return x[:, 3:5]
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        return torch.nn.functional.pad(self.pull(x, memory), (0, 1))
 
 
 @final

@@ -40,6 +40,28 @@ def two_lags(u: Array, rising: float, falling: float) -> Array:
 
 
 @compiled
+def second_order(over: Array, v: Array, dt: float) -> Array:
+    """Two states (n, 2 d) of a linear equation, those of all directions beside one another, along velocities (n, d).
+
+    Velocities are straight over each step; the states begin at nothing and the velocity. `over` (2, 4) is what states,
+    velocity and its slope at the start of a step make of the states at its end.
+    """
+    ways = v.shape[1]
+    out = np.empty((len(v), 2 * ways))
+    for k in range(ways):
+        a, b = 0.0, v[0, k]
+        out[0, k], out[0, ways + k] = a, b
+        for i in range(len(v) - 1):
+            at, slope = v[i, k], (v[i + 1, k] - v[i, k]) / dt
+            a, b = (
+                over[0, 0] * a + over[0, 1] * b + over[0, 2] * at + over[0, 3] * slope,
+                over[1, 0] * a + over[1, 1] * b + over[1, 2] * at + over[1, 3] * slope,
+            )
+            out[i + 1, k], out[i + 1, ways + k] = a, b
+    return out
+
+
+@compiled
 def bouc_wen(ways: Array, z: float) -> Array:
     """Hysteresis z (n + 1,) along ways (n,), as multiples of its reach, from its value at the start.
 

@@ -191,11 +191,6 @@ class FeedbackTest:
         return said[0] if said else ""
 
     @property
-    def predicted(self) -> float:
-        """Shares of the innovations of channels that inputs surely predict, summed."""
-        return sum(a.share for a in self.knowledge if a.chance < ALPHA)
-
-    @property
     def functions_of_state(self) -> tuple[str, ...]:
         """Names of directions whose inputs are nearly a function of the logged state, in a closed loop."""
         return tuple(name for name, share in self.new.items() if share < _NEW and self.closed)

@@ -9,7 +9,9 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from nsde_torch.effects import make_effect
+from nsde_torch.effects.forces import HiddenMass
 from nsde_torch.effects.friction import Hysteresis, InputPlay
+from nsde_torch.effects.multirotor_forces import SlungLoad
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import make_system
 from tests.helpers.effect_contract import EffectContract, contract
@@ -164,6 +166,49 @@ DT = 0.01
 
 TestHysteresis = contract("hysteresis", "mass_spring_damper", memory=1)
 TestInputPlay = contract("input_play", "mass_spring_damper", memory=1)
+
+
+TestHiddenMass = contract("hidden_mass", "mass_spring_damper", memory=2)
+TestHiddenMassOfPole = contract("hidden_mass[pole]", "cartpole", memory=2)
+TestSlungLoad = contract("slung_load", "hexacopter", memory=4)
+
+
+@pytest.mark.parametrize("frequency", [0.5, 3.0])
+def test_a_hidden_mass_follows_and_pulls_as_two_masses_on_a_spring_do(frequency: float) -> None:
+    t, w, ratio, mass = DT * np.arange(801), 2.0 * np.pi * frequency, 0.07, 0.2
+
+    def v(at: float) -> float:
+        return float(np.sin(2.0 * at) + 0.5 * np.cos(5.0 * at))
+
+    def rates(at: float, y: np.ndarray) -> np.ndarray:  # [way of the machine, place of the mass, its speed]
+        return np.array([v(at), y[2], w * w * (y[0] - y[1]) + 2.0 * ratio * w * (v(at) - y[2])])
+
+    found = solve_ivp(rates, (0.0, t[-1]), [0.0, 0.0, v(0.0)], t_eval=t, rtol=1e-9, atol=1e-9).y
+    speeds = np.array([v(at) for at in t])
+    values = {"mass": mass, "frequency": frequency, "damping": ratio}
+    effect = HiddenMass(values).double()
+    x = torch.from_numpy(np.column_stack([found[0], speeds]))
+    along = effect.followed(x[:-1], DT)
+    expected = np.column_stack([found[1] - found[0], found[2]])
+    np.testing.assert_allclose(along[:-1], 0.5 * (expected[1:-1] + expected[:-2]), atol=2e-3)
+    memory = torch.from_numpy(expected)
+    pull = effect(0.0, x, x[:, :1], memory)[:, 0].detach().numpy()
+    slope = np.gradient(found[2], DT, edge_order=2)
+    np.testing.assert_allclose(pull[2:-2], -mass * slope[2:-2], atol=0.02)
+    rate = effect.memory_rate(0.0, x, x[:, :1], memory).detach().numpy()
+    np.testing.assert_allclose(rate[2:-2, 0], np.gradient(expected[:, 0], DT)[2:-2], atol=0.02)
+    np.testing.assert_allclose(effect.memory_start(x[:1], x[:1, :1])[0], [0.0, v(0.0)])
+
+
+def test_a_slung_load_pulls_east_and_north_alike_and_not_up() -> None:
+    load = SlungLoad({"mass": 0.2, "length": 1.5, "damping": 0.05}).double()
+    x, memory = torch.zeros(1, 13).double(), torch.tensor([[0.3, -0.1, 0.0, 0.0]]).double()
+    pull = load(0.0, x, x[:, :6], memory)[0].detach()
+    assert pull.tolist() == pytest.approx([0.2 * 9.81 / 1.5 * 0.3, -0.2 * 9.81 / 1.5 * 0.1, 0.0])
+    moving = torch.zeros(50, 13).double()
+    moving[:, 3], moving[:, 4] = 1.0, 2.0
+    along = load.followed(moving, DT)
+    np.testing.assert_allclose(along, np.tile([0.0, 0.0, 1.0, 2.0], (50, 1)), atol=1e-12)
 
 
 def _bouc_wen(t: np.ndarray, reach: float) -> np.ndarray:

@@ -11,21 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from nsde_torch.arrays import Array
-from nsde_torch.plots.style import (
-    BLACK,
-    BLUE,
-    COLOURS,
-    GREY,
-    VERMILLION,
-    WIDTH,
-    few_ticks,
-    label,
-    legend_below,
-    panels,
-    pretty,
-    styled,
-    thin,
-)
+from nsde_torch.plots import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -135,7 +121,7 @@ class SystemLike(Protocol):
     def position_derivatives(self) -> tuple[tuple[str, str, str], ...]: ...
 
 
-@styled
+@style.styled
 def data_summary(dataset: DataSetLike, system: SystemLike, *, title: str | None = None) -> Figure:
     """The data over time.
 
@@ -172,8 +158,8 @@ def _pieces(run: RunLike) -> list[tuple[Array, slice]]:
 def _mark_gaps(ax: Axes, run: RunLike) -> None:
     for (_, stop), (start, _) in zip(run.segments[:-1], run.segments[1:], strict=True):
         a, b = float(run.t[stop - 1] - run.t[0]), float(run.t[start] - run.t[0])
-        ax.axvspan(a, b, color=VERMILLION, alpha=0.25, linewidth=0)
-        ax.axvline(0.5 * (a + b), color=VERMILLION, linestyle=":", linewidth=1.2, gid="gap")
+        ax.axvspan(a, b, color=style.VERMILLION, alpha=0.25, linewidth=0)
+        ax.axvline(0.5 * (a + b), color=style.VERMILLION, linestyle=":", linewidth=1.2, gid="gap")
 
 
 def _flights(runs: Sequence[RunLike], system: SystemLike, title: str) -> Figure:
@@ -186,40 +172,38 @@ def _flights(runs: Sequence[RunLike], system: SystemLike, title: str) -> Figure:
     shown = min(len(runs), COLUMNS)
     if shown < len(runs):
         title += f"; the first {shown} drawn, lines over all"
-    figure, axes = panels(4, shown, height=7.6, title=title, sharex="col", sharey="row")
+    figure, axes = style.panels(4, shown, height=7.6, title=title, sharex="col", sharey="row")
     gaps = False
     for c, run in enumerate(runs[:shown]):
         for k, (name, unit) in enumerate(channels):
             ax = axes[k, c]
             for (t, _), values in zip(_pieces(run), curves[c], strict=True):
-                ax.plot(*thin(t, values[:, k]), color=BLUE, linewidth=0.9)
+                ax.plot(*style.thin(t, values[:, k]), color=style.BLUE, linewidth=0.9)
             for level, dash in ((q95[k], "--"), (top[k], "-")):
                 for sign in (1,) if name == "speed" else (1, -1):
-                    ax.axhline(sign * level, color=BLACK, linestyle=dash, linewidth=0.9)
+                    ax.axhline(sign * level, color=style.BLACK, linestyle=dash, linewidth=0.9)
             _mark_gaps(ax, run)
             gaps = gaps or len(run.segments) > 1
             low = 0.0 if name == "speed" else -1.15 * top[k]
             ax.set_ylim(low, max(1.15 * top[k], 1e-9))
             if c == 0:
-                ax.set_ylabel(label(name, unit))
+                ax.set_ylabel(style.label(name, unit))
         axes[0, c].set_title(run.name, pad=18)
         axes[-1, c].set_xlabel("time [s]")
         axes[-1, c].set_xlim(0, float(run.t[-1] - run.t[0]))
     for k, (name, unit) in enumerate(channels):
         digits = 2 if unit == "m/s" else 0
         mark = "" if name == "speed" else "|"
-        text = (
-            f"{mark}{name}{mark}: 95 % below {q95[k]:.{digits}f}, largest {top[k]:.{digits}f} {pretty(unit)}"
-        )
-        axes[k, 0].annotate(text, (0.0, 1.02), xycoords="axes fraction", fontsize=8.5, color=BLACK)
+        text = f"{mark}{name}{mark}: 95 % below {q95[k]:.{digits}f}, largest {top[k]:.{digits}f} {style.pretty(unit)}"
+        axes[k, 0].annotate(text, (0.0, 1.02), xycoords="axes fraction", fontsize=8.5, color=style.BLACK)
     lines = {
-        "measured": Line2D([], [], color=BLUE),
-        "95 % of the magnitudes": Line2D([], [], color=BLACK, linestyle="--", linewidth=0.9),
-        "largest magnitude": Line2D([], [], color=BLACK, linewidth=0.9),
+        "measured": Line2D([], [], color=style.BLUE),
+        "95 % of the magnitudes": Line2D([], [], color=style.BLACK, linestyle="--", linewidth=0.9),
+        "largest magnitude": Line2D([], [], color=style.BLACK, linewidth=0.9),
     }
     if gaps:
-        lines["gap in the recording"] = Line2D([], [], color=VERMILLION, linestyle=":")
-    legend_below(figure, list(lines.values()), list(lines))
+        lines["gap in the recording"] = Line2D([], [], color=style.VERMILLION, linestyle=":")
+    style.legend_below(figure, list(lines.values()), list(lines))
     figure.align_ylabels(list(axes[:, 0]))
     return figure
 
@@ -232,16 +216,16 @@ def _channels(dataset: DataSetLike, system: SystemLike, title: str) -> Figure:
     units: Mapping[str, str] = dict(zip(system.input_names, system.input_units, strict=True))
     names = [*system.state_names, *dataset.input_names]
     labels = [
-        *(label(n, u) for n, u in zip(system.state_names, system.state_units, strict=True)),
-        *(label(n, units.get(n, "")) for n in dataset.input_names),
+        *(style.label(n, u) for n, u in zip(system.state_names, system.state_units, strict=True)),
+        *(style.label(n, units.get(n, "")) for n in dataset.input_names),
     ]
     pairs = [(names.index(p), names.index(v)) for p, v, _ in system.position_derivatives]
-    figure = Figure(figsize=(WIDTH, 1.2 + 1.35 * max(len(names), 2 * len(pairs))), layout="constrained")
+    figure = Figure(figsize=(style.WIDTH, 1.2 + 1.35 * max(len(names), 2 * len(pairs))), layout="constrained")
     figure.suptitle(title)
     ratios = (1.7, 1.0) if pairs else (1.7,)
     parts = figure.subfigures(1, len(ratios), squeeze=False, width_ratios=ratios)
-    few = len(runs) <= len(COLOURS)
-    colours = list(COLOURS[: len(runs)]) if few else [BLUE] * len(runs)
+    few = len(runs) <= len(style.COLOURS)
+    colours = list(style.COLOURS[: len(runs)]) if few else [style.BLUE] * len(runs)
     alpha = 0.9 if few else max(0.15, min(0.6, 12 / len(runs)))
     axes = parts[0, 0].subplots(len(names), 1, squeeze=False, sharex=True)[:, 0]
     mark = len(runs) <= COLUMNS
@@ -249,12 +233,12 @@ def _channels(dataset: DataSetLike, system: SystemLike, title: str) -> Figure:
         table = np.concatenate([run.x, run.u], axis=1)
         for k, ax in enumerate(axes):
             for t, rows in _pieces(run):
-                ax.plot(*thin(t, table[rows, k]), color=colour, alpha=alpha, linewidth=0.9)
+                ax.plot(*style.thin(t, table[rows, k]), color=colour, alpha=alpha, linewidth=0.9)
             if mark:
                 _mark_gaps(ax, run)
     for ax, text in zip(axes, labels, strict=True):
         ax.set_ylabel(text)
-        few_ticks(ax, y=4)
+        style.few_ticks(ax, y=4)
     axes[0].set_xlim(0, max(float(r.t[-1] - r.t[0]) for r in runs))
     axes[-1].set_xlabel("time from the start of the run [s]")
     parts[0, 0].align_ylabels(list(axes))
@@ -266,9 +250,9 @@ def _channels(dataset: DataSetLike, system: SystemLike, title: str) -> Figure:
     handles = [Line2D([], [], color=c) for c in colours] if few else []
     texts = [run.name for run in runs] if few else []
     if mark and any(len(run.segments) > 1 for run in runs):
-        handles.append(Line2D([], [], color=VERMILLION, linestyle=":"))
+        handles.append(Line2D([], [], color=style.VERMILLION, linestyle=":"))
         texts.append("gap in the recording")
-    legend_below(figure, handles, texts)
+    style.legend_below(figure, handles, texts)
     return figure
 
 
@@ -281,5 +265,5 @@ def _portrait(
             x = run.x[rows.start : rows.stop : max((rows.stop - rows.start) // 3000, 1)]
             ax.plot(x[:, i], x[:, j], color=colour, alpha=alpha, linewidth=0.8)
         ax.plot(run.x[0, i], run.x[0, j], "o", color=colour, markersize=3.0)
-    ax.axhline(0, color=GREY, linewidth=0.6)
+    ax.axhline(0, color=style.GREY, linewidth=0.6)
     ax.set_title("phase portrait (dot: start)")

@@ -11,22 +11,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.arrays import Array
 from nsde_torch.errors import ShapeError
-from nsde_torch.plots.style import (
-    BLUE,
-    GREY,
-    VERMILLION,
-    few_ticks,
-    grid,
-    key,
-    label,
-    legend_below,
-    panels,
-    plain_decades,
-    plain_logarithm,
-    pretty,
-    seconds_axis,
-    styled,
-)
+from nsde_torch.plots import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,18 +39,14 @@ class Surface:
     data: Array  # logged values of the variables (N, 1 or 2)
 
 
-@styled
+@style.styled
 def flexible_surface(surface: Surface, *, title: str) -> Figure:
-    """What functions add, and the 90 % interval; grey where no data are near.
-
-    Returns:
-        A curve over one variable; over two, a map and a map of the half width of its interval.
-    """
+    """What functions add over one variable, or a map over two, and the 90 % interval; grey where no data are near."""
     from matplotlib.colors import ListedColormap
 
     if len(surface.axes) == 1:
         return _curve(surface, title)
-    figure, axes = panels(1, 2, height=4.2, title=title)
+    figure, axes = style.panels(1, 2, height=4.2, title=title)
     shown = np.abs(surface.mean[~surface.far])
     largest = float(shown.max()) if shown.size else 1.0
     added = axes[0, 0], surface.mean, "RdBu_r", (-largest, largest), "what is added"
@@ -74,38 +55,38 @@ def flexible_surface(surface: Surface, *, title: str) -> Figure:
     sure = axes[0, 1], error, "viridis", (0.0, float(seen.max()) if seen.size else 1.0), "+- of it (90 %)"
     for ax, values, colours, (low, high), name in (added, sure):
         mesh = ax.pcolormesh(*surface.axes, values, cmap=colours, vmin=low, vmax=high, rasterized=True)
-        figure.colorbar(mesh, ax=ax, label=label(f"{surface.row}: {name}", surface.unit))
+        figure.colorbar(mesh, ax=ax, label=style.label(f"{surface.row}: {name}", surface.unit))
         veil = np.where(surface.far, 1.0, np.nan)
         ax.pcolormesh(*surface.axes, veil, cmap=ListedColormap([_VEIL]), vmin=0.0, vmax=1.0, rasterized=True)
         some = _some(surface.data)
         ax.plot(some[:, 0], some[:, 1], ".", color="black", markersize=2, alpha=0.4, label="data")
         ax.plot([], [], "s", color=_VEIL, label="no data near: not to be trusted")
         ax.grid(visible=False)
-        ax.set(xlabel=label(*surface.variables[0]), ylabel=label(*surface.variables[1]))
-    key(figure, axes[0, 0])
+        ax.set(xlabel=style.label(*surface.variables[0]), ylabel=style.label(*surface.variables[1]))
+    style.key(figure, axes[0, 0])
     return figure
 
 
 def _curve(surface: Surface, title: str) -> Figure:
-    figure, axes = panels(1, 1, height=3.6, title=title)
+    figure, axes = style.panels(1, 1, height=3.6, title=title)
     ax, x, near = axes[0, 0], surface.axes[0], ~surface.far
     half = _HALF * surface.error
-    ax.axhline(0.0, color=GREY, linewidth=0.8)
+    ax.axhline(0.0, color=style.GREY, linewidth=0.8)
     for where, colour, name in (
-        (near, BLUE, "90 % interval"),
+        (near, style.BLUE, "90 % interval"),
         (surface.far, _VEIL, "no data near: not to be trusted"),
     ):
         mean = np.where(where, surface.mean, np.nan)
         ax.fill_between(
-            x, mean - half, mean + half, color=colour, alpha=0.25 if colour == BLUE else 0.8, label=name
+            x, mean - half, mean + half, color=colour, alpha=0.25 if colour == style.BLUE else 0.8, label=name
         )
-    ax.plot(x, np.where(near, surface.mean, np.nan), color=BLUE, label="what is added")
+    ax.plot(x, np.where(near, surface.mean, np.nan), color=style.BLUE, label="what is added")
     low, high = ax.get_ylim()
     some = _some(surface.data)[:, 0]
     ax.plot(some, np.full(len(some), low), "|", color="black", alpha=0.4, label="data")
     ax.set_ylim(low, high)
-    ax.set(xlabel=label(*surface.variables[0]), ylabel=label(surface.row, surface.unit))
-    key(figure, ax)
+    ax.set(xlabel=style.label(*surface.variables[0]), ylabel=style.label(surface.row, surface.unit))
+    style.key(figure, ax)
     return figure
 
 
@@ -113,7 +94,7 @@ def _some(data: Array) -> Array:
     return np.asarray(data[np.linspace(0, len(data) - 1, min(len(data), _CURVE_POINTS)).round().astype(int)])
 
 
-BEFORE, AFTER = VERMILLION, BLUE
+BEFORE, AFTER = style.VERMILLION, style.BLUE
 _POINTS = 1500
 _SEED = 0  # of the points that are drawn
 
@@ -167,30 +148,23 @@ _LOOKS = {
 }
 
 
-@styled
+@style.styled
 def residual_views(views: Sequence[Panel], *, title: str) -> Figure:
-    """Residual rates against variables: means in bins with 90 % intervals over a light scatter.
-
-    Returns:
-        A figure of one panel per view, two in a row.
-
-    Raises:
-        ShapeError: there is no panel.
-    """
+    """Residual rates against variables: means in bins with 90 % intervals over a light scatter."""
     if not views:
         raise ShapeError("`views` must hold at least one panel; got none.")
-    figure, axes = grid(len(views), columns=2, row=3.0, spare=0.8, title=title)
+    figure, axes = style.grid(len(views), columns=2, row=3.0, spare=0.8, title=title)
     rng = np.random.default_rng(_SEED)
     for ax, view in zip(axes, views, strict=True):
         _draw(ax, view, rng)
     pairs = (pair for ax in axes for pair in zip(*ax.get_legend_handles_labels(), strict=True))
     marks = {text: mark for mark, text in pairs}
-    legend_below(figure, list(marks.values()), list(marks))
+    style.legend_below(figure, list(marks.values()), list(marks))
     return figure
 
 
 def _draw(ax: Axes, view: Panel, rng: np.random.Generator) -> None:
-    ax.axhline(0.0, color=GREY, linewidth=0.8)
+    ax.axhline(0.0, color=style.GREY, linewidth=0.8)
     reach = 0.0
     left, right = np.inf, -np.inf
     for name, cloud in view.clouds.items():
@@ -221,37 +195,29 @@ def _draw(ax: Axes, view: Panel, rng: np.random.Generator) -> None:
         ax.set_ylim(-1.1 * reach, 1.1 * reach)
     if right > left:
         ax.set_xlim(left, right)
-    ax.set_xlabel(label(view.variable, view.variable_unit))
-    ax.set_ylabel(f"left over of d {view.channel}/dt [{pretty(view.unit)}]")
+    ax.set_xlabel(style.label(view.variable, view.variable_unit))
+    ax.set_ylabel(f"left over of d {view.channel}/dt [{style.pretty(view.unit)}]")
     if view.note:
         ax.set_title(view.note)
-    few_ticks(ax, y=6)
+    style.few_ticks(ax, y=6)
 
 
-@styled
+@style.styled
 def before_after(
     ratios: Mapping[str, tuple[float, float | None, float | None]],
     nats: Mapping[str, tuple[float, float | None, float | None]],
     *,
     title: str,
 ) -> Figure:
-    """Residual on runs left out, after over before, and gain in log-likelihood of one-step predictions, by channel.
+    """Residual on runs left out, after over before, and gain in log-likelihood of one-step predictions [nat].
 
-    Args:
-        ratios: By channel: ratio and the ends of its interval; None where there is none.
-        nats: The same of the log-likelihood [nat].
-
-    Returns:
-        A figure with two panels beside each other.
-
-    Raises:
-        ShapeError: there is no channel, or the panels have different ones.
+    Both by channel: the value and the ends of its interval, None where there is none.
     """
     if not ratios or list(ratios) != list(nats):
         raise ShapeError(
             f"`ratios` and `nats` must have the same channels, at least one; got {list(ratios)} and {list(nats)}."
         )
-    figure, axes = panels(1, 2, height=1.3 + 0.32 * len(ratios), title=title)
+    figure, axes = style.panels(1, 2, height=1.3 + 0.32 * len(ratios), title=title)
     words = ("residual of mean rates, after / before", "gain in one-step log-likelihood [nat]")
     for ax, table, nothing, word in zip(axes.flat, (ratios, nats), (1.0, 0.0), words, strict=True):
         place = np.arange(len(table))[::-1]
@@ -260,7 +226,7 @@ def before_after(
             np.array([row[0] if row[k] is None else row[k] for row in table.values()], dtype=float)
             for k in (1, 2)
         )
-        ax.axvline(nothing, color=GREY, linewidth=0.8)
+        ax.axvline(nothing, color=style.GREY, linewidth=0.8)
         ax.errorbar(
             value,
             place,
@@ -280,7 +246,7 @@ def before_after(
     return figure
 
 
-@styled
+@style.styled
 def errors_before_after(
     horizons: Sequence[float],
     before: Mapping[str, Sequence[float | None]],
@@ -293,18 +259,10 @@ def errors_before_after(
 ) -> Figure:
     """Errors of predictions under replayed inputs by horizon, with the 90 % interval of the difference on the later.
 
-    Args:
-        horizons: Horizons (h,) [s].
-        before, after: By quantity: errors (h,); None where a prediction did not stay finite.
-        low, high: By quantity: 90 % interval of after less before (h,).
-
-    Returns:
-        A figure with one panel per quantity.
-
-    Raises:
-        ShapeError: a curve does not have one value per horizon.
+    By quantity: errors at the horizons (h,) [s], None where a prediction did not stay finite, and the ends of the
+    interval of after less before (h,).
     """
-    figure, axes = grid(len(units), columns=2, row=2.5, spare=0.9, title=title)
+    figure, axes = style.grid(len(units), columns=2, row=2.5, spare=0.9, title=title)
     for ax, (name, unit) in zip(axes, units.items(), strict=True):
         first, second, least, most = (
             np.array([np.nan if v is None else v for v in curves[name]], dtype=float)
@@ -332,34 +290,27 @@ def errors_before_after(
         both = both[np.isfinite(both)]
         if len(both) and both.min() > 0:
             ax.set_ylim(0.6 * both.min(), 1.6 * both.max())
-            plain_logarithm(ax)
-        seconds_axis(ax, horizons)
-        ax.set_ylabel(f"{name} error [{pretty(unit)}]\n(inputs replayed)")
-    key(figure, axes[0])
+            style.plain_logarithm(ax)
+        style.seconds_axis(ax, horizons)
+        ax.set_ylabel(f"{name} error [{style.pretty(unit)}]\n(inputs replayed)")
+    style.key(figure, axes[0])
     return figure
 
 
-@styled
+@style.styled
 def residual_spectra(spectra: Sequence[ResidualSpectrum], *, title: str) -> Figure:
-    """Amplitude densities of residual rates against the floor of white noise.
-
-    Returns:
-        A figure of one panel per channel, two in a row.
-
-    Raises:
-        ShapeError: there is no panel.
-    """
+    """Amplitude densities of residual rates against the floor of white noise."""
     if not spectra:
         raise ShapeError("`spectra` must hold at least one channel; got none.")
-    figure, axes = grid(len(spectra), columns=2, row=2.8, spare=0.9, title=title)
+    figure, axes = style.grid(len(spectra), columns=2, row=2.8, spare=0.9, title=title)
     for ax, s in zip(axes, spectra, strict=True):
         for name, curve in s.curves.items():
-            look = {"color": GREY, "linestyle": "--"} if name == "floor" else {"color": _LOOKS[name][0]}
+            look = {"color": style.GREY, "linestyle": "--"} if name == "floor" else {"color": _LOOKS[name][0]}
             ax.plot(s.frequency, curve, label=name, **look)
         ax.set_xscale("log")
-        plain_logarithm(ax)
-        plain_decades(ax.xaxis)
+        style.plain_logarithm(ax)
+        style.plain_decades(ax.xaxis)
         ax.set_xlabel("frequency [Hz]")
-        ax.set_ylabel(f"left over of d {s.channel}/dt\n[{pretty(s.unit)}/√Hz]")
-    key(figure, axes[0])
+        ax.set_ylabel(f"left over of d {s.channel}/dt\n[{style.pretty(s.unit)}/√Hz]")
+    style.key(figure, axes[0])
     return figure

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,27 +12,8 @@ from numpy.typing import ArrayLike
 
 from nsde_torch.arrays import Array
 from nsde_torch.errors import ShapeError
+from nsde_torch.plots import style
 from nsde_torch.plots.data_figure import with_angles
-from nsde_torch.plots.style import (
-    BLACK,
-    BLUE,
-    COLOURS,
-    DASHES,
-    GREY,
-    MARKS,
-    ORANGE,
-    VERMILLION,
-    few_ticks,
-    grid,
-    key,
-    label,
-    model_look,
-    panels,
-    plain_logarithm,
-    pretty,
-    seconds_axis,
-    styled,
-)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,7 +31,7 @@ def _curve(name: str, values: ArrayLike, n: int) -> Array:
     return curve
 
 
-@styled
+@style.styled
 def calibration_curve(
     nominal: ArrayLike,
     empirical: Mapping[str, ArrayLike],
@@ -60,14 +42,13 @@ def calibration_curve(
 ) -> Figure:
     """Empirical against nominal coverage, and where given the coverage of 90 % intervals at each horizon.
 
+    The shaded range is 85 to 95 % at 90 %.
+
     Args:
         nominal: Probabilities of the central intervals (k,), in (0, 1).
         empirical: Share of the measurements inside them (k,), by group.
         horizons: Horizons (h,) [s].
         per_horizon: Coverage of the 90 % interval at each horizon (h,), by group.
-
-    Returns:
-        A figure with one panel, or two with horizons. The shaded range is 85 to 95 % at 90 %.
 
     Raises:
         ShapeError: a curve does not have one value for each level or horizon.
@@ -79,31 +60,28 @@ def calibration_curve(
         g: _curve(f"per_horizon[{g!r}]", v, len(horizons or ()))
         for g, v in ((per_horizon or {}).items() if two else ())
     }
-    figure, axes = panels(1, 2 if two else 1, height=4.6, title=title)
+    figure, axes = style.panels(1, 2 if two else 1, height=4.6, title=title)
     groups = list(dict.fromkeys([*curves, *later]))
-    looks = {
-        g: {"color": COLOURS[k % 6], "linestyle": DASHES[k % 6], "marker": MARKS[k % 6], "markersize": 4.5}
-        for k, g in enumerate(groups)
-    }
+    marks = zip(groups, cycle(style.COLOURS), cycle(style.DASHES), cycle(style.MARKS), strict=False)
+    looks = {g: {"color": c, "linestyle": line, "marker": m, "markersize": 4.5} for g, c, line, m in marks}
     level, low, high = TARGET
     ax = axes[0, 0]
-    ax.plot([0, 1], [0, 1], color=GREY, linewidth=1.0, label="ideal")
-    ax.fill_between(
-        [level - 0.02, level + 0.02], low, high, color=BLACK, alpha=0.15, linewidth=0, label="85–95 % at 90 %"
-    )
+    ax.plot([0, 1], [0, 1], color=style.GREY, linewidth=1.0, label="ideal")
+    shade = {"color": style.BLACK, "alpha": 0.15, "linewidth": 0, "label": "85–95 % at 90 %"}
+    ax.fill_between([level - 0.02, level + 0.02], low, high, **shade)
     for group, curve in curves.items():
         order = np.argsort(levels)
         ax.plot(levels[order], curve[order], label=group, **looks[group])
     ax.set(xlim=(0, 1), ylim=(0, 1), xlabel="nominal probability [–]", ylabel="empirical share [–]")
     ax.set_aspect("equal")
-    key(figure, ax, columns=6)
+    style.key(figure, ax, columns=6)
     if two:
         ax = axes[0, 1]
-        ax.axhspan(low, high, color=BLACK, alpha=0.12, linewidth=0)
-        ax.axhline(level, color=GREY, linewidth=1.0)
+        ax.axhspan(low, high, color=style.BLACK, alpha=0.12, linewidth=0)
+        ax.axhline(level, color=style.GREY, linewidth=1.0)
         for group, curve in later.items():
             ax.plot(np.asarray(horizons, dtype=float), curve, **looks[group])
-        seconds_axis(ax, horizons or ())
+        style.seconds_axis(ax, horizons or ())
         ax.set(ylim=(0, 1.02), ylabel="share inside 90 % intervals [–]")
     return figure
 
@@ -112,7 +90,7 @@ BANDS = ((0.95, "#d6e6f2"), (0.90, "#a9cde6"), (0.50, "#66a9d4"))
 """Central intervals and their colours, widest first."""
 
 
-@styled
+@style.styled
 def rollout_bands(
     t: ArrayLike,
     measured: ArrayLike,
@@ -132,9 +110,6 @@ def rollout_bands(
         samples: Sampled states (P, T + 1, nx), or (E, P, T + 1, nx).
         title: What is shown; say here what the inputs see of the future, if anything.
         quaternion: Columns of a quaternion, drawn as roll, pitch and yaw in degrees.
-
-    Returns:
-        A figure of (channels, starts) panels.
 
     Raises:
         ShapeError: the arrays do not fit together.
@@ -167,10 +142,7 @@ def _grid_of_bands(
     named: bool = True,
     limits: Callable[[Sequence[tuple[Array, Array]]], tuple[float, float]] | None = None,
 ) -> Figure:
-    """One row of panels per channel, one column per heading, times, measured states and samples.
-
-    `limits` makes the axis that the panels of a row share, from what is measured and sampled in each.
-    """
+    """One row of panels per channel, one column per heading; `limits` makes the axis that those of a row share."""
     parts = []
     for heading, t, m, s in columns:
         shown = (m, s, list(names), list(units))
@@ -178,34 +150,34 @@ def _grid_of_bands(
     rows = parts[0][2].shape[1]
     height = 1.0 + rows * (2.0 if rows <= 2 else 1.45 if rows <= 6 else 1.05)
     shared: bool | str = False if limits is None else "row"
-    figure, axes = panels(rows, len(parts), height=height, title=title, sharex=True, sharey=shared)
+    figure, axes = style.panels(rows, len(parts), height=height, title=title, sharex=True, sharey=shared)
     for column, (heading, t, m, s, channels, channel_units) in enumerate(parts):
         for k in range(rows):
             ax = axes[k, column]
             for level, colour in BANDS:
                 low, high = np.quantile(s[..., k], [(1 - level) / 2, (1 + level) / 2], axis=0)
                 ax.fill_between(t, low, high, color=colour, linewidth=0, label=f"{100 * level:.0f} %")
-            ax.plot(t, np.median(s[..., k], axis=0), color=BLUE, label="median")
-            ax.plot(t, m[:, k], color=BLACK, linewidth=1.2, linestyle=(0, (4, 1.5)), label="measured")
+            ax.plot(t, np.median(s[..., k], axis=0), color=style.BLUE, label="median")
+            ax.plot(t, m[:, k], color=style.BLACK, linewidth=1.2, linestyle=(0, (4, 1.5)), label="measured")
             if column == 0 or limits is None:
                 ax.set_xlim(t[0], t[-1])
-                few_ticks(ax, y=4)
+                style.few_ticks(ax, y=4)
             if column == 0:
-                ax.set_ylabel(label(channels[k], channel_units[k]))
+                ax.set_ylabel(style.label(channels[k], channel_units[k]))
                 if limits is not None:
                     ax.set_ylim(*limits([(part[2][:, k], part[3][..., k]) for part in parts]))
         if named:
             axes[0, column].set_title(heading)
         axes[-1, column].set_xlabel("time from the start [s]")
     figure.align_ylabels(list(axes[:, 0]))
-    key(figure, axes[0, 0])
+    style.key(figure, axes[0, 0])
     return figure
 
 
 _ROOM = 4.0  # how far a band may go beyond the measured range, in such ranges
 
 
-@styled
+@style.styled
 def calibration_of_models(
     nominal: ArrayLike,
     empirical: Mapping[str, Mapping[str, ArrayLike]],
@@ -215,7 +187,7 @@ def calibration_of_models(
     order: Sequence[str] | None = None,
     title: str = "Share of measurements inside predicted intervals",
 ) -> Figure:
-    """Empirical against nominal coverage (above) and coverage of 90 % intervals at each horizon (below).
+    """Empirical against nominal coverage (above) and coverage of 90 % intervals at each horizon (below), by group.
 
     Args:
         nominal: Probabilities of the central intervals (k,), in (0, 1).
@@ -224,42 +196,39 @@ def calibration_of_models(
         per_horizon: Model -> group -> coverage of the 90 % interval at each horizon (h,).
         order: Names in the order of other figures, these among them, so that a model has one colour in all.
 
-    Returns:
-        A figure with two panels for each group and one curve for each model. Shaded is 85 to 95 % at 90 %.
-
     Raises:
         ShapeError: a curve does not have one value for each level or horizon.
     """
     levels = np.asarray(nominal, dtype=float)
     groups = list(dict.fromkeys(g for curves in empirical.values() for g in curves))
-    figure, axes = panels(2, len(groups), height=5.6, title=title, sharey="row")
+    figure, axes = style.panels(2, len(groups), height=5.6, title=title, sharey="row")
     level, low, high = TARGET
     rising = np.argsort(levels)
     for column, group in enumerate(groups):
         top, bottom = axes[0, column], axes[1, column]
-        top.plot([0, 1], [0, 1], color=GREY, linewidth=1.0, label="ideal")
-        top.fill_between([level - 0.02, level + 0.02], low, high, color=BLACK, alpha=0.15, linewidth=0)
-        bottom.axhspan(low, high, color=BLACK, alpha=0.12, linewidth=0, label="85–95 %")
-        bottom.axhline(level, color=GREY, linewidth=1.0)
+        top.plot([0, 1], [0, 1], color=style.GREY, linewidth=1.0, label="ideal")
+        top.fill_between([level - 0.02, level + 0.02], low, high, color=style.BLACK, alpha=0.15, linewidth=0)
+        bottom.axhspan(low, high, color=style.BLACK, alpha=0.12, linewidth=0, label="85–95 %")
+        bottom.axhline(level, color=style.GREY, linewidth=1.0)
         for name in empirical:
             k = (order or list(empirical)).index(name)
             share = _curve(f"empirical[{name!r}][{group!r}]", empirical[name][group], len(levels))
             later = _curve(f"per_horizon[{name!r}][{group!r}]", per_horizon[name][group], len(horizons))
-            top.plot(levels[rising], share[rising], markersize=4, label=name, **model_look(k))
-            bottom.plot(np.asarray(horizons, dtype=float), later, markersize=4, **model_look(k))
+            top.plot(levels[rising], share[rising], markersize=4, label=name, **style.model_look(k))
+            bottom.plot(np.asarray(horizons, dtype=float), later, markersize=4, **style.model_look(k))
         top.set(xlim=(0, 1), ylim=(0, 1), title=group, xlabel="nominal probability [–]")
         top.set_aspect("equal")
-        seconds_axis(bottom, horizons)
+        style.seconds_axis(bottom, horizons)
         bottom.set_ylim(0, 1.02)
         if len(groups) > 2:
             bottom.tick_params(axis="x", labelsize=7)
     axes[0, 0].set_ylabel("empirical share [–]")
     axes[1, 0].set_ylabel("inside 90 % intervals [–]")
-    key(figure, axes[0, 0])
+    style.key(figure, axes[0, 0])
     return figure
 
 
-@styled
+@style.styled
 def rollouts_of_models(
     t: Mapping[str, ArrayLike],
     measured: Mapping[str, ArrayLike],
@@ -272,15 +241,13 @@ def rollouts_of_models(
 ) -> Figure:
     """Bands of several models from one start, and what was measured: one row per channel, one column per model.
 
+    The panels of a row share their axis, which a path that runs far away from what was measured leaves.
+
     Args:
         t: Model -> time from the start [s], (T + 1,).
         measured: Model -> measured states at these times (T + 1, nx).
         samples: Model -> sampled states (P, T + 1, nx).
         quaternion: Columns of a quaternion, drawn as roll, pitch and yaw in degrees.
-
-    Returns:
-        A figure of (channels, models) panels; the panels of a row share their axis, which a path that runs far away
-        from what was measured leaves.
 
     Raises:
         ShapeError: the arrays do not fit together.
@@ -365,7 +332,7 @@ def _some(points: ArrayLike, limit: int) -> Array:
     return rows[np.linspace(0, len(rows) - 1, limit).round().astype(int)]
 
 
-@styled
+@style.styled
 def distance_map(
     slices: Sequence[DistanceSlice],
     *,
@@ -373,15 +340,13 @@ def distance_map(
 ) -> Figure:
     """Maps of eta, with contours at 0.1, 0.5 and 0.9 and a part of the data on them.
 
-    Returns:
-        A figure with one panel per slice and one colour bar.
-
     Raises:
         ShapeError: there is no slice, or eta does not fit its axes.
     """
     if not slices:
         raise ShapeError("`slices` must hold at least one slice.")
-    figure, axes = grid(len(slices), columns=3, row=4.6 if len(slices) == 1 else 3.2, spare=0.9, title=title)
+    row = 4.6 if len(slices) == 1 else 3.2
+    figure, axes = style.grid(len(slices), columns=3, row=row, spare=0.9, title=title)
     for ax, part in zip(axes, slices, strict=True):
         x, y, eta = (np.asarray(v, dtype=float) for v in (part.x, part.y, part.eta))
         if eta.shape != (len(y), len(x)):
@@ -392,13 +357,13 @@ def distance_map(
             lines = ax.contour(x, y, eta, levels=crossed, colors="white", linewidths=0.9)
             ax.clabel(lines, fmt="%g", fontsize=8)
         train, held = _some(part.train, TRAIN_SHOWN), _some(part.held_out, HELD_OUT_SHOWN)
-        ax.scatter(*train.T, s=5, color="white", edgecolors=BLACK, linewidths=0.3, label="training")
+        ax.scatter(*train.T, s=5, color="white", edgecolors=style.BLACK, linewidths=0.3, label="training")
         if len(held):
-            ax.scatter(*held.T, s=14, marker="x", color=VERMILLION, linewidths=0.8, label="held out")
+            ax.scatter(*held.T, s=14, marker="x", color=style.VERMILLION, linewidths=0.8, label="held out")
         ax.set(xlabel=part.x_label, ylabel=part.y_label, xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
         ax.grid(visible=False)
     figure.colorbar(image, ax=figure.axes, label="η [–]: 0 on the data, 1 far away", pad=0.02)
-    key(figure, axes[0])
+    style.key(figure, axes[0])
     return figure
 
 
@@ -413,7 +378,7 @@ class PredictionBand:
     high: Array | None = None
 
 
-@styled
+@style.styled
 def evolution(
     t: Array,
     truth: Array,
@@ -441,7 +406,7 @@ def evolution(
             raise ShapeError(f"{p.name}: `mean` must be {truth.shape} as the truth; got {p.mean.shape}.")
     n = truth.shape[1]
     rows = -(-n // columns)
-    figure, axes = panels(
+    figure, axes = style.panels(
         rows, columns, height=1.0 + rows * (2.2 if columns == 1 else 1.7), title=title, sharex=True
     )
     order = list(enumerate(predictions))[::-1]
@@ -453,31 +418,36 @@ def evolution(
             ax.set_axis_off()
             continue
         for i, p in order:
-            colour = COLOURS[i % len(COLOURS)]
+            colour, dash = style.COLOURS[i % 6], style.DASHES[i % 6]
             if p.low is not None and p.high is not None:
                 band = {"color": colour, "alpha": 0.22, "linewidth": 0, "label": f"{interval} {p.name}"}
                 ax.fill_between(t, p.low[:, k], p.high[:, k], **band)
-            ax.plot(t, p.mean[:, k], color=colour, linestyle=DASHES[i % len(DASHES)], label=p.name)
-        ax.plot(t, truth[:, k], color=BLACK, linewidth=1.2, linestyle=(0, (4, 1.5)), label=truth_name)
+            ax.plot(t, p.mean[:, k], color=colour, linestyle=dash, label=p.name)
+        ax.plot(t, truth[:, k], color=style.BLACK, linewidth=1.2, linestyle=(0, (4, 1.5)), label=truth_name)
         centre = 0.5 * float(truth[:, k].min() + truth[:, k].max())
         room = 0.95 * max(float(spans[k]), 1e-9)
         ax.set_ylim(centre - room, centre + room)  # a model that diverges leaves the panel
         ax.set_xlim(t[0], t[-1])
-        ax.set_ylabel(label(names[k], units[k]))
-        few_ticks(ax, y=5)
+        ax.set_ylabel(style.label(names[k], units[k]))
+        style.few_ticks(ax, y=5)
     for ax in axes[-1]:
         ax.set_xlabel("time [s]")
-    key(figure, axes[0, 0], columns=4)
+    style.key(figure, axes[0, 0], columns=4)
     return figure
 
 
 _BASELINES: dict[str, dict[str, Any]] = {
-    "hold": {"color": GREY, "linestyle": "--", "marker": "x", "label": "hold the last state"},
-    "constant_velocity": {"color": ORANGE, "linestyle": "-.", "marker": "^", "label": "constant velocity"},
+    "hold": {"color": style.GREY, "linestyle": "--", "marker": "x", "label": "hold the last state"},
+    "constant_velocity": {
+        "linestyle": "-.",
+        "marker": "^",
+        "color": style.ORANGE,
+        "label": "constant velocity",
+    },
 }
 
 
-@styled
+@style.styled
 def horizon_errors(
     horizons: Sequence[float],
     errors: Mapping[str, Mapping[str, ArrayLike]],
@@ -491,16 +461,13 @@ def horizon_errors(
         horizons: Horizons (h,) [s].
         errors: Model -> group -> error (h,); the names `hold` and `constant_velocity` are drawn as baselines.
 
-    Returns:
-        A figure with one panel per group.
-
     Raises:
         ShapeError: a curve does not have one value per horizon.
     """
     groups = list(dict.fromkeys(g for curves in errors.values() for g in curves))
-    figure, axes = grid(len(groups), columns=2, row=2.5, spare=0.9, title=title)
+    figure, axes = style.grid(len(groups), columns=2, row=2.5, spare=0.9, title=title)
     models = [m for m in errors if m not in _BASELINES]
-    looks = {name: {**model_look(k), "label": name} for k, name in enumerate(models)}
+    looks = {name: {**style.model_look(k), "label": name} for k, name in enumerate(models)}
     looks |= {name: look for name, look in _BASELINES.items() if name in errors}
     for ax, group in zip(axes, groups, strict=True):
         drawn = []
@@ -513,10 +480,10 @@ def horizon_errors(
         both = np.concatenate(drawn)
         both = both[np.isfinite(both)]
         if len(both) and both.min() > 0:
-            plain_logarithm(ax)
-        seconds_axis(ax, horizons)
-        ax.set_ylabel(f"{group} error [{pretty(units[group])}]")
-    key(figure, axes[0])
+            style.plain_logarithm(ax)
+        style.seconds_axis(ax, horizons)
+        ax.set_ylabel(f"{group} error [{style.pretty(units[group])}]")
+    style.key(figure, axes[0])
     return figure
 
 
@@ -534,7 +501,7 @@ def _scale(axes: Axes, values: Sequence[Array]) -> None:
     """Logarithmic if all values are positive and span more than a factor of five; linear otherwise."""
     both = np.concatenate(list(values)) if values else np.zeros(0)
     if len(both) and both.min() > 0 and both.max() > 5 * both.min():
-        plain_logarithm(axes)
+        style.plain_logarithm(axes)
 
 
 def _smooth(y: Array) -> Array:
@@ -547,7 +514,7 @@ def _smooth(y: Array) -> Array:
     return median
 
 
-@styled
+@style.styled
 def learning_curves(
     history: Sequence[Mapping[str, float | None]],
     *,
@@ -563,9 +530,6 @@ def learning_curves(
         kept: Step of the model that was kept; default: that of the smallest validation score.
         terms: Names of the terms; default: every key but the known ones, in the order of appearance.
 
-    Returns:
-        A figure with two panels, or one where there are no terms.
-
     Raises:
         ShapeError: the history is empty, or a row has no `step`.
 
@@ -577,18 +541,18 @@ def learning_curves(
     if terms is None:
         terms = [k for k in dict.fromkeys(k for row in history for k in row) if k not in _NOT_TERMS]
     drawn = [name for name in terms if len(_column(history, name)[0])]
-    figure, axes = panels(1, 2 if drawn else 1, height=3.6, title=title)
+    figure, axes = style.panels(1, 2 if drawn else 1, height=3.6, title=title)
     left: Axes = axes[0, 0]
     shown = []
     step, loss = _column(history, "loss")
     if len(step):
         if len(step) >= 150:
-            left.plot(step, loss, color=BLUE, alpha=0.25, linewidth=0.7)
-        left.plot(step, _smooth(loss), color=BLUE, label="training batch")
+            left.plot(step, loss, color=style.BLUE, alpha=0.25, linewidth=0.7)
+        left.plot(step, _smooth(loss), color=style.BLUE, label="training batch")
         shown.append(loss)
     step, score = _column(history, "validation")
     if len(step):
-        left.plot(step, score, color=VERMILLION, marker="o", markersize=3.5, label="held-out windows")
+        left.plot(step, score, color=style.VERMILLION, marker="o", markersize=3.5, label="held-out windows")
         shown.append(score)
         if kept is None:
             kept = int(step[score.argmin()])
@@ -599,16 +563,18 @@ def learning_curves(
         step, value = _column(history, name)
         negative = bool((value <= 0).all() and (value < 0).any())  # a reward: drawn by its size
         value, name = (-value, f"−{name}") if negative else (value, name)
-        axes[0, 1].plot(step, _smooth(value), color=COLOURS[k % 6], linestyle=DASHES[k % 6], label=name)
+        axes[0, 1].plot(
+            step, _smooth(value), color=style.COLOURS[k % 6], linestyle=style.DASHES[k % 6], label=name
+        )
         sizes.append(value[value != 0])
     if drawn:
         _scale(axes[0, 1], sizes)
         axes[0, 1].set_ylabel("term of the loss [–]")
     for ax in axes.flat:
         if kept is not None:
-            ax.axvline(kept, color=BLACK, linestyle=":", linewidth=1.2, label=f"kept: step {kept}")
+            ax.axvline(kept, color=style.BLACK, linestyle=":", linewidth=1.2, label=f"kept: step {kept}")
         ax.set_xlabel("gradient step")
         ax.set_xlim(min(float(r["step"] or 0) for r in history), None)
-        ax.legend(labelcolor=BLACK, loc="best")
-        ax.tick_params(color=GREY)
+        ax.legend(labelcolor=style.BLACK, loc="best")
+        ax.tick_params(color=style.GREY)
     return figure

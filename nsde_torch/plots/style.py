@@ -24,6 +24,7 @@ LINE = 95
 WIDTH = 9.0
 """Width of every figure [in]."""
 DPI = 130
+_BINS = 1500  # of a curve that is thinned
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
 PURPLE, ORANGE, SKY = "#CC79A7", "#E69F00", "#56B4E9"
 BLACK, GREY = "#1a1a1a", "#767676"
@@ -73,27 +74,14 @@ def styled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def panels(
-    rows: int,
-    columns: int,
-    *,
-    height: float,
-    title: str,
-    sharex: bool | str = False,
-    sharey: bool | str = False,
+    rows: int, columns: int, *, height: float, title: str, sharex: Any = False, sharey: Any = False
 ) -> tuple[Figure, NDArray[Any]]:
     """A figure of some height [in] and its axes (rows, columns)."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     figure.suptitle(textwrap.fill(title, LINE))
-    axes = figure.subplots(
-        rows,
-        columns,
-        squeeze=False,
-        sharex=sharex,  # type: ignore[arg-type]
-        sharey=sharey,  # type: ignore[arg-type]
-    )
-    return figure, axes
+    return figure, figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey)
 
 
 def grid(count: int, *, columns: int, row: float, spare: float, title: str) -> tuple[Figure, list[Any]]:
@@ -180,16 +168,14 @@ def pretty(unit: str) -> str:
     return unit.replace("deg", "°").replace("s2", "s²").replace("m2", "m²")
 
 
-def thin(t: Array, y: Array, limit: int = 1500) -> tuple[Array, Array]:
-    """At most about 2 `limit` points of a curve (n,): the extremes of each bin, so that no peak is lost."""
+def thin(t: Array, y: Array) -> tuple[Array, Array]:
+    """At most about 3000 points of a curve (n,): the extremes of each bin, so that no peak is lost."""
     n = len(t)
-    if n <= 2 * limit:
+    if n <= 2 * _BINS:
         return t, y
-    width = -(-n // limit)
     keep = {0, n - 1}
-    for a in range(0, n, width):
-        block = y[a : a + width]
-        keep |= {a + int(block.argmin()), a + int(block.argmax())}
+    for block in np.array_split(np.arange(n), _BINS):
+        keep |= {int(block[y[block].argmin()]), int(block[y[block].argmax()])}
     rows = np.array(sorted(keep))
     return t[rows], y[rows]
 
@@ -198,11 +184,8 @@ def save(figure: Figure, path: str | Path, *, dpi: int = DPI) -> Path:
     """Write a figure; the folder is made where it is missing.
 
     Args:
-        path: File to write; the ending says the format (`.png`, `.pdf`, `.svg`).
+        path: File to write, which is returned; the ending says the format (`.png`, `.pdf`, `.svg`).
         dpi: Pixels per inch of a picture; figures are 9 inches wide.
-
-    Returns:
-        The path.
     """
     import matplotlib
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,17 +17,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+_FRAMES, _TAIL = 20, 3.0  # of a film in a second, and length of the path behind the machine [s]
+
+
 @styled
 def tracking(t: Array, reference: Array, flights: Mapping[str, Array], *, title: str) -> Figure:
     """Speed, roll, pitch, yaw, altitude and error over time, and the path from above.
 
-    Args:
-        t: Times (T,) [s].
-        reference: States (T, 13).
-        flights: Name of a controller -> states (T, N, 13) of its machines; the first of them is drawn boldest.
-
-    Raises:
-        ShapeError: tables that do not fit each other.
+    Of times (T,) [s], states of the reference (T, 13), and by controller states of its machines (T, N, 13), the first
+    of which is drawn boldest.
     """
     if not flights or any(x.ndim != 3 or len(x) != len(t) for x in (reference[:, None], *flights.values())):
         raise ShapeError(
@@ -88,11 +86,8 @@ def states_over_time(
 ) -> Figure:
     """States and inputs of any machine over time, beside the reference.
 
-    Args:
-        t: Times (T,) [s].
-        reference: States (T, nx).
-        runs, inputs: Name of a controller -> states (T, N, nx) and inputs (T, N, nu) of its machines.
-        columns: Units of the states and inputs, by name.
+    Of times (T,) [s], states of the reference (T, nx), by controller states (T, N, nx) and inputs (T, N, nu) of its
+    machines, and units of the `columns` by name.
     """
     nx, count = reference.shape[1], len(columns)
     rows = -(-count // 2)
@@ -105,10 +100,10 @@ def states_over_time(
         for number, label in enumerate(runs):
             y = runs[label][:, :, k] if k < nx else inputs[label][:, :, k - nx]
             for n in range(min(y.shape[1], 20)):
-                faint = {"alpha": 1.0 if n == 0 else 0.15, "linewidth": 1.2 if n == 0 else 0.7}
-                ax.plot(
-                    t, y[:, n], label=label if n == 0 else None, color=model_look(number)["color"], **faint
-                )
+                look: dict[str, Any] = {"color": model_look(number)["color"], "label": label}
+                if n:
+                    look |= {"label": None, "alpha": 0.15}
+                ax.plot(t, y[:, n], linewidth=0.7 if n else 1.2, **look)
     for ax in axes[count:]:
         ax.set_axis_off()
     for ax in (axes[rows - 1], axes[count - 1]):
@@ -139,17 +134,10 @@ def solve_times(solve_ms: Mapping[str, Array], *, title: str) -> Figure:
 
 
 @styled
-def film(
-    t: Array, reference: Array, x: Array, file: Path, *, frames_per_second: int = 20, tail: float = 3.0
-) -> Path:
-    """A film of one flight from above and from the side, as GIF or (with ffmpeg) MP4.
+def film(t: Array, reference: Array, x: Array, file: Path) -> Path:
+    """A film of one flight from above and from the side, as GIF or (with ffmpeg) MP4, as the file ends.
 
-    Args:
-        t: Times (T,) [s].
-        reference: States (T, 13).
-        x: States (T, 13).
-        file: Where to write; the ending says what.
-        tail: Length of the path that is drawn behind the machine [s].
+    Of times (T,) [s] and states (T, 13) of the reference and the machine.
     """
     from matplotlib.animation import FFMpegWriter, PillowWriter
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -169,8 +157,8 @@ def film(
         for ax, column in ((top, 1), (side, 2))
     ]
     dt = float(t[1] - t[0])
-    step, back = max(1, round(1.0 / (frames_per_second * dt))), round(tail / dt)
-    writer = (FFMpegWriter if file.suffix == ".mp4" else PillowWriter)(fps=frames_per_second)
+    step, back = max(1, round(1.0 / (_FRAMES * dt))), round(_TAIL / dt)
+    writer = (FFMpegWriter if file.suffix == ".mp4" else PillowWriter)(fps=_FRAMES)
     with writer.saving(figure, str(file), dpi=70):
         for k in range(0, len(t), step):
             for _, column, line, dot in moving:

@@ -10,6 +10,7 @@ from nsde_torch.control import shapes
 from nsde_torch.px4.flight.cascade import PathPoints
 from nsde_torch.px4.flight.flight_log import FlightLog, UlogFile
 from nsde_torch.px4.flight.flying import Recorder
+from nsde_torch.px4.link.telemetry import VehicleState
 from nsde_torch.recording import read
 from nsde_torch.systems import make_system
 from tests.helpers.px4_world import World
@@ -74,9 +75,10 @@ def test_landing_is_px4s_and_not_logged_though_the_estimate_sinks_at_touch_down(
 def test_the_ulog_is_read_by_pyulog_with_the_setpoints_in_frd(tmp_path: Path) -> None:
     log = UlogFile(tmp_path / "flight.ulg")
     for k in range(3):
-        log.state(5.0 + 0.01 * k, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3), (1.0, 0.0, 0.0, 0.0), (0.0, 0.5, 0.0))
-        log.setpoint(5.0 + 0.01 * k, (0.1, 0.2, 0.3), 0.4)
-        log.motors(5.0 + 0.01 * k, (float("nan"),) * 4)  # not known: left out
+        stamp, still = 5.0 + 0.01 * k, (1.0, 0.0, 0.0, 0.0)
+        state = VehicleState(stamp, stamp, stamp, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3), still, (0.0, 0.5, 0.0))
+        nothing = float("nan")  # motors and voltage are not known: left out
+        log.add(state, (nothing,) * 4, (stamp, (0.1, 0.2, 0.3), 0.4), nothing)
     log.close()
     read_back = ULog(str(tmp_path / "flight.ulg"))
     assert {d.name for d in read_back.data_list} == {"vehicle_odometry", "vehicle_rates_setpoint"}

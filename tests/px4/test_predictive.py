@@ -181,7 +181,7 @@ def test_the_slowest_plans_of_the_warm_up_decide_and_not_the_median(
         late = len(seen) <= 10 or (len(seen) % 10 == 0 and len(seen) // 10 - 1 <= slow)
         return DemandPlan(time, 0.05, (Demand((0.0, 0.0, 0.0), 9.81),), solve_ms=400.0 if late else 3.0)
 
-    monkeypatch.setattr(PredictiveMaker, "_made", lambda *args: plan)
+    monkeypatch.setattr(PredictiveController, "__call__", lambda made, *given: plan(*given))
     path, safety = shapes.lemniscate(duration=24.0), SafetyOptions()
     maker = PredictiveMaker(run="declared", system="quadrotor", path=path, safety=safety, **LONG)
     said: list[str] = []

@@ -53,7 +53,7 @@ def test_plans_come_back_and_a_killed_process_is_noticed() -> None:
     with _made(good) as runner:
         _wait(runner, lambda: runner.plan is not None)
         assert runner.plan.demands[0].thrust == 9.81
-        os.kill(runner.pid, signal.SIGKILL)
+        os.kill(runner.process.pid, signal.SIGKILL)
         _wait(runner, lambda: runner.fault is not None)
         assert "gone" in str(runner.fault)
         begun = time.monotonic()

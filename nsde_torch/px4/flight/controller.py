@@ -126,9 +126,7 @@ class Inline(Runner):
     controller: FlightController
     _: KW_ONLY
     period: float = 0.0  # shortest time between states that it is given [s]
-    delay: float = (
-        0.0  # age of a state at which its plan is taken, where the time of a solve is to be played [s]
-    )
+    delay: float = 0.0  # age of a state at which its plan is taken, to play the time of a solve [s]
 
     def __post_init__(self) -> None:
         self.ready, self._offered = True, -inf
@@ -166,16 +164,10 @@ class Process(Runner):
         self._offered = -inf
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        arguments = (self.maker, theirs)
-        self._process = context.Process(target=_work, args=arguments, name="controller", daemon=True)
-        self._process.start()
+        self.process = context.Process(target=_work, args=(self.maker, theirs), daemon=True)
+        self.process.start()
         theirs.close()
         self._busy = True  # until it says that it is ready
-
-    @property
-    def pid(self) -> int | None:
-        """Its process id."""
-        return self._process.pid
 
     def offer(self, row: tuple[float, ...], time: float, t: float, asked: Asked = ()) -> None:
         # a state that is a fraction of a millisecond early is not left for the next tick
@@ -206,10 +198,10 @@ class Process(Runner):
     def close(self) -> None:
         with contextlib.suppress(OSError):
             self._pipe.close()
-        self._process.join(0.5)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join(1.0)
+        self.process.join(0.5)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join(1.0)
 
 
 def _work(maker: Maker, pipe: Connection) -> None:

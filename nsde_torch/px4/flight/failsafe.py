@@ -20,8 +20,8 @@ ground after its link had been cut.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from math import ceil, inf
+from typing import NamedTuple
 
 OF_LOSS, ACTION, STICKS = "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_RC_IN_MODE"
 CLIMBS_TO, BATTERY = "RTL_RETURN_ALT", "COM_LOW_BAT_ACT"
@@ -38,8 +38,7 @@ _MANUAL = {0: "POSITION", 1: "ALTITUDE", 2: "MANUAL"}
 _ENDS, _DISARMS = "terminates the flight", "disarms"
 
 
-@dataclass(frozen=True)
-class _Failsafe:
+class _Failsafe(NamedTuple):
     """What a parameter says that PX4 does, by its values; `excepted` names the parameter that may say otherwise."""
 
     name: str
@@ -107,11 +106,9 @@ def warnings(
 ) -> list[str]:
     """What is not right and does not forbid to fly, by the autopilot's parameters as far as they were answered.
 
-    Args:
-        speed: Largest speed of the reference [m/s].
-        top: Height of the fence's top above the place of take-off [m].
-        reach: Distance of the fence's farthest corner from there, horizontally [m].
-        receiver: Whether a transmitter is heard; None: not known.
+    `speed` is the largest of the reference [m/s], `top` and `reach` are the height of the fence's top and the
+    horizontal distance of its farthest corner from the place of take-off [m]; `receiver`: whether a transmitter is
+    heard, None: not known.
     """
     out = []
     loss, action = known.get(OF_LOSS), known.get(ACTION)

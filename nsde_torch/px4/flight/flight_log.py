@@ -15,8 +15,10 @@ from typing import final
 
 from nsde_torch.px4.link import frames
 from nsde_torch.px4.link.telemetry import VehicleState
-from nsde_torch.px4.link.vectors import Quat, Vec
+from nsde_torch.px4.link.vectors import Vec
 
+Sent = tuple[float, Vec, float] | None
+"""Time, rates and throttle of a setpoint; None where there was none."""
 STATE = ("p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z")
 EXTRA = ("rate_sp_x", "rate_sp_y", "rate_sp_z", "throttle_sp", "battery_voltage")
 RESET = 0.05
@@ -45,15 +47,9 @@ class FlightLog:
             self._out = None
         self._ulog.close()
 
-    def add(
-        self,
-        state: VehicleState,
-        motors: tuple[float, ...],
-        voltage: float,
-        sent: tuple[float, Vec, float] | None,
-    ) -> None:
+    def add(self, state: VehicleState, motors: tuple[float, ...], voltage: float, sent: Sent) -> None:
         """Log a state, once, with the motors' commands and the battery's voltage [V] as they were known when it came,
-        and the time, rates and throttle that had left last."""
+        and what had left last."""
         if state.stamp <= self._last:
             return
         self._last = state.stamp
@@ -71,11 +67,7 @@ class FlightLog:
         asked = (*sent[1], sent[2]) if sent is not None else (nan,) * 4
         values = (round(state.stamp, 6), *state.row, *u, *asked, voltage)
         self._out.write(",".join(f"{v:.7g}" if k else repr(v) for k, v in enumerate(values)) + "\n")
-        self._ulog.state(state.stamp, state.p, state.v, state.q, state.w)
-        self._ulog.motors(state.stamp, u)
-        if sent is not None:
-            self._ulog.setpoint(state.stamp, sent[1], sent[2])
-        self._ulog.voltage(state.stamp, voltage)
+        self._ulog.add(state, u, sent, voltage)
         self.rows += 1
         if state.received - self._flushed > 1.0:
             self._flushed = state.received
@@ -114,28 +106,20 @@ class UlogFile:
         self.file = file
         self._out: BufferedWriter | None = None
 
-    def state(self, stamp: float, p: Vec, v: Vec, q: Quat, w: Vec) -> None:
-        """A state, ENU and FLU, at a time of the autopilot's clock [s]."""
+    def add(self, state: VehicleState, u: tuple[float, ...], sent: Sent, volts: float) -> None:
+        """A state, motor commands (0 to 1), a setpoint and the battery's voltage, each where it is known."""
         if self._out is None:
-            self._begin(stamp)
-        us = round(stamp * 1e6)
-        ned = (*frames.world(p), *frames.attitude(q), *frames.world(v), *frames.body(w))
+            self._begin(state.stamp)
+        us = round(state.stamp * 1e6)
+        place = (*frames.world(state.p), *frames.attitude(state.q))
+        ned = (*place, *frames.world(state.v), *frames.body(state.w))
         self._data("vehicle_odometry", us, us, *ned, _NED, _NED)
-
-    def motors(self, stamp: float, u: tuple[float, ...]) -> None:
-        """Motor commands, 0 to 1; left out while they are not known."""
         if all(map(isfinite, u)):
-            us = round(stamp * 1e6)
             self._data("actuator_motors", us, us, *u, *(nan,) * (_MOTORS - len(u)))
-
-    def setpoint(self, stamp: float, w: Vec, throttle: float) -> None:
-        """Body rates, FLU [rad/s], and throttle that were asked for."""
-        self._data("vehicle_rates_setpoint", round(stamp * 1e6), *frames.body(w), 0.0, 0.0, -throttle)
-
-    def voltage(self, stamp: float, volts: float) -> None:
-        """Of the battery [V]."""
+        if sent is not None:
+            self._data("vehicle_rates_setpoint", us, *frames.body(sent[1]), 0.0, 0.0, -sent[2])
         if isfinite(volts):
-            self._data("battery_status", round(stamp * 1e6), volts)
+            self._data("battery_status", us, volts)
 
     def flush(self) -> None:
         """Put what was written on disk."""

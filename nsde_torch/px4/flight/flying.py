@@ -46,9 +46,9 @@ def land(
     endpoint, out = link.endpoint, FlightOutcome()
     begun = link.now()
 
-    def go(phase: Phase, why: str = "") -> None:
+    def go(phase: Phase, why: str) -> None:
         out.actions.append((link.now() - begun, phase.value, why))
-        say(f"{link.now() - begun:7.2f} s  {phase.value}{': ' + why if why else ''}")
+        say(f"{link.now() - begun:7.2f} s  {phase.value}: {why}")
 
     def end(kind: str, why: str) -> FlightOutcome:
         out.trouble = Trouble(kind, why, Action.SILENCE)
@@ -124,19 +124,16 @@ class FlightReport:
     def as_dict(self) -> dict[str, Any]:
         """Numbers with units in their keys."""
         o = self.outcome
-        resets = [
-            {
-                **{"t_s": round(t, 3), "heading_deg": degrees(s.heading), "position_m": s.position},
-                **{"velocity_m_s": s.velocity, "announced": s.announced},
-            }
-            for t, s in o.steps
-        ]
         return {
             "tracked": o.tracked,
             "landed": o.landed,
             "trouble": None if o.trouble is None else {"kind": o.trouble.kind, "text": o.trouble.text},
             "phases": [{"t_s": round(t, 3), "phase": p, "reason": why} for t, p, why in o.actions],
-            "estimate_resets": resets,
+            "estimate_resets": [
+                {"t_s": round(t, 3), "heading_deg": degrees(s.heading), "position_m": s.position}
+                | {"velocity_m_s": s.velocity, "announced": s.announced}
+                for t, s in o.steps
+            ],
             "without_plans_s": o.without_plans,
             "rmse_m": self.rmse,
             "position_error_max_m": max(self.errors, default=None),
@@ -154,10 +151,8 @@ class FlightReport:
 
 
 def _spread(values: list[float]) -> dict[str, float] | None:
-    if not values:
-        return None
-    found = {f"p{p:g}": float(np.percentile(values, p)) for p in (50.0, 99.0, 99.9)}
-    return {**found, "max": float(max(values)), "count": len(values)}
+    found = {f"p{p:g}": float(np.percentile(values, p)) for p in (50.0, 99.0, 99.9) if values}
+    return {**found, "max": float(max(values)), "count": len(values)} if values else None
 
 
 class Recorder:
@@ -286,11 +281,9 @@ def fly(
         options=options or FlightOptions(),
         say=say,
     )
-    book = None if log is None else FlightLog(log, motors)
-    recorder = Recorder(flight, book)
     with contextlib.ExitStack() as stack:
-        if book is not None:
-            stack.enter_context(book)
+        book = None if log is None else stack.enter_context(FlightLog(log, motors))
+        recorder = Recorder(flight, book)
         stack.enter_context(_undisturbed())
         if link.live:
             stack.enter_context(_signals(flight.stop))

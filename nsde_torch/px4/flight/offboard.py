@@ -70,12 +70,9 @@ class Offboard:
         self._fit: bool | None = None  # to fly, and since when
         self._fit_since = 0.0
         self._where = Point((0.0, 0.0, 0.0))
-        self._ground = 0.0
-        self._yaw = 0.0
+        self._ground = self._yaw = 0.0
         self._seen: VehicleState | None = None
-        self._stop = 0
-        self._lifted = False
-        self._on_plans = True
+        self._stop, self._lifted, self._on_plans = 0, False, True
 
     # from outside
 
@@ -115,9 +112,7 @@ class Offboard:
 
     def _refuse(self, why: str) -> None:
         """End a flight that has not begun."""
-        self.streaming = False
-        self.outcome.trouble = self.outcome.trouble or Trouble(REFUSED, why, Action.SILENCE)
-        self._go(Phase.DONE, why)
+        self._give_up(REFUSED, why, Phase.DONE)
 
     @property
     def _elapsed(self) -> float:
@@ -137,9 +132,8 @@ class Offboard:
         return "; ".join(dict.fromkeys(bad)) or "it gave no reason"
 
     def _finished(self) -> None:
-        self.streaming = False
         self.outcome.landed = self.endpoint.telemetry.status.landed != d.IN_AIR
-        self._go(Phase.DONE, "disarmed")
+        self._silence("disarmed", Phase.DONE)
 
     # phases, one method each, named like it
 
@@ -169,7 +163,13 @@ class Offboard:
             return
         known = all(name in status.parameters for name in preflight.PARAMETERS)
         settled = lasted >= 1.0 and (known or self._elapsed > 3.0)
-        if not (settled and self._controller_ready()):
+        if not settled:
+            return
+        self.runner.collect()
+        if self.runner.fault is not None:
+            self._refuse(f"the controller failed: {self.runner.fault}")
+            return
+        if not self.runner.ready:
             return
         self._list([], status)
         if self.options.only_check:
@@ -191,12 +191,6 @@ class Offboard:
             self.say(f"           refused: {line}")
         for line in preflight.warnings(self.endpoint, status, self.path, self.limits):
             self.say(f"           note: {line}")
-
-    def _controller_ready(self) -> bool:
-        self.runner.collect()
-        if self.runner.fault is not None:
-            self._refuse(f"the controller failed: {self.runner.fault}")
-        return self.runner.ready and self.runner.fault is None
 
     def _in_stream(self, state: VehicleState | None, status: Status) -> None:
         self.streaming = True
@@ -233,33 +227,28 @@ class Offboard:
         elif self._every(1.0):
             self.endpoint.command(d.ARM, 1.0)
 
-    @property
-    def _top(self) -> float:
-        """Height of take-off: past that at which PX4 resets its heading, where the fence has room for it [m]."""
-        highest = self.limits.fence[2][1] - preflight.climb_room(self.options)
-        return max(self.options.height, min(self.options.climb_past, highest))
-
     def _in_takeoff(self, state: VehicleState | None, status: Status) -> None:
         if state is None or self.home is None:
             return
-        rise = self._elapsed - self.options.spool
+        o = self.options
+        rise = self._elapsed - o.spool
         if rise < 0:
-            self._send_idle(0.4 * self.hover.value * self._elapsed / self.options.spool)
+            self._send_idle(0.4 * self.hover.value * self._elapsed / o.spool)
             return
-        top = self._ground + self._top
-        z = min(self._ground + self.options.climb * rise, top)
+        # past the height at which PX4 resets its heading, where the fence has room for it
+        highest = self.limits.fence[2][1] - preflight.climb_room(o)
+        top = self._ground + max(o.height, min(o.climb_past, highest))
+        z = min(self._ground + o.climb * rise, top)
         if not self._lifted:
             # the wanted height does not run away from a vehicle that still stands
             z = min(z, self._ground + 0.4)
             if state.p[2] > self._ground + 0.1:
                 self._lifted = True
-                self._since = (
-                    self._now - self.options.spool - (state.p[2] - self._ground) / self.options.climb
-                )
-            elif rise > self.options.lift:
+                self._since = self._now - o.spool - (state.p[2] - self._ground) / o.climb
+            elif rise > o.lift:
                 self._disarm_or_land(Trouble("lift", "it does not lift off", Action.LAND), status)
                 return
-        speed = self.options.climb if z < top else 0.0
+        speed = o.climb if z < top else 0.0
         self._hold_at(Point((self.home[0], self.home[1], z), (0.0, 0.0, speed), yaw=self._yaw), state)
         if self._lifted and abs(state.p[2] - top) < 0.15 and length(state.v) < 0.4 and z >= top:
             self._go(Phase.HOLD)
@@ -286,11 +275,10 @@ class Offboard:
             self.started = self._now
             self._go(Phase.TRACK, self.path.name)
         elif self._elapsed > self.options.hold + 60.0:
-            if ready:
-                trouble = Trouble("start", "the start of the reference is not reached", Action.HOLD)
-            else:
-                trouble = Trouble("solver", "the controller does not plan in time", Action.HOLD)
-            self._act(trouble, state, status)
+            kind, text = "start", "the start of the reference is not reached"
+            if not ready:
+                kind, text = "solver", "the controller does not plan in time"
+            self._act(Trouble(kind, text, Action.HOLD), state, status)
 
     def _in_track(self, state: VehicleState | None, status: Status) -> None:
         if state is None or self.started is None:
@@ -510,9 +498,7 @@ class Offboard:
         if silent <= self.options.dead:
             return False
         text = f"the link is dead: nothing heard for {silent:.0f} s"
-        self._trouble(Trouble("link", text, Action.SILENCE))
-        self.streaming = False
-        self._go(Phase.DONE, text)
+        self._give_up("link", text, Phase.DONE)
         return True
 
     def _trouble(self, trouble: Trouble) -> None:
@@ -544,13 +530,13 @@ class Offboard:
         """Another mode than ours: whoever chose it has the vehicle."""
         self._give_up("mode", f"the mode is {status.mode}, not ours: {self._texts(status)}")
 
-    def _give_up(self, kind: str, why: str) -> None:
+    def _give_up(self, kind: str, why: str, then: Phase = Phase.WATCH) -> None:
         self._trouble(Trouble(kind, why, Action.SILENCE))
-        self._silence(why)
+        self._silence(why, then)
 
-    def _silence(self, why: str) -> None:
+    def _silence(self, why: str, then: Phase = Phase.WATCH) -> None:
         self.streaming = False
-        self._go(Phase.WATCH, why)
+        self._go(then, why)
 
     # flying
 
@@ -574,9 +560,7 @@ class Offboard:
     def _towards(self, at: Vec, goal: Vec, speed: float) -> Vec:
         """A point that moves to the goal at a speed."""
         left, step = distance(at, goal), speed * max(self._now - self._last, 0.0)
-        if left <= step:
-            return goal
-        return between(at, goal, step / left)
+        return goal if left <= step else between(at, goal, step / left)
 
     def _turn_towards(self, yaw: float, goal: float) -> float:
         left = (goal - yaw + pi) % (2.0 * pi) - pi

@@ -81,13 +81,9 @@ def carried(
     drag: Drag = NO_DRAG,
     push: Vec = NO_PUSH,
 ) -> tuple[float, ...]:
-    """The state a span later, by what was asked for.
+    """The state a `span` [s] later, by what was asked for, of a row (13,), ENU and FLU, that was valid at `time`.
 
     Args:
-        row: State of 13 numbers, ENU and FLU.
-        time: When it was valid [s].
-        span: How much later [s].
-        asked: What was sent lately, as it left.
         delay: From a setpoint to its effect [s].
         drag: How the machine brakes by its speed along the body, D of a = -D v [1/s].
         push: Acceleration along the body's axes that the model does not know [m/s2].
@@ -192,11 +188,7 @@ def without_covered(known: Model | System) -> Model | System:
 
 
 def check_uncovered(system: System) -> None:
-    """Refuse to fly on a model that knows what `delay` makes up for: a file of `nsde export` cannot be changed.
-
-    Raises:
-        ConfigError: it has such an effect.
-    """
+    """ConfigError for a model that knows what `delay` makes up for: a file of `nsde export` cannot be changed."""
     known = [name for name in system.effect_names if name in COVERED]
     if known:
         raise ConfigError(
@@ -270,8 +262,7 @@ class PredictiveController:
             self._trim = self._trim + off * (min(elapsed, 0.1) / TRIM_TIME)
             self._trim = self._trim.clamp(-TRIM_LIMIT, TRIM_LIMIT)
         window[:, :3] += self._trim
-        before = None if self._last is None else self._last[1]
-        known = self._push
+        before, known = None if self._last is None else self._last[1], self._push
         known.take(row, time, asked)
         ahead = carried(row, time, self.delay, asked, delay=self.delay, drag=known.drag, push=known.rest)
         x = torch.tensor([ahead], dtype=torch.float64)
@@ -288,9 +279,8 @@ class PredictiveController:
 
     def _forces(self, push: Vec) -> Tensor | None:
         """The push on the ports of the model (1, nd); None where it has none."""
-        forces = [
-            x for port, n in self._ports.items() for x in (push if port is Port.BODY_FORCE else [0.0] * n)
-        ]
+        own = ((push if port is Port.BODY_FORCE else (0.0,) * n) for port, n in self._ports.items())
+        forces = [x for part in own for x in part]
         return torch.tensor([forces], dtype=torch.float64) if forces else None
 
     def _tips(self, plan: MotorPlan) -> bool:
@@ -315,9 +305,7 @@ class PredictiveController:
 class PredictiveMaker:
     """Makes the controller in the process that it runs in; everything in it can be sent there."""
 
-    run: str
-    """Run directory of a model, a file of `nsde export`, or `declared`: the declared physics of `system` with its
-    plant's values."""
+    run: str  # run directory of a model, a file of `nsde export`, or `declared`: physics with the plant's values
     system: str  # name of the machine
     path: FlightPath  # where to fly
     problem: ProblemOptions  # what a plan pays for
@@ -332,28 +320,26 @@ class PredictiveMaker:
     def __call__(self, say: Callable[[str], None]) -> PredictiveController:
         """Load, compile, and solve some times, so that the first plan in flight is none of a cold start.
 
-        Raises:
-            ConfigError: plans take too long to fly on.
+        ConfigError where plans take too long to fly on.
         """
         torch.set_num_threads(self.threads)
         controller: Planner
         if Path(self.run).is_file():
-            controller = ExportedController(self.run)
+            controller = file = ExportedController(self.run)
+            how = f"a file, {file.record['kind']}"
         else:
             known = without_covered(knowledge(self.run, self.system, effects=self.effects))
             controller = Controller(
                 known, problem=self.problem, solver=self.solver, safety=self.safety, say=say
             )
+            how = "compiled" if controller.solver.compiled else "not compiled"
         reference = Reference(self.path)
-        made = self._made(controller, reference)
+        made = PredictiveController(controller, reference, delay=self.delay, lead=self.lead, tilt=self.tilt)
         times = [self.path.duration * k / (COLD + WARM_UP) for k in range(COLD + WARM_UP)]
         with urgent(PLANS):  # as they are in flight
             plans = [made(tuple(reference.at(torch.tensor(t)).tolist()), t, t) for t in times]
-        solves = [plan.solve_ms for plan in plans[COLD:]]
-        median, took = (sorted(solves)[int(share * WARM_UP)] for share in (0.5, 1.0 - TAIL))
-        how = "compiled" if controller.solver.compiled else "not compiled"
-        if isinstance(controller, ExportedController):
-            how = f"a file, {controller.record['kind']}"
+        solves = sorted(plan.solve_ms for plan in plans[COLD:])
+        median, took = (solves[int(share * WARM_UP)] for share in (0.5, 1.0 - TAIL))
         if took > 1e3 * SLOWEST:
             raise ConfigError(
                 f"one plan in {1.0 / TAIL:.0f} takes {took:.0f} ms or longer, half of them {median:.0f} ms (solver "
@@ -363,7 +349,5 @@ class PredictiveMaker:
         say(
             f"the controller plans in {median:.1f} ms, one time in {1.0 / TAIL:.0f} in {took:.1f} ms or longer ({how})"
         )
-        return self._made(controller, reference)
-
-    def _made(self, controller: Planner, reference: Reference) -> PredictiveController:
-        return PredictiveController(controller, reference, delay=self.delay, lead=self.lead, tilt=self.tilt)
+        made.reset()
+        return made

@@ -48,17 +48,14 @@ def faults(
     out = []
     if state is None:
         return ["no state: neither ODOMETRY nor ATTITUDE_QUATERNION with LOCAL_POSITION_NED"]
-    age = now - state.time
+    age, late, rate = now - state.time, endpoint.telemetry.sync.late, endpoint.telemetry.rate
     if age > limits.estimate:
         out.append(f"the newest state is {age:.2f} s old")
-    late = endpoint.telemetry.sync.late
     # the age of states is then a guess from below, and a late line looks like a quick one
     if late is not None:
         out.append(f"TIMESYNC is answered after {late:.1f} s: a faster link is needed")
-    if endpoint.telemetry.rate < FEWEST:
-        out.append(
-            f"states come at {endpoint.telemetry.rate:.0f} Hz, less than {FEWEST:.0f}: a faster link is needed"
-        )
+    if rate < FEWEST:
+        out.append(f"states come at {rate:.0f} Hz, less than {FEWEST:.0f}: a faster link is needed")
     out += _not_to_take_over(status, state, limits) if options.takeover else _not_at_rest(status, state)
     if tilt_of(state.q) > 12.0:
         out.append(f"it stands tilted by {tilt_of(state.q):.0f} deg")

@@ -66,9 +66,9 @@ LONGEST = 0.5
 class EstimateStep:
     """What a reset changed."""
 
-    position: float  # step of the position [m]
-    velocity: float  # step of the velocity, beyond what thrust explains [m/s]
-    heading: float  # step of the heading, counter-clockwise from above [rad]
+    position: float  # [m]
+    velocity: float  # beyond what thrust explains [m/s]
+    heading: float  # counter-clockwise from above [rad]
     announced: bool  # whether the autopilot said so
 
 
@@ -135,10 +135,8 @@ def contradicted(quality: EstimateQuality | None, limits: Limits, now: float, *,
     if ratio > most:
         return f"the estimator's {worst} innovation ratio is {ratio:.2f}, more than {most:g}"
     deviation = max((s for s in (q.horizontal_m, q.vertical_m) if isfinite(s)), default=0.0)
-    if deviation > limits.accuracy:
-        return (
-            f"the estimator gives its position an error of {deviation:.1f} m, more than {limits.accuracy:g}"
-        )
+    if deviation > (most := limits.accuracy):
+        return f"the estimator gives its position an error of {deviation:.1f} m, more than {most:g}"
     return ""
 
 
@@ -202,10 +200,8 @@ class Watch:
     ) -> Trouble | None:
         """Whether the autopilot follows setpoints that are not ours; None: it does not.
 
-        Args:
-            followed: What it says that it follows, taken away as far as it is judged.
-            sent: Rates that were sent [rad/s], for as long as PX4 may hold them when no others arrive.
-            offboard: Newest time at which it said that it is in OFFBOARD [s]: in modes of its own it follows its own.
+        What it says that it follows is taken away as far as it is judged; `sent` are rates [rad/s], for as long as PX4
+        may hold them. `offboard` is when it last said that it is in OFFBOARD [s]: in other modes it follows its own.
         """
         while followed and followed[0][0] <= offboard:
             time, w = followed.popleft()
@@ -270,10 +266,9 @@ class Watch:
 
     def inside(self, p: Vec) -> Vec:
         """The nearest point well inside the fence."""
-        out = []
-        for c, h, (low, high) in zip(p, self.home, self.limits.fence, strict=True):
-            out.append(min(max(c, h + min(low + MARGIN, 0.0)), h + high - MARGIN))
-        return (out[0], out[1], out[2])
+        walls = zip(p, self.home, self.limits.fence, strict=True)
+        x, y, z = (min(max(c, h + min(low + MARGIN, 0)), h + high - MARGIN) for c, h, (low, high) in walls)
+        return (x, y, z)
 
 
 class Phase(Enum):

@@ -45,11 +45,7 @@ def crc16(data: bytes, extra: int) -> int:
 
 
 def signing_key(text: str) -> bytes:
-    """Key of 32 bytes from 64 hexadecimal digits, or from a passphrase as ground stations make it (SHA-256).
-
-    Raises:
-        ConfigError: empty.
-    """
+    """Key of 32 bytes from 64 hexadecimal digits, or a passphrase (SHA-256 of it); ConfigError where there is none."""
     if not text:
         raise ConfigError("the signing key is empty; give 64 hexadecimal digits or a passphrase.")
     try:
@@ -73,10 +69,9 @@ class Codec:
     wall: Callable[[], float] = time.time  # wall clock [s], for the time of signatures
 
     def __post_init__(self) -> None:
-        if not (1 <= self.system <= 255 and 1 <= self.component <= 255):
-            raise ConfigError(
-                f"system and component ids must be 1 to 255; got {self.system} and {self.component}."
-            )
+        ids = self.system, self.component
+        if not all(1 <= one <= 255 for one in ids):
+            raise ConfigError(f"system and component ids must be 1 to 255; got {ids[0]} and {ids[1]}.")
         if self.key is not None and len(self.key) != 32:
             raise ConfigError(f"a signing key has 32 bytes; got {len(self.key)}.")
         self.only: int | None = None  # the system that is listened to; None: any
@@ -105,12 +100,8 @@ class Codec:
         if int(now) != self._second:
             self._second = int(now)
             self._spent.clear()
-        out = []
-        for frame in self._frames(data):
-            message = self._decoded(frame)
-            if message is not None:
-                out.append(message)
-        return out
+        decoded = map(self._decoded, self._frames(data))
+        return [message for message in decoded if message is not None]
 
     def _now(self) -> int:
         return int((self.wall() - _EPOCH) * 1e5)
@@ -169,10 +160,8 @@ class Codec:
         end = head + frame[1]
         if crc16(frame[1:end], kind.crc_extra) != frame[end] | frame[end + 1] << 8:
             return "crc"
-        if self.key is not None:
-            trouble = self._signature(frame, mark)
-            if trouble is not None:
-                return trouble
+        if self.key is not None and (trouble := self._signature(frame, mark)) is not None:
+            return trouble
         self._spent[number] += 1
         return "good" if self._spent[number] <= BUDGET else "flood"
 

@@ -55,7 +55,7 @@ class Connection(ABC):
     """An endpoint and the clock that it lives on; a context manager."""
 
     endpoint: Endpoint  # says and hears
-    live: bool = True  # whether something flies that must be landed when it is asked to stop
+    live = True  # whether something flies that must be landed when it is asked to stop
 
     @abstractmethod
     def now(self) -> float:
@@ -79,8 +79,7 @@ class Link(Connection):
     def __init__(
         self, transport: Transport, *, system: int = 245, target: int | None = None, key: bytes | None = None
     ) -> None:
-        self._transport = transport
-        stream = transport.stream
+        self._transport, stream = transport, transport.stream
         self.endpoint = Endpoint(transport.send, system=system, target=target, key=key, stream=stream)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._receive, name="mavlink", daemon=True)

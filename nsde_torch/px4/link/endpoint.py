@@ -163,7 +163,11 @@ class Endpoint:
     def command(self, number: int, *parameters: float) -> None:
         """Send a command to the vehicle, once."""
         values = [*parameters, *([0.0] * (7 - len(parameters)))]
-        self.say(mavlink.MAVLink_command_long_message(self.target or 0, self._component, number, 0, *values))
+        self.say(mavlink.MAVLink_command_long_message(*self._to, number, 0, *values))
+
+    @property
+    def _to(self) -> tuple[int, int]:
+        return self.target or 0, self._component
 
     def ask_mode(self, mode: Mode) -> None:
         """Ask for a flight mode."""
@@ -175,9 +179,7 @@ class Endpoint:
 
     def ask_parameter(self, name: str) -> None:
         """Ask for a parameter; it turns up in `status().parameters`."""
-        self.say(
-            mavlink.MAVLink_param_request_read_message(self.target or 0, self._component, name.encode(), -1)
-        )
+        self.say(mavlink.MAVLink_param_request_read_message(*self._to, name.encode(), -1))
 
     def send_rates(self, w: Vec, throttle: float, now: float) -> None:
         """Send body rates (FLU) [rad/s] and collective throttle [0, 1].
@@ -189,10 +191,5 @@ class Endpoint:
         if self._origin is None:
             self._origin = now
         stamp = int((now - self._origin) * 1e3) & 0xFFFFFFFF
-        to = (self.target or 0, self._component)
-        thrust, unturned = min(max(throttle, 0.0), 1.0), (1.0, 0.0, 0.0, 0.0)
-        self.say(
-            mavlink.MAVLink_set_attitude_target_message(
-                stamp, *to, d.RATES_MASK, unturned, *frames.body(w), thrust
-            )
-        )
+        asked = (d.RATES_MASK, (1.0, 0.0, 0.0, 0.0), *frames.body(w), min(max(throttle, 0.0), 1.0))
+        self.say(mavlink.MAVLink_set_attitude_target_message(stamp, *self._to, *asked))

@@ -184,11 +184,10 @@ class Telemetry:
         v: Vec = (m.vx, m.vy, m.vz)
         w = frames.body((m.rollspeed, m.pitchspeed, m.yawspeed))
         stamp = m.time_usec * 1e-6
-        local = frames.world(v)
-        if finite(*q) and self._in_body(local, rotate(q, frames.body(v)), stamp):
-            local = rotate(q, frames.body(v))
-        if self._reset_counter is not None and m.reset_counter != self._reset_counter:
-            self._resets += 1
+        local, turned = frames.world(v), rotate(q, frames.body(v))
+        if finite(*q) and self._in_body(local, turned, stamp):
+            local = turned
+        self._resets += self._reset_counter not in (None, m.reset_counter)
         self._reset_counter = m.reset_counter
         if self._new_state(stamp, now, p, local, q, w):
             self._last_odometry = now

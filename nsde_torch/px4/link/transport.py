@@ -58,14 +58,14 @@ class Transport(ABC):
 def open_transport(url: str, *, expose: bool = False, name: str = "link.url") -> Transport:
     """The way for bytes that a url names (see the module's text), which was given by a key of that name.
 
-    Other interfaces than loopback are waited on where that is allowed, with `expose`.
-
-    Raises:
-        LinkError: a url that is not understood, an address that cannot be had, or an interface without `expose`.
+    LinkError for a url that is not understood, an address that cannot be had, or another interface than loopback to
+    wait on without `expose`.
     """
+    kinds: dict[str, Callable[[str, int], Transport]]
+    kinds = {"udpin": UdpIn, "udpout": UdpOut, "tcp": Tcp, "tcpin": TcpIn, "serial": Serial}
     kind, _, rest = url.partition(":")
     where, _, number = rest.rpartition(":")
-    if kind not in ("udpin", "udpout", "tcp", "tcpin", "serial") or not where or not number.isdigit():
+    if kind not in kinds or not where or not number.isdigit():
         raise LinkError(
             f"`{name}`: {url!r} is not understood; expected udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, "
             "tcpin:HOST:PORT or serial:DEVICE:BAUD."
@@ -79,10 +79,6 @@ def open_transport(url: str, *, expose: bool = False, name: str = "link.url") ->
             "127.0.0.1, or add link.expose=true, best with link.key_file."
         )
     try:
-        if kind == "serial":
-            return Serial(where, port)
-        kinds: dict[str, Callable[[str, int], Transport]]
-        kinds = {"udpin": UdpIn, "udpout": UdpOut, "tcp": Tcp, "tcpin": TcpIn}
         return kinds[kind](where, port)
     except OSError as error:
         raise LinkError(f"`{name}`: {url!r} cannot be opened ({error}). Is another program on it?") from error
@@ -107,12 +103,14 @@ def _readable(sock: socket.socket, timeout: float) -> bool:
 class _Udp(Transport):
     """A socket for datagrams, which waits at an address or sends to it."""
 
-    def __init__(self, host: str, port: int, *, listens: bool) -> None:
+    listens: bool
+
+    def __init__(self, host: str, port: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
         self._socket.setblocking(False)
         try:
-            (self._socket.bind if listens else self._socket.connect)((host, port))
+            (self._socket.bind if self.listens else self._socket.connect)((host, port))
         except OSError:
             self._socket.close()
             raise
@@ -125,13 +123,14 @@ class _Udp(Transport):
 class UdpIn(_Udp):
     """Waits for the vehicle; answers to the address from which its first good message came."""
 
+    listens = True
+
     def __init__(self, host: str, port: int) -> None:
-        super().__init__(host, port, listens=True)
+        super().__init__(host, port)
         self.address: tuple[str, int] = self._socket.getsockname()
         self._peer: tuple[str, int] | None = None
         self._last: tuple[str, int] | None = None
-        self._heard = 0.0
-        self.foreign = 0
+        self._heard, self.foreign = 0.0, 0
 
     def receive(self, timeout: float) -> bytes:
         if not _readable(self._socket, timeout):
@@ -165,8 +164,7 @@ class UdpIn(_Udp):
 class UdpOut(_Udp):
     """Sends to an address and hears only it."""
 
-    def __init__(self, host: str, port: int) -> None:
-        super().__init__(host, port, listens=False)
+    listens = False
 
     def receive(self, timeout: float) -> bytes:
         if not _readable(self._socket, timeout):

@@ -6,7 +6,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, final
+from typing import final
 
 import torch
 from torch import Tensor, nn
@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from nsde_torch.control.cascade import Cascade
 from nsde_torch.control.codegen.library import NoCompiler
 from nsde_torch.control.compiled import compiled_estimator
-from nsde_torch.control.controller import Plan, Planner
+from nsde_torch.control.controller import Foresight, Plan, Planner
 from nsde_torch.control.options import EstimatorOptions
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.reference import Reference, StateReference
@@ -44,28 +44,8 @@ from nsde_torch.systems import Multirotor, System
 #     d' = d + B^+ e / tau,                e = error of the rates
 
 
-class Foresight(Protocol):
-    """What predicts the state over one step of the fine grid: a `Predictor`, or a file that was made of one."""
-
-    dt: float
-    nx: int
-    nz: int
-    nd: int
-    ports: dict[Port, int]
-
-    def __call__(self, z: Tensor, u: Tensor, d: Tensor) -> Tensor:
-        """States after a step (N, nz), from states (N, nz), inputs (N, nu) and pushes (N, nd)."""
-
-    def augment(self, x: Tensor, u: Tensor) -> Tensor:
-        """States (N, nx) with the memory that is stationary under inputs (N, nu): (N, nz)."""
-
-
 def whole_samples(name: str, time: float, dt: float) -> int:
-    """A time [s] in samples of `dt` [s]; a period is at least one.
-
-    Raises:
-        ConfigError: it is no multiple.
-    """
+    """A time [s] in samples of `dt` [s]; a period is at least one; ConfigError: it is no multiple."""
     steps = round(time / dt)
     if steps < 0 or abs(steps * dt - time) > 1e-6 or (name == "period" and steps < 1):
         raise ConfigError(
@@ -80,16 +60,7 @@ _TINY = 1e-20
 
 @final
 class Estimator(nn.Module):
-    """One update, `forward`: plain tensors in and out.
-
-    Args:
-        predictor: Model with a step of the fine grid of time.
-        options: What is known of times.
-        period: Time between updates [s], a multiple of the step.
-
-    Attributes:
-        past, ahead: Steps between updates, and those to predict over.
-    """
+    """One update, `forward`, of plain tensors: `past` steps of the fine grid lie between two, `ahead` are predicted."""
 
     def __init__(self, predictor: Foresight, options: EstimatorOptions, *, period: float) -> None:
         super().__init__()
@@ -113,8 +84,7 @@ class Estimator(nn.Module):
         for k in range(self.past):
             z = p(z, commands[:, k], d)
         d = self.learned(x, z, d)
-        now = torch.cat((x, z[:, p.nx :]), 1) if p.nz > p.nx else x
-        z = now
+        z = now = torch.cat((x, z[:, p.nx :]), 1) if p.nz > p.nx else x
         for k in range(self.past, self.past + self.ahead):
             z = p(z, commands[:, k], d)
         return now.clone(), d, z.clone()
@@ -267,7 +237,7 @@ class PredictivePilot(Autopilot):
             self._z, self._d = torch.where(good, z, free), torch.where(good, d, self._d)
         nx = e.predictor.nx
         window = self.reference.window(t + self._ahead, dt=c.options.dt, steps=c.options.steps)
-        self._plan = c.plan(
+        self._plan = plan = c.plan(
             z0[:, :nx],
             window.expand(c.batch, -1, -1),
             self._plan,
@@ -276,17 +246,10 @@ class PredictivePilot(Autopilot):
             push=self._d,
             memory=z0[:, nx:] if e.predictor.nz > nx else None,
         )
-        u = self._plan.u[:, 0]
+        u = plan.u[:, 0]
         self._commands = torch.cat((self._commands[:, e.past :], u[:, None].expand(-1, e.past, -1)), 1)
-        return Decision(
-            u=u,
-            status=self._plan.status,
-            cost=self._plan.cost,
-            gap=self._plan.gap,
-            solve_ms=self._plan.solve_ms,
-            total_ms=1e3 * (time.perf_counter() - started),
-            iterations=self._plan.iterations,
-        )
+        took = 1e3 * (time.perf_counter() - started)
+        return Decision(u, plan.status, plan.cost, plan.gap, plan.solve_ms, took, plan.iterations)
 
 
 @final

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import acos, dist, hypot, isfinite
-from typing import NamedTuple, Protocol, final
+from typing import Any, Protocol, final
 
 import numpy as np
 import torch
@@ -67,14 +67,7 @@ def hovering_plan(
     *,
     batch: int,
 ) -> Plan:
-    """A plan of `batch` rows that stays at the origin, at rest and level.
-
-    Args:
-        hover: Inputs that hover (nu,).
-        augment: States with memory (N, nz) of states (N, nx) and inputs (N, nu).
-        system: The machine.
-        options: Its steps.
-    """
+    """A plan of `batch` rows that stays at the origin, at rest and level, under inputs that hover (nu,)."""
     u = hover.expand(batch, options.steps, -1).contiguous()
     x = at_rest(system, u.dtype).repeat(batch, 1)
     z = augment(x, u[:, 0])[:, None, None].repeat(1, options.particles, options.steps + 1, 1)
@@ -114,7 +107,7 @@ class Planner(Protocol):
         """How plans are found."""
 
     @property
-    def predictor(self) -> PredictorFace:
+    def predictor(self) -> Foresight:
         """What is known of the machine."""
 
     def hovering(self) -> Plan:
@@ -134,11 +127,21 @@ class Planner(Protocol):
         """Plan from measured states; see `Controller.plan`."""
 
 
-class PredictorFace(Protocol):
-    """What is to be known of a predictor."""
+class Foresight(Protocol):
+    """What predicts the state over one step: a `Predictor`, or a file that was made of one."""
 
     system: System
+    dt: float
+    nx: int
+    nz: int
+    nd: int
     ports: dict[Port, int]
+
+    def __call__(self, z: Tensor, u: Tensor, d: Tensor) -> Tensor:
+        """States after a step (N, nz), from states (N, nz), inputs (N, nu) and pushes (N, nd)."""
+
+    def augment(self, x: Tensor, u: Tensor) -> Tensor:
+        """States (N, nx) with the memory that is stationary under inputs (N, nu): (N, nz)."""
 
 
 class SolverFace(Protocol):
@@ -300,15 +303,11 @@ class Controller:
             return torch.where(hover.view(shape), rest, torch.where(kept.view(shape), old, new))
 
         z = choose(made.z, start.z, torch.where(known, stays, still.z))
-        return replace(
-            made,
-            u=choose(made.u, start.u, still.u).clamp(self.horizon.low, self.horizon.high),
-            x=z[:, 0, :, : self.predictor.nx],
-            cost=choose(made.cost, start.cost, still.cost),
-            gap=choose(made.gap, start.gap, still.gap),
-            age=choose(made.age, start.age, still.age),
-            z=z,
-        )
+        u = choose(made.u, start.u, still.u).clamp(self.horizon.low, self.horizon.high)
+        rest: dict[str, Any] = {
+            k: choose(*(getattr(plan, k) for plan in (made, start, still))) for k in ("cost", "gap", "age")
+        }
+        return replace(made, u=u, x=z[:, 0, :, : self.predictor.nx], z=z, **rest)
 
     def _trouble(self, x: Tensor, reference: Tensor, start: Plan, *, known: bool) -> list[str | None]:
         """What is wrong with each row's state or reference, if anything."""
@@ -342,22 +341,13 @@ def _shift(table: Tensor, steps: float, *, axis: int = 1) -> Tensor:
     return torch.lerp(rows.narrow(axis, 0, n), rows.narrow(axis, 1, n), steps - whole)
 
 
-# Setpoints of a low-level controller of body rates, from a plan: desired rates and collective thrust.
-#
-# The supplement's flights send rates and not motor commands, because of latency: the rates that the plan
-# expects a little ahead are wanted now, and its inputs give the thrust.
+def setpoints(plan: Plan, system: Multirotor, *, ahead: float) -> tuple[Tensor, Tensor]:
+    """Body rates, FLU (N, K, 3) [rad/s], and thrust over mass (N, K) [m/s2] at the beginning of each step of a plan.
 
-
-class Setpoints(NamedTuple):
-    """Wanted by a plan at the beginning of each of its steps."""
-
-    rates: Tensor  # body rates, FLU (N, K, 3) [rad/s]
-    thrust: Tensor  # collective thrust over mass (N, K) [m/s2]
-
-
-def setpoints(plan: Plan, system: Multirotor, *, ahead: float) -> Setpoints:
-    """Rates and thrust along a plan of a machine; rates are reached late, and taken from `ahead` [s] on."""
+    They are for a controller of rates. The supplement's flights send these and not motor commands, because of latency:
+    rates are reached late, and taken from `ahead` [s] on.
+    """
     later = plan.shifted(max(ahead, 0.0))
     n, steps, _ = plan.u.shape
     thrust = system.quantity("thrust", plan.x[:, :-1].flatten(0, 1), plan.u.flatten(0, 1))
-    return Setpoints(rates=later.z[:, 0, :-1, 10:13], thrust=thrust[:, 0].view(n, steps))
+    return later.z[:, 0, :-1, 10:13], thrust[:, 0].view(n, steps)

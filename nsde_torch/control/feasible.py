@@ -87,35 +87,19 @@ def _inputs_along(reference: Reference, predictor: Predictor) -> Tensor:
 def _envelope(reference: Reference, u: Tensor) -> Envelope:
     x = reference.states
     tilt = torch.rad2deg(torch.arccos((1 - 2 * (x[:, 7] ** 2 + x[:, 8] ** 2)).clamp(-1, 1)))
-    values = {
-        "speed": x[:, 3:6].norm(dim=1),
-        "tilt": tilt,
-        "lowest": x[:, 2],
-        "input_low": u.min(1).values,
-        "input_high": u.max(1).values,
-    }
+    values = {"speed": x[:, 3:6].norm(dim=1), "tilt": tilt, "lowest": x[:, 2]}
+    values |= {"input_low": u.min(1).values, "input_high": u.max(1).values}
     worst = {name: int((-v if "low" in name else v).argmax()) for name, v in values.items()}
     most = {name: float(v[worst[name]]) for name, v in values.items()}
     return Envelope(**most, when={name: row * reference.dt for name, row in worst.items()})
 
 
 def check(
-    reference: Reference,
-    predictor: Predictor,
-    options: ProblemOptions,
-    *,
-    tilt: float = 60.0,
+    reference: Reference, predictor: Predictor, options: ProblemOptions, *, tilt: float = 60.0
 ) -> Envelope:
-    """Refuse a reference that the machine cannot fly.
+    """Refuse a reference that the machine cannot fly within bounds of the inputs and a largest tilt [deg].
 
-    Args:
-        reference: Where to fly.
-        predictor: What knows the machine.
-        options: Bounds of the inputs.
-        tilt: Largest tilt [deg].
-
-    Raises:
-        ConfigError: names what is too much, when, and the remedy.
+    ConfigError: names what is too much, when, and the remedy.
     """
     inputs, name = predictor.system.input_names, reference.name
     low, high = (torch.tensor(options.of_inputs(k, inputs), dtype=torch.float64) for k in ("low", "high"))

@@ -75,9 +75,8 @@ class GaussNewton(nn.Module):
         self.register_buffer("steps", torch.eye(horizon.steps, dtype=dtype))
         self.register_buffer("shares", torch.tensor((*SHARES, 0.0), dtype=dtype))
         # changes of the inputs from step to step, of all inputs
-        self.register_buffer(
-            "change", self.eye - torch.diag(torch.ones(n - horizon.nu, dtype=dtype), -horizon.nu)
-        )
+        before = torch.diag(torch.ones(n - horizon.nu, dtype=dtype), -horizon.nu)
+        self.register_buffer("change", self.eye - before)
 
     def start(self, u: Tensor) -> tuple[Tensor, ...]:
         """Memory before the first iteration: there is none."""

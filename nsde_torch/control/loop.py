@@ -30,9 +30,8 @@ def knowledge(run: str, system: str, *, effects: Effects = ()) -> Model | System
 
     `effects` are those beside the declared ones, with their values (see `make_plant_system`).
 
-    Raises:
-        CheckpointError: no such run directory, or a damaged one.
-        ConfigError: no plant of that name, or an effect that it cannot have.
+    CheckpointError: no such run directory, or a damaged one. ConfigError: no plant of that name, or an effect that
+    it cannot have.
     """
     if run == DECLARED:
         return make_plant_system(system, effects=effects, declared_only=True)
@@ -136,15 +135,8 @@ def fly(
             measured = plant.step(u.double())
             true.append(plant.state.clone())
             seen.append(measured)
-    return Flight(
-        t=times,
-        x=torch.stack(true),
-        measured=torch.stack(seen),
-        u=torch.stack(commands),
-        ref=wanted,
-        decisions=tuple(decisions),
-        lost=lost,
-    )
+    x, measured, u = map(torch.stack, (true, seen, commands))
+    return Flight(times, x, measured, u, wanted, tuple(decisions), lost)
 
 
 def summarise(flights: Sequence[Flight], system: System) -> dict[str, Any]:
@@ -177,20 +169,16 @@ def summarise(flights: Sequence[Flight], system: System) -> dict[str, Any]:
 
 def _flown(kept: Sequence[dict[str, Any]]) -> dict[str, float | None]:
     """What all flights that were not lost have in common."""
-
-    def over(key: str, how: Any) -> float | None:
-        return float(how([r[key] for r in kept])) if kept else None
-
-    return {
-        "rmse_m": over("rmse_m", np.mean),
-        "rmse_worst_m": over("rmse_m", np.max),
-        "position_error_max_m": over("position_error_max_m", np.max),
-        "altitude_rmse_m": over("altitude_rmse_m", np.mean),
-        "altitude_error_max_m": over("altitude_error_max_m", np.max),
-        "attitude_rmse_deg": over("attitude_rmse_deg", np.mean),
-        "speed_max_m_s": over("speed_max_m_s", np.max),
-        "roll_pitch_max_deg": over("tilt_max_deg", np.max),
-    }
+    of = {"rmse_worst_m": "rmse_m", "roll_pitch_max_deg": "tilt_max_deg"}
+    names = (
+        *("rmse_m", "rmse_worst_m", "position_error_max_m", "altitude_rmse_m", "altitude_error_max_m"),
+        *("attitude_rmse_deg", "speed_max_m_s", "roll_pitch_max_deg"),
+    )
+    out: dict[str, float | None] = {}
+    for name in names:
+        how: Any = np.max if "max" in name or "worst" in name else np.mean
+        out[name] = float(how([r[of.get(name, name)] for r in kept])) if kept else None
+    return out
 
 
 def _runs(flight: Flight, system: System) -> list[dict[str, Any]]:

@@ -44,11 +44,7 @@ _FEW = 16
 class JointNetwork(nn.Module):
     """One tanh network in the place of the residual networks of a model, from raw features to accelerations.
 
-    Args:
-        model: The model.
-
-    Attributes:
-        ports, widths: What its outputs push, and how many outputs each port has.
+    `ports` are what its outputs push, `widths` how many outputs each has.
     """
 
     def __init__(self, model: NeuralSDE) -> None:

@@ -69,8 +69,7 @@ def problem_of(system: System, **given: Any) -> ProblemOptions:
 class Residual(nn.Module):
     """Roots of the cost of a state.
 
-    Raises:
-        ConfigError: weights of another length than the machine's error channels, or limits that it does not have.
+    ConfigError: weights of another length than the machine's error channels, or limits that it does not have.
     """
 
     def __init__(self, predictor: Predictor, options: ProblemOptions) -> None:
@@ -157,21 +156,19 @@ _TURN = torch.stack([torch.stack(_turn(a, b)) for a in torch.eye(4) for b in tor
 
 @final
 class Horizon(nn.Module):
-    """Discretised problem over a model.
-
-    Args:
-        predictor: One step of the model.
-        options: What a plan pays for.
+    """Discretised problem over a model; ConfigError: numbers for another number of inputs, or see `Residual`.
 
     Attributes:
         steps, nx, nu, nz, nd: Steps, states, inputs, states with memory, pushes.
-        low, high, input_weight, input_centre: Of each input (nu,).
         particles: Paths of a plan.
-        noise: Increments of the paths (K, P, nx), zero for a single one.
-
-    Raises:
-        ConfigError: numbers for another number of inputs, or see `Residual`.
     """
+
+    low: Tensor  # of each input (nu,), as the three that follow
+    high: Tensor
+    input_weight: Tensor
+    input_centre: Tensor
+    rate_weight: Tensor
+    noise: Tensor  # increments of the paths (K, P, nx), zero for a single one
 
     def __init__(self, predictor: Predictor, options: ProblemOptions) -> None:
         super().__init__()
@@ -179,13 +176,7 @@ class Horizon(nn.Module):
         self.residual = Residual(predictor, options)
         self.steps, self.particles = options.steps, options.particles
         self.nx, self.nu, self.nz, self.nd = predictor.nx, predictor.nu, predictor.nz, predictor.nd
-        self.noise: Tensor
         self.register_buffer("noise", _increments(options, self.nx, predictor.dtype))
-        self.low: Tensor
-        self.high: Tensor
-        self.input_weight: Tensor
-        self.input_centre: Tensor
-        self.rate_weight: Tensor
         for name in ("low", "high", "input_weight", "input_centre"):
             values = options.of_inputs(name, predictor.system.input_names)
             self.register_buffer(name, torch.tensor(values, dtype=predictor.dtype))

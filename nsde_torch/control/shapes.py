@@ -167,7 +167,12 @@ def waypoints(
         raise ConfigError(f"reference {name!r}: `points` must be finite; got {points!r}.")
     table[:, 3] = np.deg2rad(table[:, 3])
     if times is not None:
-        return _through(table, _checked(times, len(table), name), name)
+        t = np.asarray(times, dtype=np.float64)
+        if len(t) != len(table) or not np.isfinite(t).all() or t[0] != 0 or (np.diff(t) <= 0).any():
+            raise ConfigError(
+                f"reference {name!r}: `times` must be {len(table)} times that increase from 0 s; got {list(times)[:8]}."
+            )
+        return _through(table, t, name)
     if not (speed > 0 and 0 < tilt < 80):
         raise ConfigError(
             f"reference {name!r}: `speed` must be above 0 m/s and `tilt` between 0 and 80 deg; got {speed!r}, {tilt!r}."
@@ -191,9 +196,7 @@ def waypoints(
 def from_csv(file: str | Path, *, speed: float = _LIMITS.speed, tilt: float = _LIMITS.tilt) -> FlightPath:
     """A path through the rows of a CSV file: `p_x p_y p_z` [m], and if there are `yaw` [rad] and `t` [s].
 
-    Raises:
-        DataError: the file or a column is missing, or a number is none.
-        ConfigError: the rows make no path.
+    DataError: the file or a column is missing, or a number is none. ConfigError: the rows make no path.
     """
     path = Path(file)
     rows = csv_rows(path, ("p_x", "p_y", "p_z"), what="reference", remedy="Name a CSV file.")
@@ -206,15 +209,6 @@ def from_csv(file: str | Path, *, speed: float = _LIMITS.speed, tilt: float = _L
     except (TypeError, ValueError) as error:
         raise DataError(f"reference {path} holds something that is no number ({error}).") from error
     return waypoints(points, times=times, speed=speed, tilt=tilt, name=path.stem)
-
-
-def _checked(times: Sequence[float], n: int, name: str) -> Array:
-    t = np.asarray(times, dtype=np.float64)
-    if len(t) != n or not np.isfinite(t).all() or t[0] != 0 or (np.diff(t) <= 0).any():
-        raise ConfigError(
-            f"reference {name!r}: `times` must be {n} times that increase from 0 s; got {list(times)[:8]}."
-        )
-    return t
 
 
 def _through(table: Array, times: Array, name: str) -> FlightPath:

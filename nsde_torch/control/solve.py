@@ -6,7 +6,7 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import torch
 from torch import Tensor
@@ -51,16 +51,10 @@ class Solution:
         def pick(mine: Tensor, theirs: Tensor) -> Tensor:
             return torch.where(better.view(-1, *(1,) * (mine.ndim - 1)), theirs, mine)
 
-        return replace(
-            self,
-            u=pick(self.u, other.u),
-            z=pick(self.z, other.z),
-            cost=pick(self.cost, other.cost),
-            gap=pick(self.gap, other.gap),
-            converged=pick(self.converged, other.converged),
-            seconds=self.seconds + other.seconds,
-            in_time=self.in_time and other.in_time,
-        )
+        names = ("u", "z", "cost", "gap", "converged")
+        best: dict[str, Any] = {name: pick(getattr(self, name), getattr(other, name)) for name in names}
+        seconds, in_time = self.seconds + other.seconds, self.in_time and other.in_time
+        return replace(self, **best, seconds=seconds, in_time=in_time)
 
 
 @final
@@ -99,11 +93,8 @@ class Solver:
             except NoCompiler as error:
                 if options.compile == "on":
                     raise ConfigError(f"`compile=on`, but {error}. Use compile=off.") from error
-                warnings.warn(
-                    f"the solver runs without compilation, much slower: {error}.",
-                    CompilationWarning,
-                    stacklevel=2,
-                )
+                text = f"the solver runs without compilation, much slower: {error}."
+                warnings.warn(text, CompilationWarning, stacklevel=2)
 
     @torch.no_grad()
     def solve(self, problem: Problem, u: Tensor, z: Tensor) -> Solution:

@@ -37,12 +37,6 @@ _FUSED = ("finish",)
 """Stages that compile best with columns put together in registers: a rollout, whose steps then are one loop each."""
 
 
-def has_compiler() -> bool:
-    """Whether a C++ compiler is found."""
-    named = os.environ.get("CXX")
-    return any(shutil.which(c) for c in ([named] if named else ["g++", "clang++"]))
-
-
 @contextmanager
 def quick_indices() -> Iterator[None]:
     """While it lasts, sympy expands what is a polynomial where inductor asks it to simplify.
@@ -70,12 +64,12 @@ def quick_indices() -> Iterator[None]:
 def compiled(step: ExportedStep, *, say: Callable[[str], None]) -> dict[str, bytes]:
     """Members of a package with all stages; `say` is called with a line when something takes long.
 
-    Raises:
-        ExportError: there is no compiler, or it refuses.
+    ExportError: there is no compiler, or it refuses.
     """
     from torch._inductor.package import package_aoti
 
-    if not has_compiler():
+    named = os.environ.get("CXX")
+    if not any(shutil.which(c) for c in ([named] if named else ["g++", "clang++"])):
         raise ExportError(
             "`format=aoti` needs a C++ compiler (g++ or clang++; CXX names it). Install one, or take "
             "format=torchscript."
@@ -99,7 +93,11 @@ def compiled(step: ExportedStep, *, say: Callable[[str], None]) -> dict[str, byt
         package = Path(name) / "package.pt2"
         package_aoti(str(package), files)
         members = container.members_of(package.read_bytes())
-    return {name: content for name, content in members.items() if _is_loaded(name)}
+    # names of kernels' files differ from time to time, and what is loaded of them is in the wrappers'
+    left = (".data/serialization_id",)
+    return {
+        n: c for n, c in members.items() if n not in left and ".kernel" not in n and not n.endswith(".cpp")
+    }
 
 
 def _machine_code(step: ExportedStep, stage: str, example: Sequence[Tensor]) -> Any:
@@ -153,32 +151,21 @@ def _built_in(folder: str) -> Iterator[None]:
             os.environ["TORCHINDUCTOR_CACHE_DIR"] = before
 
 
-def _is_loaded(member: str) -> bool:
-    # names of kernels' files differ from time to time, and what is loaded of them is in the wrappers'
-    return member != ".data/serialization_id" and not member.endswith(".cpp") and ".kernel" not in member
-
-
 def loaded(
     path: Path, loops: Mapping[str, float]
 ) -> tuple[Callable[..., Sequence[Tensor]], Callable[..., Sequence[Tensor]]]:
     """`step` and `predict` of a package, with the numbers of its `Loops`; it is machine code, and runs when called.
 
-    Raises:
-        ExportError: the package cannot be loaded here.
+    ExportError: the package cannot be loaded here.
     """
     stages: dict[str, Stage] = {}
     try:
         for name in WHOLE:
             # (path, name, single threaded, runners, device)
             loader: Any = torch._C._aoti.AOTIModelPackageLoader(str(path), name, True, 1, -1)
-            stages[name] = functools.partial(_call, loader)
+            stages[name] = lambda *given, loader=loader: loader.run(list(given))
     except Exception as error:
         raise ExportError(
             f"its machine code cannot be loaded here ({str(error).splitlines()[0]}). Export it here with format=aoti."
         ) from error
     return functools.partial(run, stages, Loops(**loops)), stages["predict"]  # type: ignore[arg-type]
-
-
-def _call(loader: Any, *arguments: Tensor) -> Sequence[Tensor]:
-    out: Sequence[Tensor] = loader.run(list(arguments))
-    return out

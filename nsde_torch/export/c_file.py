@@ -63,8 +63,7 @@ def read(path: Path) -> dict[str, Any]:
 def library(path: Path) -> ctypes.CDLL:
     """The controller, compiled for this computer and loaded; it is machine code, and runs when called.
 
-    Raises:
-        ExportError: there is no C compiler, or it refuses.
+    ExportError: there is no C compiler, or it refuses.
     """
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "controller.so"

@@ -19,7 +19,7 @@ from nsde_torch.control.solve import SolverOptions
 from nsde_torch.effects import Port
 from nsde_torch.errors import ExportError, ShapeError
 from nsde_torch.export import c_file, container, jit, record
-from nsde_torch.export.layout import JUMPED, N_HEAD, SOLVES, Sizes
+from nsde_torch.export.layout import AGE, JUMPED, N_HEAD, SOLVES, Sizes, first_inputs
 from nsde_torch.export.step import packed
 from nsde_torch.systems import System
 from nsde_torch.systems.frozen import frozen
@@ -29,11 +29,7 @@ Function = Callable[..., Sequence[Tensor]]
 
 @final
 class Prediction(nn.Module):
-    """One sample of the file's model; see `control.predictor.Predictor`.
-
-    Attributes:
-        nx, nu, nz, nd, ports, dt, dtype: See `Predictor`.
-    """
+    """One sample of the file's model, with the attributes of `control.predictor.Predictor`."""
 
     def __init__(self, function: Function, about: dict[str, Any], system: System, dt: float) -> None:
         super().__init__()
@@ -84,10 +80,8 @@ class ExportedController:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        if c_file.is_c(self.path):
-            archive, self.record = b"", c_file.read(self.path)
-        else:
-            archive, self.record = container.read(self.path)
+        in_c = c_file.is_c(self.path)
+        archive, self.record = (b"", c_file.read(self.path)) if in_c else container.read(self.path)
         self.step: Function  # the step itself; see `layout.step_inputs` and `layout.step_outputs`
         predict: Function
         try:
@@ -136,27 +130,15 @@ class ExportedController:
                 f"`x` must be (batch=1, nx={s.nx}) and `reference` (batch=1, steps={s.steps}, nx={s.nx}); got "
                 f"{tuple(x.shape)} and {tuple(reference.shape)}."
             )
-        counts = self._jumped, self._solves
-        old = torch.zeros(s.n_plan, dtype=torch.float64) if before is None else packed(before, *counts)
-        old[JUMPED] = self._jumped
-
-        def given(table: Tensor | None, width: int, otherwise: float) -> Tensor:
-            if table is None:
-                return torch.full((width,), otherwise, dtype=torch.float64)
-            return table[0].double().contiguous()
-
-        arguments = (
-            x[0].double().contiguous(),
-            torch.ones((), dtype=torch.float64),
-            torch.tensor(elapsed, dtype=torch.float64),
-            reference[0].double().contiguous(),
-            given(last, s.nu, torch.nan),
-            given(push, s.nd, 0.0),
-            given(memory, s.nz - s.nx, torch.nan),
-            old,
-        )
+        given = {"state": x, "reference": reference, "last": last, "push": push, "memory": memory}
+        arguments = first_inputs(s, x[0].double())
+        arguments |= {k: v[0].double().contiguous() for k, v in given.items() if v is not None}
+        arguments["elapsed"] = torch.tensor(elapsed, dtype=torch.float64)
+        if before is not None:
+            arguments["before"] = packed(before, self._jumped, self._solves)
+        arguments["before"][JUMPED] = self._jumped
         started = time.perf_counter()
-        u, *_, states, cost, gap, status, iterations, after = self.step(*arguments)
+        u, *_, states, cost, gap, status, iterations, after = self.step(*arguments.values())
         seconds = time.perf_counter() - started
         self._jumped, self._solves = float(after[JUMPED]), float(after[SOLVES])
         word, dtype = self.record["status"][int(status)], self.hover.dtype
@@ -164,18 +146,9 @@ class ExportedController:
         if ":" not in word and deadline is not None and seconds > deadline:
             word += f":{LATE}"
         z = after[N_HEAD + s.steps * s.nu :].view(1, s.particles, s.steps + 1, s.nz)
-        return Plan(
-            u=u[None].to(dtype),
-            x=states[None].to(dtype),
-            cost=cost[None].to(dtype),
-            gap=gap[None].to(dtype),
-            status=(word,),
-            solve_ms=1e3 * seconds,
-            iterations=int(iterations),
-            dt=self.options.dt,
-            age=after[1:2].to(dtype),
-            z=z.to(dtype),
-        )
+        u, states, cost, gap = (part[None].to(dtype) for part in (u, states, cost, gap))
+        ms, dt, age = 1e3 * seconds, self.options.dt, after[AGE, None].to(dtype)
+        return Plan(u, states, cost, gap, (word,), ms, int(iterations), dt, age, z.to(dtype))
 
 
 def _functions(about: dict[str, Any], archive: bytes, path: Path) -> tuple[Function, Function]:

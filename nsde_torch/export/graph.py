@@ -8,6 +8,7 @@ alone becomes a constant.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from itertools import accumulate
 from operator import getitem
 from typing import Any
@@ -165,18 +166,16 @@ def graph_of(
     def run(*arguments: Tensor) -> tuple[Tensor, ...]:
         return tuple(function(*arguments))
 
-    with torch.no_grad():
-        if not few:
-            made = make_fx(run)(*example)
-            made.graph = fx_graph_cse(made.graph)
-            made.graph.eliminate_dead_code()
-        else:
-            with few_operations():
-                made = make_fx(run)(*example)
-            size = 0
-            while size != len(made.graph.nodes):
-                size = len(made.graph.nodes)
-                _fold(made, example)
+    with torch.no_grad(), few_operations() if few else nullcontext():
+        made = make_fx(run)(*example)
+    if not few:
+        made.graph = fx_graph_cse(made.graph)
+        made.graph.eliminate_dead_code()
+    size = 0
+    while few and size != len(made.graph.nodes):
+        size = len(made.graph.nodes)
+        with torch.no_grad():
+            _fold(made, example)
     made.recompile()
     return made
 
@@ -191,12 +190,13 @@ def _fold(module: fx.GraphModule, example: Sequence[Tensor]) -> None:
     for node in list(graph.nodes):
         if node.op == "get_attr":
             constant.add(node)
-            known[node] = own_value = _attribute(module, node)
+            known[node] = own_value = getattr(module, str(node.target))
+            assert isinstance(own_value, Tensor)
             if not str(node.target).startswith(_FOLDED):
                 # a copy: tensors of the model are shared by stages, and constants of a graph are its own
                 own = _replace_by_constant(module, node, own_value, constant)
                 known[own] = own_value
-                seen.setdefault(_content(_attribute(module, own)), own)
+                seen.setdefault(_content(own_value), own)
                 continue
             same = seen.setdefault(_content(own_value), node)
             if same is not node:
@@ -277,12 +277,6 @@ def _is_nothing(node: fx.Node, before: object, after: Tensor) -> bool:
         order: Any = node.args[1]
         return all(before.shape[k] == 1 or k == place for place, k in enumerate(order))
     return node.target in (_MUL, _aten.div.Tensor) and node.args[1] in (1, 1.0)
-
-
-def _attribute(module: fx.GraphModule, node: fx.Node) -> Tensor:
-    value = getattr(module, str(node.target))
-    assert isinstance(value, Tensor)
-    return value
 
 
 def _content(value: Tensor) -> tuple[object, ...]:

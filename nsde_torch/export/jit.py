@@ -95,9 +95,7 @@ def _quiet() -> Iterator[None]:
 
 def scripted(step: ExportedStep) -> bytes:
     """The bytes of a file with the step as a frozen module of the methods `step` and `predict` (see `layout`)."""
-    from nsde_torch.export.graph import (
-        graph_of,  # with torch's tracer, which those who load a file do without
-    )
+    from nsde_torch.export.graph import graph_of  # with torch's tracer, which those who load do without
 
     buffer, examples, s = io.BytesIO(), step.examples(), step.sizes
     results = f"Tuple[{', '.join(['Tensor'] * len(step_outputs(s)))}]"
@@ -142,13 +140,6 @@ def loaded(content: bytes, names: Sequence[str]) -> list[Function]:
         module = torch.jit.load(io.BytesIO(content), map_location="cpu")
 
     def method(name: str) -> Function:
-        call = getattr(module, name)
-
-        def run(*arguments: Tensor) -> Sequence[Tensor]:
-            with torch.jit.optimized_execution(False):
-                out: Sequence[Tensor] = call(*arguments)
-            return out
-
-        return run
+        return torch.jit.optimized_execution(False)(getattr(module, name))
 
     return [method(name) for name in names]

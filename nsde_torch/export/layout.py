@@ -14,26 +14,17 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from nsde_torch.control.controller import (
-    BAD_REFERENCE,
-    BAD_STATE,
-    CONVERGED,
-    DIVERGED,
-    HOVER,
-    IMPROVED,
-    JUMP,
-    KEPT,
-)
+from nsde_torch.control import controller as c
 
-TROUBLES = (BAD_STATE, BAD_REFERENCE, JUMP, DIVERGED)
+TROUBLES = (c.BAD_STATE, c.BAD_REFERENCE, c.JUMP, c.DIVERGED)
 
 
 def status_words(at_rest: str) -> tuple[str, ...]:
     """Words of the numbers that `status` takes, for a machine whose last thing to do is called so."""
-    return CONVERGED, IMPROVED, *(f"{t}:{done}" for t in TROUBLES for done in (KEPT, at_rest))
+    return c.CONVERGED, c.IMPROVED, *(f"{t}:{done}" for t in TROUBLES for done in (c.KEPT, at_rest))
 
 
-STATUS = status_words(HOVER)
+STATUS = status_words(c.HOVER)
 """Those of a multirotor."""
 
 KNOWN, AGE, JUMPED, COST, GAP, SOLVES = range(6)

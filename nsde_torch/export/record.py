@@ -7,7 +7,7 @@ import json
 import os
 import platform
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, fields
 from math import inf
 from pathlib import Path
@@ -19,15 +19,7 @@ from nsde_torch.control.controller import REST, SafetyOptions, word_at_rest
 from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.errors import ExportError
-from nsde_torch.export.layout import (
-    STATUS,
-    Entry,
-    predict_inputs,
-    predict_outputs,
-    status_words,
-    step_inputs,
-    step_outputs,
-)
+from nsde_torch.export import layout
 from nsde_torch.export.step import ExportedStep
 from nsde_torch.models import Model
 from nsde_torch.models.run_directory import CONFIG, WEIGHTS, make_spec
@@ -60,23 +52,20 @@ def record_of(
         "step_s": step.options.dt,
         "latency_s": latency,
         "sizes": asdict(s),
-        "step": {"inputs": _listed(step_inputs(s, units)), "outputs": _listed(step_outputs(s, units))},
-        "predict": {
-            "inputs": _listed(predict_inputs(s, units)),
-            "outputs": _listed(predict_outputs(s, units)),
+        **{
+            name: {
+                k: list(map(asdict, getattr(layout, f"{name}_{k}")(s, units))) for k in ("inputs", "outputs")
+            }
+            for name in ("step", "predict")
         },
-        "status": list(status_words(word_at_rest(system))),
+        "status": list(layout.status_words(word_at_rest(system))),
         "loops": asdict(step.loops),
         "hover": step.hover_u[0, 0].double().tolist(),
         "ports": {port.value: width for port, width in step.predictor.ports.items()},
         "state_names": list(system.state_names),
         "input_names": list(system.input_names),
         "problem": {k: None if v == inf else v for k, v in asdict(step.options).items()},
-        "solver": {
-            "name": "gauss_newton",
-            "iterations": step.loops.iterations,
-            "tolerance": step.loops.tolerance,
-        },
+        "solver": {"name": "gauss_newton"} | {k: getattr(step.loops, k) for k in ("iterations", "tolerance")},
         "safety": asdict(step.safety),
         "model": {
             "spec": None if isinstance(known, System) else known.spec.as_dict(),
@@ -87,17 +76,11 @@ def record_of(
     }
 
 
-def _listed(entries: Sequence[Entry]) -> list[dict[str, Any]]:
-    return [asdict(entry) for entry in entries]
-
-
 def hashes(known: Model | System, run: Path | None) -> dict[str, str]:
     """What a model is recognised by: hashes of its files, or of the values of declared physics."""
     if run is not None:
-        return {
-            "weights_sha256": hashlib.sha256((run / WEIGHTS).read_bytes()).hexdigest(),
-            "config_sha256": hashlib.sha256((run / CONFIG).read_bytes()).hexdigest(),
-        }
+        files = {"weights": WEIGHTS, "config": CONFIG}
+        return {f"{k}_sha256": hashlib.sha256((run / f).read_bytes()).hexdigest() for k, f in files.items()}
     system = known if isinstance(known, System) else known.system
     values = {k: v.tolist() for k, (v, _) in sorted(system.all_declared().items())}
     text = json.dumps([system.name, system.effect_names, values])
@@ -119,7 +102,7 @@ def check(record: Mapping[str, Any]) -> None:
                 f"it was compiled for {record['processor']}, and this is {_processor()}. Export it here with "
                 "format=aoti."
             )
-        if tuple(record["status"]) not in (STATUS, status_words(REST)):
+        if tuple(record["status"]) not in (layout.STATUS, layout.status_words(REST)):
             raise ExportError("it knows other words of a status than this version. Export anew.")
     except (LookupError, TypeError, AttributeError) as error:
         raise ExportError(f"its record lacks {error}. Export anew.") from error
@@ -135,11 +118,8 @@ def options_of(record: Mapping[str, Any]) -> tuple[ProblemOptions, SolverOptions
     for field in fields(ProblemOptions):
         if problem[field.name] is None and field.default == inf:
             problem[field.name] = inf
-    return (
-        ProblemOptions(**problem),
-        SolverOptions(**record["solver"], compile="off"),
-        SafetyOptions(**record["safety"]),
-    )
+    solver, safety = SolverOptions(**record["solver"], compile="off"), SafetyOptions(**record["safety"])
+    return ProblemOptions(**problem), solver, safety
 
 
 def system_of(record: Mapping[str, Any]) -> System:

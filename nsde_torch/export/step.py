@@ -59,19 +59,9 @@ class Loops:
 
 @final
 class ExportedStep(nn.Module):
-    """The controller's step.
+    """The step of a controller, with its numbers as they are now; `sample` predicts over a sample of the fine grid.
 
-    Args:
-        controller: The controller, a batch of one; its numbers as they are now.
-        sample: Predicts the state over a sample of the fine grid of time.
-
-    Attributes:
-        sizes, loops: Sizes, and what the loops between the stages go by.
-        quaternion: Columns of the unit quaternion, or None.
-        multirotor: The machine if it is one, else None.
-
-    Raises:
-        ConfigError: a controller of several machines, or with a solver that cannot be exported.
+    ConfigError: a controller of several machines, or with a solver that cannot be exported.
     """
 
     def __init__(self, controller: Controller, sample: Predictor) -> None:
@@ -82,12 +72,9 @@ class ExportedStep(nn.Module):
         if not isinstance(method, GaussNewton):
             raise ConfigError("only the solver gauss_newton is exported; got apg. Take mpc=default.")
         self.method, self.horizon, self.sample = method, controller.horizon, sample
-        self.predictor, self.safety, self.options = (
-            controller.predictor,
-            controller.safety,
-            controller.options,
-        )
-        p, o, solver, system = self.predictor, self.options, controller.solver.options, self.predictor.system
+        self.predictor, self.safety = controller.predictor, controller.safety
+        self.options = o = controller.options
+        p, solver, system = self.predictor, controller.solver.options, self.predictor.system
         self.dtype, self.quaternion = p.dtype, system.quaternion
         self.multirotor = system if isinstance(system, Multirotor) else None
         self.sizes = Sizes(p.nx, p.nu, p.nz, p.nd, o.steps, o.particles, self.multirotor is not None)
@@ -151,8 +138,7 @@ class ExportedStep(nn.Module):
         believed = finite & unit & (valid > 0.5)
         unlikely = jumped & (count < safety.jump_samples)
         trouble = torch.where(unlikely, 3.0, torch.zeros_like(count))
-        trouble = torch.where(sane, trouble, 2.0)
-        trouble = torch.where(believed, trouble, 1.0)
+        trouble = torch.where(believed, torch.where(sane, trouble, 2.0), 1.0)
         bad = trouble > 0.5
 
         x = torch.where(bad, expected, x)
@@ -246,16 +232,8 @@ class ExportedStep(nn.Module):
         if self.multirotor is not None:
             lift = self.multirotor.quantity("thrust", x[:-1], u[0])[:, 0]
             flight = (x[1, 10:13].to(dtype), u[0, 0].mean().to(dtype), lift.to(dtype))
-        return (
-            u[0].to(dtype),
-            *flight,
-            x.to(dtype),
-            own_cost,
-            own_gap,
-            status,
-            iterations.to(dtype),
-            after,
-        )
+        plan = (u[0].to(dtype), *flight, x.to(dtype))
+        return (*plan, own_cost, own_gap, status, iterations.to(dtype), after)
 
     def predict(self, z: Tensor, u: Tensor, push: Tensor) -> tuple[Tensor, ...]:
         """State with memory (nz,) a sample later; see `layout.predict_inputs`."""
@@ -266,11 +244,8 @@ class ExportedStep(nn.Module):
         s = self.sizes
         n = s.steps * s.nu
         head, u, z = before.split((N_HEAD, n, before.numel() - N_HEAD - n))
-        return (
-            head,
-            u.view(1, s.steps, s.nu).to(self.dtype),
-            z.view(1, s.particles, s.steps + 1, s.nz).to(self.dtype),
-        )
+        u = u.view(1, s.steps, s.nu).to(self.dtype)
+        return head, u, z.view(1, s.particles, s.steps + 1, s.nz).to(self.dtype)
 
     # ---- what is between them ---------------------------------------------------------------------------
 
@@ -287,7 +262,7 @@ class ExportedStep(nn.Module):
             return run
 
         stages = {name: watched(name) for name in names}
-        self.run(stages, *self.first())
+        run(stages, self.loops, *self.first())
         push = torch.zeros(self.sizes.nd, dtype=torch.float64)
         stages["predict"](self.hover_z[0, 0, 0].double(), self.hover_u[0, 0].double(), push)
         return seen
@@ -296,18 +271,9 @@ class ExportedStep(nn.Module):
         """Arguments of a first step: hovering, where the machine is to hover."""
         return list(first_inputs(self.sizes, self.hover_z[0, 0, 0, : self.sizes.nx].double()).values())
 
-    def run(self, stages: Mapping[str, Stage], *given: Tensor) -> tuple[Tensor, ...]:
-        """The step, in Python: see `run`."""
-        return run(stages, self.loops, *given)
-
     def stage(self, name: str) -> Stage:
         """A stage, whose results lie in memory row by row, as the next one expects them."""
         return lambda *arguments: [t.contiguous() for t in getattr(self, name)(*arguments)]
-
-    @property
-    def stages(self) -> dict[str, Stage]:
-        """All stages."""
-        return {name: self.stage(name) for name in STAGES}
 
 
 @torch.no_grad()

@@ -201,8 +201,7 @@ def logged(
 
     The CSV file has the time `t` in the reference, and the states in columns of their names.
 
-    Raises:
-        DataError: no such file, or columns that are not there.
+    DataError: no such file, or columns that are not there.
     """
     names, o = exported.record["state_names"], exported.options
     if not file.is_file():

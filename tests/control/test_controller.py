@@ -178,9 +178,9 @@ def test_rates_are_those_that_the_plan_expects_ahead_and_thrust_is_that_of_its_i
 ) -> None:
     plan, machine = controller.plan(_state(path), _window(path)), controller.predictor.system
     assert isinstance(machine, Multirotor)
-    wanted = setpoints(plan, machine, ahead=0.05)
-    assert torch.allclose(wanted.rates, plan.x[:, 1:, 10:13])
+    rates, thrust = setpoints(plan, machine, ahead=0.05)
+    assert torch.allclose(rates, plan.x[:, 1:, 10:13])
     gain, offset = machine.value("thrust_gain"), machine.value("thrust_offset")
-    assert torch.allclose(wanted.thrust, gain * plan.u.sum(2) + offset)
-    between = setpoints(plan, machine, ahead=0.025).rates[:, 0]
+    assert torch.allclose(thrust, gain * plan.u.sum(2) + offset)
+    between = setpoints(plan, machine, ahead=0.025)[0][:, 0]
     assert torch.allclose(between, 0.5 * (plan.x[:, 0, 10:13] + plan.x[:, 1, 10:13]))

@@ -99,7 +99,7 @@ def _valued(outputs: Sequence[scalar.Number], tables: dict[str, Tensor]) -> list
         if x.op == "input":
             made[id(x)] = float(tables[x.data[0]].flatten()[x.data[1]])
         else:
-            rule = rules.get(x.op, functools.partial(scalar.folded, x.op))
+            rule = rules.get(x.op, functools.partial(scalar.call, x.op))
             made[id(x)] = rule(*map(value, x.args))
     return [value(x) for x in outputs]
 

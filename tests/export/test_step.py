@@ -13,10 +13,14 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.export.ahead import quick_indices
 from nsde_torch.export.graph import graph_of
 from nsde_torch.export.layout import STATUS
-from nsde_torch.export.step import STAGES, WHOLE, packed
+from nsde_torch.export.step import STAGES, WHOLE, ExportedStep, Stage, packed, run
 from nsde_torch.models import NeuralSDE
 from nsde_torch.systems import System
 from tests.helpers.exported import all_kinds, flight, small_controller, step_of, word_of
+
+
+def _stages(step: ExportedStep) -> dict[str, Stage]:
+    return {name: step.stage(name) for name in STAGES}
 
 
 @pytest.mark.slow
@@ -28,7 +32,7 @@ def test_sample_after_sample_graphs_of_the_step_do_what_the_controller_does(
     stages = {name: graph_of(step.stage(name), e) for name, e in step.examples().items()}
     words = set()
     for arguments, plan in flight(controller, path):
-        out = step.run(stages, *arguments)
+        out = run(stages, step.loops, *arguments)
         words.add(word_of(out, plan, most=1e-9))
         known = packed(plan, float(controller._jumped[0]), float(controller._solves))
         assert torch.allclose(out[9], known, atol=1e-8, equal_nan=True)
@@ -54,7 +58,7 @@ def test_the_rollout_as_one_stage_or_step_by_step_makes_the_same_plans(
     whole = {name: step.stage(name) for name in WHOLE}
     assert set(step.examples(WHOLE)) == set(WHOLE)
     for arguments, _ in itertools.islice(flight(controller, path), 6):
-        one, other = step.run(whole, *arguments), step.run(step.stages, *arguments)
+        one, other = run(whole, step.loops, *arguments), run(_stages(step), step.loops, *arguments)
         assert all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
 
 
@@ -62,10 +66,10 @@ def test_a_plan_that_the_host_has_spoilt_is_none(declared: System, path: Referen
     controller = small_controller(declared)
     step = step_of(controller, declared)
     arguments = step.first()
-    cold = step.run(step.stages, *arguments)
+    cold = run(_stages(step), step.loops, *arguments)
     spoilt = cold[9].clone()
     spoilt[40] = torch.nan
-    again = step.run(step.stages, *arguments[:-1], spoilt)
+    again = run(_stages(step), step.loops, *arguments[:-1], spoilt)
     assert torch.equal(cold[0], again[0])
 
 
@@ -73,7 +77,7 @@ def test_a_state_that_is_not_valid_is_bad_whatever_it_says(declared: System) -> 
     step = step_of(small_controller(declared), declared)
     arguments = step.first()
     arguments[1] = torch.zeros((), dtype=torch.float64)
-    out = step.run(step.stages, *arguments)
+    out = run(_stages(step), step.loops, *arguments)
     assert STATUS[int(out[7])] == "bad_state:hover"
     assert all(bool(torch.isfinite(out[k]).all()) for k in (0, 1, 2, 3, 4))
 

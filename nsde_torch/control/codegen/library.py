@@ -46,11 +46,7 @@ def compiler() -> str | None:
 
 
 def compiled(source: Path, made: Path, flags: Sequence[str]) -> None:
-    """Compile a file to a library.
-
-    Raises:
-        NoCompiler: there is no C compiler, or it refuses.
-    """
+    """Compile a file to a library; NoCompiler: there is no C compiler, or it refuses."""
     cc = compiler()
     if cc is None:
         raise NoCompiler("there is no C compiler (cc, gcc or clang; CC names it)")
@@ -69,17 +65,12 @@ def library(
     folder: str | Path | None = None,
     say: Callable[[str], None] | None = None,
 ) -> ctypes.CDLL:
-    """A library for this computer, compiled if it is not kept yet.
+    """A library of this name for this computer, compiled if it is not kept yet.
 
-    Args:
-        source: Writes its text.
-        made_of: What the text follows from.
-        name: What it is, for the file and for messages.
-        folder: Where libraries are kept; default: the folder of the package's cache.
-        say: Called with one line when it is compiled.
+    `source` writes its text, which follows from `made_of`. Libraries are kept in a folder, or in that of the package's
+    cache; `say` is called with one line when it is compiled.
 
-    Raises:
-        NoCompiler: there is no text, no C compiler, or it refuses, or what it makes cannot be kept.
+    NoCompiler: there is no text, no C compiler, or it refuses, or what it makes cannot be kept.
     """
     level = LEVELS.get(torch.backends.cpu.get_cpu_capability())
     flags = (*FLAGS, *([f"-march={level}"] if level else []))

@@ -38,12 +38,9 @@ _WIDE = 48
 
 @final
 class Scalar:
-    """One number: an operation on others; equal ones are the same object.
+    """One number: an operation (or `input`, `layer`, `slope`) on others; equal ones are the same object.
 
-    Args:
-        op: The operation, or `input`, `layer`, `slope`.
-        args: What it is applied to.
-        data: What else tells it: the name and place of an input, the layer and place in it.
+    `data` is what else tells it: the name and place of an input, the layer and place in it.
     """
 
     __slots__ = ("args", "data", "number", "op")
@@ -174,16 +171,6 @@ _FOLDED: dict[str, Callable[..., float]] = {
 }
 
 
-def folded(op: str, *args: float) -> float:
-    """An operation on constants; no number where there is none, as in torch."""
-    try:
-        return float(_FOLDED[op](*args))
-    except OverflowError:
-        return math.inf
-    except ValueError:
-        return math.nan
-
-
 def call(op: str, *args: Number) -> Number:
     """An operation by its name, worked out where it is constant."""
     given = tuple(map(_plain, args))
@@ -192,9 +179,14 @@ def call(op: str, *args: Number) -> Number:
         if isinstance(condition, float) or a is b or a == b:
             return b if condition == 0.0 else a
         return Scalar.of(op, *given)
-    if all(isinstance(a, float) for a in given):
-        return folded(op, *given)
-    return Scalar.of(op, *given)
+    if not all(isinstance(a, float) for a in given):
+        return Scalar.of(op, *given)
+    try:
+        return float(_FOLDED[op](*given))
+    except OverflowError:
+        return math.inf
+    except ValueError:  # no number where there is none, as in torch
+        return math.nan
 
 
 # ---- derivatives ----------------------------------------------------------------------------------------
@@ -403,8 +395,7 @@ def run(
 
     The function has operations that change nothing in place, and no branches on values.
 
-    Raises:
-        ExportError: it holds an operation that is not known here.
+    ExportError: it holds an operation that is not known here.
     """
     with torch.no_grad(), few_operations():
         made = function(*(_Symbolic(table, dtype) for table in arguments))
@@ -523,10 +514,6 @@ def _softplus(x: Table, beta: float = 1.0, threshold: float = 20.0) -> Table:
     return _each("where")(_each("lt")(threshold, beta * x), x, _each("log1p")(_each("exp")(low)) / beta)
 
 
-def _prod(x: Table, dim: int | None = None, keepdim: bool = False, **_: Any) -> Table:
-    return np.asarray(np.prod(x, axis=dim, keepdims=keepdim), object)
-
-
 def _at(x: Table, places: Sequence[Table | None]) -> Table:
     """Rows and columns by lists of their numbers."""
     return x[tuple(slice(None) if k is None else k.astype(int) for k in places)]
@@ -599,7 +586,9 @@ _RULES: Mapping[str, Callable[..., Any]] = {
     "index_select": lambda x, dim, rows: np.take(x, rows.astype(int), axis=dim),
     "index": _at,
     "flip": lambda x, dims: np.flip(x, dims),
-    "prod": _prod,
+    "prod": lambda x, dim=None, keepdim=False, **_: np.asarray(
+        np.prod(x, axis=dim, keepdims=keepdim), object
+    ),
     "sum": _sum,
     "mean": lambda x, dim=None, keepdim=False, **_: (s := _sum(x, dim, keepdim)) / (x.size / s.size),
     "linalg_vector_norm": _norm,

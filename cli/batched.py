@@ -28,11 +28,7 @@ log = logging.getLogger(__name__)
 
 
 class Batched(Launcher):
-    """See above. Where processes cannot be forked (Windows), jobs run one after the other, and share all the same.
-
-    Args:
-        n_jobs: Jobs at a time; 0: one for each core.
-    """
+    """See above; `n_jobs` at a time, 0: one for each core. Where processes cannot be forked, one after the other."""
 
     __module__ = "hydra_plugins.nsde_torch"  # see `register`
 

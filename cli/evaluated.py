@@ -28,9 +28,8 @@ TRAINED = "trained"
 def read_runs(given: object, names: Sequence[str] | None, device: Any) -> dict[str, Model]:
     """The models of the runs of the key `run`, by names that were given or made from the folders.
 
-    Raises:
-        ConfigError: not a folder or list of folders, a folder twice, or names that do not fit.
-        CheckpointError: a folder is missing, holds no finished run, or is damaged.
+    ConfigError: not a folder or list of folders, a folder twice, or names that do not fit. CheckpointError: a
+    folder is missing, holds no finished run, or is damaged.
     """
     folders = _folders(given)
     if names is None:
@@ -41,7 +40,8 @@ def read_runs(given: object, names: Sequence[str] | None, device: Any) -> dict[s
         )
     found = {}
     for name, folder in zip(names, folders, strict=True):
-        _check_finished(folder)
+        if not (folder / METRICS).is_file():
+            raise CheckpointError(f"`run={folder}`: {_what_is_wrong(folder)}")
         see_own_modules(folder)
         found[name] = load(folder, device=device)
     first, *others = found.values()
@@ -76,15 +76,10 @@ def short_names(folders: Sequence[Path]) -> list[str]:
     return names
 
 
-def _check_finished(folder: Path) -> None:
-    """Refuse a folder without `metrics.json`, which is the last thing that a training writes."""
-    if not folder.is_dir():
-        raise CheckpointError(f"`run={folder}`: no such folder; give the folder that `nsde train` printed.")
-    if not (folder / METRICS).is_file():
-        raise CheckpointError(f"`run={folder}`: {_what_is_wrong(folder)}")
-
-
 def _what_is_wrong(folder: Path) -> str:
+    """Why a folder holds no `metrics.json`, which is the last thing that a training writes."""
+    if not folder.is_dir():
+        return "no such folder; give the folder that `nsde train` printed."
     jobs = sorted(path.parent.name for path in folder.glob(f"*/{METRICS}"))
     if jobs:
         return (
@@ -112,9 +107,7 @@ class Chosen:
 def choose(config: DictConfig, trained: Model, machine: SystemInfo) -> Chosen:
     """The runs that the group `data` asks for; of the kind "trained", it means those of a model.
 
-    Raises:
-        ConfigError: nothing says which data.
-        DataError: the data cannot be used.
+    ConfigError: nothing says which data. DataError: the data cannot be used.
     """
     if config.kind != TRAINED:
         return _runs_of(config, machine, every=True)

@@ -54,11 +54,7 @@ class FlyingMachine(Protocol):
 
 
 def physics(config: DictConfig, effects: list[Any]) -> System:
-    """What a controller knows that is given some effects.
-
-    Raises:
-        ConfigError: an effect that the machine cannot have.
-    """
+    """What a controller knows that is given some effects; ConfigError: an effect that the machine cannot have."""
     known = knowledge(DECLARED, config.plant.system, effects=effects)
     assert isinstance(known, System)
     return known
@@ -77,8 +73,7 @@ class VirtualVehicle:
 
     Lags and delays are not given: `delay` covers them.
 
-    Raises:
-        ConfigError: no multirotor, or options that it does not have.
+    ConfigError: no multirotor, or options that it does not have.
     """
 
     def __init__(self, config: DictConfig) -> None:
@@ -153,8 +148,7 @@ class TrackedPlant:
 class LinkedVehicle:
     """A vehicle over MAVLink in real time: `nsde vehicle`, or a PX4.
 
-    Raises:
-        ConfigError: limits that are none, or that an experiment may leave.
+    ConfigError: limits that are none, or that an experiment may leave.
     """
 
     def __init__(self, config: DictConfig) -> None:
@@ -172,10 +166,9 @@ class LinkedVehicle:
     def fly(self, path: FlightPath, effects: list[Any], *, seed: int, log: Path) -> dict[str, Any]:
         """See `FlyingMachine`.
 
-        Raises:
-            ConfigError: the path is tilted further or is faster than where a flight is ended.
-            LinkError: it was refused before it began.
-            EndedError: it was stopped, or the vehicle was taken from us or is not seen to stand.
+        ConfigError: the path is tilted further or is faster than where a flight is ended. LinkError: it was
+        refused before it began. EndedError: it was stopped, or the vehicle was taken from us or is not seen to
+        stand.
         """
         c = self._config
         check_path(path, physics(c, []), self._limits, dt=track_build.problem(c.mpc).dt)

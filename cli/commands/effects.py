@@ -68,8 +68,7 @@ def catalogue(system: str | None = None) -> list[dict[str, Any]]:
 
     A system is a key of `SYSTEMS`, or `module:Class`.
 
-    Raises:
-        ConfigError: There is no such system.
+    ConfigError: there is no such system.
     """
     from nsde_torch.diagnosis.candidates import why_not
     from nsde_torch.effects import EFFECTS, effects_of

@@ -43,15 +43,9 @@ class Blocks:
 
 
 def make_blocks(run: NDArray[np.int64], t: NDArray[np.float64], *, length: float) -> Blocks:
-    """Blocks of starts.
+    """Blocks of starts (S,), in order of time [s] within a run: whole runs, or stretches of about a length [s].
 
-    Args:
-        run: Run of each start (S,), starts in order of time within a run.
-        t: Time of each start (S,) [s].
-        length: Length of a block [s].
-
-    Returns:
-        Whole runs where there are ten or more; else each run cut into equal stretches of about `length`.
+    Whole runs are taken where there are ten or more.
     """
     names = np.unique(run)
     if len(names) >= WHOLE_RUNS:
@@ -64,9 +58,8 @@ def make_blocks(run: NDArray[np.int64], t: NDArray[np.float64], *, length: float
         spacing = float(np.median(np.diff(own))) if len(own) > 1 else 0.0
         pieces = max(1, round((own[-1] + spacing) / length))
         share = own / (own[-1] + spacing) if pieces > 1 else 0.0 * own
-        _, inside = np.unique(
-            (share * pieces).astype(np.int64), return_inverse=True
-        )  # a gap may leave one empty
+        # a gap may leave one empty
+        _, inside = np.unique((share * pieces).astype(np.int64), return_inverse=True)
         block[rows] = count + inside
         count += int(inside.max()) + 1
     return Blocks(block, count, f"blocks of {length:g} s")
@@ -101,13 +94,9 @@ def paired_bootstrap(
     replicates: int = REPLICATES,
     level: float = 0.95,
 ) -> Difference:
-    """Interval of the difference of two root mean squares.
+    """Interval of the difference of two root mean squares, of squared errors from the same starts (S, K).
 
-    Args:
-        first, other: Squared errors of the two models from the same starts (S, K).
-
-    Raises:
-        ShapeError: the starts do not agree.
+    ShapeError where the starts do not agree.
     """
     if first.ndim != 2 or first.shape != other.shape or len(first) != len(blocks.of_start):
         raise ShapeError(
@@ -146,17 +135,10 @@ def function_bootstrap(
     replicates: int = REPLICATES,
     level: float = 0.95,
 ) -> Difference:
-    """Interval of a function of means over rows, such as the ratio of two.
+    """Interval of a function of means over rows (S, K), such as the ratio of two.
 
-    Args:
-        values: What is averaged (S, K).
-        function: From means (..., K) to quantities (..., L); NaN where there is none.
-
-    Returns:
-        Quantities and intervals; below five blocks, or where a resample has no value, the ends are NaN.
-
-    Raises:
-        ShapeError: the rows do not agree.
+    The function is from means (..., K) to quantities (..., L), NaN where there is none. Below five blocks, or where a
+    resample has no value, the ends are NaN. ShapeError where the rows do not agree.
     """
     if values.ndim != 2 or len(values) != len(blocks.of_start):
         raise ShapeError(
@@ -167,8 +149,11 @@ def function_bootstrap(
     if blocks.count < FEWEST_BLOCKS:
         nothing = torch.full_like(value, torch.nan)
         return Difference(value, nothing, nothing)
-    ends = _ends(function(_resampled(values, blocks, generator, replicates)), blocks.count, level)
-    return Difference(value, ends[0], ends[1])
+    n = blocks.count
+    # of the percentile interval, widened for n blocks
+    outside = float(ndtr(-np.sqrt(n / (n - 1)) * stdtrit(n - 1, 0.5 + level / 2)))
+    at = torch.tensor([outside, 1 - outside], dtype=torch.float64)
+    return Difference(value, *function(_resampled(values, blocks, generator, replicates)).quantile(at, dim=0))
 
 
 def _resampled(values: Tensor, blocks: Blocks, generator: torch.Generator, replicates: int) -> Tensor:
@@ -178,13 +163,6 @@ def _resampled(values: Tensor, blocks: Blocks, generator: torch.Generator, repli
     sums = torch.zeros(n, values.shape[1], dtype=torch.float64).index_add_(0, index, values)
     sizes = torch.bincount(index, minlength=n).double()
     drawn = torch.randint(n, (replicates, n), generator=generator)
-    times = torch.zeros(replicates, n, dtype=torch.float64).scatter_add_(
-        1, drawn, torch.ones(replicates, n).double()
-    )
+    times = torch.zeros(replicates, n, dtype=torch.float64)
+    times.scatter_add_(1, drawn, torch.ones_like(times))
     return times @ sums / (times @ sizes)[:, None]
-
-
-def _ends(resampled: Tensor, n: int, level: float) -> Tensor:
-    """Both ends (2, K) of the percentile interval, widened for n blocks."""
-    outside = float(ndtr(-np.sqrt(n / (n - 1)) * stdtrit(n - 1, 0.5 + level / 2)))
-    return torch.quantile(resampled, torch.tensor([outside, 1 - outside], dtype=torch.float64), dim=0)

@@ -82,9 +82,8 @@ class Grid:
 def check(candidates: Sequence[Candidate], data: DataSet) -> None:
     """Refuse models that cannot be compared on these data.
 
-    Raises:
-        ConfigError: different systems, names given twice, or a step that does not divide.
-        DataError: a column is missing.
+    ConfigError: different systems, names given twice, or a step that does not divide. DataError: a column is
+    missing.
     """
     if not candidates:
         raise ConfigError("no model to evaluate.")
@@ -121,9 +120,8 @@ def common_horizons(
 ) -> tuple[list[float], list[Note]]:
     """Horizons [s] that every model and some stretch of the runs has, and what to say of them.
 
-    Raises:
-        ConfigError: a given horizon is below the step of a model.
-        DataError: a given horizon, or any, does not fit in the runs.
+    ConfigError: a given horizon is below the step of a model. DataError: a given horizon, or any, does not fit in
+    the runs.
     """
     coarsest = max(candidates, key=lambda c: c.model.spec.dt)
     dt = coarsest.model.spec.dt
@@ -167,8 +165,7 @@ def common_grids(
 ) -> tuple[list[Grid], list[Note]]:
     """The grid of every model, with the same starts, and what to say of their clocks and inputs.
 
-    Raises:
-        DataError: no stretch is as long as the longest horizon.
+    DataError: no stretch is as long as the longest horizon.
     """
     made = []
     for c in candidates:
@@ -216,11 +213,10 @@ def _said_once(ahead: Sequence[tuple[str, str]]) -> list[Note]:
     words: dict[str, list[str]] = {}
     for name, text in ahead:
         words.setdefault(text, []).append(name)
-    return [
-        note(text if len(words) == 1 else f"{', '.join(names)}: {text}")
-        for text, names in words.items()
-        if text
-    ]
+    named = {
+        text: text if len(words) == 1 else f"{', '.join(names)}: {text}" for text, names in words.items()
+    }
+    return [note(said) for text, said in named.items() if text]
 
 
 def _with_columns(runs: Sequence[Run], candidate: Candidate, data: DataSet) -> list[Run]:

@@ -115,14 +115,7 @@ class Comparison:
         return data_frame(rows, ("model", "group", "horizon", "error", "unit", "coverage_90"))
 
     def save(self, folder: str | Path) -> list[Path]:
-        """Write `evaluation.json` and the figures in `plots/`.
-
-        Args:
-            folder: Where to; made where it is missing.
-
-        Returns:
-            The files.
-        """
+        """Write `evaluation.json` and the figures in `plots/` into a folder, made where it is missing; the files."""
         from nsde_torch.evaluation.comparison_figures import write_figures
 
         folder = Path(folder)
@@ -130,10 +123,6 @@ class Comparison:
         file = folder / RESULT
         file.write_text(json_text(self.content), encoding="utf-8")
         return [file, *write_figures(folder / "plots", self)]
-
-
-def _silent(text: str) -> None:
-    return None
 
 
 def compare(
@@ -146,7 +135,7 @@ def compare(
     horizons: Sequence[float] | None = None,
     replicates: int = bootstrap.REPLICATES,
     compile: bool = False,
-    say: Callable[[str], None] = _silent,
+    say: Callable[[str], None] = lambda text: None,
 ) -> Comparison:
     """Score models on runs, and the differences of each to the first.
 
@@ -171,17 +160,9 @@ def compare(
     index, t = grids[0].located()
     for n, (candidate, grid) in enumerate(zip(candidates, grids, strict=True)):
         say(f"scoring {candidate.name} ({n + 1} of {len(candidates)}) from {len(grid.starts)} starts")
-        made = score(
-            candidate.model,
-            grid.windows,
-            grid.starts,
-            grid.steps,
-            seed=seed,
-            particles=particles,
-            dt=grid.dt,
-            compile=compile,
-            measurement_std=candidate.measurement_std,
-        )
+        how: dict[str, Any] = {"seed": seed, "particles": particles, "compile": compile, "dt": grid.dt}
+        std = candidate.measurement_std
+        made = score(candidate.model, grid.windows, grid.starts, grid.steps, measurement_std=std, **how)
         scores.append(made)
         matches = {run.name: candidate.seen.match(run) for run in grid.runs}
         models.append(_model_entry(candidate, grid, made, matches, index, keys))
@@ -294,28 +275,18 @@ def _remarks(candidate: Candidate, scores: Scores, matches: Mapping[str, str]) -
         if runs:
             remarks.append(note(f"{name} {text.format(_listed(runs))}", red=True))
     if candidate.seen.hashes is None:
-        remarks.append(
-            note(
-                f"{name} was written by an older version, which did not record what its training runs hold: they are "
-                "recognised by name alone"
-            )
-        )
-    namesakes = [run for run, found in matches.items() if found == NAMESAKE]
-    if namesakes:
-        remarks.append(
-            note(
-                f"{name} was trained on other runs of the name {_listed(namesakes)}; make sure that they are others"
-            )
-        )
+        old = f"{name} was written by an older version, which did not record what its training runs hold: they are "
+        remarks.append(note(old + "recognised by name alone"))
+    if namesakes := [run for run, found in matches.items() if found == NAMESAKE]:
+        text = f"{name} was trained on other runs of the name {_listed(namesakes)}; make sure that they are others"
+        remarks.append(note(text))
     if scores.diverged:
         left = "" if scores.diverged == scores.starts else "; its figures leave these out, which flatters it"
-        remarks.append(
-            note(f"{name} diverged from {scores.diverged} of {scores.starts} starts{left}", red=True)
-        )
+        text = f"{name} diverged from {scores.diverged} of {scores.starts} starts{left}"
+        remarks.append(note(text, red=True))
     elif not scores.stochastic:
-        remarks.append(
-            note(f"{name} is deterministic: no intervals and no likelihood; its CRPS is the absolute error")
-        )
+        text = f"{name} is deterministic: no intervals and no likelihood; its CRPS is the absolute error"
+        remarks.append(note(text))
     return remarks
 
 
@@ -357,14 +328,8 @@ def _differences(
             "starts": len(both),
             "errors": _pair(scores[0].system, pair, own, meet, keys, seed, replicates) if len(both) else {},
         }
-    return {
-        "first": models[0]["name"],
-        "level": _LEVEL,
-        "replicates": replicates,
-        "unit": blocks.unit,
-        "blocks": blocks.count,
-        "against": against,
-    }
+    how = {"level": _LEVEL, "replicates": replicates, "unit": blocks.unit, "blocks": blocks.count}
+    return {"first": models[0]["name"], **how, "against": against}
 
 
 def _pair(
@@ -379,26 +344,19 @@ def _pair(
     first, other = (squares.flatten(1).double() for squares in pair)
     generator = torch.Generator().manual_seed(seed)
     made = paired_bootstrap(first, other, blocks, generator=generator, replicates=replicates, level=_LEVEL)
-    shape = (len(keys), len(system.error_groups))
-    columns = [
-        c.reshape(shape)
-        for c in (first.mean(0).sqrt(), other.mean(0).sqrt(), made.value, made.low, made.high)
-    ]
+    shape, rms = (len(keys), len(system.error_groups)), (first.mean(0).sqrt(), other.mean(0).sqrt())
+    columns = [c.reshape(shape) for c in (*rms, made.value, made.low, made.high)]
     result: dict[str, dict[str, Any]] = {}
     for i, g in enumerate(system.error_groups):
         for k, h in enumerate(keys):
             a, b, value, low, high = (float(c[k, i]) * g.factor for c in columns)
-            known = low == low
-            result.setdefault(g.name, {})[h] = (
-                {
-                    "first": a,
-                    "other": b,
-                    "difference": value,
-                    "low": low if known else None,
-                    "high": high if known else None,
-                    "verdict": bootstrap.verdict(low, high),
-                }
-                if meet[k]
-                else None
-            )
+            ends = {"low": low, "high": high} if low == low else {"low": None, "high": None}
+            entry = {
+                "first": a,
+                "other": b,
+                "difference": value,
+                **ends,
+                "verdict": bootstrap.verdict(low, high),
+            }
+            result.setdefault(g.name, {})[h] = entry if meet[k] else None
     return result

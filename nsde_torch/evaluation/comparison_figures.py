@@ -19,11 +19,9 @@ _COLUMNS = 4  # models side by side
 
 
 def write_figures(folder: Path, comparison: Comparison) -> list[Path]:
-    """Draw and save the figures of an evaluation.
+    """Draw and save errors, calibration (where a model has intervals) and rollouts, four models a figure; the files.
 
-    Returns:
-        The files: `errors.png`, `calibration.png` (where a model has intervals), `rollouts.png` (with more than four
-        models `rollouts_2.png` and so on). What is shown of a model on runs that it was trained on is marked in red.
+    What is shown of a model on runs that it was trained on is marked in red.
     """
     content = comparison.content
     finite = [m for m in content["models"] if m["errors"]]
@@ -66,13 +64,12 @@ def _calibration(
     content: Mapping[str, Any], models: Sequence[Mapping[str, Any]], order: Sequence[str]
 ) -> Any:
     keys = [f"{h:g}" for h in content["horizons_s"]]
+    inside = {label(m): m["coverage"]["0.9"].items() for m in models}
     figure = plots.calibration_of_models(
         models[0]["calibration"]["nominal"],
         {label(m): m["calibration"]["share"] for m in models},
         horizons=content["horizons_s"],
-        per_horizon={
-            label(m): {g: [row[h] for h in keys] for g, row in m["coverage"]["0.9"].items()} for m in models
-        },
+        per_horizon={name: {g: [row[h] for h in keys] for g, row in by} for name, by in inside.items()},
         order=order,
         title=f"Share of measurements inside predicted intervals ({content['starts']} starts on {_runs(content)})",
     )

@@ -14,15 +14,7 @@ _BASELINES = {"constant_velocity": "constant velocity", "hold": "hold"}
 
 
 def lines(content: Mapping[str, Any]) -> Iterator[Line]:
-    """All lines of an evaluation.
-
-    Args:
-        content: What `evaluation.json` holds.
-
-    Yields:
-        A line and whether it is red: a figure on runs that the model was trained on, or one that is not reliable.
-    """
-    models = content["models"]
+    """All lines of `evaluation.json`; red are figures on runs that a model was trained on, or that are not reliable."""
     every = content["start_every_s"]
     where = "interventions (inputs do not depend on the state)"
     if every is not None:
@@ -32,13 +24,10 @@ def lines(content: Mapping[str, Any]) -> Iterator[Line]:
     yield from _runs(content)
     yield "", False
     yield from _one_step(content)
-    yield from _errors(content)
-    yield "", False
-    yield from _intervals(content)
-    if len(models) > 1:
+    several = (_differences,) if len(content["models"]) > 1 else ()
+    for part in (_errors, _intervals, *several):
+        yield from part(content)
         yield "", False
-        yield from _differences(content)
-    yield "", False
     yield from _verdicts(content)
     for remark in content["notes"]:
         yield from _wrapped(f"note: {remark['text']}", remark["red"])

@@ -49,14 +49,10 @@ _RESOLUTION = 0.005
 
 
 class Coverage:
-    """Coverage of a model's 90 % intervals on runs, as a function of a factor on sigma.
+    """Coverage of a model's 90 % intervals on runs, as a function of a factor on sigma; the model is left as it was.
 
-    Args:
-        model: The model; left as it was.
-        runs: Runs to cover.
-        seed: Seed of the particles, the same for every factor.
-        compile: Compile the integrator's step.
-        numbers: What differs in each run, by its name, in standard deviations (`NeuralSDE.sample`); None draws it.
+    Particles are the same for every factor. `numbers` are what differs in each run, by its name, in standard deviations
+    (`NeuralSDE.sample`); None draws it.
     """
 
     def __init__(
@@ -111,7 +107,7 @@ class Coverage:
         finally:
             model.h.log_sigma_max.copy_(base)
         errors = model.system.error(samples[:, :, self.steps], self.x[:, self.steps])
-        low, high = interval_quantiles(errors, _LEVEL)
+        low, high = interval_quantiles(errors.sort(0).values, _LEVEL)
         inside = ((low <= 0) & (high >= 0)).to(errors.dtype).mean((0, 1))
         groups = [inside[list(g.channels)].mean() for g in model.system.error_groups]
         return float(torch.stack(groups).mean())
@@ -177,14 +173,9 @@ def write_figures(
     seed: int,
     note: str,
 ) -> dict[str, Any]:
-    """Draw all figures and save them as PNG.
+    """Draw all figures of a training, save them as PNG, and return them by name.
 
-    Args:
-        metrics: What `metrics.json` will hold.
-        note: What the inputs see of the future, for the titles; may be empty.
-
-    Returns:
-        The figures by name.
+    `metrics` are what `metrics.json` will hold; `note` is what the inputs see of the future, for the titles.
     """
     figures: dict[str, Any] = {"data_summary": plots.data_summary(data, model.system)}
     if history:
@@ -200,14 +191,13 @@ def write_figures(
         errors = {m: {g: [v[k] for k in keys] for g, v in by.items()} for m, by in result["errors"].items()}
         figures["held_out_errors"] = plots.horizon_errors(horizons, errors, result["units"])
         if any(value > 0 for by in result["spread"].values() for value in by.values()):
-            levels = sorted(result["coverage"], key=float)
-            groups = list(result["units"])
-            pooled = {
-                g: [float(np.mean(list(result["coverage"][q][g].values()))) for q in levels] for g in groups
-            }
-            at90 = {g: [result["coverage"]["0.9"][g][k] for k in keys] for g in groups}
+            inside, groups = result["coverage"], list(result["units"])
+            levels = sorted(inside, key=float)
+            pooled = {g: [float(np.mean(list(inside[q][g].values()))) for q in levels] for g in groups}
+            at90 = {g: [inside["0.9"][g][k] for k in keys] for g in groups}
+            nominal = [float(q) for q in levels]
             figures["calibration"] = plots.calibration_curve(
-                [float(q) for q in levels], pooled, horizons=horizons, per_horizon=at90
+                nominal, pooled, horizons=horizons, per_horizon=at90
             )
         figures["held_out_rollouts"] = _rollouts(model, test, horizons[-1], seed, note)
     for name, figure in figures.items():
@@ -223,10 +213,8 @@ def _rollouts(model: Model, runs: Sequence[Run], horizon_s: float, seed: int, no
     count = min(_SHOWN, len(windows))
     inner = torch.linspace(0, len(windows) - 1, count + 2)[1:-1].round().long()
     at = inner if count > 1 else torch.tensor([0])
-    x, samples, t0 = sampled(
-        model, windows, at, particles=_PARTICLES, generator=torch.Generator().manual_seed(seed)
-    )
-    system = model.system
+    generator, system = torch.Generator().manual_seed(seed), model.system
+    x, samples, t0 = sampled(model, windows, at, particles=_PARTICLES, generator=generator)
     where = [f"{name}, t = {float(t):.1f} s" for (name, _), t in zip(windows.locate(at), t0, strict=True)]
     title = "Held-out rollouts: measured against sampled"
     return plots.rollout_bands(
@@ -259,8 +247,6 @@ def _slices(model: NeuralSDE, train: Sequence[Run], test: Sequence[Run]) -> list
         points, x, y = plots.slice_grid(inside, pair)
         eta = model.eta(torch.as_tensor(points).to(model.clock_scale)).cpu().numpy()
         across, up = (f"{system.feature_names[k]} [{system.feature_units[k]}]" for k in pair)
-        points_in, points_out = inside[:, list(pair)], outside[:, list(pair)]
-        slices.append(
-            plots.DistanceSlice(x, y, eta.reshape(len(y), len(x)), across, up, points_in, points_out)
-        )
+        data = (table[:, list(pair)] for table in (inside, outside))
+        slices.append(plots.DistanceSlice(x, y, eta.reshape(len(y), len(x)), across, up, *data))
     return slices

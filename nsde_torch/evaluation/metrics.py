@@ -84,16 +84,8 @@ def evaluate(
     starts = thinned(start_grid(windows))
     if len(starts) == 0:
         raise DataError(f"no stretch of {horizons[-1]} s without a gap; evaluate on longer runs.")
-    scores = score(
-        model,
-        windows,
-        starts,
-        steps,
-        seed=seed,
-        particles=particles,
-        compile=compile,
-        measurement_std=measurement_std,
-    )
+    how: dict[str, Any] = {"seed": seed, "particles": particles, "compile": compile}
+    scores = score(model, windows, starts, steps, measurement_std=measurement_std, **how)
     return {
         "horizons_s": list(horizons),
         "starts": len(starts),
@@ -107,23 +99,10 @@ def evaluate(
 
 
 def summary(scores: Scores, horizons: Sequence[str]) -> dict[str, Any]:
-    """Means over the starts.
-
-    Args:
-        horizons: Name of each horizon, the keys of the result.
-
-    Returns:
-        `errors`, `coverage`, `coverage_channels`, `crps`, `spread` and `nll`, as `evaluate` has them; without a
-        finite start they are empty.
-    """
-    result: dict[str, Any] = {
-        "errors": {},
-        "coverage": {f"{level:g}": {} for level in LEVELS},
-        "coverage_channels": {},
-        "crps": {},
-        "spread": {},
-        "nll": {},
-    }
+    """Means over the starts, by the name of the horizon, as `evaluate` has them; empty without a finite start."""
+    names = ("errors", "coverage", "coverage_channels", "crps", "spread", "nll")
+    result: dict[str, Any] = {name: {} for name in names}
+    result["coverage"] = {f"{level:g}": {} for level in LEVELS}
     if len(scores.kept) == 0:
         return result
     system, dtype = scores.system, scores.crps.dtype

@@ -256,13 +256,14 @@ def one_step(model: Model, runs: Sequence[Run]) -> dict[str, dict[str, Any]] | N
     laws = _laws(own, left) if own is not None and own.capabilities.is_stochastic else {}
     out = {}
     for channel in explained(physics, change[:, left.rows], left.rows, window):
-        row = physics.names.index(channel.name)
+        row, nats = physics.names.index(channel.name), None
+        if row in laws:  # Whittle's log likelihood
+            seen = spectrum(change[:, [row]], left.series, left.dt)
+            s = np.maximum(density(laws[row], seen.angle, left.dt), 1e-300)
+            nats = float(-(seen.count * (np.log(s) + seen.power / s)).sum() / (len(left.series) * left.dt))
         out[channel.name] = {
-            "unit": channel.unit,
-            "measured": channel.measured,
-            "residual": channel.residual,
-            "explained": channel.r2,
-            "nats_per_s": _nats(change[:, [row]], left, laws[row]) if row in laws else None,
+            **{"unit": channel.unit, "measured": channel.measured, "residual": channel.residual},
+            **{"explained": channel.r2, "nats_per_s": nats},
         }
     return out
 
@@ -277,33 +278,19 @@ def _laws(model: NeuralSDE, left: Residuals) -> dict[int, Disturbance]:
         tau = float(model.tau[k])
         std = float(sigma[system.nx + k]) * math.sqrt(0.5 * tau / clock)
         forces[int(left.rows[column])] = (std, tau)
-    return {
-        int(row): Disturbance(
-            float(sigma[row]) / math.sqrt(clock), *forces.get(int(row), (0.0, 1.0)), float(sensor[row])
-        )
-        for row in left.rows
-    }
-
-
-def _nats(change: Array, left: Residuals, law: Disturbance) -> float:
-    """Whittle log likelihood [nat/s] of residuals (N, 1)."""
-    seen = spectrum(change, left.series, left.dt)
-    s = np.maximum(density(law, seen.angle, left.dt), 1e-300)
-    return float(-(seen.count * (np.log(s) + seen.power / s)).sum() / (len(left.series) * left.dt))
+    out = {}
+    for row in map(int, left.rows):
+        force = forces.get(row, (0.0, 1.0))
+        out[row] = Disturbance(float(sigma[row]) / math.sqrt(clock), *force, float(sensor[row]))
+    return out
 
 
 def one_step_table(steps: Mapping[str, Mapping[str, Any]]) -> str:
     """What a person reads of it."""
-    rows = [
-        [
-            f"{name} [{c['unit']}]",
-            number(c["measured"]),
-            number(c["residual"]),
-            f"{c['explained']:.1%}",
-            "-" if c["nats_per_s"] is None else f"{c['nats_per_s']:.2f}",
-        ]
-        for name, c in steps.items()
-    ]
-    return table(
-        ["held-out rate of, means over 0.25 s", "measured", "left", "explained", "one-step nat/s"], rows
-    )
+    rows = []
+    for name, c in steps.items():
+        nats = "-" if c["nats_per_s"] is None else f"{c['nats_per_s']:.2f}"
+        sizes = (number(c["measured"]), number(c["residual"]), f"{c['explained']:.1%}")
+        rows.append([f"{name} [{c['unit']}]", *sizes, nats])
+    head = ["held-out rate of, means over 0.25 s", "measured", "left", "explained", "one-step nat/s"]
+    return table(head, rows)

@@ -99,15 +99,12 @@ def what_error(test: Mapping[str, Any]) -> str:
 def lookahead(smoothing: float, reach: float) -> str:
     """What the inputs of a rollout see of the future, in words; empty if nothing.
 
-    Args:
-        smoothing: Width of the centred average that smoothed the logged inputs [s].
-        reach: Reach of the model's input filter on each side [s].
+    That is by the width of the centred average that smoothed them, and the reach of the model's filter to a side [s].
     """
     parts, ahead = [], smoothing / 2
     if smoothing:
-        parts.append(
-            f"inputs were smoothed by a centred {smoothing:.2g} s average, so they see {ahead:.2g} s ahead"
-        )
+        text = f"inputs were smoothed by a centred {smoothing:.2g} s average"
+        parts.append(f"{text}, so they see {ahead:.2g} s ahead")
     if reach:
         which = "the filter that restores them" if smoothing else "the model's filter"
         parts.append(f"{which} draws on commands up to {ahead + reach:.2g} s ahead")

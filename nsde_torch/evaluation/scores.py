@@ -69,12 +69,8 @@ def mean_state(system: System, samples: Tensor) -> Tensor:
     return mean
 
 
-def interval_quantiles(errors: Tensor, level: float) -> tuple[Tensor, Tensor]:
-    """Lower and upper end of the central interval of an ensemble (P, ...)."""
-    return _interval(errors.sort(0).values, level)
-
-
-def _interval(ordered: Tensor, level: float) -> tuple[Tensor, Tensor]:
+def interval_quantiles(ordered: Tensor, level: float) -> tuple[Tensor, Tensor]:
+    """Lower and upper end of the central interval of an ensemble (P, ...), in ascending order."""
     p = ordered.shape[0]
 
     def quantile(share: float) -> Tensor:
@@ -238,10 +234,8 @@ def _of_horizon(system: System, sample: Tensor, x0: Tensor, y: Tensor, elapsed: 
     squares = (group_squares(system, system.error(made, y)) for made in predictions.values())
     e = system.error(sample, y.expand_as(sample))
     ordered = e.sort(0).values
-    inside = []
-    for level in LEVELS:
-        low, high = _interval(ordered, level)
-        inside.append((low <= 0) & (high >= 0))
+    ends = (interval_quantiles(ordered, level) for level in LEVELS)
+    inside = [(low <= 0) & (high >= 0) for low, high in ends]
     # equal particles have no spread, whatever rounding makes of their errors
     alike = (e == e[:1]).all(0) | (sample == sample[:1]).flatten(2).all(2).all(0)[:, None]
     spread = e.std(0, correction=min(1, p - 1)).masked_fill(alike, 0.0)
@@ -253,9 +247,6 @@ def rollout_squares(model: IdentifiedModel, windows: Windows, starts: Tensor, st
     """Squared errors (S, horizons, groups) of predictions by Runge and Kutta; not finite where one diverged.
 
     A prediction that leaves the finite numbers does so alone, and does not stop the others.
-
-    Args:
-        starts: Window numbers (S,).
     """
     states = _advanced(model, windows.dt_model, steps, *_begun(model, windows, starts))
     return squares_of(model.system, states, windows, starts, steps)
@@ -278,12 +269,9 @@ def states_by_fold(
     values: NDArray[np.float64],
     fold: NDArray[np.int64],
 ) -> Tensor:
-    """Predicted states (S, horizons, nx) as `rollout_squares` has them, with values for each fold of the starts.
+    """Predicted states (S, horizons, nx) as `rollout_squares` has them, with values for each `fold` of the starts (S,).
 
-    Args:
-        windows, starts, steps: See `rollout_squares`.
-        values: Of its parameters, as in `ParameterVector` (folds, k).
-        fold: Of each start (S,).
+    The values are those of a `ParameterVector` (folds, k).
     """
     vector = ParameterVector(model.system)
     model.system, thetas, begun = vector.system, torch.from_numpy(values), []

@@ -224,7 +224,7 @@ class Px4:
 def _run(plant: HilPlant, px4: Px4, motors: tuple[float, ...], samples: int) -> None:
     for _ in range(samples):
         plant.receive(px4.answer(plant.sample(), motors))
-        plant.step()
+        plant.body.step(plant.controls)
 
 
 @pytest.mark.parametrize("system", ["quadrotor", "hexacopter"])

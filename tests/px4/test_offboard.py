@@ -280,7 +280,7 @@ def test_a_landing_that_is_not_seen_says_why_and_fights_nobody(
         link = VirtualLink(vehicle)
         vehicle.mute = True
     elif what == "not obeyed":
-        monkeypatch.setattr(vehicle, "_command_mode", lambda m: None)
+        monkeypatch.setattr(vehicle, "_command_mode", lambda m: (d.DENIED, ""))
     wait, begun = link.pause, link.now()
 
     def harm(seconds: float) -> None:

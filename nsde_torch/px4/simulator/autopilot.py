@@ -23,7 +23,7 @@ from nsde_torch.px4.link import frames
 from nsde_torch.px4.link.codec import Codec, Message
 from nsde_torch.px4.link.dialect import Mode, mavlink
 from nsde_torch.px4.link.endpoint import NUMBERS
-from nsde_torch.px4.link.vectors import Vec, finite, plus, yaw_of
+from nsde_torch.px4.link.vectors import Vec, bounded, finite, plus, yaw_of
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.estimate import Estimate, SimulatedEstimator
 from nsde_torch.px4.simulator.sensor_errors import SensorErrors
@@ -70,6 +70,7 @@ _NAMES = {number: name for name, number in NUMBERS.items()}
 ESTIMATOR = 0.008
 """Step at which the estimator publishes [s]."""
 _ESTIMATED = frozenset(("ODOMETRY", "LOCAL_POSITION_NED"))
+_COMMANDS = {d.SET_MODE: "mode", d.ARM: "arm", d.SET_INTERVAL: "interval", d.REQUEST_MESSAGE: "message"}
 
 
 @final
@@ -96,13 +97,9 @@ class SimulatedAutopilot:
         self.clock_error = 0.0  # added to every time stamp that is sent [s]
         self.blind = False  # no state is sent, as when the estimator is lost
         self.mute = False
-        std = self.body._spec.sensor_std
-        self.estimator = SimulatedEstimator(
-            std=tuple(self.sensor_noise * std[k] for k in (0, 3, 6, 9)),
-            seed=self.seed,
-            heading=self.heading_error,
-            errors=self.errors,
-        )
+        std = tuple(self.sensor_noise * self.body._spec.sensor_std[k] for k in (0, 3, 6, 9))
+        known = {"heading": self.heading_error, "errors": self.errors}
+        self.estimator = SimulatedEstimator(std=std, seed=self.seed, **known)  # type: ignore[arg-type]
         self._out: deque[bytes] = deque()
         self._due: dict[str, tuple[float, float]] = {"HEARTBEAT": (0.0, 1.0), "SYS_STATUS": (0.0, 1.0)}
         self._gcs, self._texts = -inf, 0
@@ -167,9 +164,8 @@ class SimulatedAutopilot:
     @property
     def streaming(self) -> bool:
         """Whether setpoints come."""
-        return (
-            self._setpoint is not None and self.time - self._setpoint[0] <= self.parameters["COM_OF_LOSS_T"]
-        )
+        longest = self.parameters["COM_OF_LOSS_T"]
+        return self._setpoint is not None and self.time - self._setpoint[0] <= longest
 
     def set_mode(self, mode: Mode) -> None:
         """Change the mode, as an operator's switch does."""
@@ -202,10 +198,9 @@ class SimulatedAutopilot:
 
     def _automatic(self, now: float) -> None:
         """Disarming by itself, after landing and before a flight that does not begin."""
-        b = self.body
         if not self.armed:
             return
-        self.flown = self.flown or not b.on_ground
+        self.flown = self.flown or not self.body.on_ground
         if not self.landed:
             self._landed_at = now
         wait = self.parameters["COM_DISARM_LAND"]
@@ -261,10 +256,8 @@ class SimulatedAutopilot:
         if self.body.on_ground:
             self._integral = (0.0, 0.0, 0.0)
         else:
-            self._integral = tuple(  # type: ignore[assignment]
-                min(max(s + k * dt * e, -5.0), 5.0)
-                for s, k, e in zip(self._integral, RATE_INTEGRAL, error, strict=True)
-            )
+            x, y, z = (s + k * dt * e for s, k, e in zip(self._integral, RATE_INTEGRAL, error, strict=True))
+            self._integral = bounded((x, y, z), 5.0)
         demand = (lift, *(k * e + s for k, e, s in zip(RATE_GAINS, error, self._integral, strict=True)))
         columns = zip(*self.body.allocation, strict=True)
         motors = (sum(k * a for k, a in zip(demand, column, strict=True)) for column in columns)
@@ -306,48 +299,40 @@ class SimulatedAutopilot:
             self._send(mavlink.MAVLink_param_value_message(name.encode(), value, kind, *place))
 
     def _on_command_long(self, m: Message) -> None:
-        known = {
-            **{d.SET_MODE: self._command_mode, d.ARM: self._command_arm},
-            **{d.SET_INTERVAL: self._command_interval, d.REQUEST_MESSAGE: self._command_message},
-        }
-        if m.command in known:
-            known[m.command](m)
-        else:
-            self._ack(m.command, d.UNSUPPORTED)
+        """Each of the methods that follow does a command, and returns what is acknowledged and, if need be, a text."""
+        name = _COMMANDS.get(m.command)
+        answer, said = (d.UNSUPPORTED, "") if name is None else getattr(self, f"_command_{name}")(m)
+        if said:
+            self._text(2, said)
+        self._ack(m.command, answer)
+        if m.command == d.REQUEST_MESSAGE and answer == d.ACCEPTED:
+            self._report(_NAMES[int(m.param1)], self.time)
 
-    def _command_mode(self, m: Message) -> None:
+    def _command_mode(self, m: Message) -> tuple[int, str]:
         mode = Mode(int(m.param2), int(m.param3))
         self._ack(d.SET_MODE, d.ACCEPTED)  # always, whatever comes of it
         if mode not in d.NAMES:
-            self._ack(d.SET_MODE, d.DENIED)
-        elif mode == d.OFFBOARD and self.armed and not self.streaming:
-            self._text(2, "Switching to mode 'Offboard' is currently not available")
-            self._ack(d.SET_MODE, d.TEMPORARILY_REJECTED)
-        else:
-            self.failsafe = False
-            self.set_mode(mode)
-            self._ack(d.SET_MODE, d.ACCEPTED)
+            return d.DENIED, ""
+        if mode == d.OFFBOARD and self.armed and not self.streaming:
+            return d.TEMPORARILY_REJECTED, "Switching to mode 'Offboard' is currently not available"
+        self.failsafe = False
+        self.set_mode(mode)
+        return d.ACCEPTED, ""
 
-    def _command_arm(self, m: Message) -> None:
-        if m.param1 >= 0.5:
-            reason = self._why_not_arm()
-            if reason is not None:
-                self._text(2, f"Arming denied: {reason}")
-                self._ack(d.ARM, d.TEMPORARILY_REJECTED)
-                return
-            if not self.armed:
-                self.armed, self.flown = True, False
-                self.home = self.estimate[0]
-                self._armed_at = self._landed_at = self.time
-                self._text(6, "Armed by external command")
-            self._ack(d.ARM, d.ACCEPTED)
-        elif self.armed and not self.landed:
-            self._text(2, "Disarming denied: not landed")
-            self._ack(d.ARM, d.TEMPORARILY_REJECTED)
-        else:
-            if self.armed:
-                self._disarm("Disarmed by external command")
-            self._ack(d.ARM, d.ACCEPTED)
+    def _command_arm(self, m: Message) -> tuple[int, str]:
+        arms = m.param1 >= 0.5
+        if arms and (reason := self._why_not_arm()) is not None:
+            return d.TEMPORARILY_REJECTED, f"Arming denied: {reason}"
+        if not arms and self.armed and not self.landed:
+            return d.TEMPORARILY_REJECTED, "Disarming denied: not landed"
+        if arms and not self.armed:
+            self.armed, self.flown = True, False
+            self.home = self.estimate[0]
+            self._armed_at = self._landed_at = self.time
+            self._text(6, "Armed by external command")
+        elif not arms and self.armed:
+            self._disarm("Disarmed by external command")
+        return d.ACCEPTED, ""
 
     def _why_not_arm(self) -> str | None:
         if self.time < BOOT or self.blind:
@@ -360,24 +345,18 @@ class SimulatedAutopilot:
             return "mode not suitable for takeoff"
         return None
 
-    def _command_interval(self, m: Message) -> None:
+    def _command_interval(self, m: Message) -> tuple[int, str]:
         name = _NAMES.get(int(m.param1), "")
         if name == "HEARTBEAT" or self._reporter(name) is None:
-            self._ack(d.SET_INTERVAL, d.DENIED)
-            return
+            return d.DENIED, ""
         if m.param2 < 0:
             self._due.pop(name, None)
         else:
             self._due[name] = (self.time, max(m.param2 * 1e-6, self.body.dt))
-        self._ack(d.SET_INTERVAL, d.ACCEPTED)
+        return d.ACCEPTED, ""
 
-    def _command_message(self, m: Message) -> None:
-        name = _NAMES.get(int(m.param1), "")
-        if self._reporter(name) is None:
-            self._ack(d.REQUEST_MESSAGE, d.DENIED)
-            return
-        self._ack(d.REQUEST_MESSAGE, d.ACCEPTED)
-        self._report(name, self.time)
+    def _command_message(self, m: Message) -> tuple[int, str]:
+        return d.DENIED if self._reporter(_NAMES.get(int(m.param1), "")) is None else d.ACCEPTED, ""
 
     # saying
 
@@ -427,27 +406,21 @@ class SimulatedAutopilot:
     def _say_odometry(self, now: float) -> Message:
         p, v, q, w = self.estimate
         unknown = [nan] * 21
-        where = (*frames.world(p), frames.attitude(q), *frames.world(v), *frames.body(w))
+        where = (*frames.world(p), frames.attitude(q), *frames.world(v), *frames.body(w), unknown, unknown)
         resets = self.estimator.resets % 256
-        return mavlink.MAVLink_odometry_message(
-            int(now * 1e6), 1, 1, *where, unknown, unknown, reset_counter=resets
-        )
+        return mavlink.MAVLink_odometry_message(int(now * 1e6), 1, 1, *where, reset_counter=resets)
 
     def _say_attitude_quaternion(self, now: float) -> Message:
-        _, _, q, w = self.estimate
-        return mavlink.MAVLink_attitude_quaternion_message(
-            int(now * 1e3), *frames.attitude(q), *frames.body(w)
-        )
+        turned = (*frames.attitude(self.estimate[2]), *frames.body(self.estimate[3]))
+        return mavlink.MAVLink_attitude_quaternion_message(int(now * 1e3), *turned)
 
     def _say_local_position_ned(self, now: float) -> Message:
         p, v, _, _ = self.estimate
         return mavlink.MAVLink_local_position_ned_message(int(now * 1e3), *frames.world(p), *frames.world(v))
 
     def _say_attitude_target(self, now: float) -> Message:
-        unturned = (1.0, 0.0, 0.0, 0.0)
-        return mavlink.MAVLink_attitude_target_message(
-            int(now * 1e3), 0, unturned, *frames.body(self.rates), 0.0
-        )
+        target = ((1.0, 0.0, 0.0, 0.0), *frames.body(self.rates), 0.0)
+        return mavlink.MAVLink_attitude_target_message(int(now * 1e3), 0, *target)
 
     def _say_position_target_local_ned(self, now: float) -> Message | None:
         """Only where a position was followed since the last report."""

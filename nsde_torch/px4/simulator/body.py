@@ -59,9 +59,7 @@ class Body:
         delay = asked.pop("input_delay", None)
         if delay is not None:
             latency += float(delay.get("delay", 0.02))  # type: ignore[arg-type]
-        system = make_plant_system(
-            name, effects=[{k: v} for k, v in asked.items()], declared_only=self.declared_only
-        )
+        system = make_plant_system(name, effects=asked, declared_only=self.declared_only)
         if not isinstance(system, Multirotor):
             raise ConfigError(
                 f"the vehicle must be a multirotor (hexacopter, quadrotor); got system {name!r}."
@@ -75,12 +73,10 @@ class Body:
         declared = {k: v for k, (v, _) in system.declared_parameters().items() if v.numel() == 1}
         self._gain, self._offset = float(declared["thrust_gain"]), float(declared["thrust_offset"])
         self._gains = tuple(float(declared[f"{k}_gain"]) for k in ("roll", "pitch", "yaw"))
-        jx, jy = float(declared["inertia_x"]), float(declared["inertia_y"])
-        self._coupling = euler_coupling(jx, jy)
+        self._coupling = euler_coupling(float(declared["inertia_x"]), float(declared["inertia_y"]))
         self._mix = tuple(tuple(row) for row in system.mixing)
-        self.allocation = np.linalg.pinv(np.asarray(system.mixing)).T / np.array(
-            [self._gain, *self._gains]
-        ).reshape(4, 1)
+        self.allocation = np.linalg.pinv(np.asarray(system.mixing)).T
+        self.allocation /= np.array([self._gain, *self._gains])[:, None]
         names = set(system.effect_names)
         values = {k: v.tolist() for k, (v, _) in system.all_declared().items()}
         self._tau = values["motor_lag.time_constant"][0] if "motor_lag" in names else 0.0
@@ -93,13 +89,8 @@ class Body:
             self._lag = slice(at, at + count) if effect.name == "motor_lag" else self._lag
             at += count
         self._others = bool(names - _NATIVE) or system.thrust_degree > 1
-        self._gusts = Gusts(
-            spec.gusts,
-            system.ports,
-            dt=HELD,
-            scale=self.process_noise,
-            generator=torch.Generator().manual_seed(self.seed),
-        )
+        noise = {"scale": self.process_noise, "generator": torch.Generator().manual_seed(self.seed)}
+        self._gusts = Gusts(spec.gusts, system.ports, dt=HELD, **noise)  # type: ignore[arg-type]
         self._gusts.reset(1)
         self._delay = round(latency / dt)
         nu = system.nu
@@ -144,8 +135,8 @@ class Body:
             for m, c, r in zip(self.motors, command, self._motor_push, strict=True)
         )
         self.used = min(self.used + dt / (HOVER * ENDURANCE) * sum(self.motors) / self.nu, 1.0)
-        acceleration, twist = self._rigid(self.v, self.q, self.w, self.motors)
-        lift = rotate_back(self.q, (0.0, 0.0, 1.0))[2] * self._thrust(self.motors)
+        acceleration, twist = self._rigid(self.v, self.q, self.w)
+        lift = rotate_back(self.q, (0.0, 0.0, 1.0))[2] * self._thrust()
         if self.on_ground and lift <= GRAVITY:
             self.v = self.w = (0.0, 0.0, 0.0)
             self.time += dt
@@ -153,12 +144,8 @@ class Body:
         self.on_ground = False
         # midpoint for the rates, whose gyroscopic terms are quadratic; all else is smooth over a step
         middle = plus(self.w, twist, 0.5 * dt)
-        acceleration, twist = self._rigid(
-            plus(self.v, acceleration, 0.5 * dt),
-            turned_by_rates(self.q, self.w, 0.5 * dt),
-            middle,
-            self.motors,
-        )
+        v, q = plus(self.v, acceleration, 0.5 * dt), turned_by_rates(self.q, self.w, 0.5 * dt)
+        acceleration, twist = self._rigid(v, q, middle)
         self.q = turned_by_rates(self.q, middle, dt)
         self.p = plus(plus(self.p, self.v, dt), acceleration, 0.5 * dt * dt)
         self.v, self.w = plus(self.v, acceleration, dt), plus(self.w, twist, dt)
@@ -175,21 +162,21 @@ class Body:
         self.p, self.on_ground = (self.p[0], self.p[1], 0.0), True
         self.v = self.w = (0.0, 0.0, 0.0)
 
-    def _thrust(self, motors: tuple[float, ...]) -> float:
+    def _thrust(self) -> float:
         """Thrust over mass; none where the motors stand still."""
-        total = sum(motors)
+        total = sum(self.motors)
         return max(self._gain * total + self._offset, 0.0) if total > 0.0 else 0.0
 
-    def _rigid(self, v: Vec, q: Quat, w: Vec, motors: tuple[float, ...]) -> tuple[Vec, Vec]:
+    def _rigid(self, v: Vec, q: Quat, w: Vec) -> tuple[Vec, Vec]:
         """Accelerations in the world and in the body, with what is held."""
-        acceleration, twist = self._bare(v, q, w, motors)
+        acceleration, twist = self._bare(v, q, w)
         return plus(acceleration, self._push), plus(twist, self._twist)
 
-    def _bare(self, v: Vec, q: Quat, w: Vec, motors: tuple[float, ...]) -> tuple[Vec, Vec]:
+    def _bare(self, v: Vec, q: Quat, w: Vec) -> tuple[Vec, Vec]:
         b = rotate_back(q, v)
         d = self._drag
-        f = rotate(q, (-d[0] * b[0], -d[1] * b[1], self._thrust(motors) - d[2] * b[2]))
-        moments = [sum(s * m for s, m in zip(row, motors, strict=True)) for row in self._mix[1:]]
+        f = rotate(q, (-d[0] * b[0], -d[1] * b[1], self._thrust() - d[2] * b[2]))
+        moments = [sum(s * m for s, m in zip(row, self.motors, strict=True)) for row in self._mix[1:]]
         g, c = self._gains, self._coupling
         twist = (
             g[0] * moments[0] + c[0] * w[1] * w[2],
@@ -216,7 +203,7 @@ class Body:
             if self._lag is not None:
                 z[:, self._lag] = torch.tensor([self.motors], dtype=torch.float64)
             rate = self._full.drift(self.time, z, inputs)
-            bare, spin = self._bare(self.v, self.q, self.w, self.motors)
+            bare, spin = self._bare(self.v, self.q, self.w)
             _, a, _, turn = parts(tuple(rate[0, :13].tolist()))
             push = plus(push, plus(a, bare, -1.0))
             twist = plus(twist, plus(turn, spin, -1.0))

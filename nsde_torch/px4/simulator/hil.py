@@ -252,10 +252,6 @@ class HilPlant:
             self.lockstep = bool(message.flags & _LOCKSTEP)
             self.answers += 1
 
-    def step(self) -> None:
-        """Move on by one sample."""
-        self.body.step(self.controls)
-
 
 @final
 @dataclass(eq=False)
@@ -282,9 +278,8 @@ class HilServer:
             self.plant.receive(early)
             self._serve(until)
             if not until():
-                self.say(
-                    f"PX4 went after {self.plant.time - _FIRST:.1f} s; the machine is put back on the ground"
-                )
+                gone = f"PX4 went after {self.plant.time - _FIRST:.1f} s"
+                self.say(f"{gone}; the machine is put back on the ground")
             self.plant = self.make()
 
     def _serve(self, until: Callable[[], bool]) -> None:
@@ -295,7 +290,7 @@ class HilServer:
             transport.send(plant.sample())
             due = max(due + plant.body.dt / self.speed, sent - LONGEST)
             self._hear(due, answers, sent)
-            plant.step()
+            plant.body.step(plant.controls)
 
     def _hear(self, due: float, answers: int, sent: float) -> None:
         """Until the next sample is due and, in lockstep, this one is answered."""

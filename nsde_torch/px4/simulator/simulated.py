@@ -19,7 +19,6 @@ from nsde_torch.px4.flight.cascade import PathPoints
 from nsde_torch.px4.flight.controller import FlightController, Inline
 from nsde_torch.px4.flight.flying import FlightReport, fly
 from nsde_torch.px4.flight.options import FlightOptions
-from nsde_torch.px4.flight.safety import Limits
 from nsde_torch.px4.link.connection import POLL, Connection
 from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.link.transport import Transport
@@ -86,10 +85,8 @@ def fly_simulated(
     seed: int,
     period: float,
     sensor_noise: float = 1.0,
-    limits: Limits | None = None,
     options: FlightOptions | None = None,
     log: Path | None = None,
-    say: Callable[[str], None] = lambda line: None,
 ) -> FlightReport:
     """Fly once, from the ground to the ground, in virtual time.
 
@@ -99,7 +96,7 @@ def fly_simulated(
         path: Where to fly, from the place of take-off.
         seed: Of the noise of the estimate; `sensor_noise` is a factor on it.
         period: Time between plans [s].
-        limits, options, log, say: See `fly`.
+        options, log: See `fly`.
 
     Returns:
         What was measured; the same for the same seeds on every machine on which arithmetic is the same.
@@ -107,7 +104,7 @@ def fly_simulated(
     autopilot = SimulatedAutopilot(body, seed=seed, sensor_noise=sensor_noise)
     runner = Inline(controller, period=period, delay=SOLVE)
     with VirtualLink(autopilot, latency=LINE) as link:
-        return fly(link, runner, path, motors=body.nu, log=log, limits=limits, options=options, say=say)
+        return fly(link, runner, path, motors=body.nu, log=log, options=options)
 
 
 TICK = 0.004

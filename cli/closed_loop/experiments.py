@@ -20,15 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
-from nsde_torch.design import (
-    DesignOptions,
-    Question,
-    Standing,
-    design,
-    obtained,
-    open_questions,
-    standing_of,
-)
+from nsde_torch.design import DesignOptions, Question, Standing, design, obtained, open_questions, standing_of
 from nsde_torch.design.experiment import PLAN, RESULT, read_design
 from nsde_torch.diagnosis.files import RESULT as DIAGNOSED
 from nsde_torch.errors import ConfigError, DataError
@@ -93,7 +85,9 @@ def run_experiments(loop: ClosedLoop) -> tuple[list[dict[str, Any]], StoppedLoop
             return done, other
         loop.diagnosis = place / "diagnosis"
         after = standing_of(loop.found)
-        done.append(entry_of(place, number, plan, told, now, after, _flight(place)))
+        flight = place / FLIGHT  # nothing is measured where a person flew
+        flown = json.loads(flight.read_text(encoding="utf-8")) if flight.is_file() else {}
+        done.append(entry_of(place, number, plan, told, now, after, flown))
         for line in experiment_lines(done[-1]):
             say(line)
     now = standing_of(loop.found)
@@ -184,11 +178,7 @@ def _flown(loop: ClosedLoop, place: Path, number: int) -> StoppedLoop | None:
 
 
 def _read(
-    loop: ClosedLoop,
-    place: Path,
-    known: KnownMachine,
-    plan: Mapping[str, Any],
-    content: Mapping[str, Any],
+    loop: ClosedLoop, place: Path, known: KnownMachine, plan: Mapping[str, Any], content: Mapping[str, Any]
 ) -> dict[str, Any]:
     """The evidence of the flight, unless that is known; DataError: the logs hold no new run."""
     file = place / OBTAINED
@@ -199,17 +189,11 @@ def _read(
     new = [run for run in data.runs if run.name not in before]
     if not new:
         raise DataError(f"{loop.logs} holds no run that the diagnosis before {place.name} did not have.")
-    asked_for = plan["question"]
-    told = obtained(
-        known.system,
-        known.runs,
-        new,
-        Question(tuple(map(tuple, asked_for["members"])), tuple(asked_for["parameters"])),
-        clock=known.clock,
-        values=known.values,
-        expected=plan["expected"],
-        trusted=True,  # whether it is of this machine the diagnosis of all runs says
-    ).content()
+    asked_for, machine = plan["question"], {"clock": known.clock, "values": known.values}
+    question = Question(tuple(map(tuple, asked_for["members"])), tuple(asked_for["parameters"]))
+    # trusted: whether it is of this machine the diagnosis of all runs says
+    how: dict[str, Any] = {**machine, "expected": plan["expected"], "trusted": True}
+    told = obtained(known.system, known.runs, new, question, **how).content()
     file.write_text(json_text(told) + "\n", encoding="utf-8")
     return told
 
@@ -242,12 +226,6 @@ def _other_machine(loop: ClosedLoop, place: Path, before: Mapping[str, Any]) -> 
     )
 
 
-def _flight(place: Path) -> dict[str, Any]:
-    """What was measured in a flight of ours; nothing of one that a person flew."""
-    file = place / FLIGHT
-    return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
-
-
 # --- what is said of an experiment ------------------------------------------------------------------------------------
 
 
@@ -262,18 +240,10 @@ def expected_nats(plan: Mapping[str, Any]) -> float:
     """What is expected of a plan, whichever member is true; of parameters, of all together [nats]."""
     if plan["question"]["kind"] == "tie":
         return float(min(e["nats"]["mean"] for e in plan["expected"]))
-    return float(sum(_information(p) for p in _asked_parameters(plan).values()))
-
-
-def _asked_parameters(plan: Mapping[str, Any]) -> dict[str, Any]:
-    names = plan["question"]["parameters"]
-    every = plan["expected"][0]["parameters"]
-    return {k: p for k, p in every.items() if any(k == n or k.startswith(f"{n}[") for n in names)}
-
-
-def _information(p: Mapping[str, Any]) -> float:
-    then = p["expected_standard_error"]
-    return 0.0 if then is None else log(p["standard_error"] / then)
+    names, every = plan["question"]["parameters"], plan["expected"][0]["parameters"].items()
+    wanted = [p for k, p in every if any(k == n or k.startswith(f"{n}[") for n in names)]
+    known = ((p["standard_error"], p["expected_standard_error"]) for p in wanted)
+    return float(sum(log(now / then) for now, then in known if then is not None))
 
 
 def too_little(plan: Mapping[str, Any], told: float, config: DictConfig) -> str:
@@ -305,18 +275,13 @@ def entry_of(
     flown: Mapping[str, Any],
 ) -> dict[str, Any]:
     """What `close_loop.json` says of an experiment."""
-    tie = plan["question"]["kind"] == "tie"
+    tie, kept = plan["question"]["kind"] == "tie", ("words", "duration_s", "largest_share_of_limits")
     brought = told["nats"][told["speaks_for"]] if tie else told["nats"]
     wanted = told["expected_nats"]
     return {
         "number": number,
         "question": plan["question"],
-        "plan": {
-            "file": f"{place.name}/{PLAN}",
-            "words": plan["plan"]["words"],
-            "duration_s": plan["plan"]["duration_s"],
-            "largest_share_of_limits": plan["plan"]["largest_share_of_limits"],
-        },
+        "plan": {"file": f"{place.name}/{PLAN}", **{k: plan["plan"][k] for k in kept}},
         "expected_nats": (
             {e["if_true"]: e["nats"]["mean"] for e in plan["expected"]} if tie else expected_nats(plan)
         ),

@@ -40,16 +40,9 @@ class FlyingMachine(Protocol):
         """Those of some effects that a controller of this machine needs to know."""
 
     def fly(self, path: FlightPath, effects: list[Any], *, seed: int, log: Path) -> dict[str, Any]:
-        """Fly once.
+        """Fly once from the place of take-off, with effects that the controller is given; the log is a CSV file.
 
-        Args:
-            path: Where to, from the place of take-off.
-            effects: Effects that the controller is given.
-            seed: Of gusts and noise, where they are simulated.
-            log: CSV file to write.
-
-        Returns:
-            What was measured: `tracked`, `rmse_m`, `trouble`, `track` and more.
+        What was measured: `tracked`, `rmse_m`, `trouble`, `track` and more.
         """
 
 
@@ -85,27 +78,19 @@ class VirtualVehicle:
         return _by_name(told(effects))
 
     def fly(self, path: FlightPath, effects: list[Any], *, seed: int, log: Path) -> dict[str, Any]:
-        report = fly_simulated(
-            fly_build.body(self._config.plant, seed=seed),
-            self._controller(path, effects),
-            PathPoints(path),
-            seed=seed,
-            period=self._config.mpc.period,
-            sensor_noise=self._config.plant.sensor_noise,
-            log=log,
-        )
+        c = self._config
+        body, controller = fly_build.body(c.plant, seed=seed), self._controller(path, effects)
+        how = {"period": c.mpc.period, "sensor_noise": c.plant.sensor_noise}
+        report = fly_simulated(body, controller, PathPoints(path), seed=seed, log=log, **how)
         return {**report.as_dict(), "track": _rounded(report.track)}
 
     def _controller(self, path: FlightPath, effects: list[Any]) -> FlightController:
         """The solver is made once for all flights with the same knowledge."""
         key = json.dumps(effects)
+        c = self._config
         if key not in self._controllers:
-            self._controllers[key] = Controller(
-                physics(self._config, effects), **track_build.planning(self._config.mpc), say=say
-            )
-        return PredictiveController(
-            self._controllers[key], Reference(path), delay=self._config.delay, lead=self._config.lead
-        )
+            self._controllers[key] = Controller(physics(c, effects), **track_build.planning(c.mpc), say=say)
+        return PredictiveController(self._controllers[key], Reference(path), delay=c.delay, lead=c.lead)
 
 
 @final
@@ -120,18 +105,17 @@ class TrackedPlant:
         return _by_name(effects)
 
     def fly(self, path: FlightPath, effects: list[Any], *, seed: int, log: Path) -> dict[str, Any]:
-        known = physics(self._config, effects)
-        plant = track_build.plant(self._config.plant, known, seed=seed)
-        reference = Reference(path)
-        autopilot = track_build.autopilot(
-            DECLARED, known, self._config, reference, batch=1, sample=plant.dt, say=say
-        )
-        latency = self._config.plant.state_latency
-        flight = fly_plant(autopilot, plant, reference, state_latency=latency, duration=path.duration)
-        (made,) = write_log([flight], known, log.parent / f".{log.stem}")
+        c, reference = self._config, Reference(path)
+        known = physics(c, effects)
+        plant = track_build.plant(c.plant, known, seed=seed)
+        made: dict[str, Any] = {"batch": 1, "sample": plant.dt}
+        autopilot = track_build.autopilot(DECLARED, known, c, reference, **made, say=say)
+        late, span = c.plant.state_latency, path.duration
+        flight = fly_plant(autopilot, plant, reference, state_latency=late, duration=span)
+        (written,) = write_log([flight], known, log.parent / f".{log.stem}")
         log.parent.mkdir(parents=True, exist_ok=True)
-        made.replace(log)
-        made.parent.rmdir()
+        written.replace(log)
+        written.parent.rmdir()
         lost, t, x = float(flight.lost[0]), flight.t, flight.x[:, 0]
         errors = (x[:, :3] - flight.ref[:, :3]).norm(dim=1)
         whole = lost == inf
@@ -179,18 +163,10 @@ class LinkedVehicle:
         try:
             runner.wait()
             with self._connect() as link:
-                report = fly_vehicle(
-                    link,
-                    runner,
-                    PathPoints(path),
-                    motors=self._motors,
-                    log=log,
-                    limits=self._limits,
-                    setpoints=self._setpoints,
-                    # an experiment ends anywhere, and the next flight has its fence about where it takes off
-                    options=FlightOptions(come_back=True),
-                    say=say,
-                )
+                # an experiment ends anywhere, and the next flight has its fence about where it takes off
+                bounds: dict[str, Any] = {"limits": self._limits, "options": FlightOptions(come_back=True)}
+                bounds |= {"setpoints": self._setpoints, "motors": self._motors}
+                report = fly_vehicle(link, runner, PathPoints(path), log=log, **bounds, say=say)
         finally:
             runner.close()
         fly_build.check_end(report.outcome)

@@ -94,11 +94,9 @@ def text(content: dict[str, Any]) -> str:
             f"mean {_cm(content['before_mean_m'])} -> {_cm(content['after_mean_m'])} "
             f"(x {content['ratio']:.2f}), better in {content['better_in']} of {content['pairs']}"
         )
-    if content.get("after_over_truth") is not None:
-        lines.append(
-            f"{content['after_over_truth']:.2f} times the error of a controller with the true effects "
-            f"({_cm(content['truth_mean_m'])})"
-        )
+    if (ratio := content.get("after_over_truth")) is not None:
+        truth = _cm(content["truth_mean_m"])
+        lines.append(f"{ratio:.2f} times the error of a controller with the true effects ({truth})")
     return "\n".join(lines)
 
 

@@ -22,7 +22,6 @@ import traceback
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import KW_ONLY, dataclass
 from importlib import resources
-from pathlib import Path
 from typing import Any
 
 from werkzeug.exceptions import HTTPException
@@ -64,8 +63,7 @@ class ServedPage:
             ("DELETE", job, self._delete),
             ("PUT", f"{job}/logs/<int:index>", self._receive),
             ("POST", f"{job}/inspect", self._inspect),
-            ("POST", f"{job}/diagnose", self._diagnose),
-            ("POST", f"{job}/cancel", self._cancel),
+            ("POST", f"{job}/<any(diagnose, cancel):what>", self._do),
             ("GET", "/jobs/<name>/<file>", self._file),
         ]
         self._map = Map([Rule(path, endpoint=answer, methods=[method]) for method, path, answer in answers])
@@ -74,7 +72,8 @@ class ServedPage:
         """Answer one request."""
         request = Request(environ)
         answer = self._answer(request)
-        shut_in(answer, sheet=request.path.startswith("/jobs/"))
+        policy = _SHEET if request.path.startswith("/jobs/") else _PAGE
+        answer.headers.update({**_SHUT_IN, "Content-Security-Policy": policy})
         return answer(environ, start_response)
 
     def _answer(self, request: Request) -> Response:
@@ -157,12 +156,8 @@ class ServedPage:
         self.runner.inspect(job, system=system, mapping=mapping)
         return self._show(request, name)
 
-    def _diagnose(self, request: Request, name: str) -> Response:
-        self.runner.diagnose(self._shelf.get(name))
-        return self._show(request, name)
-
-    def _cancel(self, request: Request, name: str) -> Response:
-        self.runner.cancel(self._shelf.get(name))
+    def _do(self, request: Request, name: str, what: str) -> Response:
+        (self.runner.diagnose if what == "diagnose" else self.runner.cancel)(self._shelf.get(name))
         return self._show(request, name)
 
     def _delete(self, request: Request, name: str) -> Response:
@@ -191,7 +186,10 @@ class ServedPage:
         path = folder / _HOMES[file] / file if file in _HOMES else pictures.get(file)
         if path is None or not path.is_file():
             raise RefusedError("There is no such file.", 404)
-        return answer_file(path, name=file if "save" in request.args else None)
+        answer = Response(path.read_bytes(), content_type=TYPES[path.suffix])
+        if "save" in request.args:
+            answer.headers["Content-Disposition"] = f'attachment; filename="{file}"'
+        return answer
 
     def _brief(self, job: ServedJob) -> dict[str, Any]:
         return {
@@ -257,23 +255,11 @@ def answer_json(content: Any, status: int = 200) -> Response:
     return Response(json.dumps(content), status=status, content_type=TYPES[".json"])
 
 
-def answer_file(path: Path, *, name: str | None = None) -> Response:
-    """A file, whose suffix is a key of `TYPES`: shown or, with a name, saved under it."""
-    answer = Response(path.read_bytes(), content_type=TYPES[path.suffix])
-    if name is not None:
-        answer.headers["Content-Disposition"] = f'attachment; filename="{name}"'
-    return answer
-
-
-def shut_in(answer: Response, *, sheet: bool) -> Response:
-    """Headers for every answer: nothing from elsewhere, nothing kept, no frame of another site."""
-    answer.headers["Content-Security-Policy"] = _SHEET if sheet else _PAGE
-    answer.headers["X-Content-Type-Options"] = "nosniff"
-    answer.headers["Referrer-Policy"] = "no-referrer"
-    answer.headers["Cross-Origin-Resource-Policy"] = "same-origin"
-    answer.headers["Cross-Origin-Opener-Policy"] = "same-origin"
-    answer.headers["Cache-Control"] = "no-store"
-    return answer
+_SHUT_IN = {
+    **{"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer", "Cache-Control": "no-store"},
+    **dict.fromkeys(("Cross-Origin-Resource-Policy", "Cross-Origin-Opener-Policy"), "same-origin"),
+}
+"""Headers of every answer: nothing from elsewhere, nothing kept, no frame of another site."""
 
 
 # Who may ask: pages of this server alone, under its own name, with its token.

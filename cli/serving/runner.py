@@ -143,15 +143,10 @@ class JobRunner:
         return {"state": "ready", "repeat": shell(self._words(job))}
 
     def _words(self, job: ServedJob) -> list[str]:
-        folder = self.shelf.of(job)
+        folder, most = self.shelf.of(job), self.limits.max_minutes
         mapping = folder / MAPPING if (folder / MAPPING).is_file() else None
-        return diagnose_words(
-            folder / "logs",
-            known=self.machines,
-            system=job.machine,
-            mapping=mapping,
-            max_minutes=self.limits.max_minutes,
-        )
+        known = {"known": self.machines, "system": job.machine, "mapping": mapping}
+        return diagnose_words(folder / "logs", **known, max_minutes=most)  # type: ignore[arg-type]
 
     def _diagnose(self, job: ServedJob) -> dict[str, Any]:
         folder = self.shelf.of(job)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import final
+from dataclasses import KW_ONLY, dataclass, field
+from typing import Any, final
 
 import torch
 from torch import Tensor, nn
@@ -160,57 +160,46 @@ class Autopilot(ABC):
 
 
 @final
+@dataclass(eq=False)
 class PredictivePilot(Autopilot):
     """The predictive controller with its estimator.
-
-    Args:
-        controller: Plans.
-        model: What the estimator predicts with, the controller's own model as a rule; or what predicts a sample.
-        reference: What to track.
-        period: Time between commands [s].
-        sample: Step on which commands and states are known [s].
-        estimator: Latency and pushes.
-        state_latency: Part of the latency that lies before the command is given [s].
-        say: Called with one line when something takes long.
 
     Raises:
         ConfigError: times that do not fit into each other.
     """
 
-    def __init__(
-        self,
-        controller: Planner,
-        model: Model | System | Foresight,
-        reference: StateReference,
-        *,
-        period: float,
-        sample: float,
-        estimator: EstimatorOptions | None = None,
-        state_latency: float = 0.0,
-        say: Callable[[str], None] | None = None,
-    ) -> None:
-        self.controller, self.reference, self.period = controller, reference, period
-        self._dtype = controller.dtype
-        options = estimator or EstimatorOptions()
-        predictor: Foresight = (
-            Predictor(model, dt=sample, dtype=self._dtype) if isinstance(model, Model | System) else model
-        )
+    controller: Planner
+    model: Model | System | Foresight
+    """What the estimator predicts with, the controller's own model as a rule; or what predicts a sample."""
+    reference: StateReference  # what to track
+    _: KW_ONLY
+    period: float  # time between commands [s]
+    sample: float  # step on which commands and states are known [s]
+    estimator: EstimatorOptions = field(default_factory=EstimatorOptions)  # latency and pushes
+    state_latency: float = 0.0  # part of the latency that lies before the command is given [s]
+    say: Callable[[str], None] = lambda line: None  # called with one line when something takes long
+
+    def __post_init__(self) -> None:
+        model, sample, solver = self.model, self.sample, self.controller.solver
+        predictor: Foresight
+        self._dtype, predictor = self.controller.dtype, model  # type: ignore[assignment]
+        if isinstance(model, Model | System):
+            predictor = Predictor(model, dt=sample, dtype=self._dtype)
         if abs(predictor.dt - sample) > 1e-9:
             raise ConfigError(
                 f"the model predicts steps of {predictor.dt:g} s, and samples are {sample:g} s apart."
             )
-        self._estimator = Estimator(predictor, options, period=period)
-        self._ahead = options.latency - state_latency
+        self._estimator = Estimator(predictor, self.estimator, period=self.period)
+        self._ahead = self.estimator.latency - self.state_latency
         self._plan: Plan | None = None
         self._commands = self._z = self._d = torch.empty(0)
         self._update: Callable[..., Sequence[Tensor]] = self._estimator
-        if controller.solver.compiled and isinstance(predictor, Predictor):
-            folder = controller.solver.options.cache
+        if solver.compiled and isinstance(predictor, Predictor):
+            how: dict[str, Any] = {"folder": solver.options.cache, "say": self.say}
             try:
-                self._update = compiled_estimator(self._estimator, predictor, folder=folder, say=say)
+                self._update = compiled_estimator(self._estimator, predictor, **how)
             except NoCompiler as error:
-                if say is not None:
-                    say(f"the estimator runs without compilation: {error}")
+                self.say(f"the estimator runs without compilation: {error}")
 
     def reset(self, x: Tensor) -> Tensor:
         c, e = self.controller, self._estimator

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any, NamedTuple, final
 
 import torch
@@ -58,37 +58,26 @@ class Solution:
 
 
 @final
+@dataclass(eq=False)
 class Solver:
-    """Solves problems of one horizon.
+    """Solves problems of one horizon; `compiled` says whether its iterations are machine code."""
 
-    Args:
-        horizon: The problem.
-        options: How.
-        batch: Plans at a time.
-        say: Called with one line when something takes long (a compilation).
-        clock: Time [s]; another one makes deadlines testable.
+    horizon: Horizon  # the problem
+    options: SolverOptions  # how
+    _: KW_ONLY
+    batch: int = 1  # plans at a time
+    say: Callable[[str], None] | None = None  # called with one line when something takes long (a compilation)
+    clock: Clock = time.perf_counter  # time [s]; another one makes deadlines testable
 
-    Attributes:
-        compiled: Whether iterations are machine code.
-    """
-
-    def __init__(
-        self,
-        horizon: Horizon,
-        options: SolverOptions,
-        *,
-        batch: int = 1,
-        say: Callable[[str], None] | None = None,
-        clock: Clock = time.perf_counter,
-    ) -> None:
-        self.horizon, self.options, self._clock = horizon, options, clock
+    def __post_init__(self) -> None:
+        options = self.options
         self._method: GaussNewton | AcceleratedGradient | CompiledMethod
-        self._method = (GaussNewton if options.name == "gauss_newton" else AcceleratedGradient)(horizon)
+        self._method = (GaussNewton if options.name == "gauss_newton" else AcceleratedGradient)(self.horizon)
         self.compiled = False
         self._longest = 0.0
-        if options.compile == "on" or (options.compile == "auto" and batch == 1):
+        if options.compile == "on" or (options.compile == "auto" and self.batch == 1):
             try:
-                self._method = CompiledMethod(self._method, options.name, folder=options.cache, say=say)
+                self._method = CompiledMethod(self._method, options.name, folder=options.cache, say=self.say)
                 self.compiled = True
             except NoCompiler as error:
                 if options.compile == "on":
@@ -105,11 +94,11 @@ class Solver:
             u: Inputs to start from (N, K, nu), within bounds.
             z: States near those that they lead to (N, P, K + 1, nz).
         """
-        o, started = self.options, self._clock()
+        o, started = self.options, self.clock()
         costs: list[Tensor] = []
         memory = self._method.start(u)
         while True:
-            begun = self._clock()
+            begun = self.clock()
             arguments = (problem.z0, u, z, problem.ref, problem.last, problem.d)
             step, memory = self._method.iterate(arguments, memory)
             u, z = step.u, step.z
@@ -117,7 +106,7 @@ class Solver:
                 costs.append(step.before)
             costs.append(step.cost)
             converged = float(step.worst) <= o.tolerance
-            now = self._clock()
+            now = self.clock()
             self._longest = max(0.9 * self._longest, now - begun)
             late = o.deadline is not None and now - started + self._longest > o.deadline
             if len(costs) > o.iterations or late or converged:

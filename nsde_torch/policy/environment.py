@@ -10,7 +10,7 @@ numbers, is over (`terminated`) and pays its last reward for every step that was
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from math import pi
 from typing import final
 
@@ -158,17 +158,9 @@ class Transition:
 
 
 @final
+@dataclass(eq=False)
 class BatchEnvironment:
     """A task on N machines.
-
-    Args:
-        task: What is asked for.
-        dynamics: The machines.
-        n: Number of machines, >= 1.
-        generator: Source of the first states.
-        start: Where episodes start.
-        stagger: Begin with episodes of unequal length, so that the machines are not all at the same moment of
-            an episode from then on.
 
     Raises:
         ConfigError: no machine.
@@ -181,23 +173,21 @@ class BatchEnvironment:
         >>> step = environment.step(policy(observation))
     """
 
-    def __init__(
-        self,
-        task: CartpoleSwingUp,
-        dynamics: Dynamics,
-        *,
-        n: int,
-        generator: torch.Generator,
-        start: Box,
-        stagger: bool = False,
-    ) -> None:
-        if n < 1:
-            raise ConfigError(f"`n_envs` must be at least 1; got {n!r}.")
-        self.task, self.dynamics, self.n = task, dynamics, n
-        self._generator, self._start, self._stagger = generator, start, stagger
-        self._length = torch.zeros(n, dtype=torch.long)
-        self._limit = torch.full((n,), task.steps)
-        self._total = torch.zeros(n, dtype=torch.float64)
+    task: CartpoleSwingUp  # what is asked for
+    dynamics: Dynamics  # the machines
+    _: KW_ONLY
+    n: int  # number of machines, >= 1
+    generator: torch.Generator  # source of the first states
+    start: Box  # where episodes start
+    stagger: bool = False
+    """Begin with episodes of unequal length, so that the machines are not all at the same moment from then on."""
+
+    def __post_init__(self) -> None:
+        if self.n < 1:
+            raise ConfigError(f"`n_envs` must be at least 1; got {self.n!r}.")
+        self._length = torch.zeros(self.n, dtype=torch.long)
+        self._limit = torch.full((self.n,), self.task.steps)
+        self._total = torch.zeros(self.n, dtype=torch.float64)
 
     def reset(self, x0: Tensor | None = None) -> Tensor:
         """Start all episodes.
@@ -213,11 +203,11 @@ class BatchEnvironment:
         """
         if x0 is not None and len(x0) != self.n:
             raise ShapeError(f"`x0` must have a row for each of the {self.n} machines; got {len(x0)}.")
-        x = self._start.draw(self.n, self._generator) if x0 is None else x0
+        x = self.start.draw(self.n, self.generator) if x0 is None else x0
         self._length, self._total = torch.zeros_like(self._length), torch.zeros_like(self._total)
         self._limit = torch.full((self.n,), self.task.steps)
-        if self._stagger:
-            self._limit = torch.randint(1, self.task.steps + 1, (self.n,), generator=self._generator)
+        if self.stagger:
+            self._limit = torch.randint(1, self.task.steps + 1, (self.n,), generator=self.generator)
         return self._seen(self.dynamics.reset(x))
 
     @torch.no_grad()
@@ -249,7 +239,7 @@ class BatchEnvironment:
         rows = ended.nonzero()[:, 0]
         if not len(rows):
             return seen
-        fresh = self.dynamics.restart(rows, self._start.draw(len(rows), self._generator))
+        fresh = self.dynamics.restart(rows, self.start.draw(len(rows), self.generator))
         self._length = self._length.masked_fill(ended, 0)
         self._limit = self._limit.masked_fill(ended, self.task.steps)
         self._total = self._total.masked_fill(ended, 0.0)

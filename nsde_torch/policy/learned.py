@@ -10,7 +10,7 @@ its sensors is added to what is measured.
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import final
+from typing import Any, final
 
 import torch
 from torch import Tensor
@@ -87,23 +87,8 @@ class PlantDynamics(Dynamics):
 
     name = "plant"
 
-    def __init__(
-        self,
-        system: str,
-        *,
-        dt: float,
-        sensor_noise: float,
-        generator: torch.Generator,
-        process_noise: float = 1.0,
-    ) -> None:
-        self.plant = make_plant(
-            system,
-            generator=generator,
-            dt=dt,
-            sensor_noise=sensor_noise,
-            process_noise=process_noise,
-            check=False,
-        )
+    def __init__(self, system: str, **how: Any) -> None:
+        self.plant = make_plant(system, check=False, **how)
         self._width = self.plant.system.nu + len(self.plant.system.exogenous)
 
     @property

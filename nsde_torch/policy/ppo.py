@@ -134,8 +134,7 @@ class Learner:
     def restore(self, path: Path) -> dict[str, Any]:
         """Go on from a checkpoint that `save` wrote; returns what was saved beside the tensors.
 
-        Raises:
-            CheckpointError: the file is damaged, or of another network.
+        CheckpointError: the file is damaged, or of another network.
         """
         try:
             tensors, metadata = read_tensors(path)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -85,65 +85,42 @@ MakeDynamics = Callable[[torch.Generator], Dynamics]
 
 
 @final
+@dataclass(eq=False)
 class PolicyTraining:
     """One training. `run` does all of it; interrupted and run again, it goes on from its last evaluation.
-
-    Args:
-        task: What is asked for.
-        environment: Makes the machines to learn on from a source of randomness.
-        truth: Makes the true machines; the same object as `environment` to learn on the truth.
-        options: Settings of the learning.
-        seed: Seed of everything random but the evaluations.
-        folder: Folder to write into.
-        about: Plain values for `policy.json`: `environment` (`kind` and `name`), `truth` and `sensor_noise`, which
-            must be those of a reference, and whatever else says what they are.
-        scored_against: Folders of policies that were trained on this truth; the score compares with them.
-        say: Where text for people goes.
 
     Raises:
         CheckpointError: what it is scored against is none, or its truth is another.
     """
 
-    def __init__(
-        self,
-        task: CartpoleSwingUp,
-        *,
-        environment: MakeDynamics,
-        truth: MakeDynamics,
-        options: PolicyOptions,
-        seed: int,
-        folder: str | Path,
-        about: Mapping[str, Any],
-        scored_against: Sequence[str | Path] = (),
-        say: Callable[[str], None] = print,
-    ) -> None:
-        self.task, self.options, self.seed, self.folder = task, options, seed, Path(folder)
-        self._environment, self._truth, self._about, self._say = environment, truth, dict(about), say
-        self._reference = _reference_reward(scored_against, self._about)
-        self._scored_against = [str(path) for path in scored_against]
+    task: CartpoleSwingUp  # what is asked for
+    _: KW_ONLY
+    environment: MakeDynamics  # makes the machines to learn on from a source of randomness
+    truth: MakeDynamics  # makes the true machines; the same object as `environment` to learn on the truth
+    options: PolicyOptions
+    seed: int  # seed of everything random but the evaluations
+    folder: Path  # folder to write into
+    about: Mapping[str, Any]
+    """Plain values for `policy.json`: `environment` (`kind` and `name`), `truth` and `sensor_noise`, which must be
+    those of a reference, and whatever else says what they are."""
+    scored_against: Sequence[str | Path] = ()
+    """Folders of policies that were trained on this truth; the score compares with them."""
+    say: Callable[[str], None] = print  # where text for people goes
+
+    def __post_init__(self) -> None:
+        self.folder = Path(self.folder)
+        self._reference = _reference_reward(self.scored_against, self.about)
         self._rows: list[dict[str, float]] = []
         self._started = time.perf_counter()
         self._seconds_before = 0.0
 
     def run(self) -> dict[str, Any]:
-        """Learn, evaluate and write.
-
-        Returns:
-            What `policy.json` holds.
-        """
+        """Learn, evaluate and write; what `policy.json` holds."""
         options, total = self.options, self.options.interactions
         self.folder.mkdir(parents=True, exist_ok=True)
         learner = self._learner()
-        bar = tqdm(
-            total=total,
-            initial=learner.interactions,
-            desc="policy",
-            unit="step",
-            unit_scale=True,
-            disable=no_bar(),
-            leave=False,
-            mininterval=0.5,
-        )
+        shown: dict[str, Any] = {"desc": "policy", "unit": "step", "unit_scale": True, "mininterval": 0.5}
+        bar = tqdm(total=total, initial=learner.interactions, disable=no_bar(), leave=False, **shown)
 
         def between_updates() -> None:
             done = learner.interactions
@@ -168,7 +145,7 @@ class PolicyTraining:
         generator = torch.Generator().manual_seed(2 * self.seed + (1 if path.is_file() else 0))
         machines = BatchEnvironment(
             self.task,
-            self._environment(generator),
+            self.environment(generator),
             n=self.options.n_envs,
             generator=generator,
             start=self.task.training,
@@ -178,15 +155,15 @@ class PolicyTraining:
         if path.is_file():
             kept = learner.restore(path)
             self._rows, self._seconds_before = kept["rows"], kept["seconds"]
-            self._say(f"going on after {learner.interactions} interactions")
+            self.say(f"going on after {learner.interactions} interactions")
         return learner
 
     def _evaluate(self, learner: Learner, bar: Any) -> None:
         actor, done = learner.actor(), learner.interactions
-        true = self._play(actor, self._truth, self.options.episodes, _EVALUATION_SEED)
+        true = self._play(actor, self.truth, self.options.episodes, _EVALUATION_SEED)
         own = true
         if not self._on_truth:
-            own = self._play(actor, self._environment, self.options.episodes, _EVALUATION_SEED)
+            own = self._play(actor, self.environment, self.options.episodes, _EVALUATION_SEED)
         row = {
             "interactions": done,
             "environment_reward": own.mean,
@@ -202,7 +179,7 @@ class PolicyTraining:
         learner.save(self.folder / _CHECKPOINT, {"rows": self._rows, "seconds": self._seconds()})
         where = "" if self._on_truth else f"environment {own.mean:.1f}, "
         if bar.disable:
-            self._say(f"{done:>9,} interactions: {where}truth {true.mean:.1f}, {row['seconds']:.0f} s")
+            self.say(f"{done:>9,} interactions: {where}truth {true.mean:.1f}, {row['seconds']:.0f} s")
         else:
             bar.set_postfix_str(f"{where}truth {true.mean:.1f}")
 
@@ -226,17 +203,17 @@ class PolicyTraining:
         best = max(self._rows, key=lambda row: row["environment_reward"])
 
         def true(policy: Actor | None, start: Box | None = None) -> Rewards:
-            return self._play(policy, self._truth, n, _FINAL_SEED, start)
+            return self._play(policy, self.truth, n, _FINAL_SEED, start)
 
         reward, random = true(kept), true(None)
-        own = reward if self._on_truth else self._play(kept, self._environment, n, _FINAL_SEED)
+        own = reward if self._on_truth else self._play(kept, self.environment, n, _FINAL_SEED)
         value = None
         if self._reference is not None:
             value = score(reward.mean, random=random.mean, truth=self._reference)
         return {
             "system": self.task.system,
-            "model": self._about["environment"]["name"],
-            **self._about,
+            "model": self.about["environment"]["name"],
+            **self.about,
             "seed": self.seed,
             "interactions": int(self._rows[-1]["interactions"]),
             "kept_after": int(best["interactions"]),
@@ -248,7 +225,7 @@ class PolicyTraining:
             "random_reward": asdict(random),
             "score": value,
             "reference_reward": self._reference,
-            "scored_against": self._scored_against,
+            "scored_against": list(map(str, self.scored_against)),
             "units": {
                 "reward": self.task.reward_unit,
                 "interactions": "steps of the environment",
@@ -276,22 +253,22 @@ class PolicyTraining:
 
     def _tell(self, result: Mapping[str, Any]) -> None:
         reward, own = result["truth_reward"], result["environment_reward"]
-        self._say(
+        self.say(
             f"reward per episode on the truth: {reward['mean']:.1f} +- {reward['std']:.1f} "
             f"({reward['episodes']} episodes; worst {reward['worst']:.1f}); random actions "
             f"{result['random_reward']['mean']:.1f}"
         )
         if not self._on_truth:
-            self._say(f"in the environment that it learned in: {own['mean']:.1f} +- {own['std']:.1f}")
+            self.say(f"in the environment that it learned in: {own['mean']:.1f} +- {own['std']:.1f}")
         if result["score"] is not None:
-            self._say(f"score (0 random, 1 trained on the truth): {result['score']:.3f}")
+            self.say(f"score (0 random, 1 trained on the truth): {result['score']:.3f}")
         else:
-            self._say("no score: name policies trained on the truth, scored_against=[DIR,...]")
-        self._say(f"took {result['seconds']:.0f} s; wrote {self.folder}")
+            self.say("no score: name policies trained on the truth, scored_against=[DIR,...]")
+        self.say(f"took {result['seconds']:.0f} s; wrote {self.folder}")
 
     @property
     def _on_truth(self) -> bool:
-        return self._environment is self._truth
+        return self.environment is self.truth
 
     def _seconds(self) -> float:
         return self._seconds_before + time.perf_counter() - self._started

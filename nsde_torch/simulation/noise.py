@@ -12,6 +12,7 @@ the variance white^2 T whatever dt is. (Gillespie, Physical Review E 54, 1996, f
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass
 from math import exp, sqrt
 from typing import final
 
@@ -26,35 +27,28 @@ from nsde_torch.systems.machine import Gust
 
 
 @final
+@dataclass(eq=False)
 class Gusts:
     """The gusts of one plant, advanced a sample at a time.
 
-    Args:
-        spec: Gust of each port that has one.
-        widths: Number of axes of each port of the system.
-        dt: Sample [s].
-        scale: Factor on everything, >= 0.
-        generator: Source of all randomness; it also sets the device.
-
-    Raises:
-        ConfigError: a port that the system lacks, or a time constant or scale out of range.
+    ConfigError: a port that the system lacks, or a time constant or scale out of range.
     """
 
-    def __init__(
-        self,
-        spec: Mapping[Port, Gust],
-        widths: Mapping[Port, int],
-        *,
-        dt: float,
-        scale: float,
-        generator: torch.Generator,
-        dtype: torch.dtype = torch.float64,
-    ) -> None:
+    spec: Mapping[Port, Gust]  # gust of each port that has one
+    widths: Mapping[Port, int]  # number of axes of each port of the system
+    _: KW_ONLY
+    dt: float  # sample [s]
+    scale: float  # factor on everything, >= 0
+    generator: torch.Generator  # source of all randomness; it also sets the device
+    dtype: torch.dtype = torch.float64
+
+    def __post_init__(self) -> None:
+        scale, widths = self.scale, self.widths
         if not scale >= 0:
             raise ConfigError(f"`process_noise` must be a factor of 0 or more; got {scale!r}.")
-        self._generator, self._dtype = generator, dtype
+        self._like = torch.empty(0, dtype=self.dtype, device=self.generator.device)
         self._parts: list[tuple[Port, int, float, Tensor, Tensor]] = []
-        for port, gust in spec.items():
+        for port, gust in self.spec.items():
             if port not in widths:
                 known = ", ".join(p.value for p in widths)
                 raise ConfigError(
@@ -62,23 +56,22 @@ class Gusts:
                 )
             if not gust.time_constant > 0:
                 raise ConfigError(f"`time_constant` of a gust must be > 0 s; got {gust.time_constant!r}.")
-            width, keep = widths[port], exp(-dt / gust.time_constant)
+            width, keep = widths[port], exp(-self.dt / gust.time_constant)
             std, white = (self._row(v, width, port) * scale for v in (gust.std, gust.white))
             if scale > 0:
-                self._parts.append((port, width, keep, std, white / sqrt(dt)))
+                self._parts.append((port, width, keep, std, white / sqrt(self.dt)))
         self._width = sum(width for _, width, *_ in self._parts)
         self._state: list[Tensor] = []
 
     def _row(self, values: tuple[float, ...], width: int, port: Port) -> Tensor:
-        row = torch.tensor(values, dtype=self._dtype, device=self._generator.device)
+        row = self._like.new_tensor(values)
         if row.numel() not in (1, width):
             raise ConfigError(f"a gust on {port.value!r} takes 1 or {width} numbers; got {row.numel()}.")
         return row.expand(width)
 
     def _normal(self, batch: int, columns: int) -> Tensor:
-        return torch.randn(
-            batch, columns, generator=self._generator, dtype=self._dtype, device=self._generator.device
-        )
+        device = self.generator.device
+        return torch.randn(batch, columns, generator=self.generator, dtype=self.dtype, device=device)
 
     def reset(self, batch: int) -> None:
         """Start from the stationary distribution, for `batch` rows."""
@@ -108,46 +101,38 @@ class Gusts:
 
 
 @final
+@dataclass(eq=False)
 class Sensor:
     """Measurement: state plus white noise, a quaternion turned by a small random rotation.
 
-    Args:
-        system: The machine.
-        std: Standard deviation of each error channel of the system (`system.error_names`) [its unit; rad
-            for the three of an attitude].
-        scale: Factor on all of them, >= 0; with 0 the state is returned as it is.
-        generator: Source of all randomness.
-
-    Raises:
-        ConfigError: wrong number of channels, or a negative value.
+    ConfigError: wrong number of channels, or a negative value.
     """
 
-    def __init__(
-        self,
-        system: System,
-        std: tuple[float, ...],
-        *,
-        scale: float,
-        generator: torch.Generator,
-        dtype: torch.dtype = torch.float64,
-    ) -> None:
-        n = len(system.error_names)
-        if len(std) != n or min(std) < 0:
+    system: System
+    std: tuple[float, ...]
+    """Standard deviation of each error channel of the system [its unit; rad for the three of an attitude]."""
+    _: KW_ONLY
+    scale: float  # factor on all of them, >= 0; with 0 the state is returned as it is
+    generator: torch.Generator
+    dtype: torch.dtype = torch.float64
+
+    def __post_init__(self) -> None:
+        names, std, scale = self.system.error_names, self.std, self.scale
+        if len(std) != len(names) or min(std) < 0:
             raise ConfigError(
-                f"`sensor_std` takes {n} numbers of 0 or more ({', '.join(system.error_names)}); got {std!r}."
+                f"`sensor_std` takes {len(names)} numbers of 0 or more ({', '.join(names)}); got {std!r}."
             )
         if not scale >= 0:
             raise ConfigError(f"`sensor_noise` must be a factor of 0 or more; got {scale!r}.")
-        self._quaternion = system.quaternion
-        self._generator = generator
-        self._std = torch.tensor(std, dtype=dtype, device=generator.device) * scale
+        self._quaternion = self.system.quaternion
+        self._std = torch.tensor(std, dtype=self.dtype, device=self.generator.device) * scale
         self._silent = scale == 0 or not any(std)
 
     def __call__(self, x: Tensor) -> Tensor:
         """The state (B, nx) as measured, (B, nx)."""
         if self._silent:
             return x
-        unit = self._std.new_empty(len(x), len(self._std)).normal_(generator=self._generator)
+        unit = self._std.new_empty(len(x), len(self._std)).normal_(generator=self.generator)
         noise = self._std * unit
         if self._quaternion is None:
             return x + noise

@@ -1,6 +1,6 @@
 """Policies: tasks, environments whose step is a true or a learned machine, and learning in them.
 
-`vec_env`, `single_env` and `ppo` need the extra `nsde_torch[policy]` (gymnasium, stable-baselines3) and are
+`vec_env` and `ppo` need the extra `nsde_torch[policy]` (gymnasium, stable-baselines3) and are
 imported by name; everything here does without.
 """
 

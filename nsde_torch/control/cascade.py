@@ -11,7 +11,7 @@ physics of the machine and nothing of lag, drag or gusts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass, field
 from math import radians, sin
 from typing import final
 
@@ -38,35 +38,28 @@ class Gains:
 
 
 @final
+@dataclass(eq=False)
 class Cascade:
-    """Flies a batch of multirotors along what a pilot or a reference wants, in double precision.
+    """Flies a batch of multirotors along what a pilot or a reference wants, in double precision."""
 
-    Args:
-        system: Declared physics that the mixing and the hover thrust come from.
-        dt: Sample [s].
-        gains: Gains.
-        device: Where the states are.
-    """
+    system: Multirotor  # declared physics that the mixing and the hover thrust come from
+    _: KW_ONLY
+    dt: float  # sample [s]
+    gains: Gains = field(default_factory=Gains)
+    device: torch.device | str = "cpu"  # where the states are
 
-    def __init__(
-        self,
-        system: Multirotor,
-        *,
-        dt: float,
-        gains: Gains | None = None,
-        device: torch.device | str = "cpu",
-    ) -> None:
+    def __post_init__(self) -> None:
         def row(values: tuple[float, ...]) -> Tensor:
-            return torch.tensor(values, dtype=torch.float64, device=device)
+            return torch.tensor(values, dtype=torch.float64, device=self.device)
 
-        gains = gains or Gains()
-        self._dt, self._limit, self._sin_tilt = dt, gains.integral_limit, sin(gains.tilt)
+        gains = self.gains
+        self._dt, self._limit, self._sin_tilt = self.dt, gains.integral_limit, sin(gains.tilt)
         self._kp, self._kv, self._ki = row(gains.position), row(gains.velocity), row(gains.integral)
         self._ka, self._kw = row(gains.attitude), row(gains.rate)
-        values = {k: float(v) for k, (v, _) in system.declared_parameters().items() if v.numel() == 1}
+        values = {k: float(v) for k, (v, _) in self.system.declared_parameters().items() if v.numel() == 1}
         self._offset = values["thrust_offset"]
-        per_unit = row((values["thrust_gain"], values["roll_gain"], values["pitch_gain"], values["yaw_gain"]))
-        mix = torch.tensor(system.mixing, dtype=torch.float64, device=device)
+        per_unit = row(tuple(values[f"{k}_gain"] for k in ("thrust", "roll", "pitch", "yaw")))
+        mix = torch.tensor(self.system.mixing, dtype=torch.float64, device=self.device)
         self._allocation = torch.linalg.pinv(mix).T / per_unit[:, None]  # (4, nu): demands @ this = commands
         self._gravity = row((0.0, 0.0, GRAVITY))
         self._sum = row((0.0, 0.0, 0.0))

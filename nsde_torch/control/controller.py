@@ -72,18 +72,8 @@ def hovering_plan(
     x = at_rest(system, u.dtype).repeat(batch, 1)
     z = augment(x, u[:, 0])[:, None, None].repeat(1, options.particles, options.steps + 1, 1)
     nothing = u.new_full((batch,), torch.inf)
-    return Plan(
-        u=u,
-        x=z[:, 0, :, : system.nx],
-        cost=nothing,
-        gap=nothing,
-        status=(word_at_rest(system),) * batch,
-        solve_ms=0.0,
-        iterations=0,
-        dt=options.dt,
-        age=nothing,
-        z=z,
-    )
+    x, status = z[:, 0, :, : system.nx], (word_at_rest(system),) * batch
+    return Plan(u, x, nothing, nothing, status, solve_ms=0.0, iterations=0, dt=options.dt, age=nothing, z=z)
 
 
 def word_at_rest(system: System) -> str:
@@ -263,18 +253,9 @@ class Controller:
         finite = np.isfinite(found.cost.numpy()) & np.isfinite(found.u.numpy()).all((1, 2))
         safe = [word is None and bool(good) for word, good in zip(trouble, finite, strict=True)]
         status = self._status(trouble, safe, found, start, known=before is not None)
-        made = Plan(
-            u=found.u,
-            x=found.z[:, 0, :, :nx],
-            cost=found.cost,
-            gap=found.gap,
-            status=status,
-            solve_ms=1e3 * found.seconds,
-            iterations=len(found.costs) - 1,
-            dt=self.options.dt,
-            age=torch.zeros(n, dtype=self.dtype),
-            z=found.z,
-        )
+        new, ms, count = torch.zeros(n, dtype=self.dtype), 1e3 * found.seconds, len(found.costs) - 1
+        rows = (found.u, found.z[:, 0, :, :nx], found.cost, found.gap, status)
+        made = Plan(*rows, solve_ms=ms, iterations=count, dt=self.options.dt, age=new, z=found.z)
         return made if all(safe) else self._mended(made, start, z0)
 
     def _status(

@@ -79,15 +79,8 @@ def residuals(physics: Physics, theta: Array, ports: Sequence[Port]) -> Residual
     response = torch.stack(columns, 2) if columns else torch.zeros(len(s), nx, 0, dtype=middle.dtype)
     largest = response.abs().amax((0, 2)).numpy() if columns else np.zeros(nx)
     rows = np.flatnonzero(largest > _MOVES * max(float(largest.max()), 1e-300))
-    return Residuals(
-        states=middle[:, :nx],
-        change=change,
-        response=response[:, rows],
-        ports=tuple((port, system.ports[port]) for port in ports),
-        rows=rows,
-        series=Series(s.segments),
-        dt=s.dt,
-    )
+    widths = tuple((port, system.ports[port]) for port in ports)
+    return Residuals(middle[:, :nx], change, response[:, rows], widths, rows, Series(s.segments), s.dt)
 
 
 def with_networks(physics: Physics, model: NeuralSDE) -> Physics:

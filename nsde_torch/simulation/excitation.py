@@ -152,12 +152,10 @@ def spring_runs(
     multisine of 0.05 to 1.5 Hz (`Excitation`), which, unlike free decay, also shows the mass.
 
     Args:
-        name: System.
+        name, seed, making: See `excited_runs`.
         durations: Length of each run [s]; default: five of 5 s.
-        seed: Seed of first states, force and noise.
         force: `zero` or `multisine`.
         force_size: Standard deviation of the multisine [N].
-        making: Effects and noise of the plant, and how it is made.
         region: Where runs start, ((lowest q, highest q), (lowest q_dot, highest q_dot)).
 
     Returns:
@@ -173,12 +171,8 @@ def spring_runs(
     bounds = np.asarray(region, dtype=np.float64)
     if bounds.shape != (2, 2) or (bounds[:, 1] < bounds[:, 0]).any():
         raise ConfigError(f"`region` must be ((low, high), (low, high)) of q and q_dot; got {region!r}.")
+    lengths, std = SPRING_DURATIONS if durations is None else durations, machine(name).sensor_std
+    inputs = [force_size if force == "multisine" else 0.0]
     return excited_runs(
-        name,
-        durations=SPRING_DURATIONS if durations is None else durations,
-        seed=seed,
-        making=making,
-        inputs=[force_size if force == "multisine" else 0.0],
-        noise=machine(name).sensor_std,
-        start=region,
+        name, durations=lengths, seed=seed, making=making, inputs=inputs, noise=std, start=region
     )

@@ -102,11 +102,8 @@ def fly(
         if k + 1 < n:
             x = plant.step(logged.seen_by(plant, u, voltage))
             logged.use(u)
-    return Flown(*(_array(rows) for rows in (states, commands, voltages, truths)))
-
-
-def _array(rows: list[torch.Tensor]) -> Array:
-    return np.asarray(torch.stack(rows).cpu().numpy(), dtype=np.float64)
+    parts = (states, commands, voltages, truths)
+    return Flown(*(np.asarray(torch.stack(rows).cpu().numpy(), dtype=np.float64) for rows in parts))
 
 
 def flown(x: Array) -> Array:
@@ -115,27 +112,23 @@ def flown(x: Array) -> Array:
     return np.concatenate([np.linalg.norm(x[:, 3:6], axis=1)[None], angles])
 
 
-def _miss(values: Sequence[Array], targets: Array) -> float:
-    """Largest relative departure (log) from the figures of runs (4, n_i) together."""
-    found = figures(np.concatenate(values, axis=1))
-    return float(np.abs(np.log(found / targets)).max())
-
-
-def _inside(x: Array) -> bool:
-    return bool(np.abs(x[:, :3]).max() < ROOM and x[:, 2].min() > FLOOR)
-
-
 def _choose(takes: Sequence[Sequence[Array]], targets: Array) -> tuple[float, list[int]]:
     """For each run one of its takes (n, 13), so that all together come nearest to the figures (8,): the departure left,
     and the index of each run's take; infinite where a run has no take in the room."""
-    values = [[flown(x) if _inside(x) else None for x in run] for run in takes]
+
+    def inside(x: Array) -> bool:
+        return bool(np.abs(x[:, :3]).max() < ROOM and x[:, 2].min() > FLOOR)
+
+    values = [[flown(x) if inside(x) else None for x in run] for run in takes]
     common = [k for k in range(len(takes[0])) if all(run[k] is not None for run in values)]
     free = [[k for k, v in enumerate(run) if v is not None] for run in values]
     if not all(free):
         return float("inf"), []
 
     def miss(choice: Sequence[int]) -> float:
-        return _miss([v for run, k in zip(values, choice, strict=True) if (v := run[k]) is not None], targets)
+        """Largest relative departure (log) from the figures of runs (4, n_i) together."""
+        runs = [v for run, k in zip(values, choice, strict=True) if (v := run[k]) is not None]
+        return float(np.abs(np.log(figures(np.concatenate(runs, axis=1)) / targets)).max())
 
     starts = [[k] * len(takes) for k in common] or [[run[0] for run in free]]
     best = min(starts, key=miss)
@@ -202,10 +195,8 @@ def manual_flights(
     """Flights by hand whose envelope, over all runs, is that of the supplement's Figure 15.
 
     Args:
-        name: System, `hexacopter` or `quadrotor`.
+        name, seed, making: See `excited_runs`; a `hexacopter` or `quadrotor`.
         durations: Length of each flight [s]; default: the supplement's three.
-        seed: Seed of pilot and noise.
-        making: Effects and noise of the plant, and how it is made.
         variants: Flights to choose from; fewer are quicker and meet the figures less well.
         rounds: How often the aim may be moved at most.
 

@@ -127,17 +127,9 @@ def simulate(
     if replay is not None:
         _check_replay(system, recorded, replay, chain, nominal)
     flown = [(round(d / nominal) + late) * step for d in lengths]
-    making = Making(
-        effects=asked,
-        process_noise=process_noise,
-        sensor_noise=sensor_noise,
-        declared_only=declared_only,
-        latency=latency,
-        dt=step,
-        step=fine,
-        battery=battery,
-        values=own_values,
-    )
+    noise: dict[str, Any] = {"process_noise": process_noise, "sensor_noise": sensor_noise}
+    held: dict[str, Any] = {"effects": asked, "declared_only": declared_only, "battery": battery}
+    making = Making(**held, **noise, latency=latency, dt=step, step=fine, values=own_values)
     try:
         made = _recorded(recorded, system, replay, durations=flown, seed=seed, making=making, **used)
     except TypeError as error:
@@ -145,9 +137,8 @@ def simulate(
             raise ConfigError(f"the recording of {system!r}: {error}.") from error
         raise
     except NonFiniteError as error:
-        raise ConfigError(
-            f"the simulation left the finite numbers: {error} Make the effects weaker."
-        ) from error
+        text = f"the simulation left the finite numbers: {error} Make the effects weaker."
+        raise ConfigError(text) from error
     rng = np.random.default_rng([seed, 3])
     digits = len(str(len(made) - 1))
     runs = []

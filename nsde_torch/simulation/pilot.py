@@ -188,16 +188,7 @@ def figures(values: Array) -> Array:
 
 
 class Pilot:
-    """The pilot of one data set.
-
-    Args:
-        durations: Length of each run [s], each at least 2.
-        dt: Sample [s].
-        seed: Seed of everything that the pilot does.
-
-    Raises:
-        ConfigError: no run, or one too short.
-    """
+    """The pilot of one data set, of runs of some lengths [s]; ConfigError where there is none, or one too short."""
 
     def __init__(self, durations: Sequence[float], *, dt: float, seed: int) -> None:
         if not durations or min(durations) < SHORTEST_S:

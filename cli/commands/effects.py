@@ -83,16 +83,12 @@ def catalogue(system: str | None = None) -> list[dict[str, Any]]:
         chosen = effects_of(machine.name, machine.ports, machine.bound_coordinates())
     able = {s: effects_of(s, cls.ports, cls.bound_coordinates()) for s, cls in SYSTEMS.items()}
     of_machines = {s: {split_name(name)[0] for name in effects} for s, effects in able.items()}
-    fits = {
-        name: [s for s, effects in of_machines.items() if name in effects]
-        for name in (chosen if system is None else ())
-    }
-    # why a diagnosis of the machine does not try an effect: empty where it does, None without a machine
-    reasons = {name: None if machine is None else why_not(machine, name) for name in chosen}
-    rows = [
-        {**_row(cls, fits.get(name, [system or ""])), "no_candidate": reasons[name]}
-        for name, cls in chosen.items()
-    ]
+    rows = []
+    for name, cls in chosen.items():
+        fits = [s for s, effects in of_machines.items() if name in effects] if system is None else [system]
+        # why a diagnosis of the machine does not try an effect: empty where it does, None without a machine
+        reason = None if machine is None else why_not(machine, name)
+        rows.append({**_row(cls, fits), "no_candidate": reason})
     order = list(dict.fromkeys(tuple(row["systems"]) for row in rows))
     return sorted(rows, key=lambda row: order.index(tuple(row["systems"])))
 
@@ -100,21 +96,11 @@ def catalogue(system: str | None = None) -> list[dict[str, Any]]:
 def _row(cls: type[Effect], systems: Sequence[str]) -> dict[str, Any]:
     from nsde_torch.effects import Law
 
-    parameters = [
-        {
-            "name": name,
-            "unit": spec.unit,
-            "low": spec.low,
-            "high": spec.high,
-            "axes": "inputs"
-            if spec.per_input
-            else len(spec.initial)
-            if isinstance(spec.initial, tuple)
-            else 1,
-            "help": spec.help,
-        }
-        for name, spec in cls.PARAMETERS.items()
-    ]
+    parameters = []
+    for name, spec in cls.PARAMETERS.items():
+        width = len(spec.initial) if isinstance(spec.initial, tuple) else 1
+        entry = {"name": name, "unit": spec.unit, "low": spec.low, "high": spec.high}
+        parameters.append({**entry, "axes": "inputs" if spec.per_input else width, "help": spec.help})
     return {
         "name": cls.name,
         "port": _ANY if issubclass(cls, Law) and cls.law is cls and len(systems) != 1 else cls.port.value,

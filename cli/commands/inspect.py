@@ -120,13 +120,8 @@ def run(config: DictConfig, job: Job) -> None:
         raise ConfigError(
             f"`system.options.{next(iter(machine.options))}` is of a machine: name it, system=NAME."
         )
-    found = inspect(
-        path,
-        system=None if machine.name == UNNAMED else machine,
-        kind=config.kind,
-        mapping=config.mapping or there,
-        physics=config.physics,
-    )
+    named, mapping = None if machine.name == UNNAMED else machine, config.mapping or there
+    found = inspect(path, system=named, kind=config.kind, mapping=mapping, physics=config.physics)
     print(report(found, everything=config.columns == "all"))
     if config.json is not None:
         _save(Path(config.json), json.dumps(found.content(), indent=1, allow_nan=False) + "\n", "json")
@@ -135,8 +130,8 @@ def run(config: DictConfig, job: Job) -> None:
     used = Path(config.mapping) if config.mapping else target
     words = system_words(found.system if machine.name == UNNAMED else machine.name)
     words += [f"system.options.{k}={v}" for k, v in machine.options.items()]
-    named = found.native or used is None or used == _beside(path)
-    paths = {"data.path": path} if named else {"data.path": path, "data.mapping": used}
+    own = found.native or used is None or used == _beside(path)
+    paths = {"data.path": path} if own else {"data.path": path, "data.mapping": used}
     train = as_typed("nsde", "train", *words, f"data={found.kind}", paths=paths)
     again = as_typed("nsde", "inspect", path, *words, "mapping=FILE", paths={})
     print(f"\nnext: {_next(found, train, again)}")
@@ -208,19 +203,13 @@ def _table(found: Inspection, *, everything: bool) -> list[str]:
         rest = [r for r in moving if r not in first][: max(_SHOWN - len(first), 0)]
         rows = first + rest
     head = ("column", "unit", "rate [Hz]", "rows", "lowest", "highest", "missing", "gaps")
-    cells = [
-        (
-            f"{r.stream}/{r.column}" if r.stream else r.column,
-            r.unit or "-",
-            f"{r.rate:.4g}" if r.rate == r.rate else "no clock",
-            str(r.rows),
-            f"{r.low:.4g}",
-            f"{r.high:.4g}",
-            f"{r.missing:.1%}" if r.missing else "-",
-            str(r.gaps) if r.gaps else "-",
+    cells = []
+    for r in rows:
+        name, rate = f"{r.stream}/{r.column}" if r.stream else r.column, f"{r.rate:.4g}"
+        sizes = (str(r.rows), f"{r.low:.4g}", f"{r.high:.4g}", f"{r.missing:.1%}" if r.missing else "-")
+        cells.append(
+            (name, r.unit or "-", rate if r.rate == r.rate else "no clock", *sizes, str(r.gaps or "-"))
         )
-        for r in rows
-    ]
     left = len(found.columns) - len(rows)
     more = [f"({left} more; columns=all lists them)"] if left else []
     return [*aligned([head, *cells], left=2), *more]

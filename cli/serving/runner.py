@@ -145,8 +145,9 @@ class JobRunner:
     def _words(self, job: ServedJob) -> list[str]:
         folder, most = self.shelf.of(job), self.limits.max_minutes
         mapping = folder / MAPPING if (folder / MAPPING).is_file() else None
-        known = {"known": self.machines, "system": job.machine, "mapping": mapping}
-        return diagnose_words(folder / "logs", **known, max_minutes=most)  # type: ignore[arg-type]
+        return diagnose_words(
+            folder / "logs", known=self.machines, system=job.machine, mapping=mapping, max_minutes=most
+        )
 
     def _diagnose(self, job: ServedJob) -> dict[str, Any]:
         folder = self.shelf.of(job)

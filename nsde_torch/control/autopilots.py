@@ -6,7 +6,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, field
-from typing import Any, final
+from typing import final
 
 import torch
 from torch import Tensor, nn
@@ -195,9 +195,9 @@ class PredictivePilot(Autopilot):
         self._commands = self._z = self._d = torch.empty(0)
         self._update: Callable[..., Sequence[Tensor]] = self._estimator
         if solver.compiled and isinstance(predictor, Predictor):
-            how: dict[str, Any] = {"folder": solver.options.cache, "say": self.say}
+            folder = solver.options.cache
             try:
-                self._update = compiled_estimator(self._estimator, predictor, **how)
+                self._update = compiled_estimator(self._estimator, predictor, folder=folder, say=self.say)
             except NoCompiler as error:
                 self.say(f"the estimator runs without compilation: {error}")
 

@@ -209,22 +209,20 @@ def _machines(flight: Flight) -> list[dict[str, Any]]:
     turn = torch.rad2deg(rotation_between(ref[..., 6:10], flight.x[..., 6:10]))
     speed = flight.x[..., 3:6].norm(dim=-1)
     tilt = torch.rad2deg(torch.arccos((1 - 2 * (flight.x[..., 7] ** 2 + flight.x[..., 8] ** 2)).clamp(-1, 1)))
-    out: list[dict[str, Any]] = []
-    for n in range(flight.x.shape[1]):
-        out.append(
-            {
-                "rmse_m": _plain(error[:, n].square().sum(-1).mean().sqrt()),
-                "rmse_axes_m": [_plain(v) for v in error[:, n].square().mean(0).sqrt()],
-                "position_error_max_m": _plain(error[:, n].norm(dim=-1).max()),
-                "altitude_rmse_m": _plain(error[:, n, 2].square().mean().sqrt()),
-                "altitude_error_max_m": _plain(error[:, n, 2].abs().max()),
-                "attitude_rmse_deg": _plain(turn[:, n].square().sum(-1).mean().sqrt()),
-                "speed_max_m_s": _plain(speed[:, n].max()),
-                "tilt_max_deg": _plain(tilt[:, n].max()),
-                "lost_s": _plain(flight.lost[n]),
-            }
-        )
-    return out
+    return [
+        {
+            "rmse_m": _plain(error[:, n].square().sum(-1).mean().sqrt()),
+            "rmse_axes_m": [_plain(v) for v in error[:, n].square().mean(0).sqrt()],
+            "position_error_max_m": _plain(error[:, n].norm(dim=-1).max()),
+            "altitude_rmse_m": _plain(error[:, n, 2].square().mean().sqrt()),
+            "altitude_error_max_m": _plain(error[:, n, 2].abs().max()),
+            "attitude_rmse_deg": _plain(turn[:, n].square().sum(-1).mean().sqrt()),
+            "speed_max_m_s": _plain(speed[:, n].max()),
+            "tilt_max_deg": _plain(tilt[:, n].max()),
+            "lost_s": _plain(flight.lost[n]),
+        }
+        for n in range(flight.x.shape[1])
+    ]
 
 
 def _plain(value: Tensor) -> float | None:

@@ -160,9 +160,17 @@ def compare(
     index, t = grids[0].located()
     for n, (candidate, grid) in enumerate(zip(candidates, grids, strict=True)):
         say(f"scoring {candidate.name} ({n + 1} of {len(candidates)}) from {len(grid.starts)} starts")
-        how: dict[str, Any] = {"seed": seed, "particles": particles, "compile": compile, "dt": grid.dt}
-        std = candidate.measurement_std
-        made = score(candidate.model, grid.windows, grid.starts, grid.steps, measurement_std=std, **how)
+        made = score(
+            candidate.model,
+            grid.windows,
+            grid.starts,
+            grid.steps,
+            seed=seed,
+            particles=particles,
+            dt=grid.dt,
+            compile=compile,
+            measurement_std=candidate.measurement_std,
+        )
         scores.append(made)
         matches = {run.name: candidate.seen.match(run) for run in grid.runs}
         models.append(_model_entry(candidate, grid, made, matches, index, keys))

@@ -84,8 +84,16 @@ def evaluate(
     starts = thinned(start_grid(windows))
     if len(starts) == 0:
         raise DataError(f"no stretch of {horizons[-1]} s without a gap; evaluate on longer runs.")
-    how: dict[str, Any] = {"seed": seed, "particles": particles, "compile": compile}
-    scores = score(model, windows, starts, steps, measurement_std=measurement_std, **how)
+    scores = score(
+        model,
+        windows,
+        starts,
+        steps,
+        seed=seed,
+        particles=particles,
+        compile=compile,
+        measurement_std=measurement_std,
+    )
     return {
         "horizons_s": list(horizons),
         "starts": len(starts),

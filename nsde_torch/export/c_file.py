@@ -106,15 +106,9 @@ class CController:
         """See `layout.step_inputs` and `layout.step_outputs`."""
         # held by a name while the call looks at them
         given, reference, last, push, memory, before = map(self._given, (state, *rest))
-        plan = before.clone()
-        self._built.nsde_step(
-            self._work,
-            _at(given),
-            int(float(valid) > 0.5),
-            self._real(float(elapsed)),
-            *map(_at, (reference, last, push, memory, plan)),
-            ctypes.byref(self._command),
-        )
+        plan, accepted, late = before.clone(), int(float(valid) > 0.5), self._real(float(elapsed))
+        tables = map(_at, (reference, last, push, memory, plan))
+        self._built.nsde_step(self._work, _at(given), accepted, late, *tables, ctypes.byref(self._command))
         return self._answer(plan)
 
     def predict(self, z: Tensor, u: Tensor, push: Tensor) -> tuple[Tensor]:

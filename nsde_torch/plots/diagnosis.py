@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,6 +95,7 @@ def _some(data: Array) -> Array:
 
 
 BEFORE, AFTER = style.VERMILLION, style.BLUE
+_MARKED: dict[str, Any] = {"color": AFTER, "marker": "s", "markersize": 4.5, "capsize": 3, "elinewidth": 1.1}
 _POINTS = 1500
 _SEED = 0  # of the points that are drawn
 
@@ -227,17 +228,8 @@ def before_after(
             for k in (1, 2)
         )
         ax.axvline(nothing, color=style.GREY, linewidth=0.8)
-        ax.errorbar(
-            value,
-            place,
-            xerr=np.stack((np.clip(value - low, 0.0, None), np.clip(high - value, 0.0, None))),
-            color=AFTER,
-            marker="s",
-            markersize=4.5,
-            linestyle="none",
-            capsize=3,
-            elinewidth=1.1,
-        )
+        reach = np.stack((np.clip(value - low, 0.0, None), np.clip(high - value, 0.0, None)))
+        ax.errorbar(value, place, xerr=reach, linestyle="none", **_MARKED)
         ax.set_yticks(place, list(table))
         ax.set_ylim(-0.6, len(table) - 0.4)
         ax.set_xlabel(word)
@@ -275,17 +267,8 @@ def errors_before_after(
         # the interval of the difference, standing on the error before
         down = np.clip(second - (first + least), 0.0, None)
         up = np.clip(first + most - second, 0.0, None)
-        ax.errorbar(
-            horizons,
-            second,
-            np.nan_to_num(np.stack((down, up))),
-            color=AFTER,
-            marker="s",
-            markersize=4.5,
-            capsize=3,
-            elinewidth=1.1,
-            label="after, with the 90 % interval of the difference",
-        )
+        name_of = "after, with the 90 % interval of the difference"
+        ax.errorbar(horizons, second, np.nan_to_num(np.stack((down, up))), label=name_of, **_MARKED)
         both = np.concatenate((first, second))
         both = both[np.isfinite(both)]
         if len(both) and both.min() > 0:

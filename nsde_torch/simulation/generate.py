@@ -127,9 +127,17 @@ def simulate(
     if replay is not None:
         _check_replay(system, recorded, replay, chain, nominal)
     flown = [(round(d / nominal) + late) * step for d in lengths]
-    noise: dict[str, Any] = {"process_noise": process_noise, "sensor_noise": sensor_noise}
-    held: dict[str, Any] = {"effects": asked, "declared_only": declared_only, "battery": battery}
-    making = Making(**held, **noise, latency=latency, dt=step, step=fine, values=own_values)
+    making = Making(
+        effects=asked,
+        process_noise=process_noise,
+        sensor_noise=sensor_noise,
+        declared_only=declared_only,
+        latency=latency,
+        dt=step,
+        step=fine,
+        battery=battery,
+        values=own_values,
+    )
     try:
         made = _recorded(recorded, system, replay, durations=flown, seed=seed, making=making, **used)
     except TypeError as error:

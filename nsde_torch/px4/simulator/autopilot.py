@@ -98,8 +98,9 @@ class SimulatedAutopilot:
         self.blind = False  # no state is sent, as when the estimator is lost
         self.mute = False
         std = tuple(self.sensor_noise * self.body._spec.sensor_std[k] for k in (0, 3, 6, 9))
-        known = {"heading": self.heading_error, "errors": self.errors}
-        self.estimator = SimulatedEstimator(std=std, seed=self.seed, **known)  # type: ignore[arg-type]
+        self.estimator = SimulatedEstimator(
+            std=std, seed=self.seed, heading=self.heading_error, errors=self.errors
+        )
         self._out: deque[bytes] = deque()
         self._due: dict[str, tuple[float, float]] = {"HEARTBEAT": (0.0, 1.0), "SYS_STATUS": (0.0, 1.0)}
         self._gcs, self._texts = -inf, 0

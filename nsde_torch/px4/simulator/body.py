@@ -89,8 +89,8 @@ class Body:
             self._lag = slice(at, at + count) if effect.name == "motor_lag" else self._lag
             at += count
         self._others = bool(names - _NATIVE) or system.thrust_degree > 1
-        noise = {"scale": self.process_noise, "generator": torch.Generator().manual_seed(self.seed)}
-        self._gusts = Gusts(spec.gusts, system.ports, dt=HELD, **noise)  # type: ignore[arg-type]
+        random = torch.Generator().manual_seed(self.seed)
+        self._gusts = Gusts(spec.gusts, system.ports, dt=HELD, scale=self.process_noise, generator=random)
         self._gusts.reset(1)
         self._delay = round(latency / dt)
         nu = system.nu

@@ -28,7 +28,11 @@ log = logging.getLogger(__name__)
 
 
 class Batched(Launcher):
-    """See above; `n_jobs` at a time, 0: one for each core. Where processes cannot be forked, one after the other."""
+    """See above. Where processes cannot be forked (Windows), jobs run one after the other, and share all the same.
+
+    Args:
+        n_jobs: Jobs at a time; 0: one for each core.
+    """
 
     __module__ = "hydra_plugins.nsde_torch"  # see `register`
 

@@ -27,17 +27,20 @@ _NOT_FOR_DATA = ("test", "test_path", "validation", "instruments")
 
 def make_device(name: str) -> torch.device:
     """The device of that name; ConfigError where there is none here."""
-    device, count = None, torch.cuda.device_count()
+    device = None
     with contextlib.suppress(RuntimeError):
         device = torch.device(name)
     if device is None or device.type not in ("cpu", "cuda"):
         raise ConfigError(f"`device` must be cpu, cuda or cuda:N; got {name!r}.")
-    if device.type == "cuda" and not torch.cuda.is_available():
-        raise ConfigError(
-            f"`device={name}`, but torch {torch.__version__} sees no CUDA device. Use device=cpu."
-        )
-    if device.type == "cuda" and (device.index or 0) >= count:
-        raise ConfigError(f"`device={name}`, but there are {count} CUDA devices (0 first).")
+    if device.type == "cuda":
+        if not torch.cuda.is_available():
+            raise ConfigError(
+                f"`device={name}`, but torch {torch.__version__} sees no CUDA device. Use device=cpu."
+            )
+        if device.index is not None and device.index >= torch.cuda.device_count():
+            raise ConfigError(
+                f"`device={name}`, but there are {torch.cuda.device_count()} CUDA devices (0 first)."
+            )
     return device
 
 
@@ -79,15 +82,17 @@ def dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
     if config.kind == "simulated":
         from nsde_torch.simulation import simulated
 
-        given = options(config, "kind", "options", *_NOT_FOR_DATA)
-        return simulated(machine, **given, **options(config.options))
+        return simulated(
+            machine, **options(config, "kind", "options", *_NOT_FOR_DATA), **options(config.options)
+        )
     return _files(config, machine, config.path)
 
 
 def test_data(config: DictConfig, machine: SystemInfo) -> DataSet | None:
     """The runs of `data.test_path`, read as those of `data.path`; None without one.
 
-    DataError: the data cannot be used.
+    Raises:
+        DataError: The data cannot be used.
     """
     if config.test_path is None:
         return None
@@ -117,7 +122,8 @@ def split(config: DictConfig, data: DataSet, machine: SystemInfo) -> Split:
     With `data.test_path` all runs train (those that `data.test` names are left out), and the runs of that file or
     folder are the test.
 
-    DataError: there is no such run, no run is left on a side, or one is on both.
+    Raises:
+        DataError: There is no such run, no run is left on a side, or one is on both.
     """
     from nsde_torch.api.reading import split_runs
 

@@ -28,8 +28,9 @@ TRAINED = "trained"
 def read_runs(given: object, names: Sequence[str] | None, device: Any) -> dict[str, Model]:
     """The models of the runs of the key `run`, by names that were given or made from the folders.
 
-    ConfigError: not a folder or list of folders, a folder twice, or names that do not fit. CheckpointError: a
-    folder is missing, holds no finished run, or is damaged.
+    Raises:
+        ConfigError: not a folder or list of folders, a folder twice, or names that do not fit.
+        CheckpointError: a folder is missing, holds no finished run, or is damaged.
     """
     folders = _folders(given)
     if names is None:
@@ -40,8 +41,7 @@ def read_runs(given: object, names: Sequence[str] | None, device: Any) -> dict[s
         )
     found = {}
     for name, folder in zip(names, folders, strict=True):
-        if not (folder / METRICS).is_file():
-            raise CheckpointError(f"`run={folder}`: {_what_is_wrong(folder)}")
+        _check_finished(folder)
         see_own_modules(folder)
         found[name] = load(folder, device=device)
     first, *others = found.values()
@@ -76,10 +76,15 @@ def short_names(folders: Sequence[Path]) -> list[str]:
     return names
 
 
-def _what_is_wrong(folder: Path) -> str:
-    """Why a folder holds no `metrics.json`, which is the last thing that a training writes."""
+def _check_finished(folder: Path) -> None:
+    """Refuse a folder without `metrics.json`, which is the last thing that a training writes."""
     if not folder.is_dir():
-        return "no such folder; give the folder that `nsde train` printed."
+        raise CheckpointError(f"`run={folder}`: no such folder; give the folder that `nsde train` printed.")
+    if not (folder / METRICS).is_file():
+        raise CheckpointError(f"`run={folder}`: {_what_is_wrong(folder)}")
+
+
+def _what_is_wrong(folder: Path) -> str:
     jobs = sorted(path.parent.name for path in folder.glob(f"*/{METRICS}"))
     if jobs:
         return (
@@ -107,7 +112,9 @@ class Chosen:
 def choose(config: DictConfig, trained: Model, machine: SystemInfo) -> Chosen:
     """The runs that the group `data` asks for; of the kind "trained", it means those of a model.
 
-    ConfigError: nothing says which data. DataError: the data cannot be used.
+    Raises:
+        ConfigError: nothing says which data.
+        DataError: the data cannot be used.
     """
     if config.kind != TRAINED:
         return _runs_of(config, machine, every=True)

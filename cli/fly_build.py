@@ -40,8 +40,9 @@ _UNUSED = ("motor_latency", "force_time", "moment_time")
 def known(config: DictConfig) -> Model | System:
     """What is known of the machine, for `run=pid` too: its declared physics.
 
-    ConfigError: no multirotor, or keys of `mpc` that a flight on PX4 does not have. CheckpointError: no such run
-    directory.
+    Raises:
+        ConfigError: no multirotor, or keys of `mpc` that a flight on PX4 does not have.
+        CheckpointError: no such run directory.
     """
     plain = build.options(config.mpc)
     from .schemas import MpcConfig
@@ -59,7 +60,8 @@ def known(config: DictConfig) -> Model | System:
         check_uncovered(file.known)
         return file.known
     see_own_modules(Path(run))
-    found = without_covered(knowledge(run, config.system.name, effects=_effects(config)))
+    effects = _effects(config) if config.run == DECLARED else ()
+    found = without_covered(knowledge(run, config.system.name, effects=effects))
     if not isinstance(system_of(found), Multirotor):
         raise ConfigError(
             f"PX4 flies multirotors here (hexacopter, quadrotor); the machine of run={config.run} is a "
@@ -69,8 +71,8 @@ def known(config: DictConfig) -> Model | System:
 
 
 def _effects(config: DictConfig) -> list[Any]:
-    """Effects beside the declared physics of `run=declared`, those of files in the place of their names."""
-    given = build.options(config.system)["effects"] if config.run == DECLARED else []
+    """Effects that the declared physics has beside it, those of files in the place of their names."""
+    given = build.options(config.system)["effects"]
     out: list[Any] = []
     for entry in [given] if isinstance(given, str) else given:
         if isinstance(entry, str) and files.is_file(entry):
@@ -104,10 +106,16 @@ def runner(config: DictConfig, path: PathPoints, reference: Reference) -> Runner
     A check flies nothing, and waits for no solver to be compiled.
     """
     if config.run == track_build.PID or config.check:
-        return Inline(CascadeController(path, **({} if config.lead is None else {"lead": config.lead})))
-    lead = LEAD if config.lead is None else config.lead
-    what = {"run": config.run, "system": config.system.name, "effects": _effects(config)}
-    return predictive(config, reference.path, **what, lead=lead)
+        lead = {} if config.lead is None else {"lead": config.lead}
+        return Inline(CascadeController(path, **lead))
+    return predictive(
+        config,
+        reference.path,
+        run=config.run,
+        system=config.system.name,
+        effects=_effects(config) if config.run == DECLARED else (),
+        lead=LEAD if config.lead is None else config.lead,
+    )
 
 
 # --- the link to a vehicle, the vehicle, and how a flight ended -------------------------------------------------------
@@ -137,9 +145,14 @@ def body(plant: DictConfig, *, seed: int) -> Body:
             "a vehicle is plant=hexacopter or plant=quadrotor, without plant.dt and plant.state_latency (which nsde "
             "close-loop has with by=plant)."
         )
-    given = build.options(plant)
-    what = {k: given[k] for k in ("effects", "declared_only", "process_noise", "latency")}
-    return Body(plant.system or "hexacopter", seed=seed, **what)
+    return Body(
+        plant.system or "hexacopter",
+        seed=seed,
+        effects=build.options(plant)["effects"],
+        declared_only=plant.declared_only,
+        process_noise=plant.process_noise,
+        latency=plant.latency,
+    )
 
 
 def limits(config: DictConfig) -> Limits:
@@ -152,8 +165,12 @@ def setpoints(config: DictConfig) -> SetpointLimits:
     throttle = tuple(config.throttle)
     if len(throttle) != 2 or not throttle[0] < throttle[1]:
         raise ConfigError(f"`limits.throttle` takes [lowest, highest]; got {list(throttle)}.")
-    tilt = radians(max(config.tilt - 5.0, 5.0))
-    return SetpointLimits(rate=config.rate, yaw_rate=config.yaw_rate, throttle=throttle, tilt=tilt)
+    return SetpointLimits(
+        rate=config.rate,
+        yaw_rate=config.yaw_rate,
+        throttle=(throttle[0], throttle[1]),
+        tilt=radians(max(config.tilt - 5.0, 5.0)),
+    )
 
 
 _STOPPED = ("stop", "stopped")
@@ -166,8 +183,9 @@ def check_end(outcome: FlightOutcome, *, whole: bool = False) -> None:
 
     With `whole` it must have been flown to its end, too.
 
-    LinkError: it was refused before it began. EndedError: it was not seen to land, was stopped, or the vehicle was
-    taken from us.
+    Raises:
+        LinkError: it was refused before it began.
+        EndedError: it was not seen to land, was stopped, or the vehicle was taken from us.
     """
     trouble = outcome.trouble
     if trouble is not None and trouble.kind == REFUSED:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import textwrap
 from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 from . import groups
@@ -37,10 +38,7 @@ def _described(command: str, words: Sequence[str], *, left_out: Collection[str])
     ]
     if chosen:
         lines += ["", "Config groups (* is chosen now; `--help data=csv` shows the keys of another choice)"]
-    for name, choice in chosen.items():
-        options = groups.choices(name, groups.config_dir(words))
-        text = " | ".join(f"{option}*" if option == choice else option for option in options)
-        lines += _wrapped(text, f"  {name:<9}", 11)
+        lines += _group_lines(chosen, groups.config_dir(words))
     section = None
     for entry in groups.typed_keys(command, words):
         name = entry.path.split(".")[0] if "." in entry.path else ""
@@ -53,9 +51,7 @@ def _described(command: str, words: Sequence[str], *, left_out: Collection[str])
         lines += _key_lines(entry)
     lines += _others(section, chosen)
     lines += ["", f"`--help all` has the keys of {', '.join(left_out)} too"] if left_out else []
-    rows = [*hydra_command(command).examples, ("--cfg job", "print the configuration and stop")]
-    usage = [f"{f'  nsde {command} {typed}':<45} {meaning}".rstrip() for typed, meaning in rows]
-    return [*lines, "", "How to override (NSDE_TRACEBACK=1 shows the traceback of an error)", *usage]
+    return [*lines, "", *_usage(command)]
 
 
 def value_text(value: Any) -> str:
@@ -67,6 +63,13 @@ def value_text(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return "[" + ",".join(value_text(item) for item in value) + "]"
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _group_lines(chosen: dict[str, str], extra: Path | None) -> Iterator[str]:
+    for name, choice in chosen.items():
+        options = groups.choices(name, extra)
+        text = " | ".join(f"{option}*" if option == choice else option for option in options)
+        yield from _wrapped(text, f"  {name:<9}", 11)
 
 
 def _key_lines(entry: Key) -> Iterator[str]:
@@ -100,3 +103,12 @@ def _wrapped(text: str, start: str, indent: int) -> list[str]:
     return textwrap.wrap(
         text, WIDTH, initial_indent=start, subsequent_indent=" " * indent, break_on_hyphens=False
     )
+
+
+def _usage(command: str) -> list[str]:
+    rows = [*hydra_command(command).examples, ("--cfg job", "print the configuration and stop")]
+    lines = ["How to override (NSDE_TRACEBACK=1 shows the traceback of an error)"]
+    for words, meaning in rows:
+        left = f"  nsde {command} {words}"
+        lines.append(f"{left:<45} {meaning}".rstrip())
+    return lines

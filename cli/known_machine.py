@@ -34,10 +34,13 @@ class KnownMachine:
 
 def known_machine(folder: Path, content: Mapping[str, Any], system: System, data: DataSet) -> KnownMachine:
     """What a diagnosis knows: `content` is that of its `diagnosis.json`."""
-    runs = [run for run in data.runs if run.name in set(content["data"]["runs"])]
-    clock = float(content["data"].get("clock_scale") or 1.0)
-    values = effects_files.read(folder / EFFECTS)[1] if (folder / EFFECTS).is_file() else {}
-    return KnownMachine(system, runs, clock, values)
+    names = set(content["data"]["runs"])
+    return KnownMachine(
+        system,
+        [run for run in data.runs if run.name in names],
+        float(content["data"].get("clock_scale") or 1.0),
+        effects_files.read(folder / EFFECTS)[1] if (folder / EFFECTS).is_file() else {},
+    )
 
 
 def faults_of_sensors(content: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -64,8 +67,9 @@ class Diagnosed(KnownMachine):
 def diagnosed(folder: Path, moved: str | None) -> Diagnosed:
     """Read a diagnosis from its folder, with its runs where they were, or where they have been `moved` to.
 
-    ConfigError: the folder holds no diagnosis, or one that was stopped. DataError: the runs are not those of the
-    diagnosis.
+    Raises:
+        ConfigError: the folder holds no diagnosis, or one that was stopped.
+        DataError: the runs are not those of the diagnosis.
     """
     if not (folder / RESULT).is_file() or not (folder / CONFIG).is_file():
         command = as_typed("nsde", "diagnose", paths={"out_dir": folder})
@@ -95,13 +99,16 @@ def diagnosed(folder: Path, moved: str | None) -> Diagnosed:
             f"{data.get('path', 'the data')} holds other runs than those that {folder} was made of. Say where they are "
             "(runs=FOLDER), or diagnose again."
         )
-    return Diagnosed(**vars(known_machine(folder, content, system, all_runs)), content=content, data=data)
+    known = known_machine(folder, content, system, all_runs)
+    return Diagnosed(known.system, known.runs, known.clock, known.values, content, data)
 
 
 def flown_runs(known: Diagnosed, path: str) -> Sequence[Run]:
     """Runs of a flown experiment, read as those of the diagnosis were.
 
-    ConfigError: nothing is there. DataError: they are on another step, or cannot be read as runs of this machine.
+    Raises:
+        ConfigError: nothing is there.
+        DataError: they are on another step, or cannot be read as runs of this machine.
     """
     _check_there("flown", path, "the log of the experiment")
     config = known.data.copy()

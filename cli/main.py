@@ -15,7 +15,15 @@ from .registry import all_commands, entry_of
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command, with the words after `nsde` (None: those of the process); its status, see `exit_status`."""
+    """Run one command.
+
+    Args:
+        arguments: Words after `nsde`; those of the process when None.
+
+    Returns:
+        Exit status: 0 done, 1 some jobs of a sweep failed, 2 a fault of the user's input, 3 a flight went wrong and
+        landed, 4 a flight was not seen to land, 130 interrupted.
+    """
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not words or words[0] in ("-h", "--help", "help"):
         print(listing())

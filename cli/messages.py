@@ -20,8 +20,13 @@ from .schemas import CHOICES
 
 # Arguments of the library whose key on the command line has another name.
 _KEYS = {
-    **{name: f"data.{name}" for name in ("path", "mapping", "dt", "gap", "test")},
-    **{"dt_model": "system.dt", "horizon": "system.horizon"},
+    "path": "data.path",
+    "mapping": "data.mapping",
+    "dt_model": "system.dt",
+    "horizon": "system.horizon",
+    "dt": "data.dt",
+    "gap": "data.gap",
+    "test": "data.test",
 }
 # What the system says of a path that cannot be written to, or is none.
 _NO_PLACE = {
@@ -49,10 +54,10 @@ def explain(error: Exception, command: str, words: Sequence[str]) -> str | None:
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
     if isinstance(error, MissingConfigException):
         return _unknown_choice(error, command, words)
-    if isinstance(cause, OmegaConfBaseException) and (key := str(cause.full_key or "")):
-        if isinstance(cause, (ConfigAttributeError, ConfigKeyError)):
-            return unknown_key(key, command, words)
-        return f"`{key}` {_wrong_type(cause)}.{_meaning(key, command, words)}"
+    if isinstance(cause, (ConfigAttributeError, ConfigKeyError)) and cause.full_key:
+        return unknown_key(str(cause.full_key), command, words)
+    if isinstance(cause, OmegaConfBaseException) and cause.full_key:
+        return f"`{cause.full_key}` {_wrong_type(cause)}.{_meaning(str(cause.full_key), command, words)}"
     if isinstance(error, OverrideParseException):
         if "=" not in error.override:
             return _no_value(error.override, command, words)

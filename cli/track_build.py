@@ -11,8 +11,14 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from nsde_torch.control import feasible, shapes
-from nsde_torch.control.autopilots import Autopilot, CascadePilot, EstimatorOptions, PredictivePilot
-from nsde_torch.control.controller import Controller, Foresight, Planner, SafetyOptions
+from nsde_torch.control.autopilots import (
+    Autopilot,
+    CascadePilot,
+    EstimatorOptions,
+    Foresight,
+    PredictivePilot,
+)
+from nsde_torch.control.controller import Controller, Planner, SafetyOptions
 from nsde_torch.control.loop import DECLARED, system_of
 from nsde_torch.control.loop import knowledge as knowledge_of
 from nsde_torch.control.predictor import Predictor
@@ -115,22 +121,37 @@ def machine_name(config: DictConfig, known: Model | System) -> str:
 
 def plant(config: DictConfig, known: Model | System, *, seed: int) -> SteppedMachine:
     """The group `plant`; ConfigError for another machine than the model's, or an option that it does not have."""
-    generator, given = torch.Generator().manual_seed(seed), build.options(config)
-    noise = {k: given[k] for k in ("process_noise", "sensor_noise", "latency")}
+    generator = torch.Generator().manual_seed(seed)
     if config.kind == "learned":
         flown = known if config.run is None else load(config.run)
         if isinstance(flown, System):
             raise ConfigError("`plant=learned` needs a model: name its run directory with plant.run=DIR.")
-        if given["effects"] or config.declared_only:
+        if build.options(config)["effects"] or config.declared_only:
             raise ConfigError(
                 "plant=learned is the model itself: plant.effects and declared_only are of machines."
             )
         spec = machine(flown.spec.system)
-        limits = (0.0, 1.0) if isinstance(flown.system, Multirotor) else spec.limits
-        dt, std = config.dt or spec.dt, spec.sensor_std
-        return LearnedPlant(flown, dt=dt, generator=generator, sensor_std=std, limits=limits, **noise)
-    what = {"effects": given["effects"], "declared_only": config.declared_only, "dt": config.dt}
-    return make_plant(machine_name(config, known), generator=generator, **what, **noise, check=False)
+        return LearnedPlant(
+            flown,
+            dt=config.dt or spec.dt,
+            generator=generator,
+            sensor_std=spec.sensor_std,
+            process_noise=config.process_noise,
+            sensor_noise=config.sensor_noise,
+            latency=config.latency,
+            limits=(0.0, 1.0) if isinstance(flown.system, Multirotor) else spec.limits,
+        )
+    return make_plant(
+        machine_name(config, known),
+        generator=generator,
+        effects=build.options(config)["effects"],
+        declared_only=config.declared_only,
+        process_noise=config.process_noise,
+        sensor_noise=config.sensor_noise,
+        latency=config.latency,
+        dt=config.dt,
+        check=False,
+    )
 
 
 def envelope(config: DictConfig, path: Reference, known: Model | System) -> feasible.Envelope:

@@ -180,7 +180,11 @@ def _flown(loop: ClosedLoop, place: Path, number: int) -> StoppedLoop | None:
 def _read(
     loop: ClosedLoop, place: Path, known: KnownMachine, plan: Mapping[str, Any], content: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """The evidence of the flight, unless that is known; DataError: the logs hold no new run."""
+    """The evidence of the flight, unless that is known.
+
+    Raises:
+        DataError: the logs hold no new run.
+    """
     file = place / OBTAINED
     if file.is_file():
         return json.loads(file.read_text(encoding="utf-8"))

@@ -40,7 +40,8 @@ def read_logs(
 ) -> DataSet:
     """Read all logs of a kind; None chooses by their names. What a diagnosis found that sensors did is taken out.
 
-    DataError: they are of several kinds, or cannot be read as runs of this machine.
+    Raises:
+        DataError: they are of several kinds, or cannot be read as runs of this machine.
     """
     kinds = sorted({p.suffix.lower() for p in log_files(folder)})
     if kind is None and len(kinds) > 1:

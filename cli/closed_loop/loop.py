@@ -37,7 +37,8 @@ LEAST = 0.5
 class ClosedLoop:
     """The stages, on what is finished already in a folder.
 
-    ConfigError: no multirotor, or options that it does not have.
+    Raises:
+        ConfigError: no multirotor, or options that it does not have.
     """
 
     def __init__(self, config: DictConfig, folder: Path) -> None:
@@ -51,7 +52,11 @@ class ClosedLoop:
         self.kind = "csv" if self.machine is not None else None
 
     def check(self) -> None:
-        """Refuse a reference that the machine cannot fly; ConfigError: names what is too much."""
+        """Refuse a reference that the machine cannot fly.
+
+        Raises:
+            ConfigError: names what is too much.
+        """
         problem, tilt = track_build.problem(self.config.mpc), self.config.reference.tilt_limit
         predictor = Predictor(physics(self.config, []), dt=problem.dt)
         feasible.check(self.reference, predictor, problem, tilt=tilt)
@@ -123,7 +128,8 @@ class ClosedLoop:
     def fly_plan(self, plan: Path, log: Path, number: int) -> dict[str, Any]:
         """Fly the path of an experiment with the declared physics, and say what was measured.
 
-        ConfigError: the machine cannot fly it.
+        Raises:
+            ConfigError: the machine cannot fly it.
         """
         seed = self.config.seed * 1000 + _EXPERIMENT + number
         return self._fly(f"experiment {number}", from_csv(plan), [], seed, log)
@@ -148,8 +154,9 @@ class ClosedLoop:
     def _fly(self, name: str, path: FlightPath, effects: list[Any], seed: int, log: Path) -> dict[str, Any]:
         """Fly once, and put the log into its place.
 
-        EndedError: the flight does not count: too little was flown, or the vehicle is not ours to fly on.
-        LinkError: it was refused.
+        Raises:
+            EndedError: the flight does not count: too little was flown, or the vehicle is not ours to fly on.
+            LinkError: it was refused.
         """
         assert self.machine is not None
         started = time.perf_counter()

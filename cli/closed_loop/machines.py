@@ -47,7 +47,11 @@ class FlyingMachine(Protocol):
 
 
 def physics(config: DictConfig, effects: list[Any]) -> System:
-    """What a controller knows that is given some effects; ConfigError: an effect that the machine cannot have."""
+    """What a controller knows that is given some effects.
+
+    Raises:
+        ConfigError: an effect that the machine cannot have.
+    """
     known = knowledge(DECLARED, config.plant.system, effects=effects)
     assert isinstance(known, System)
     return known
@@ -66,7 +70,8 @@ class VirtualVehicle:
 
     Lags and delays are not given: `delay` covers them.
 
-    ConfigError: no multirotor, or options that it does not have.
+    Raises:
+        ConfigError: no multirotor, or options that it does not have.
     """
 
     def __init__(self, config: DictConfig) -> None:
@@ -132,7 +137,8 @@ class TrackedPlant:
 class LinkedVehicle:
     """A vehicle over MAVLink in real time: `nsde vehicle`, or a PX4.
 
-    ConfigError: limits that are none, or that an experiment may leave.
+    Raises:
+        ConfigError: limits that are none, or that an experiment may leave.
     """
 
     def __init__(self, config: DictConfig) -> None:
@@ -150,9 +156,10 @@ class LinkedVehicle:
     def fly(self, path: FlightPath, effects: list[Any], *, seed: int, log: Path) -> dict[str, Any]:
         """See `FlyingMachine`.
 
-        ConfigError: the path is tilted further or is faster than where a flight is ended. LinkError: it was
-        refused before it began. EndedError: it was stopped, or the vehicle was taken from us or is not seen to
-        stand.
+        Raises:
+            ConfigError: the path is tilted further or is faster than where a flight is ended.
+            LinkError: it was refused before it began.
+            EndedError: it was stopped, or the vehicle was taken from us or is not seen to stand.
         """
         c = self._config
         check_path(path, physics(c, []), self._limits, dt=track_build.problem(c.mpc).dt)

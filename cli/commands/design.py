@@ -81,9 +81,15 @@ def run(config: DictConfig, job: Job) -> None:
         return
     question = question_of(known.content, known.system, options)
     stages = Stages()
-    machine: dict[str, Any] = {"clock": known.clock, "values": known.values}
     made = design(
-        known.system, known.runs, question, options, **machine, baselines=config.baselines, say=stages
+        known.system,
+        known.runs,
+        question,
+        options,
+        clock=known.clock,
+        values=known.values,
+        baselines=config.baselines,
+        say=stages,
     )
     stages.close()
     made.save(job.run_dir)
@@ -131,9 +137,15 @@ def _read(config: DictConfig, job: Job, known: Any, options: DesignOptions) -> N
                 if asked["kind"] == "tie"
                 else replace(options, parameters=tuple(asked["parameters"]))
             )
-    runs, question = flown_runs(known, config.flown), question_of(known.content, known.system, options)
-    machine = {"clock": known.clock, "values": known.values}
-    found = obtained(known.system, known.runs, runs, question, **machine, expected=expected)
+    found = obtained(
+        known.system,
+        known.runs,
+        flown_runs(known, config.flown),
+        question_of(known.content, known.system, options),
+        clock=known.clock,
+        values=known.values,
+        expected=expected,
+    )
     text = json_text(found.content())
     (job.run_dir / OBTAINED).write_text(text + "\n", encoding="utf-8")
     print(found.report)

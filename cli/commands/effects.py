@@ -68,7 +68,8 @@ def catalogue(system: str | None = None) -> list[dict[str, Any]]:
 
     A system is a key of `SYSTEMS`, or `module:Class`.
 
-    ConfigError: there is no such system.
+    Raises:
+        ConfigError: There is no such system.
     """
     from nsde_torch.diagnosis.candidates import why_not
     from nsde_torch.effects import EFFECTS, effects_of

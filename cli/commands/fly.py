@@ -88,7 +88,8 @@ COMMAND = HydraCommand(
 def run(config: DictConfig, job: Job) -> float | None:
     """Fly a reference once or several times; RMSE of the position over all flights [m], None if it was not flown.
 
-    NsdeError: nothing was flown, or it ended otherwise than asked for, and why.
+    Raises:
+        NsdeError: nothing was flown, or it ended otherwise than asked for, and why.
     """
     from nsde_torch.px4.flight.cascade import PathPoints
     from nsde_torch.px4.flight.flying import fly
@@ -122,11 +123,17 @@ def run(config: DictConfig, job: Job) -> float | None:
             started = time.perf_counter()
             with connect() as link:
                 say(f"flight {k + 1} of {config.repeats} on {config.link.url}")
-                log = None if config.check else job.run_dir / LOG / f"flight_{k:0{digits}d}.csv"
-                now = replace(options, takeover=options.takeover and k == 0)  # the first one lands
-                bounds: dict[str, Any] = {"limits": limits, "setpoints": setpoints, "options": now}
                 report = fly(
-                    link, controller, path, motors=system.nu, log=log, **bounds, say=say, rate=config.rate
+                    link,
+                    controller,
+                    path,
+                    motors=system.nu,
+                    log=None if config.check else job.run_dir / LOG / f"flight_{k:0{digits}d}.csv",
+                    limits=limits,
+                    setpoints=setpoints,
+                    options=replace(options, takeover=options.takeover and k == 0),  # the first one lands
+                    say=say,
+                    rate=config.rate,
                 )
             if config.check:
                 return _verdict([report])
@@ -151,7 +158,9 @@ def _line(report: FlightReport) -> str:
     ends = "landed and disarmed" if o.landed else "NOT seen to land"
     if o.trouble is not None:
         ends += f"; {o.trouble.kind}: {o.trouble.text}"
-    lines = [f"the reference was {'flown' if o.tracked else 'not flown to its end'}; {ends}"]
+    lines = [
+        f"{'the reference was flown' if o.tracked else 'the reference was not flown to its end'}; {ends}"
+    ]
     if report.rmse is not None:
         lines[0] += f"; RMSE {100 * report.rmse:.1f} cm, largest {100 * max(report.errors):.1f} cm"
     gap, age, solve = found["setpoint_gap_ms"], found["state_age_ms"], found["solve_ms"]
@@ -177,4 +186,6 @@ def _verdict(reports: list[FlightReport]) -> float | None:
         return None  # it was to be checked, and is fit to fly
     check_end(last, whole=True)
     errors = [e for r in reports for e in r.errors]
-    return float((sum(e * e for e in errors) / len(errors)) ** 0.5) if errors else None
+    if not errors:
+        return None
+    return float((sum(e * e for e in errors) / len(errors)) ** 0.5)

@@ -43,13 +43,11 @@ def main(arguments: Sequence[str]) -> int:
     jobs = read_jobs(folder)
     if not jobs:
         raise ConfigError(f"no jobs in `{folder}`; a sweep is made by `nsde train -m ...`.")
-    known = list(dict.fromkeys(name for job in jobs for name in job.metrics))
-    score = options.by or next((name for name in SCORES if name in known), SCORES[0])
-    if options.by and options.by not in known:
-        names = ", ".join(sorted(known)) or "none at all"
+    score = options.by or _score(jobs)
+    if options.by and not any(options.by in job.metrics for job in jobs):
+        names = ", ".join(sorted({name for job in jobs for name in job.metrics})) or "none at all"
         raise ConfigError(f"no job has the metric `{options.by}`; there are: {names}.")
-    patterns = options.columns or COLUMNS
-    columns = [name for name in known if name != score and any(fnmatch(name, p) for p in patterns)]
+    columns = _columns(jobs, options.columns or COLUMNS, score)
     groups = ranked(grouped(jobs), score)
     if options.by:  # the user says that this number compares
         groups = [replace(group, jobs=tuple(replace(j, scale="") for j in group.jobs)) for group in groups]
@@ -69,6 +67,7 @@ def complete(words: Sequence[str]) -> list[str]:
 
 def ranked(groups: Sequence[Group], score: str) -> list[Group]:
     """Groups from the best mean score to the worst; those without one last."""
+
     return sorted(groups, key=lambda g: (_last_if_nan(g.mean(score)), g.label))
 
 
@@ -91,8 +90,10 @@ def report(jobs: Sequence[SweepJob], groups: Sequence[Group], score: str, column
             "Scores of different systems, models and losses do not compare; for one ranking of all, name a number that "
             "does, for example --by test.crps.position.1",
         ]
-    unfinished = "Unfinished (running, or killed; to continue one: nsde train resume=FOLDER)"
-    for status, title in ((FAILED, "Failed"), (UNFINISHED, unfinished)):
+    for status, title in (
+        (FAILED, "Failed"),
+        (UNFINISHED, "Unfinished (running, or killed; to continue one: nsde train resume=FOLDER)"),
+    ):
         found = [job for job in jobs if job.status == status]
         if found:
             lines += ["", f"{title}:"]
@@ -128,13 +129,28 @@ def _short(name: str) -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
-    what = "Rank the jobs of a sweep over their seeds, and name those that failed and why."
-    parser = argparse.ArgumentParser(prog="nsde sweep-report", description=what)
+    parser = argparse.ArgumentParser(
+        prog="nsde sweep-report",
+        description="Rank the jobs of a sweep over their seeds, and name those that failed and why.",
+    )
     parser.add_argument("dir", metavar="DIR", help="folder of the sweep")
-    by, columns = "rank by this number of metrics.json (smaller is better)", "numbers of metrics.json to show"
-    parser.add_argument("--by", metavar="METRIC", help=by)
-    parser.add_argument("--columns", metavar="PATTERN", nargs="+", help=f"{columns}, * matches anything")
+    parser.add_argument(
+        "--by", metavar="METRIC", help="rank by this number of metrics.json (smaller is better)"
+    )
+    parser.add_argument(
+        "--columns", metavar="PATTERN", nargs="+", help="numbers of metrics.json to show, * matches anything"
+    )
     return parser
+
+
+def _score(jobs: Sequence[SweepJob]) -> str:
+    known = {name for job in jobs for name in job.metrics}
+    return next((name for name in SCORES if name in known), SCORES[0])
+
+
+def _columns(jobs: Sequence[SweepJob], patterns: Sequence[str], score: str) -> list[str]:
+    known = list(dict.fromkeys(name for job in jobs for name in job.metrics))
+    return [name for name in known if name != score and any(fnmatch(name, pattern) for pattern in patterns)]
 
 
 def _pair(group: Group, metric: str) -> str:

@@ -113,8 +113,12 @@ def run(config: DictConfig, job: Job) -> float | None:
             f"commands {asked.input_low:.2f} to {asked.input_high:.2f}"
         )
     content: dict[str, Any] = {
-        "reference": {"name": path.name, "duration_s": path.duration, **path.about}
-        | {"envelope": vars(asked) if asked else None},
+        "reference": {
+            "name": path.name,
+            "duration_s": path.duration,
+            **path.about,
+            "envelope": vars(asked) if asked else None,
+        },
         "plant": build.options(config.plant),
         "mpc": build.options(config.mpc),
         "seed": config.seed,
@@ -154,10 +158,27 @@ def _fly(
         count = min(together, config.machines - at)
         plant = track_build.plant(config.plant, first, seed=config.seed * 100_003 + k)
         if autopilot is None or count != size:
-            size, what = count, {"batch": count, "sample": plant.dt}
-            autopilot = track_build.autopilot(name, known, config, path, **what, say=say)
-        how = {"state_latency": config.plant.state_latency, "duration": config.duration}
-        out.append(fly(autopilot, plant, path, machines=count, start=start, **how))
+            size = count
+            autopilot = track_build.autopilot(
+                name,
+                known,
+                config,
+                path,
+                batch=count,
+                sample=plant.dt,
+                say=say,
+            )
+        out.append(
+            fly(
+                autopilot,
+                plant,
+                path,
+                machines=count,
+                start=start,
+                state_latency=config.plant.state_latency,
+                duration=config.duration,
+            )
+        )
     return out
 
 
@@ -179,10 +200,11 @@ def _line(label: str, found: dict[str, Any]) -> str:
     if "solve_ms" in found:
         ms = found["solve_ms"]
         text += f"\n  solves: p50 {ms['p50']:.2f} ms, p99 {ms['p99']:.2f} ms; "
-        words = found["status"]
-        text += ", ".join(f"{count} {word}" for word, count in words.items())
-        failed = sum(n for word, n in words.items() if word.endswith(("kept", "hover", "rest")))
-        if failed > 0.5 * sum(words.values()):
+        text += ", ".join(f"{count} {word}" for word, count in found["status"].items())
+        failed = sum(
+            count for word, count in found["status"].items() if word.endswith(("kept", "hover", "rest"))
+        )
+        if failed > 0.5 * sum(found["status"].values()):
             text += "\n  most plans failed: the start or the reference is where the model cannot be evaluated"
     return text
 

@@ -90,7 +90,9 @@ def run(config: DictConfig, job: Job) -> None:
         verify.warm(exported)
         out.memory_mb = (memory, verify.resident_mb())
     problem, solver, safety = exported.options, exported.solver.options, exported.safety
-    controller = controller_of(known, problem=problem, solver=solver, safety=safety, dtype=exported.dtype)
+    controller = controller_of(
+        known, problem=problem, solver=solver, safety=safety, dtype=exported.hover.dtype
+    )
     if about["kind"] == C and about["dtype"] == "float32":
         out.allowed = verify.SINGLE_TOLERANCE
     period, count = about["period_s"], config.states
@@ -106,9 +108,13 @@ def run(config: DictConfig, job: Job) -> None:
     )
     print("  " + ", ".join(f"{n} {word}" for word, n in sorted(out.words.items(), key=lambda p: -p[1])))
     if exported.pilot is not None:
-        sample, estimator = about["sample_s"], EstimatorOptions(**about["estimator"])
         pilot = PredictivePilot(
-            controller, known, reference, period=period, sample=sample, estimator=estimator
+            controller,
+            known,
+            reference,
+            period=period,
+            sample=about["sample_s"],
+            estimator=EstimatorOptions(**about["estimator"]),
         )
         some = min(count, _ESTIMATED)
         drawn = verify.along(exported, reference, some, period=pilot.period, seed=config.seed)

@@ -180,7 +180,8 @@ def file_names(given: Sequence[str]) -> list[str]:
 
     They are given as the browser says them; nothing of them is taken for a path.
 
-    RefusedError: one is no log, or they are logs of several formats.
+    Raises:
+        RefusedError: one is no log, or they are logs of several formats.
     """
     out: list[str] = []
     kinds: dict[str, str] = {}
@@ -224,7 +225,8 @@ def receive(read: Callable[[int], bytes], target: Path, size: int) -> None:
 
     `read` reads at most so many bytes of the request; it is empty at the end.
 
-    RefusedError: more or fewer bytes came.
+    Raises:
+        RefusedError: more or fewer bytes came.
     """
     part = target.with_name(f"{target.name}.part")
     count = 0
@@ -299,7 +301,8 @@ class Shelf:
     def create(self, given: Sequence[tuple[str, int]], system: str | None) -> ServedJob:
         """A job for logs that are about to be sent, by name and size [bytes] of each; no machine: it is to be guessed.
 
-        RefusedError: no log, too many, too large, or no room.
+        Raises:
+            RefusedError: no log, too many, too large, or no room.
         """
         limits, total = self.limits, sum(size for _, size in given)
         if not given:

@@ -36,7 +36,8 @@ class JobRunner:
     def inspect(self, job: ServedJob, *, system: str | None, mapping: str | None) -> None:
         """Look into the logs of a job, for a machine and with a mapping or without (None: guessed, and proposed).
 
-        RefusedError: an unknown machine, logs that have not arrived, or a job that is at work or done.
+        Raises:
+            RefusedError: an unknown machine, logs that have not arrived, or a job that is at work or done.
         """
         if system is not None and system not in self.machines.names:
             raise RefusedError(

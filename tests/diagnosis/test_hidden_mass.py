@@ -1,0 +1,42 @@
+"""A mass that hangs on a machine and is not in the log has its name and its sizes."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import nsde_torch
+from nsde_torch.data.raw import RawRun
+
+MASS, HERTZ, RATIO, DT = 0.12, 1.1, 0.08, 0.02
+
+
+def absorber(seed: int, *, hidden: float, seconds: float = 25.0) -> list[RawRun]:
+    """Runs of a spring (4 1/s2, damping 0.4 1/s) that carries a second one, of the equations of both masses."""
+    rng, out, w = np.random.default_rng(seed), list[RawRun](), 2.0 * np.pi * HERTZ
+    t = DT * np.arange(round(seconds / DT))
+    for r in range(3):
+        hertz, phase = rng.uniform(0.1, 2.0, 6), rng.uniform(0.0, 6.3, 6)
+        u = 0.5 * np.sin(2.0 * np.pi * hertz * t[:, None] + phase).sum(1)
+
+        def rates(at: float, x: np.ndarray, u: np.ndarray = u) -> np.ndarray:
+            held = hidden * (w * w * (x[2] - x[0]) + 2.0 * RATIO * w * (x[3] - x[1]))
+            own = u[min(int(at / DT + 1e-9), len(u) - 1)] - 4.0 * x[0] - 0.4 * x[1] + held
+            return np.array([x[1], own, x[3], -held / hidden if hidden else 0.0])
+
+        found = solve_ivp(rates, (0.0, t[-1]), np.zeros(4), t_eval=t, max_step=DT, rtol=1e-7, atol=1e-9).y
+        x = found[:2].T + rng.normal(size=(len(t), 2)) * [0.001, 0.005]
+        out.append(RawRun(f"run_{r}", t + r * (seconds + 5.0), x, u[:, None]))
+    return out
+
+
+@pytest.mark.parametrize("hidden", [MASS, 0.0])
+@pytest.mark.slow
+def test_a_second_mass_is_found_and_none_where_there_is_none(hidden: float) -> None:
+    runs = absorber(3, hidden=hidden)
+    found = nsde_torch.diagnose(runs, system="mass_spring_damper", say=False).content()
+    assert found["added"] == (["hidden_mass"] if hidden else [])
+    if hidden:
+        values = {name.partition(".")[2]: p for name, p in found["parameters"].items()}
+        for name, true in (("mass", MASS), ("frequency", HERTZ), ("damping", RATIO)):
+            low, high = values[name]["interval_90"]
+            assert 0.97 * low < true < 1.03 * high

@@ -56,6 +56,11 @@ def run(config: DictConfig, job: Job) -> None:
         return
     width = shutil.get_terminal_size((120, 24)).columns
     print(table(rows, max(width, _SMALLEST), systems=name is None))
+    from nsde_torch.diagnosis.candidates import without_motion
+    from nsde_torch.systems import make_system
+
+    if lacks := "; ".join(filter(None, without_motion(make_system(name)))) if name else "":
+        print(f"\n{lacks[0].upper()}{lacks[1:]}")
     print(
         "\nAdd some to the declared physics with system.effects=[NAME,...], to a simulated machine with\n"
         "plant.effects=[NAME,...]; `module:Class` names one of your own. Laws of one coordinate are named with it\n"

@@ -140,6 +140,7 @@ def with_differences(
     apart = joint.final.at.of.apart_s
     columns = columns_beside(begun)
     first = _best(search, begun, columns)
+    whole = {run.name for run in log.runs}
     parts = cut_where_it_changes(log, search, begun, columns, {one.of.target: one.nats for one in first})
     if parts is not log:
         log, search = parts, parts.search(parts.runs).apart(apart)
@@ -147,11 +148,10 @@ def with_differences(
         first = _best(search, begun, columns_beside(begun))
     if not first or not (asked or log.moments):
         return now
-    # the run in the middle is the reference: where one run has another load, that one is named
     there = sorted(set(begun.at.of.space.steps.runs))
     if len(there) < 2:  # of the others no stretch is long enough
         return now
-    middle = there[int(np.argsort(first[0].each[:, 0], kind="stable")[(len(there) - 1) // 2])]
+    middle = there[reference(first[0].each[:, 0], [log.runs[r].name not in whole for r in there])]
     numbered, names = _numbered(log, [middle, *(r for r in there if r != middle)])
     again = numbered.search(numbered.runs).apart(apart)
     declared = joint.declared.system.reading(RUN)
@@ -177,6 +177,18 @@ def with_differences(
         return now
     named = {n: replace(one, ties=(*one.ties, *ties.get(n, ()))) for n, one in selected.selected.items()}
     return Concluded(numbered, again, conclude(numbered, again, made, replace(selected, selected=named)))
+
+
+def reference(sizes: Array, parts: Sequence[bool]) -> int:
+    """Which run the others are held against, from a size in each (R,) and whether it is part of one that was cut.
+
+    The one in the middle: where one run has another load, that one is named. Where a run changes, the part of one that
+    is nearest: held against a third run, short or odd, neither part of a motor's run differed, though they differ from
+    each other (the prbs run of DCMotor.jl, beside 6 s of a step).
+    """
+    middle = np.sort(sizes)[(len(sizes) - 1) // 2]
+    able = np.flatnonzero(parts) if any(parts) else np.arange(len(sizes))
+    return int(able[np.abs(sizes[able] - middle).argmin()])
 
 
 def _likelihood(log: Log, like: FittedPhysics, system: System | None = None) -> LogLikelihood:

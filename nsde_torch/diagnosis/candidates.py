@@ -9,6 +9,7 @@ from nsde_torch.effects import EFFECTS, Effect, Law, Port, effect_class, effects
 from nsde_torch.effects.law import joined_name, split_name
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import System
+from nsde_torch.systems.coordinates import SPEEDS
 from nsde_torch.systems.parameters import own_name
 
 Start = dict[str, float | list[float]]
@@ -38,6 +39,23 @@ def why_not(system: System, name: str) -> str:
     if cls.port is Port.POSITION and not _depends(system, name):
         return "nothing that is declared depends on that position"
     return cls.no_candidate(system.name)
+
+
+def without_motion(system: System) -> tuple[str, str]:
+    """That no friction and no force is among the candidates of a machine, and the line that adds them; else nothing."""
+    effects = effects_of(system.name, system.ports, system.bound_coordinates())
+    if any(cls.port in system.ports for cls in effects.values()) or not system.ports:
+        return "", ""
+    (port, width), *_ = system.ports.items()
+    named = [n for n, unit in zip(system.state_names, system.state_units, strict=True) if unit in SPEEDS]
+    of = (named or list(system.state_names))[:width]
+    made = ", ".join(f'Coordinate("{n}", "{n}", Port.{port.name}, row={k})' for k, n in enumerate(of))
+    said = "no friction and no force is among the candidates"
+    return (
+        f"{said}: system {system.name!r} declares no coordinate, and none is recognised",
+        f"where {' and '.join(of)} {'are velocities' if len(of) > 1 else 'is a velocity'}, this line in its class "
+        f"adds them: coordinates = ({made},)",
+    )
 
 
 @torch.no_grad()

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 from nsde_torch.data import DataSet
-from nsde_torch.diagnosis.candidates import effect_of, values_of
+from nsde_torch.diagnosis.candidates import effect_of, values_of, without_motion
 from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.cross_validation import LARGER, HeldOut
 from nsde_torch.diagnosis.decisions import Options
@@ -400,8 +400,14 @@ def named(first: Sequence[str], shown: ShownEffects) -> str:
 def _warnings(found: Diagnosis) -> list[dict[str, Any]]:
     objections = found.explanation.guard.objections
     guards = [{"kind": o.kind, "sentence": o.sentence, "remedy": o.remedy} for o in objections]
-    general = [{"parameter": None, **one} for one in (*guards, *outlier_warnings(found))]
+    general = [{"parameter": None, **one} for one in (*guards, *outlier_warnings(found), *_not_tried(found))]
     return [*general, *map(asdict, found.explanation.warned)]
+
+
+def _not_tried(found: Diagnosis) -> list[dict[str, str]]:
+    """That no friction and no force was a candidate, where nobody chose them."""
+    sentence, remedy = without_motion(found.system) if found.options.candidates is None else ("", "")
+    return [{"kind": "no_coordinate", "sentence": sentence, "remedy": remedy}] if sentence else []
 
 
 def outlier_warnings(found: Diagnosis) -> list[dict[str, str]]:

@@ -267,7 +267,10 @@ def solved(gram: Array, weights: Array | None = None) -> Array:
 
 def inverted(inner: Array, damping: float = 0.0) -> Array:
     """Inverses of Gram matrices (..., k, k), of those without full rank in the directions that they have."""
-    scale = 1.0 / np.sqrt(np.diagonal(inner, axis1=-2, axis2=-1).clip(1e-300))
+    squares = np.diagonal(inner, axis1=-2, axis2=-1)
+    # what no row shows has no direction: of a run that was left out, a scale of 1e150 made rounding 1e270 nats, so that
+    # nothing was seen beside numbers of each run
+    scale = np.where(squares > 0, 1.0 / np.sqrt(squares.clip(1e-300)), 0.0)
     scale = scale[..., None, :] * scale[..., None]
     unit = inner * scale + damping * np.eye(inner.shape[-1])
     return np.asarray(np.linalg.pinv(unit, rcond=_RANK, hermitian=True) * scale)

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from nsde_torch.systems.base import System
 
 _ANGLES = ("rad", "deg")
+SPEEDS = ("m/s", "rad/s", "deg/s")
+"""Units by which a state is known for a velocity."""
 
 
 @cache
@@ -105,13 +107,31 @@ def describe(cls: type[System]) -> None:
 
 
 def _only(cls: type[System]) -> tuple[Coordinate, ...]:
-    """The coordinate of a machine that declares none: where one position has a velocity, and one force one row."""
-    pairs = [(q, v) for q, v, frame in cls.position_derivatives if frame == "world"]
-    if len(cls.position_derivatives) != 1 or len(pairs) != 1 or list(cls.ports.values()) != [1]:
+    """The coordinate of a machine that declares none: one position with its velocity, or one velocity, and one force.
+
+    A velocity without its position is known by its unit, and by that of the port: what is added to a level, a
+    temperature or a current is no force. Without it the dry friction of a motor (DCMotor.jl) was a dead band alone.
+    """
+    if list(cls.ports.values()) != [1] or len(cls.position_derivatives) > 1:
         return ()
-    (q, v), port = pairs[0], next(iter(cls.ports))
-    unit = cls.state_units[cls.state_names.index(q)]
-    return (Coordinate(q, v, port, position=q, kind="joint" if unit in _ANGLES else "rail"),)
+    (port,), unit_of = cls.ports, dict(zip(cls.state_names, cls.state_units, strict=True))
+    pairs = [(q, v) for q, v, frame in cls.position_derivatives if frame == "world"]
+    if not cls.position_derivatives:
+        speeds = [v for v, unit in unit_of.items() if unit in SPEEDS]
+        pairs = [("", v) for v in speeds if len(speeds) == 1 and _pushes(cls, port, unit_of[v])]
+    if not pairs:
+        return ()
+    ((q, v),) = pairs
+    unit = unit_of[q] if q else unit_of[v].partition("/")[0]
+    return (Coordinate(q or v, v, port, position=q, kind="joint" if unit in _ANGLES else "rail"),)
+
+
+def _pushes(cls: type[System], port: Port, speed: str) -> bool:
+    """Whether the unit of a port is that of a force or torque, or of one over the inertia of this speed."""
+    if port not in cls.residual_ports:
+        return True
+    own = units.powers(cls.residual_ports[port].unit)
+    return own in [units.powers(u) for u in ("N", "N m", "Nm", f"{speed}2")]
 
 
 def made(system: System, name: str, values: Mapping[str, float | list[float]] | None = None) -> Effect:

@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 
 import pytest
 
@@ -59,3 +60,11 @@ def test_what_a_diagnosis_does_not_try_is_said_with_its_reason(shown: Said) -> N
     out = " ".join(shown("effects", "system=quadrotor").split())
     assert "no candidate of a diagnosis of this machine: thrust_sag is the same term" in out
     assert "a candidate of a diagnosis where the log has battery_voltage" in out
+
+
+def test_a_machine_without_a_coordinate_is_told_of_the_line_that_adds_one(shown: Said, root: Path) -> None:
+    out = shown("effects", "--config-dir", str(root / "examples" / "body_rates"), "system=body_rates")
+    assert "no friction and no force is among the candidates" in out.lower()
+    assert 'coordinates = (Coordinate("w_x", "w_x", Port.TORQUE, row=0), ' in out
+    assert "Coordinate(" not in shown("effects", "system=cartpole")
+    assert "Coordinate(" not in shown("effects", "system=quadrotor")

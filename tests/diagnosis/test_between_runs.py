@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import nsde_torch
 from nsde_torch.data import DataSet, Run
 from nsde_torch.data.raw import RawRun
+from nsde_torch.diagnosis.between_runs import reference
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.reading import cut_at
@@ -252,6 +253,24 @@ def test_friction_that_begins_in_a_single_run(tmp_path: Path) -> None:
     assert abs(size["value"]) == pytest.approx(0.3, abs=0.02)
     ((first, last),) = content["data"]["moments"].values()
     assert first - 0.1 <= 22.0 <= last + 0.1
+
+
+def test_one_run_is_not_held_against_others(tmp_path: Path) -> None:
+    run = pushed_spring(5, 20.0, lambda t, v, u: 0.5)
+    columns = np.column_stack((run.t, run.x, run.u))
+    np.savetxt(tmp_path / "run_0.csv", columns, "%.6f", ",", header="t,q,q_dot,force", comments="")
+    few = ["quadratic_damping"]
+    content = nsde_torch.diagnose(tmp_path, system="mass_spring_damper", candidates=few, say=False).content()
+    # a steady force, of which that of each run alone is none of the candidates
+    assert content["verdict"] == "unexplained"
+    assert (content["added"], content["not_done"]) == ([], [])
+
+
+def test_what_changes_in_a_run_is_held_against_another_part_of_it() -> None:
+    short, odd = [0.07, 0.0, -0.08], [0.01, 0.0, 0.4, 0.02]
+    assert reference(np.array(short), [True, False, True]) == 0
+    assert reference(np.array(odd), [False, False, True, True]) == 3
+    assert reference(np.array(odd), [False] * 4) == 0
 
 
 @pytest.mark.slow

@@ -37,7 +37,6 @@ class Car(System):
     state_names, state_units = ("v",), ("m/s",)
     input_names, input_units = ("throttle",), ("1",)
     ports = {Port.FORCE: 1}
-    coordinates = (Coordinate("road", "v", Port.FORCE),)
     residual_ports = {Port.FORCE: ResidualPort(1, 1.0, "m/s2")}
     sensor_noise = True
     defaults = Defaults(0.05, 20, (0.05,), 0.1, 1.0, "euler_maruyama")
@@ -67,6 +66,27 @@ class Tank(System):
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         flow = self.value("inflow") * u - self.value("outflow") * x.clamp_min(1e-6).sqrt()
         return flow + forces.get(Port.FORCE, torch.zeros_like(x))
+
+
+@final
+class Motor(System):
+    """The speed of a motor."""
+
+    name = "motor"
+    state_names, state_units = ("omega",), ("rad/s",)
+    input_names, input_units = ("voltage",), ("V",)
+    ports = {Port.TORQUE: 1}
+    residual_ports = {Port.TORQUE: ResidualPort(1, 10.0, "rad/s2")}
+    sensor_noise = True
+    defaults = Defaults(0.02, 25, (0.5,), 0.1, 1.0, "euler_maruyama")
+    PARAMETERS = {
+        "damping": Parameter(10.0, "1/s", low=0.0),
+        "gain": Parameter(30.0, "rad/(s2 V)", low=0.0),
+    }
+
+    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
+        free = self.value("gain") * u - self.value("damping") * x
+        return free + forces.get(Port.TORQUE, torch.zeros_like(x))
 
 
 @final
@@ -255,6 +275,43 @@ def test_what_tires_with_the_time_is_a_law_of_it() -> None:
     found = nsde_torch.diagnose(tired, system=PENDULUM, say=False)
     assert found.added == ["actuator_gain_drift"]
     assert_interval(found.parameters, "actuator_gain_drift.rate", -0.01, slack=0.0002)
+
+
+def test_what_a_motor_that_turns_one_way_cannot_tell_is_a_tie() -> None:
+    """Dry friction, a steady torque and a dead band are one constant, beside what differs within a run too."""
+    runs = []
+    for k, (seconds, damping) in enumerate(((40.0, (25.0, 25.2)), (3.0, (25.1, 25.1)))):
+        rng = np.random.default_rng(k)
+        u = np.repeat(rng.uniform(1.5, 3.0, round(seconds / 0.3)), 15)
+        omega, x = (70.0 * u[0] - 16.5) / 25.0, np.empty(len(u))
+        for j, volt in enumerate(u):
+            x[j] = omega
+            for _ in range(20):
+                omega += 0.001 * (70.0 * volt - damping[2 * j > len(u)] * omega - 16.5)
+        x += 0.03 * rng.normal(size=len(x))
+        runs.append(RawRun(f"run_{k}", 0.02 * np.arange(len(u)), x[:, None], u[:, None]))
+    content = nsde_torch.diagnose(runs, system=Motor, say=False).content()
+    differs = "run_difference[damping]"
+    (constant,) = {*content["added"]} - {differs}
+    same = {"constant_force", "coulomb_friction", "actuator_deadband"}
+    assert constant in same
+    assert any(same <= {*tie["effects"]} for tie in content["ties"])
+    # what changes in the first run is held against its other part, not against the second run
+    ends = [p["interval_90"] for name, p in content["parameters"].items() if name.startswith(differs)]
+    assert content["parameters"][f"{differs}.change[0]"]["against"].startswith("run_0")
+    assert max(abs(low + high) / 2 for low, high in ends) == pytest.approx(0.2, abs=0.02)
+
+
+def test_that_no_friction_and_no_force_was_tried_is_said() -> None:
+    rng = np.random.default_rng(0)
+    u, level = np.repeat(rng.uniform(0.3, 0.9, (40, 1)), 10, axis=0), np.full((400, 1), 1.0)
+    for k in range(399):
+        level[k + 1] = level[k] + 0.2 * (0.05 * u[k] - 0.04 * np.sqrt(level[k]))
+    runs = [RawRun("run_0", 0.2 * np.arange(400), level + 0.002 * rng.normal(size=level.shape), u)]
+    found = nsde_torch.diagnose(runs, system=Tank, max_effects=0, say=False)
+    (warning,) = (w for w in found.content()["warnings"] if w["kind"] == "no_coordinate")
+    assert 'coordinates = (Coordinate("level", "level", Port.FORCE, row=0),)' in warning["remedy"]
+    assert "no friction and no force" in str(found)
 
 
 @pytest.mark.slow

@@ -11,10 +11,21 @@ from torch import Tensor
 from nsde_torch.diagnosis.candidates import candidate_names, on_coordinates
 from nsde_torch.diagnosis.outcome import Estimate
 from nsde_torch.diagnosis.result import meaning
-from nsde_torch.effects import Coordinate, Effect, Law, Parameter, Port, effect_class, key_of, register, units
+from nsde_torch.effects import (
+    Coordinate,
+    Effect,
+    Law,
+    Parameter,
+    Port,
+    effect_class,
+    effects_of,
+    key_of,
+    register,
+    units,
+)
 from nsde_torch.effects.friction import CoulombFriction
 from nsde_torch.errors import ConfigError
-from nsde_torch.systems import System, make_system
+from nsde_torch.systems import ResidualPort, System, make_system
 from nsde_torch.systems.coordinates import check_pushes
 from tests.helpers.effect_contract import EffectContract, contract
 from tests.helpers.effect_rows import term
@@ -162,6 +173,42 @@ def test_a_machine_with_one_coordinate_has_plain_names_and_takes_the_long_ones()
         system = make_system("mass_spring_damper", effects=[name], values={f"{name}.size": 0.7})
         assert system.effect_names[-1] == "coulomb_friction"
         assert float(system.all_declared()["coulomb_friction.size"][0]) == pytest.approx(0.7)
+
+
+class Motor(System):
+    """The speed of a motor, without its angle."""
+
+    name = "motor"
+    state_names, state_units = ("omega", "current"), ("rad/s", "A")
+    input_names, input_units = ("voltage",), ("V",)
+    ports = {Port.TORQUE: 1}
+    residual_ports = {Port.TORQUE: ResidualPort(1, 10.0, "rad/s2")}
+
+    def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
+        raise NotImplementedError
+
+
+def test_a_velocity_without_its_position_is_a_coordinate() -> None:
+    (at,) = Motor.bound_coordinates()
+    assert (at.declared, at.name, at.position, at.velocity, at.kind) == ("omega", "", None, 0, "joint")
+    assert dict(at.units) == {"position": "rad", "speed": "rad/s", "force": "rad/s2"}
+    able = effects_of("motor", Motor.ports, Motor.bound_coordinates())
+    assert {"constant_force", "coulomb_friction", "viscous_friction", "quadratic_damping"} <= set(able)
+    assert "linear_spring" not in able, "its position is not logged"
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"state_units": ("K", "A")},
+        {"residual_ports": {Port.TORQUE: ResidualPort(1, 10.0, "A/s")}},
+        {"state_units": ("rad/s", "rad/s")},
+        {"ports": {Port.TORQUE: 2}},
+    ],
+    ids=["no speed", "what is added is no force", "two speeds", "two rows"],
+)
+def test_what_is_not_surely_a_motion_is_no_coordinate(other: dict[str, Any]) -> None:
+    assert type("Other", (Motor,), other).bound_coordinates() == ()
 
 
 @pytest.mark.parametrize(

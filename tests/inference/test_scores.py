@@ -24,7 +24,7 @@ from nsde_torch.inference.force_scores import directions, force_scores
 from nsde_torch.inference.level_slopes import level_slopes, score
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.maximum import _curved
-from nsde_torch.inference.sensitivity import Grams, grams
+from nsde_torch.inference.sensitivity import Grams, grams, inverted
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
 from tests.helpers.residuals import with_own_pass
@@ -309,3 +309,14 @@ def test_levels_do_not_stop_by_information_from_elsewhere() -> None:
     # what is not there brings what the levels had stopped below, 6.4 nats
     more = system.with_effects(system.make_effect("gyroscopic_moment", {}))
     assert nearly_maximised(at.of.of(more), at)[0].likelihood - best.likelihood < 2.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_no_row_shows_does_not_move(seed: int) -> None:
+    """Of a run that is left out, its own number; without one, numbers of all runs move as their mean does."""
+    table = np.random.default_rng(seed).normal(size=(50, 5))
+    table[:, 4], table[:, 2] = table[:, 0] + table[:, 1], 0.0
+    inverse = inverted(table.T @ table)
+    shown = [0, 1, 3, 4]
+    assert np.abs(inverse[2]).max() == 0.0
+    np.testing.assert_allclose(inverse[np.ix_(shown, shown)], inverted(table[:, shown].T @ table[:, shown]))

@@ -81,6 +81,7 @@ from nsde_torch.diagnosis.stages import (
     ESTIMATES,
     EXPLANATION,
     LAWS,
+    MOVING_ROWS,
     NO_TIME,
     NOT_YET,
     OTHER_ROWS,
@@ -337,9 +338,7 @@ def _diagnosed(
     if now.outcome.structured:
         say("checking the recording chain", 0, 1)
         now = again("a sensor that is late as a whole", _read_again)
-    now = again(
-        "the search without rows in which friction holds", lambda now: without_standstill(now, searched)
-    )
+    now = again(MOVING_ROWS, lambda now: without_standstill(now, searched))
     now = now._replace(search=_of_the_same_rows(now.search, now.outcome.joint))
     course.guard, before = guarded(), now.outcome
     now = again(

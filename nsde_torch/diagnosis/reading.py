@@ -28,9 +28,10 @@ from nsde_torch.diagnosis.feedback_bias import shown_by_instruments
 from nsde_torch.diagnosis.joint_selection import JointSelection
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.search import Search, at_bounds, fitted_system
-from nsde_torch.diagnosis.stages import Begun, OptionalStages
+from nsde_torch.diagnosis.stages import MOVING_ROWS, Begun, OptionalStages
 from nsde_torch.effects import effect_class, effects_of
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
+from nsde_torch.inference import LogLikelihood
 from nsde_torch.progress import Say
 from nsde_torch.recording.chain import Recorded, instead_of_effects, undo
 from nsde_torch.recording.fault import level
@@ -327,10 +328,26 @@ def without_standstill(now: Concluded, searched: Searched) -> Concluded:
 def _where_it_moves(
     log: Log, before: Outcome | None, speeds: Mapping[int, float], searched: Searched
 ) -> Concluded | None:
-    """What is concluded without rows that are slower; None where these are too few, or too many."""
-    if moving(log.runs, speeds)[1] < SHARE:
+    """What is concluded without rows that are slower; None where these are too few, or too many.
+
+    What stretches are left is asked first: a search that failed there passed for one that failed in all rows, whose
+    effects were listed, and of a swing-up differences between runs were not looked for (physical-cartpole).
+    """
+    kept, share = moving(log.runs, speeds)
+    if share < SHARE:
         return None
     moved = replace(log, slowest=speeds)
+    try:
+        LogLikelihood(log.system, kept, log.recorded.clock, run_in=True)
+    except DataError:
+        longest = max(b - a for run in kept for a, b in run.segments)
+        log.stages.leave_out(
+            MOVING_ROWS,
+            f"without the rows in which it stands or turns round ({share:.0%}) stretches are too short to be fitted, "
+            f"the longest {longest} rows ({longest * log.runs[0].dt:.2g} s): let it move one way for longer at a time, "
+            "or log faster",
+        )
+        return None
     try:
         again = moved.search(log.runs)
         return Concluded(moved, again, searched(moved, again, before))

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 SELECTION, SECOND_LOOK = "the selection of effects", "a second look at each effect beside the others"
 TESTS, LAWS = "tests of feedback and of what is left", "laws beyond the catalogue"
+MOVING_ROWS = "a search in the rows alone in which the machine moves"
 OTHER_ROWS = "the search in other rows and over longer boxes"
 ESTIMATES, ERRORS = "estimates in the loop", "errors on runs left out"
 CEILING, EXPLANATION = "what functions could still explain", "an explanation of what is left"

@@ -4,7 +4,7 @@ Where effects carry memory (a lag), what they held when a recording began is unk
 or those before it where rows were left out, then only bring it up: they are `run_in`, and no equation is asked of them.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -122,7 +122,7 @@ def steps_of(
     lead = differences if unknown else 0  # rows before a difference
     stretches = [(n, a + lead, b) for n, a, b in _stretches(runs) if b - 1 - a - lead >= shortest]
     if not stretches:
-        raise DataError(f"no stretch of {shortest} steps without a gap; identify from longer runs.")
+        raise _too_short(shortest, (b - 1 - a - lead for _, a, b in _stretches(runs)), runs[0].dt)
     if not (system.nz > system.nx if run_in is None else run_in):
         return _joined(system, runs, states, stretches, clock, unknown, differences)
     most = max(1, round(RUN_IN_S / runs[0].dt))
@@ -130,13 +130,22 @@ def steps_of(
     whole = zip(stretches, begun, strict=True)
     pairs = [(s, first, start) for s, (first, start) in whole if s[2] - 1 - start >= shortest]
     if not pairs:
-        raise DataError(f"no stretch of {shortest + 1} steps without a gap; identify from longer runs.")
+        counts = (b - 1 - start for (_, _, b), (_, start) in zip(stretches, begun, strict=True))
+        raise _too_short(shortest, counts, runs[0].dt)
     before = [(n, first, start + 1) for (n, _, _), first, start in pairs]
     counted = [(n, start, b) for (n, _, b), _, start in pairs]
     own, run_in_steps = (
         _joined(system, runs, states, some, clock, unknown, differences) for some in (counted, before)
     )
     return replace(own, run_in=run_in_steps)
+
+
+def _too_short(shortest: int, lengths: Iterable[int], dt: float) -> DataError:
+    longest = max(lengths, default=0)
+    return DataError(
+        f"no stretch of {shortest} steps without a gap: the longest has {longest} ({longest * dt:.2g} s). Record runs "
+        f"of {shortest * dt:.2g} s or more, or log faster."
+    )
 
 
 def _run_in(run: Run, a: int, b: int, lead: int, most: int) -> tuple[int, int]:

@@ -17,6 +17,7 @@ from nsde_torch.diagnosis.between_runs import reference
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.reading import cut_at
+from nsde_torch.diagnosis.stages import MOVING_ROWS
 from nsde_torch.diagnosis.text import lines, short_lines
 from nsde_torch.errors import ConfigError
 from nsde_torch.models.identified import SysidSpec
@@ -271,6 +272,24 @@ def test_what_changes_in_a_run_is_held_against_another_part_of_it() -> None:
     assert reference(np.array(short), [True, False, True]) == 0
     assert reference(np.array(odd), [False, False, True, True]) == 3
     assert reference(np.array(odd), [False] * 4) == 0
+
+
+def test_rows_in_which_it_moves_that_are_too_few_cost_no_selection() -> None:
+    """A spring that is shaken at 1.4 and 2 Hz turns round after 27 rows at most, and a likelihood needs 32."""
+    runs = []
+    for seed in (1, 2):
+        run = pushed_spring(seed, 20.0, lambda t, v, u: shaken(t) - u - 0.3 * np.tanh(v / 0.01))
+        runs.append(RawRun(f"run_{seed}", run.t[::2], run.x[::2], shaken(run.t[::2])[:, None]))
+    few = ["coulomb_friction"]
+    found = nsde_torch.diagnose(runs, system="mass_spring_damper", candidates=few, say=False)
+    assert found.added == few
+    (left,) = found.not_done
+    assert left.stage == MOVING_ROWS
+    assert "the longest 27 rows (0.54 s): let it move one way for longer at a time" in left.why
+
+
+def shaken(t: Any) -> Any:
+    return 3.0 * np.sin(9.0 * t) + 2.0 * np.sin(13.0 * t + 1.0)
 
 
 @pytest.mark.slow

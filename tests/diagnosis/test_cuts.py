@@ -19,7 +19,7 @@ from nsde_torch.systems import Defaults, ErrorGroup, ResidualPort, System
 
 ANSWER = "answer"
 ONE_ROW = "a run needs at least two"
-SHORT = "no stretch of 20 steps without a gap; identify from longer runs"
+SHORT = "no stretch of 20 steps without a gap: the longest has "
 
 
 @final

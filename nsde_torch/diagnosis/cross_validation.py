@@ -288,6 +288,11 @@ class HeldOut:
         of = [one for name, one in self.content["residual"].items() if name in channels]
         return bool(of) and all(one["low_90"] is not None and one["low_90"] > 0 for one in of)
 
+    def refutes(self, effect: str) -> float:
+        """Nats by which runs left out are likelier without an effect; 0 where they are not surely so."""
+        mine = self.own.get(effect)
+        return -mine.nats if self.inputs and mine and mine.high is not None and mine.high < 0 else 0.0
+
     def against(self, effect: str) -> str:
         """What runs left out say against an effect that was found, in words; empty if nothing."""
         mine = self.own.get(effect)

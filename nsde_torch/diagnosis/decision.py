@@ -22,7 +22,7 @@ from nsde_torch.diagnosis.feedback_bias import (
     lengths_of_parameters,
 )
 from nsde_torch.diagnosis.joint_selection import FittedPhysics, JointSelection
-from nsde_torch.diagnosis.outcome import Estimate, Found, Outcome, Verdict, found_by, undecided
+from nsde_torch.diagnosis.outcome import Estimate, Found, Outcome, Refuted, Verdict, found_by, undecided
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.residual_tests import (
     Dependence,
@@ -340,6 +340,18 @@ def _may_be_nothing(outcome: Outcome, found: Found) -> bool:
         return e.bound == "below" or e.low <= null <= e.high
 
     return bool(sizes) and all(nothing_shown(e, null) for e, null in sizes)
+
+
+def refuted(outcome: Outcome, errors: HeldOut) -> Refuted | None:
+    """The effect that runs left out refute most, if they surely refute one: it is no finding.
+
+    Of a free pole (physical-cartpole) two frictions were findings, provisional ones, without which the rest of the log
+    was 67 and 18 nats likelier.
+    """
+    based_on = {target_of(f.name).partition("/")[0] for f in outcome.found}
+    worse = {f.name: errors.refutes(f.name) for f in outcome.found if f.name not in based_on}
+    name = max(worse, key=lambda n: worse[n], default="")
+    return Refuted(name, worse[name]) if name and worse[name] > 0 else None
 
 
 def judged_on_runs_left_out(outcome: Outcome, errors: HeldOut) -> Outcome:

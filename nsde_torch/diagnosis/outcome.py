@@ -95,6 +95,19 @@ class Found:
     provisional: str = ""  # why it is provisional and not the last word; empty where it is
 
 
+@dataclass(frozen=True)
+class Refuted:
+    """An effect that is not named because runs that it was not fitted to are surely likelier without it."""
+
+    name: str  # of the effect
+    nats: float  # by how much
+
+    @property
+    def reason(self) -> str:
+        """Why, in words."""
+        return f"runs that it was not fitted to are likelier without it, by {self.nats:.0f} nats"
+
+
 @dataclass
 class Outcome:
     """What was concluded."""
@@ -111,7 +124,8 @@ class Outcome:
     """before, after: what the residual depends on without and with the effects, all tests."""
     structured: list[Dependence] = field(default_factory=list)
     """The tests that remain significant after correction for their number, what explains most first."""
-    hidden: tuple[FeedbackBiased, ...] = ()  # effects that are not named because feedback may have made them
+    # effects that are not named because feedback may have made them, or runs left out refute them
+    hidden: tuple[FeedbackBiased | Refuted, ...] = ()
     test: FeedbackTest = field(default_factory=FeedbackTest)
     """What the data say of the loop that they were recorded in, by `final`."""
     of_band: Array | None = None

@@ -42,6 +42,7 @@ from nsde_torch.diagnosis.decision import (
     guard_of,
     judged_by_the_ceiling,
     judged_on_runs_left_out,
+    refuted,
     selection,
     set_aside,
     sized,
@@ -349,19 +350,32 @@ def _diagnosed(
     log, search, outcome = now
     course.lap("search")
     course.known(OTHER_ROWS, log, outcome)
-    outcome = not_sure_behind_smoothers(doubted(outcome, course.guard))
-    outcome, course.instrumented = stages.attempt(
-        ESTIMATES, partial(_identified, log, outcome), (outcome, None)
-    )
-    outcome = sized(outcome)
+
+    def estimates(outcome: Outcome) -> Outcome:
+        outcome = not_sure_behind_smoothers(doubted(outcome, course.guard))
+        outcome, course.instrumented = stages.attempt(
+            ESTIMATES, partial(_identified, log, outcome), (outcome, None)
+        )
+        return sized(outcome)
+
+    def errors(outcome: Outcome) -> HeldOut:
+        say(ERRORS, 0, 1)
+        closed = outcome.test.closed_loop if closed_loop is None else closed_loop
+        measured = partial(cross_validated, log, search, outcome, course.spec, closed_loop=closed)
+        return stages.attempt(ERRORS, measured, none_held_out(log, closed))
+
+    outcome = estimates(outcome)
     course.known(ESTIMATES, log, outcome)
-    say(ERRORS, 0, 1)
-    closed_loop = outcome.test.closed_loop if closed_loop is None else closed_loop
-    course.errors = stages.attempt(
-        ERRORS,
-        partial(cross_validated, log, search, outcome, course.spec, closed_loop=closed_loop),
-        none_held_out(log, closed_loop),
-    )
+    course.errors = errors(outcome)
+    while (worst := refuted(outcome, course.errors)) is not None and outcome.joint is not None:
+        less = partial(_concluded, log, search, outcome.joint.less(worst.name))
+        rest = stages.attempt(f"what is left without {worst.name}", less, None)
+        if rest is None:
+            break
+        now = now._replace(outcome=replace(rest, hidden=(*outcome.hidden, worst)))
+        course.guard = guarded()
+        outcome = estimates(now.outcome)
+        course.errors = errors(outcome)
     course.lap("errors")
     outcome = not_sure(log, judged_on_runs_left_out(outcome, course.errors))
     course.known(ERRORS, log, outcome)

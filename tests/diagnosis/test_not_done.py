@@ -1,6 +1,7 @@
 """A stage whose numbers fail costs itself and not the run."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import torch
 
 import nsde_torch
 from nsde_torch.diagnosis import pipeline
+from nsde_torch.diagnosis.cross_validation import HeldOut
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.stages import NotDone, OptionalStages, needed
 from nsde_torch.diagnosis.text import lines
@@ -70,6 +72,23 @@ def raising(error: Exception) -> Callable[[], Any]:
         raise error
 
     return fails
+
+
+def test_what_runs_left_out_surely_refute_is_not_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    measured = pipeline.cross_validated
+
+    def refuting(*given: Any, **more: Any) -> HeldOut:
+        errors = measured(*given, **more)
+        worse = {name: replace(one, nats=-20.0, low=-30.0, high=-10.0) for name, one in errors.own.items()}
+        return replace(errors, own=worse)
+
+    monkeypatch.setattr(pipeline, "cross_validated", refuting)
+    found = diagnosed_without(monkeypatch)
+    assert (found.added, found.verdict) == ([], "unexplained")
+    assert "coulomb_friction" not in str(found)
+    (aside,) = found.content()["aside"]
+    assert aside["effect"] == "coulomb_friction"
+    assert aside["reason"] == "runs that it was not fitted to are likelier without it, by 20 nats"
 
 
 @pytest.mark.parametrize(

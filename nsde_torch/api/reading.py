@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import exp
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -22,7 +23,7 @@ from nsde_torch.recording.reading import assemble
 from nsde_torch.recording.reading import read as read_kind
 from nsde_torch.simulation.generate import Simulation
 from nsde_torch.sysid.readings import better_readings, motor_orders
-from nsde_torch.sysid.rough import beginnings, rough_fit
+from nsde_torch.sysid.rough import beginnings, left_at, rough_fit
 from nsde_torch.sysid.smoothed_states import undone_at_own_rate
 from nsde_torch.systems.base import System
 from nsde_torch.systems.multirotor import Multirotor
@@ -236,8 +237,9 @@ def check_physics(
     if better is not None:
         out.checks.append(LogCheck(_NAME, False, f"{better.sentence}: {better.remedy}.", better.remedy))
     else:
-        text = "no other sign, order of the inputs or axes in which the declared physics leaves much less."
-        out.checks.append(LogCheck(_NAME, True, text))
+        left = ", ".join(f"{exp(c.share):.0%} of {c.name}" for c in left_at(rough, rough.theta))
+        text = "no other sign, order of the inputs or axes in which the declared physics leaves much less"
+        out.checks.append(LogCheck(_NAME, True, f"{text}; it leaves {left}."))
     return out
 
 

@@ -282,13 +282,15 @@ def guard_of(log: Log, outcome: Outcome) -> Guarded:
     found = guarded(regression, log.runs, clock=clock, covariance=covariance, first=first)
     if not outcome.inputs and {o.kind for o in found.objections} == {"least_squares"}:
         return replace(found, objections=(), half_90=(), units=())
-    if found.objections or not any(is_law(f.name) for f in outcome.found):
+    read = any(o.kind == "reading" for o in found.objections)
+    if not read and (found.objections or not any(is_law(f.name) for f in outcome.found)):
         return found
-    # laws make up for an angle that is counted from the other side (tests/diagnosis/test_declared.py)
+    # laws make up for an angle that is counted from the other side (tests/diagnosis/test_declared.py); and beside a
+    # gravity of any sign that side is as good as the other sign of the angle, of which the declared physics leaves less
     alone = outcome.declared
     without = guarded(alone, log.runs, clock=clock, first=alone.vector.first_values(known))
     # a law that leaves much less than the other reading does is none that makes up for it: a cable on a pendulum
-    share = sum(log_share(c.fit, c.measured) for c in found.channels)
+    share = math.inf if read else sum(log_share(c.fit, c.measured) for c in found.channels)
     other = [o for o in without.objections if o.kind == "reading" and o.share < share + math.log(LESS)]
     return without if other else found
 
@@ -361,7 +363,9 @@ def judged_on_runs_left_out(outcome: Outcome, errors: HeldOut) -> Outcome:
     stands for something else, and the verdict is `unexplained`: a drive with play and a shaft that twists was a lag, an
     arm with an elastic joint an input without strength, both surely.
     """
-    outcome = outcome.provisional(lambda f: errors.against(f.name))
+    # before any other reason: beside "something else is there too" it was printed that the log is likelier without it
+    against = [replace(f, provisional=errors.against(f.name) or f.provisional) for f in outcome.found]
+    outcome = replace(outcome, found=against)
     moved = {name for f in outcome.found for name in f.moves}
     structured, larger = any(d.channel in moved for d in outcome.structured), errors.larger(moved)
     if errors.smaller(moved) or not (structured or larger):

@@ -75,6 +75,22 @@ def test_columns_that_are_to_be_read_otherwise_are_told_by_name(
     assert objection.remedy
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_sign_of_a_pole_is_told_on_a_cart_whose_friction_nobody_declared(sign: float) -> None:
+    friction = [{"viscous_friction[cart]": {"damping": 15.0}}]
+    made = nsde_torch.simulate("cartpole", durations=[6.0] * 3, seed=1, effects=friction)
+    turned = [replace(run, x=run.x * [1.0, 1.0, sign, sign]) for run in made.runs]
+    # with noise of the input, of which another reading is fitted beside physics that the wrong sign drives far off
+    rng = np.random.default_rng(0)
+    noisy = [replace(run, u=run.u + 0.05 * rng.normal(size=run.u.shape)) for run in turned]
+    machine, data = make_system("cartpole"), nsde_torch.read(noisy, system="cartpole")
+    rough = rough_fit(machine, data.runs, data.clock_scale)
+    assert rough is not None
+    found = better_readings(machine, data.runs, data.clock_scale, rough)
+    told = "" if found is None else found.remedy
+    assert told == ("" if sign > 0 else "change the signs of 'theta' and 'theta_dot'")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("system", ["quadrotor", "hexacopter"])
 def test_propellers_that_turn_the_other_way_are_told_and_can_be_declared(system: str) -> None:

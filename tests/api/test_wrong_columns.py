@@ -310,7 +310,22 @@ def test_a_setpoint_is_never_taken_for_a_state(tmp_path: Path, name: str) -> Non
     assert found.open == []
     del measured["position"]
     found, _ = asked(tmp_path, {**measured, "force": sound["force"]}, SPRING)
-    assert found.missing == [f"a column for q (taken for setpoints: {name})"]
+    assert found.missing == [f"a column for q (columns that are called as setpoints are none: {name})"]
+
+
+def test_the_one_angle_and_the_one_place_of_a_cart_are_found_beside_their_setpoints(tmp_path: Path) -> None:
+    sound = cart()
+    wrapped = np.remainder(sound["theta"] + np.pi, 2.0 * np.pi) - np.pi
+    names = {"position": "x", "positionD": "x_dot", "angleD": "theta_dot", "force": "force"}
+    columns = {"time": sound["t"], "angle": wrapped, **{new: sound[name] for new, name in names.items()}}
+    still = np.repeat([0.0, 0.1], [10, len(wrapped) - 10])
+    asked_for = {"angleTarget": still, "target_position": still, "Q_squared": np.square(sound["force"])}
+    found, _ = asked(tmp_path, {**columns, **asked_for}, CART)
+    assert found.mapping is not None
+    assert found.missing == found.open == []
+    sources = {name: entry.source for name, entry in found.mapping.columns.items()}
+    told = {"x": "position", "x_dot": "positionD", "theta": "angle", "theta_dot": "angleD", "force": "force"}
+    assert sources == {name: (column,) for name, column in told.items()}
 
 
 def renamed(columns: Columns, **stems: str) -> Columns:

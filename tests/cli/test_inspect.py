@@ -181,7 +181,7 @@ def test_a_folder_of_ones_own_machines_stays_in_the_command_that_comes_next(
     log_writers.write_table(logs / "a.csv", {"t": np.arange(50) / 10, "x_des": np.sin(np.arange(50))})
     assert main(["inspect", f"--config-dir={own}", str(logs), *words]) == 1
     out = capsys.readouterr().out
-    assert "missing: a column for q (taken for setpoints: x_des)" in out
+    assert "missing: a column for q (columns that are called as setpoints are none: x_des)" in out
     assert f"then nsde inspect {logs} --config-dir {own} system=mine mapping=FILE" in out
     assert "no such folder" in refused("inspect", str(logs), "--config-dir", str(tmp_path / "nowhere"))
 

@@ -174,6 +174,10 @@ _POSITIONS = {
 _RATES = {
     "v", "vel", "velocity", "speed", "dq", "qd", "qdot", "dx", "xd", "xdot", "omega", "dtheta", "thetadot", "angvel",
 }  # fmt: skip
+_ANGLES = {"angle", "theta", "phi"}
+_OF_UNIT = {"rad": _ANGLES, "deg": _ANGLES, "m": {"x", "pos", "position", "displacement"}}
+"""Those of `_POSITIONS` that say whether they turn or move along."""
+_DOTS = ("d", "dot", "rate", "vel", "velocity", "speed")  # behind the name of a position, that of its rate
 _INPUTS = {
     "u", "f", "force", "input", "tau", "torque", "voltage", "current", "command", "cmd", "control", "vir", "motor",
 }  # fmt: skip
@@ -209,6 +213,9 @@ def _single(log: StreamLog, system: SystemInfo, said: Mapping[str, ColumnEntry],
         if wanted in rates:  # `v` may be a voltage: a rate of another name is one by its position
             place = columns.get(rates[wanted])
             same = [key for key in found if _squeezed(free[key][0]) == _squeezed(wanted)]
+            if place is not None and not found:
+                of = {_squeezed(place.source[0]) + dot for dot in _DOTS}
+                found = [key for key, (name, _) in free.items() if _squeezed(name) in of]
             found = same or [
                 key for key in found if place is not None and _follows(log, place.source[0], key)
             ]
@@ -220,7 +227,7 @@ def _single(log: StreamLog, system: SystemInfo, said: Mapping[str, ColumnEntry],
             asked = [key for key, (name, _) in free.items() if not is_measured(name)]
             more = ""
             if asked and wanted in system.state_names:
-                more = f" (taken for setpoints: {', '.join(asked)})"
+                more = f" (columns that are called as setpoints are none: {', '.join(asked)})"
             elif wanted in system.input_names and names_of:
                 more = f" (where nothing drove it, any column times 0: `{wanted}: {{from: {names_of[0]}, scale: 0}}`)"
             out.missing.append(f"a column for {wanted}{more}")
@@ -254,8 +261,13 @@ def _named(
     words = _RATES if wanted in rates else _POSITIONS if wanted in positions else _INPUTS
     several = len(system.input_names if words is _INPUTS else positions) > 1
     number = re.sub(r"\D", "", wanted)
-    if several and not number:  # of joints without numbers nothing says which is which
-        words = set()
+    if (
+        several and not number
+    ):  # of joints without numbers nothing says which is which, but where one alone turns
+        units = dict(zip(system.state_names, system.state_units, strict=True))
+        said = _OF_UNIT.get(units.get(wanted, ""), set())
+        alone = [n for n in positions if _OF_UNIT.get(units[n]) is said] == [wanted]
+        words = said if alone else set()
     alike = [key for key, name in plain.items() if name in words and not several]
     alike = alike or [
         key for key, name in plain.items() if _of_joint(name, words, number if several else None)
@@ -280,6 +292,10 @@ def _follows(log: StreamLog, position: str, rate: str) -> bool:
     every = max(1, round(INTERVAL_S * one.rate))
     good = np.isfinite(one.fields[p] + one.fields[v])
     place, speed = one.fields[p][good], one.fields[v][good]
+    steps = np.diff(place, prepend=place[:1])
+    place = place - np.cumsum(
+        np.where(np.abs(steps) > 0.5 * np.ptp(place), steps, 0.0)
+    )  # an angle that wraps
     moved = np.diff(place[::every])
     told = np.diff(np.cumsum(speed)[::every])
     if len(moved) < _FEWEST or not np.ptp(moved) or not np.ptp(told):
@@ -384,7 +400,9 @@ class _Vehicle:
 
     def _missing(self, what: str, kind: str) -> None:
         asked = [", ".join(one.columns) for one in self.found if one.kind == kind and not one.measured]
-        self.out.missing.append(f"{what} (taken for setpoints: {'; '.join(asked)})" if asked else what)
+        self.out.missing.append(
+            f"{what} (columns that are called as setpoints are none: {'; '.join(asked)})" if asked else what
+        )
 
     def _open(self, what: str, entries: Iterable[ColumnEntry]) -> None:
         sources = list(dict.fromkeys(", ".join(entry.source) for entry in entries))

@@ -107,11 +107,13 @@ def selected(command: str, words: Sequence[str]) -> dict[str, str]:
 
 def keys(command: str, chosen: dict[str, str], extra: Path | None = None) -> Iterator[Key]:
     """Every key of a command for one choice of each group; defaults are what the choice's file says."""
-    own_values = hydra_command(command).values
-    values = {
-        group: choice_values(group, choice, extra) if choice != NOTHING else own_values.get(group) or {}
-        for group, choice in chosen.items()
-    }
+    # the command's own values are composed over those of a choice, but for what is chosen in a group without a default
+    of_command, first = hydra_command(command).values, hydra_command(command).groups
+    values: dict[str, dict[str, Any]] = {}
+    for group, choice in chosen.items():
+        values[group] = {} if choice == NOTHING else choice_values(group, choice, extra)
+        if choice == NOTHING or first.get(group) is not None:
+            values[group] |= of_command.get(group) or {}
     done: set[str] = set()
     for entry in walk(schema(command)):
         group = entry.path.split(".")[0]

@@ -12,6 +12,7 @@ import torch
 import nsde_torch
 from nsde_torch.diagnosis import pipeline
 from nsde_torch.diagnosis.cross_validation import HeldOut
+from nsde_torch.diagnosis.decision import judged_on_runs_left_out
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.stages import NotDone, OptionalStages, needed
 from nsde_torch.diagnosis.text import lines
@@ -74,15 +75,28 @@ def raising(error: Exception) -> Callable[[], Any]:
     return fails
 
 
-def test_what_runs_left_out_surely_refute_is_not_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def refuting(monkeypatch: pytest.MonkeyPatch, **interval: float) -> None:
+    """Runs left out are 20 nats likelier without each effect."""
     measured = pipeline.cross_validated
 
-    def refuting(*given: Any, **more: Any) -> HeldOut:
-        errors = measured(*given, **more)
-        worse = {name: replace(one, nats=-20.0, low=-30.0, high=-10.0) for name, one in errors.own.items()}
-        return replace(errors, own=worse)
+    def errors(*given: Any, **more: Any) -> HeldOut:
+        found = measured(*given, **more)
+        worse = {name: replace(one, nats=-20.0, **interval) for name, one in found.own.items()}
+        return replace(found, own=worse)
 
-    monkeypatch.setattr(pipeline, "cross_validated", refuting)
+    monkeypatch.setattr(pipeline, "cross_validated", errors)
+
+
+def test_what_runs_left_out_say_is_the_reason_before_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    refuting(monkeypatch, low=-50.0, high=10.0)
+    found = diagnosed_without(monkeypatch)
+    first = [replace(f, provisional="something else is there too") for f in found.outcome.found]
+    (judged,) = judged_on_runs_left_out(replace(found.outcome, found=first), found.errors).found
+    assert judged.provisional == "it does not raise the log-likelihood of q_dot on runs left out"
+
+
+def test_what_runs_left_out_surely_refute_is_not_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    refuting(monkeypatch, low=-30.0, high=-10.0)
     found = diagnosed_without(monkeypatch)
     assert (found.added, found.verdict) == ([], "unexplained")
     assert "coulomb_friction" not in str(found)

@@ -116,8 +116,6 @@ def choose(config: DictConfig, trained: Model, machine: SystemInfo) -> Chosen:
         ConfigError: nothing says which data.
         DataError: the data cannot be used.
     """
-    if config.kind == TRAINED and "path" in config:  # of a reader of one's own that was not named
-        raise ConfigError("`data.kind` is required with data=own: the reader, data.kind=module:function.")
     if config.kind != TRAINED:
         return _runs_of(config, machine, every=True)
     assert trained.folder is not None

@@ -218,8 +218,3 @@ def test_an_evaluation_is_not_written_over_and_a_sweep_is_refused(here: Path, re
 def test_names_are_as_much_of_the_folders_as_tells_them_apart() -> None:
     assert short_names([Path("/a/x"), Path("/b/y")]) == ["x", "y"]
     assert short_names([Path("/r/a/x"), Path("/r/b/x")]) == ["a/x", "b/x"]
-
-
-def test_a_reader_of_ones_own_has_to_be_named(here: Path, refused: Said) -> None:
-    said = refused(f"run={here / 'nsde'}", "data=own", f"data.path={here / 'others'}")
-    assert "`data.kind` is required with data=own" in said

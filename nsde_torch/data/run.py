@@ -127,6 +127,8 @@ class Run:
     inferred: Mapping[str, float] = field(default_factory=dict)
     """States that no sensor measured and that were inferred from positions: what is not known of them (standard
     deviation, their unit)."""
+    ahead: float = 0.0
+    """Time by which the inputs are earlier than in the log, as the mean of a row and the next one is [s of the log]."""
     unbroken: tuple[tuple[int, int], ...] = ()
     """Ranges without a gap that the segments are parts of, where rows between these were left out of a regression
     alone: they still say what an effect with memory held. Default: none but the segments."""

@@ -353,8 +353,7 @@ class JointSearch:
         """Whether an effect is a time that is a mere fraction of a step."""
         vector = ParameterVector(system)
         own = [j for j in vector.of(name) if vector.moves_memory[j] and vector.units[j] == "s"]
-        shortest = self.search.decisions.resolution * self.search.steps.dt
-        return any(vector.start[j] < shortest for j in own)
+        return any(vector.start[j] < self.search.shortest for j in own)
 
     def _declared_if_short(self, place: FittedPhysics) -> FittedPhysics:
         """The physics; effects that are a time of a fraction of a step join what is declared.

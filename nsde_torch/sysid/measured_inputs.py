@@ -173,7 +173,11 @@ def _with_means_over_steps(fits: _Fits, runs: Sequence[Run], system: System, dt:
     nats = fits.likelier(later(runs, nu, 0.5))
     if not nats > NATS or any(not nats - fits.likelier(later(runs, nu, rows)) > NATS for rows in (-0.5, 1.0)):
         return None
-    return _Reading(nats, partial(later, nu=nu, rows=0.5), _between_rows_found(system, nats))
+
+    def means(some: Sequence[Run]) -> list[Run]:
+        return [replace(run, ahead=0.5 * run.dt) for run in later(some, nu, 0.5)]
+
+    return _Reading(nats, means, _between_rows_found(system, nats))
 
 
 def _without_white_noise(fits: _Fits, runs: Sequence[Run], system: System, dt: float) -> _Reading | None:

@@ -96,13 +96,22 @@ def test_what_runs_left_out_say_is_the_reason_before_any_other(monkeypatch: pyte
 
 
 def test_what_runs_left_out_surely_refute_is_not_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    refuting(monkeypatch, low=-30.0, high=-10.0)
+    refuting(monkeypatch, low=-30.0, high=-10.0, rest=-5.0)
     found = diagnosed_without(monkeypatch)
     assert (found.added, found.verdict) == ([], "unexplained")
     assert "coulomb_friction" not in str(found)
     (aside,) = found.content()["aside"]
     assert aside["effect"] == "coulomb_friction"
     assert aside["reason"] == "runs that it was not fitted to are likelier without it, by 20 nats"
+
+
+def test_one_run_alone_refutes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    refuting(monkeypatch, low=-30.0, high=-10.0, rest=1.0)
+    found = diagnosed_without(monkeypatch)
+    assert found.added == ["coulomb_friction"]
+    assert (
+        found.outcome.found[0].provisional == "it does not raise the log-likelihood of q_dot on runs left out"
+    )
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ Kinematics are exact and belong to the system; everything that pushes is an effe
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import accumulate
 from math import ceil
 from typing import Any, ClassVar
@@ -352,9 +353,12 @@ class System(Parametrised, ABC):
             forces[effect.port] = forces[effect.port] + term if effect.port in forces else term
             if effect.n_memory:
                 rates[k] = effect.memory_rate(t, x, own, memories[k])
-        rate = (
-            row_by_row(self, t, x, command, forces) if self.in_run else self.dynamics(t, x, command, forces)
-        )
+        if not self.in_run:
+            rate = self.dynamics(t, x, command, forces)
+        elif isinstance(t, Tensor) and t.dim():
+            rate = row_by_row(self, self.dynamics, t, x, command, forces)
+        else:
+            rate = row_by_row(self, partial(self.dynamics, t), x, command, forces)
         if Port.RATE in forces:
             rate = rate + forces[Port.RATE]
         return join_columns((rate, *(rates[k] for k in sorted(rates)))) if rates else rate

@@ -63,25 +63,24 @@ def in_its_run(system: System, effects: Sequence[int], u: Tensor) -> Iterator[Te
 
 
 def row_by_row(
-    system: System, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]
+    system: System, function: Callable[..., Tensor], *rows: Tensor | Mapping[Port, Tensor]
 ) -> Tensor:
-    """The machine's `dynamics` (N, nx) with parameters of each row, whatever way its formulas are written in.
+    """A function of the machine (N, k), of rows (N, ...), with parameters of each, whatever way it is written in.
 
     A formula that takes columns of states apart, or puts a matrix together, has no place for a number of each row.
     """
     values = {name: system.value(name) for name in system.declared_parameters()}
-    rows = {name: value for name, value in values.items() if value.dim() > 1}
+    several = {name: value for name, value in values.items() if value.dim() > 1}
     before = dict(system.in_run)
-    of_time = 0 if isinstance(t, Tensor) and t.dim() else None
 
-    def one(
-        t: float | Tensor, x: Tensor, u: Tensor, pushed: dict[Port, Tensor], own: dict[str, Tensor]
-    ) -> Tensor:
+    def one(own: dict[str, Tensor], *row: Tensor | Mapping[Port, Tensor]) -> Tensor:
         system.in_run.update({name: lambda _, value=value: value for name, value in own.items()})  # type: ignore[misc]
-        return system.dynamics(t, x[None], u[None], {port: part[None] for port, part in pushed.items()})[0]
+        return function(
+            *(p[None] if isinstance(p, Tensor) else {k: v[None] for k, v in p.items()} for p in row)
+        )[0]
 
     try:
-        out: Tensor = torch.func.vmap(one, (of_time, 0, 0, 0, 0))(t, x, u, dict(forces), rows)
+        out: Tensor = torch.func.vmap(one)(several, *rows)
     finally:
         system.in_run.clear()
         system.in_run.update(before)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 from torch import Tensor
@@ -13,6 +13,7 @@ from nsde_torch.effects import units
 from nsde_torch.effects.base import Effect, Port
 from nsde_torch.effects.expression import FEATURES, TIME, UP, Rows, Source, Vocabulary
 from nsde_torch.rotation import gravity_direction
+from nsde_torch.systems.in_run import row_by_row
 from nsde_torch.systems.names import MIXED
 
 if TYPE_CHECKING:
@@ -57,7 +58,8 @@ def quantity_of(system: System, name: str, x: Tensor, u: Tensor) -> Tensor:
         return system.features(x)
     if name == UP and system.quaternion is not None:
         return gravity_direction(x[:, system.quaternion])
-    return system.quantity(name, x, u)
+    quantity = partial(system.quantity, name)
+    return row_by_row(system, quantity, x, u) if system.in_run else quantity(x, u)
 
 
 def seen_by(system: System, effect: Effect, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:

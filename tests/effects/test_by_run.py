@@ -136,6 +136,19 @@ def test_formulas_may_be_written_in_any_way(t: float | Tensor) -> None:
     assert torch.allclose(found.drift(t, x, wide, push), rate)  # the parameters are put back
 
 
+@pytest.mark.parametrize("target", ["inertia_x", "roll_gain"])
+def test_what_effects_read_of_the_machine_is_that_of_the_run(target: str) -> None:
+    names = ["inertia_coupling", "gyroscopic_moment"]
+    system = make_system("hexacopter", effects=names).double()
+    x, u, wide = rows(system)
+    found = differing(system, target, 0.3, -0.2).drift(0.0, x, wide)
+    for row, change in enumerate((0.0, 0.3, -0.2, 0.0, 0.0)):
+        other = make_system("hexacopter", effects=names).double()
+        other.set_value(target, (system.value(target) + change).tolist())
+        there = other.drift(0.0, x[row : row + 1], u[row : row + 1])
+        assert torch.allclose(found[row : row + 1], there, rtol=1e-6)
+
+
 def test_a_formula_that_needs_plain_numbers_is_found_out() -> None:
     class Plain(Flat):
         def dynamics(self, t: Any, x: Tensor, u: Tensor, forces: Any) -> Tensor:

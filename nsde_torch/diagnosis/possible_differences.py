@@ -50,8 +50,8 @@ class ColumnsBeside:
 
 
 @torch.no_grad()
-def columns_beside(place: FittedPhysics) -> ColumnsBeside:
-    """Columns of all that may differ, from the optimum of some physics."""
+def columns_beside(place: FittedPhysics, *, together: bool = False) -> ColumnsBeside:
+    """Columns of all that may differ, from the optimum of some physics; of all its own parameters `together` too."""
     space, about, vector = place.at.of.space, place.at.about, place.best.vector
     tables = [space.columns(about.x, about.slopes, range(len(vector)), about.after)]
     known = dict(zip(vector.labels, place.best.theta.tolist(), strict=True))
@@ -70,7 +70,7 @@ def columns_beside(place: FittedPhysics) -> ColumnsBeside:
     table = torch.cat([t.float() for t in tables], -1)
     held = grams(space, place.at.levels, about, place.at.at, table, apart=apart)
     candidates = [PossibleDifference(s, target, np.eye(at)[:, a : a + k], True) for target, s, a, k in new]
-    candidates += _of_the_physics(place, at)
+    candidates += _of_the_physics(place, at, together)
     return ColumnsBeside(candidates, table, held.blocks)
 
 
@@ -110,14 +110,11 @@ def _may_differ(place: FittedPhysics, system: System, target: str) -> bool:
     return may_differ(plain, target, steps.x0[some, : system.nx].double(), u.double())
 
 
-def _of_the_physics(place: FittedPhysics, whole: int) -> Iterator[PossibleDifference]:
-    """Parameters of the machine, sizes of its effects, its mass, and all its own parameters together.
+def _of_the_physics(place: FittedPhysics, whole: int, together: bool) -> Iterator[PossibleDifference]:
+    """Parameters of the machine, sizes of its effects, and its mass, of a table of so many columns.
 
-    A load at the tip of an arm changes inertias and weights of both links, and no single parameter explains it.
-
-    Args:
-        place: The physics.
-        whole: Columns of the table.
+    `together`, all its own parameters too: a load at the tip of an arm changes inertias and weights of both links, and
+    no single parameter explains it.
     """
     system, vector, theta = place.system, place.best.vector, place.best.theta
     differing = {getattr(e, "target", "") for e in system.effects}
@@ -142,7 +139,7 @@ def _of_the_physics(place: FittedPhysics, whole: int) -> Iterator[PossibleDiffer
                 and np.isin(np.arange(at.columns.start, at.columns.stop), place.best.free).all()
             ):
                 machine.append(at)
-    if len(machine) > 1:
+    if together and len(machine) > 1:
         turn = np.concatenate([every[:, at.columns] for at in machine], 1)
         yield PossibleDifference(system, ",".join(at.name for at in machine), turn, False)
     if system.over_mass and MASS not in differing and int((mass != 0).sum()) > 1:

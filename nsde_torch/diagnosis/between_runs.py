@@ -103,11 +103,7 @@ def asked_for(outcome: Outcome, guard: Guarded) -> bool:
 
 
 def _one_is_odd(guard: Guarded) -> bool:
-    """Whether a run is surely of another machine; all parameters may differ there.
-
-    Without that, feedback that biases gains differently in each run made differences of six of a quadrotor that lacked
-    nothing (closed_loop.py --seed 91, case 52).
-    """
+    """Whether a run is surely of another machine; all parameters may differ there."""
     return any(o.kind == "odd_run" for o in guard.objections)
 
 

@@ -217,7 +217,8 @@ class SlungLoad(HiddenSwing):
         return x[:, 3:5]
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return torch.nn.functional.pad(self.pull(x, memory), (0, 1))
+        pull = self.pull(x, memory)
+        return torch.cat((pull, torch.zeros_like(pull[:, :1])), 1)
 
 
 @final

@@ -194,17 +194,12 @@ def wrong_clock(fault: Fault, log: LoggedRuns) -> Detected | None:
     groups = pairs_of(system)
     positions = [p for group, (names, _) in groups.items() if group != ATTITUDE for p in names]
     what = "positions and attitude" if ATTITUDE in groups else " and ".join(positions)
-    moves, says = (
-        ("moves", "its rate says")
-        if len(positions) == 1 and ATTITUDE not in groups
-        else ("move", "their rates say")
-    )
     how = "further" if clock > 1.0 else "less far"
     return Detected(
         fault.name,
         {"scale": (clock, clock - off.half, clock + off.half, "1")},
         off.p,
-        f"A second of the log lasts {clock:.4g} s: {what} {moves} {how} than {says}.",
+        f"A second of the log lasts {clock:.4g} s: {what} move {how} than their rates say.",
         clock=clock,
     )
 

@@ -45,7 +45,11 @@ from nsde_torch.systems import Multirotor, System
 
 
 def whole_samples(name: str, time: float, dt: float) -> int:
-    """A time [s] in samples of `dt` [s]; a period is at least one; ConfigError: it is no multiple."""
+    """A time [s] in samples of `dt` [s]; a period is at least one.
+
+    Raises:
+        ConfigError: it is no multiple.
+    """
     steps = round(time / dt)
     if steps < 0 or abs(steps * dt - time) > 1e-6 or (name == "period" and steps < 1):
         raise ConfigError(
@@ -181,10 +185,10 @@ class PredictivePilot(Autopilot):
 
     def __post_init__(self) -> None:
         model, sample, solver = self.model, self.sample, self.controller.solver
-        predictor: Foresight
-        self._dtype, predictor = self.controller.dtype, model  # type: ignore[assignment]
-        if isinstance(model, Model | System):
-            predictor = Predictor(model, dt=sample, dtype=self._dtype)
+        self._dtype = self.controller.dtype
+        predictor: Foresight = (
+            Predictor(model, dt=sample, dtype=self._dtype) if isinstance(model, Model | System) else model
+        )
         if abs(predictor.dt - sample) > 1e-9:
             raise ConfigError(
                 f"the model predicts steps of {predictor.dt:g} s, and samples are {sample:g} s apart."

@@ -30,8 +30,9 @@ def knowledge(run: str, system: str, *, effects: Effects = ()) -> Model | System
 
     `effects` are those beside the declared ones, with their values (see `make_plant_system`).
 
-    CheckpointError: no such run directory, or a damaged one. ConfigError: no plant of that name, or an effect that
-    it cannot have.
+    Raises:
+        CheckpointError: no such run directory, or a damaged one.
+        ConfigError: no plant of that name, or an effect that it cannot have.
     """
     if run == DECLARED:
         return make_plant_system(system, effects=effects, declared_only=True)

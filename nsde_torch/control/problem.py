@@ -69,7 +69,8 @@ def problem_of(system: System, **given: Any) -> ProblemOptions:
 class Residual(nn.Module):
     """Roots of the cost of a state.
 
-    ConfigError: weights of another length than the machine's error channels, or limits that it does not have.
+    Raises:
+        ConfigError: weights of another length than the machine's error channels, or limits that it does not have.
     """
 
     def __init__(self, predictor: Predictor, options: ProblemOptions) -> None:

@@ -68,7 +68,8 @@ def attitude_along(axis: Tensor, yaw: Tensor) -> Tensor:
 def states_of(path: FlightPath) -> Tensor:
     """States (n, 13) of a multirotor that flies a path, in double precision.
 
-    ConfigError: the path falls freely somewhere, where no attitude follows from it.
+    Raises:
+        ConfigError: the path falls freely somewhere, where no attitude follows from it.
     """
     force = path.a + np.array([0.0, 0.0, GRAVITY])
     size = np.linalg.norm(force, axis=1)

@@ -196,7 +196,9 @@ def waypoints(
 def from_csv(file: str | Path, *, speed: float = _LIMITS.speed, tilt: float = _LIMITS.tilt) -> FlightPath:
     """A path through the rows of a CSV file: `p_x p_y p_z` [m], and if there are `yaw` [rad] and `t` [s].
 
-    DataError: the file or a column is missing, or a number is none. ConfigError: the rows make no path.
+    Raises:
+        DataError: the file or a column is missing, or a number is none.
+        ConfigError: the rows make no path.
     """
     path = Path(file)
     rows = csv_rows(path, ("p_x", "p_y", "p_z"), what="reference", remedy="Name a CSV file.")

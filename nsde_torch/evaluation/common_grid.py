@@ -82,8 +82,9 @@ class Grid:
 def check(candidates: Sequence[Candidate], data: DataSet) -> None:
     """Refuse models that cannot be compared on these data.
 
-    ConfigError: different systems, names given twice, or a step that does not divide. DataError: a column is
-    missing.
+    Raises:
+        ConfigError: different systems, names given twice, or a step that does not divide.
+        DataError: a column is missing.
     """
     if not candidates:
         raise ConfigError("no model to evaluate.")
@@ -120,8 +121,9 @@ def common_horizons(
 ) -> tuple[list[float], list[Note]]:
     """Horizons [s] that every model and some stretch of the runs has, and what to say of them.
 
-    ConfigError: a given horizon is below the step of a model. DataError: a given horizon, or any, does not fit in
-    the runs.
+    Raises:
+        ConfigError: a given horizon is below the step of a model.
+        DataError: a given horizon, or any, does not fit in the runs.
     """
     coarsest = max(candidates, key=lambda c: c.model.spec.dt)
     dt = coarsest.model.spec.dt
@@ -165,7 +167,8 @@ def common_grids(
 ) -> tuple[list[Grid], list[Note]]:
     """The grid of every model, with the same starts, and what to say of their clocks and inputs.
 
-    DataError: no stretch is as long as the longest horizon.
+    Raises:
+        DataError: no stretch is as long as the longest horizon.
     """
     made = []
     for c in candidates:

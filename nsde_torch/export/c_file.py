@@ -63,7 +63,8 @@ def read(path: Path) -> dict[str, Any]:
 def library(path: Path) -> ctypes.CDLL:
     """The controller, compiled for this computer and loaded; it is machine code, and runs when called.
 
-    ExportError: there is no C compiler, or it refuses.
+    Raises:
+        ExportError: there is no C compiler, or it refuses.
     """
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "controller.so"

@@ -108,7 +108,8 @@ def write(path: Path, members: Mapping[str, bytes], record: Mapping[str, Any]) -
 def read(path: Path) -> tuple[bytes, dict[str, Any]]:
     """The bytes of a file and its record, checked.
 
-    ExportError: there is no such file, or it is damaged, changed, or of another format.
+    Raises:
+        ExportError: there is no such file, or it is damaged, changed, or of another format.
     """
     if not path.is_file():
         raise ExportError(f"no file {path}; give what `nsde export` wrote.")

@@ -61,7 +61,8 @@ class Loops:
 class ExportedStep(nn.Module):
     """The step of a controller, with its numbers as they are now; `sample` predicts over a sample of the fine grid.
 
-    ConfigError: a controller of several machines, or with a solver that cannot be exported.
+    Raises:
+        ConfigError: a controller of several machines, or with a solver that cannot be exported.
     """
 
     def __init__(self, controller: Controller, sample: Predictor) -> None:

@@ -201,7 +201,8 @@ def logged(
 
     The CSV file has the time `t` in the reference, and the states in columns of their names.
 
-    DataError: no such file, or columns that are not there.
+    Raises:
+        DataError: no such file, or columns that are not there.
     """
     names, o = exported.record["state_names"], exported.options
     if not file.is_file():

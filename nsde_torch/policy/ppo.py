@@ -134,7 +134,8 @@ class Learner:
     def restore(self, path: Path) -> dict[str, Any]:
         """Go on from a checkpoint that `save` wrote; returns what was saved beside the tensors.
 
-        CheckpointError: the file is damaged, or of another network.
+        Raises:
+            CheckpointError: the file is damaged, or of another network.
         """
         try:
             tensors, metadata = read_tensors(path)

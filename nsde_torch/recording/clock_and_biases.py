@@ -235,16 +235,12 @@ def _sure(fault: Fault, log: LoggedRuns) -> Uncertain | None:
 
 def without_scales(x: Array, system: SystemInfo, values: Mapping[str, Any]) -> Array:
     """States (n, nx) divided by how many times too much their sensors read."""
-    x, names = x.copy(), list(system.state_names)
+    x = x.copy()
     for name, value in values.items():
-        if name not in names:
-            raise ConfigError(
-                f"`sensor_scale` names {name!r}, which is no state; states: {', '.join(names)}."
-            )
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not (number and isfinite(value) and value != 0.0):
-            raise ConfigError(f"`sensor_scale.{name}` must be a finite number other than 0; got {value!r}.")
-        x[:, names.index(name)] /= value
+        at = _column("sensor_scale", name, value, system)
+        if value == 0.0:
+            raise ConfigError(f"`sensor_scale.{name}` must be a number other than 0; got {value!r}.")
+        x[:, at] /= value
     return x
 
 
@@ -297,11 +293,15 @@ def without_biases(run: Run | RawRun, system: SystemInfo, values: Mapping[str, A
     for name, value in here.items() if isinstance(here, Mapping) else ():
         biases[name] = biases.get(name, 0.0) + value
     for name, value in biases.items():
-        if name not in system.state_names:
-            raise ConfigError(
-                f"`sensor_bias` names {name!r}, which is no state; states: {', '.join(system.state_names)}."
-            )
-        if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-            raise ConfigError(f"`sensor_bias.{name}` must be a finite number; got {value!r}.")
-        x[:, list(system.state_names).index(name)] -= value
+        x[:, _column("sensor_bias", name, value, system)] -= value
     return x
+
+
+def _column(fault: str, name: str, value: Any, system: SystemInfo) -> int:
+    """The column of a state that a fault has a number for; ConfigError where there is no such state, or no number."""
+    names = list(system.state_names)
+    if name not in names:
+        raise ConfigError(f"`{fault}` names {name!r}, which is no state; states: {', '.join(names)}.")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+        raise ConfigError(f"`{fault}.{name}` must be a finite number; got {value!r}.")
+    return names.index(name)

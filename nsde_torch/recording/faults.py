@@ -142,23 +142,35 @@ class LateStates(Fault):
         return {"input_delay_s": rows * dt} if rows else {}
 
 
+class _OfStates(Fault):
+    """A fault of single states, with a number for each; a reader takes it out before it looks at anything."""
+
+    annotation = Mapping[str, float]
+    remedy_first = True
+
+    def check(self, value: Any, system: SystemInfo) -> None:
+        turned = () if system.quaternion is None else system.state_names[system.quaternion]
+        free = [n for n in system.state_names if n not in turned]
+        unknown = sorted(set(value) - set(free))
+        if unknown:
+            raise ConfigError(
+                f"`{self.name}` takes {', '.join(free)} of system {system.name!r}; got {', '.join(unknown)}."
+                + (" An attitude is turned with `frame_misalignment`." if turned else "")
+            )
+
+
 @final
-class SensorBias(Fault):
+class SensorBias(_OfStates):
     """Biased sensors: x_log = x + b."""
 
     name = "sensor_bias"
     rank = 50
     stage = "biases"
     option = key({}, "what is added to a state, recording.sensor_bias.STATE=0.1")
-    annotation = Mapping[str, float]
     remedy = key(
         {},
         "what sensors read too much, {STATE: 0.01} in its unit, to take out; {RUN: {STATE: 0.01}} in one run",
     )
-    remedy_first = True
-
-    def check(self, value: Any, system: SystemInfo) -> None:
-        _check_free(self.name, value, system)
 
     def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
         run.x = run.x.copy()
@@ -176,19 +188,14 @@ class SensorBias(Fault):
 
 
 @final
-class SensorScale(Fault):
+class SensorScale(_OfStates):
     """Sensors that read too much by a factor: x_log = k x. The reader takes that of a single rate out."""
 
     name = "sensor_scale"
     rank = 48
     stage = "clock"
     option = key({}, "how many times too much a state is read, recording.sensor_scale.STATE=1.05")
-    annotation = Mapping[str, float]
     remedy = key({}, "how many times too much sensors read, {STATE: 1.05}, to take out")
-    remedy_first = True
-
-    def check(self, value: Any, system: SystemInfo) -> None:
-        _check_free(self.name, value, system)
 
     def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
         run.x = run.x.copy()
@@ -200,18 +207,6 @@ class SensorScale(Fault):
 
     def undo_raw(self, run: RawRun, system: SystemInfo, values: Mapping[str, float]) -> None:
         run.x = clock_and_biases.without_scales(run.x, system, values)
-
-
-def _check_free(name: str, value: Any, system: SystemInfo) -> None:
-    """Refuse a size for what is no state, or is part of an attitude."""
-    turned = () if system.quaternion is None else system.state_names[system.quaternion]
-    free = [n for n in system.state_names if n not in turned]
-    unknown = sorted(set(value) - set(free))
-    if unknown:
-        raise ConfigError(
-            f"`{name}` takes {', '.join(free)} of system {system.name!r}; got {', '.join(unknown)}."
-            + (" An attitude is turned with `frame_misalignment`." if turned else "")
-        )
 
 
 @final

@@ -362,7 +362,8 @@ def truth_path(folder: str | Path, truth: str | Path | None = None) -> Path:
 def check_free(folder: Path, truth: Path, *, overwrite: bool) -> None:
     """Refuse to write over what is there, or a truth into the folder of the data.
 
-    ConfigError: says what is there and the remedy.
+    Raises:
+        ConfigError: says what is there and the remedy.
     """
     if truth.resolve().is_relative_to(folder.resolve()):
         raise ConfigError(f"`truth`: {truth} lies in the folder of the data; name a file outside {folder}.")

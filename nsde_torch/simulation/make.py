@@ -197,7 +197,11 @@ def simulated_run(
 
 
 def check_numbers(durations: Sequence[float] | None, seed: int, **factors: float) -> None:
-    """Refuse durations that are no times, a seed that is none, and factors below 0; ConfigError: names the number."""
+    """Refuse durations that are no times, a seed that is none, and factors below 0.
+
+    Raises:
+        ConfigError: names the number.
+    """
     if durations is not None and not (len(durations) and all(isfinite(d) and d > 0 for d in durations)):
         raise ConfigError(f"`durations` must be one or more times above 0 s; got {list(durations)}.")
     if isinstance(seed, bool) or int(seed) != seed or seed < 0:

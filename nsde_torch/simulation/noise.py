@@ -31,7 +31,8 @@ from nsde_torch.systems.machine import Gust
 class Gusts:
     """The gusts of one plant, advanced a sample at a time.
 
-    ConfigError: a port that the system lacks, or a time constant or scale out of range.
+    Raises:
+        ConfigError: a port that the system lacks, or a time constant or scale out of range.
     """
 
     spec: Mapping[Port, Gust]  # gust of each port that has one
@@ -105,7 +106,8 @@ class Gusts:
 class Sensor:
     """Measurement: state plus white noise, a quaternion turned by a small random rotation.
 
-    ConfigError: wrong number of channels, or a negative value.
+    Raises:
+        ConfigError: wrong number of channels, or a negative value.
     """
 
     system: System

@@ -92,7 +92,8 @@ def plan_file(plan: str | Path) -> Path:
 def read_plan(plan: str | Path, names: Sequence[str]) -> tuple[Array, Array]:
     """Times (N,) [s] and inputs (N, nu) of a plan, a file or the folder that holds it, each held to the next.
 
-    DataError: the file or a column is missing, something is no number, or times do not increase.
+    Raises:
+        DataError: the file or a column is missing, something is no number, or times do not increase.
     """
     path = plan_file(plan)
     rows = csv_rows(path, ("t", *names), what="plan", remedy=f"`nsde design` writes {PLAN}.")

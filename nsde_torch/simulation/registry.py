@@ -59,7 +59,8 @@ RECORDINGS: dict[str, RunRecorder] = {
 def recorder(name: str) -> RunRecorder:
     """How runs of a system's machine are made: its own way, or as its `excitation` says.
 
-    ConfigError: the system has no plant.
+    Raises:
+        ConfigError: the system has no plant.
     """
     own = machine(name)
     if name in RECORDINGS:
@@ -71,7 +72,9 @@ def recorder(name: str) -> RunRecorder:
 def planned(name: str, plan: str | Path) -> RunRecorder:
     """How runs of a plan are made (`nsde_torch.simulation.planned`).
 
-    ConfigError: the system has no plant. DataError: the plan does not fit the system.
+    Raises:
+        ConfigError: the system has no plant.
+        DataError: the plan does not fit the system.
     """
     machine(name)
     own = make_system(name)

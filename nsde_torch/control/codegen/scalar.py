@@ -395,7 +395,8 @@ def run(
 
     The function has operations that change nothing in place, and no branches on values.
 
-    ExportError: it holds an operation that is not known here.
+    Raises:
+        ExportError: it holds an operation that is not known here.
     """
     with torch.no_grad(), few_operations():
         made = function(*(_Symbolic(table, dtype) for table in arguments))

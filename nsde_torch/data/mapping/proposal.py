@@ -261,9 +261,8 @@ def _named(
     words = _RATES if wanted in rates else _POSITIONS if wanted in positions else _INPUTS
     several = len(system.input_names if words is _INPUTS else positions) > 1
     number = re.sub(r"\D", "", wanted)
-    if (
-        several and not number
-    ):  # of joints without numbers nothing says which is which, but where one alone turns
+    # of joints without numbers nothing says which is which, but where one alone turns
+    if several and not number:
         units = dict(zip(system.state_names, system.state_units, strict=True))
         said = _OF_UNIT.get(units.get(wanted, ""), set())
         alone = [n for n in positions if _OF_UNIT.get(units[n]) is said] == [wanted]
@@ -293,9 +292,8 @@ def _follows(log: StreamLog, position: str, rate: str) -> bool:
     good = np.isfinite(one.fields[p] + one.fields[v])
     place, speed = one.fields[p][good], one.fields[v][good]
     steps = np.diff(place, prepend=place[:1])
-    place = place - np.cumsum(
-        np.where(np.abs(steps) > 0.5 * np.ptp(place), steps, 0.0)
-    )  # an angle that wraps
+    wraps = np.where(np.abs(steps) > 0.5 * np.ptp(place), steps, 0.0)  # of an angle
+    place = place - np.cumsum(wraps)
     moved = np.diff(place[::every])
     told = np.diff(np.cumsum(speed)[::every])
     if len(moved) < _FEWEST or not np.ptp(moved) or not np.ptp(told):

@@ -41,7 +41,8 @@ _NATIVE = {"motor_lag", "linear_drag"}
 class Body:
     """One multirotor.
 
-    ConfigError: no multirotor plant of that name, or an effect that reads a channel that is not there.
+    Raises:
+        ConfigError: no multirotor plant of that name, or an effect that reads a channel that is not there.
     """
 
     name: str  # of a multirotor; as `effects` and `declared_only` see `make_plant_system`

@@ -72,7 +72,7 @@ class ModelNoise:
         for k in range(1, steps):
             gusts[:, k] = keep * gusts[:, k - 1] + np.sqrt(1.0 - keep**2) * gusts[:, k]
         forces = gusts + white / space.h**0.5 * rng.standard_normal(gusts.shape)
-        errors = np.zeros((count, steps + 1, space.ne))
+        errors = np.zeros((count, steps + 1, len(space.vector.system.error_names)))
         noise = rng.standard_normal((count, steps + 1, len(space.observed)))
         errors[..., tuple(space.observed)] = levels.sensor.exp().numpy() * noise
         return Disturbances(forces, space.disturbances, errors)

@@ -205,6 +205,7 @@ def _column(system: System, at: Optimum, x: Tensor, term: Term, size: str) -> Te
         term.law, {**dict.fromkeys(term.sizes, 0.0), size: 1.0, **term.start}
     ).double()
     flat, u, t = (part.flatten(0, 1) for part in (x, space.chunks.u, space.chunks.t[..., None]))
-    seen = seen_by(system, effect, t[:, 0], torch.cat((flat, space.memory.flatten(0, 1)), 1), u)
+    z = space.with_memory(flat, space.memory.flatten(0, 1))
+    seen, flat = seen_by(system, effect, t[:, 0], z, u), flat[:, : system.nx]
     force = effect(t[:, 0], flat, seen, flat[:, :0]).sum(1).view(x.shape[:2])
     return forced(space, at.about, term.port, force)

@@ -65,8 +65,9 @@ def measured(regression: Regression, *, inputs: bool) -> Measured:
 def machine_variables(system: System, x: Tensor, u: Tensor, *, inputs: bool) -> dict[str, Tensor]:
     """All that a machine measures (N,), by name: features of an attitude in its place, and places.
 
-    Of states (N, nx), and of inputs and logged channels (N, nu + n); the `inputs` too, if asked for.
+    Of states (N, nx and more), and of inputs and logged channels (N, nu + n); the `inputs` too, if asked for.
     """
+    x = x[:, : system.nx]
     q, features = system.quaternion, system.residual_features(x)
     names = [*system.feature_names]
     names += [f"up_{'xyz'[i]}" for i in range(features.shape[1] - len(names))]

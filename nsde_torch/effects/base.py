@@ -245,6 +245,9 @@ class Effect(Parametrised, ABC):
     shapes: ClassVar[Mapping[str, tuple[float | tuple[float, ...], ...]]] = {}
     """First values to try for parameters that it is not linear in; a vector parameter takes one number for all axes or
     a tuple."""
+    fitted_from: ClassVar[Sequence[Mapping[str, float]]] = ()
+    """Values from which fits begin, each with the first values of all other parameters, where a linearised step from no
+    effect shows nothing: a resonance is a sharp line, and noise levels learn what swings."""
     smooth: ClassVar[tuple[str, ...]] = ()
     """Parameters of `shapes` that one linear step fits again to some of the runs, as it does amplitudes."""
     relative: ClassVar[Mapping[str, str]] = {}
@@ -267,6 +270,8 @@ class Effect(Parametrised, ABC):
     sentence: ClassVar[str] = ""
     """What it means, for who runs the machine; {parameter} is replaced by a value with its unit."""
     separate: ClassVar[str] = ""  # the experiment that would distinguish it from similar effects
+    estimated: ClassVar[bool] = False
+    """Whether a filter estimates its memory with the state. Others follow what was measured, and take its noise up."""
     whole_steps: ClassVar[bool] = False
     """Whether, with a `step`, `memory_rate` is the mean rate over a step that starts from a memory, and `forward` the
     mean term over it, for inputs that are held: what they are given is then of its start."""
@@ -389,11 +394,14 @@ class Effect(Parametrised, ABC):
         return None
 
     def followed(self, x: Tensor, dt: float) -> Tensor | None:
-        """Memory along measured states, its mean over each step, known without `memory_rate`; None: it is not.
+        """Memory along measured states, known without `memory_rate`; None: it is not.
 
         Args:
             x: States at the starts of consecutive steps (n, nx).
             dt: Length of a step [s].
+
+        Returns:
+            Memory at the start of each step, and at the end of the last (n + 1, n_memory).
         """
         return None
 

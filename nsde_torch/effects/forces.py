@@ -21,6 +21,7 @@ class HiddenSwing(Effect):
         0.1, "1", low=0.005, high=1.0, scale=0.05, help="damping, as a ratio to the critical one"
     )
     ways: ClassVar[int] = 1  # directions
+    estimated = True
 
     @abstractmethod
     def swing(self) -> Tensor:
@@ -59,7 +60,7 @@ class HiddenSwing(Effect):
         rates = np.array([[0, 1, -1, 0], [-w * w, -rub, rub, 0], [0, 0, 0, 1], [0, 0, 0, 0]])
         v = self.velocity(x).double().numpy()
         along = second_order(expm(rates * dt)[:2], np.concatenate((v, v[-1:])), dt)
-        return torch.from_numpy(0.5 * (along[1:] + along[:-1])).to(x.dtype)
+        return torch.from_numpy(along).to(x.dtype)
 
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
         """See `Effect.memory_start`: it moves along."""
@@ -289,7 +290,8 @@ class HiddenMass(HiddenSwing, Law):
         "damping": HiddenSwing.RATIO,
     }
     amplitudes = ("mass",)
-    shapes = {"frequency": (0.4, 0.8, 1.6, 3.2, 6.4), "damping": (0.1,)}
+    shapes = {"frequency": (0.5, 1.5, 4.5), "damping": (0.02, 0.2)}
+    fitted_from = tuple({"frequency": 0.4 * 2.0 ** (0.5 * k)} for k in range(9))
     sentence = (
         "A hidden mass of {mass} swings on {it}: {frequency} if the machine is held, with {damping} of the critical "
         "damping."

@@ -247,8 +247,7 @@ class Hysteresis(Law):
 
         v, reach = self.v(x)[:, 0], float(self.value("reach").detach())
         ways = torch.cat((0.5 * (v[1:] + v[:-1]), v[-1:])) * (dt / reach)
-        along = torch.from_numpy(bouc_wen(ways.double().numpy(), float(v[0].sign())))[:, None].to(x.dtype)
-        return 0.5 * (along[1:] + along[:-1])
+        return torch.from_numpy(bouc_wen(ways.double().numpy(), float(v[0].sign())))[:, None].to(x.dtype)
 
     def memory_start(self, x: Tensor, u: Tensor) -> Tensor:
         """See `Effect.memory_start`: it has come this way for long."""

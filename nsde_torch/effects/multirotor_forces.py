@@ -204,7 +204,8 @@ class SlungLoad(HiddenSwing):
     }
     ways = 2
     amplitudes = ("mass",)
-    shapes = {"length": (0.3, 0.7, 1.5, 3.5), "damping": (0.05,)}
+    shapes = {"length": (0.5, 2.0), "damping": (0.02, 0.1)}
+    fitted_from = tuple({"length": length} for length in (0.35, 0.8, 1.8))
     sentence = "A load of {mass} of the machine's mass swings {length} below it, at {damping} of the critical damping."
     separate = "fly to and fro at the pace at which it swings, and at half and twice that"
 

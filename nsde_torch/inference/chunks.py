@@ -79,6 +79,13 @@ class Chunks:
         self.size, self.count = size, len(first)
         self._owners, self.stretch = torch.tensor(owners), torch.tensor(stretch)
 
+    def in_turn(self, values: Tensor) -> tuple[Tensor, Tensor]:
+        """Values (T, C, k) at the first row of each chunk in the one before it (C, k), and whether that is there."""
+        before = torch.arange(self.count) - 1
+        row = self.row[0] - self.row[0, before]
+        there = (before >= 0) & (self.stretch == self.stretch[before]) & (row >= 0) & (row < self.size)
+        return values[torch.where(there, row, 0), before], there
+
     def some(self, which: Tensor) -> "Chunks":
         """Some of the chunks, by number."""
         out = copy.copy(self)

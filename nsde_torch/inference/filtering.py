@@ -21,9 +21,10 @@ from nsde_torch.inference.state_space import StateSpace
 class Start:
     """Where the filter of each chunk starts."""
 
-    x: Tensor  # states (C, nx)
+    x: Tensor  # states of the machine (C, k)
     std: Tensor
     """What is not known of each error channel (ne,); of a measured one its sensor's noise is taken."""
+    memory: Tensor | None = None  # estimated memory (C, q); None: as it follows measured states
 
 
 @dataclass(frozen=True)
@@ -69,25 +70,33 @@ class Pass:
 @torch.no_grad()
 def linearised_about(space: StateSpace, x: Tensor, start: Start) -> Linearisation:
     """The linearisation about some states (T, C, nx), with the parameters in use."""
-    system = space.vector.system
     slopes, after = space.linearised(x)
-    seen, first = system.error(space.chunks.y, x)[..., space.observed], system.error(start.x, x[0])
-    return Linearisation(x, slopes, after, space.missed(x, after), seen, first, space.measured)
+    return Linearisation(
+        x, slopes, after, space.missed(x, after), space.seen(x), _first(space, x, start), space.measured
+    )
 
 
 @torch.no_grad()
 def moved_to(space: StateSpace, about: Linearisation, x: Tensor, start: Start) -> Linearisation:
     """The linearisation about other states (T, C, nx), its slopes those that it had."""
-    error, after = space.vector.system.error, space.after(x)
-    seen, first = error(space.chunks.y, x)[..., space.observed], error(start.x, x[0])
-    return replace(about, x=x, after=after, missed=space.missed(x, after), seen=seen, first=first)
+    after, first = space.after(x), _first(space, x, start)
+    return replace(about, x=x, after=after, missed=space.missed(x, after), seen=space.seen(x), first=first)
 
 
 @torch.no_grad()
-def with_parameters(space: StateSpace, about: Linearisation) -> Linearisation:
+def with_parameters(space: StateSpace, about: Linearisation, start: Start) -> Linearisation:
     """The same states and slopes with other parameters in use."""
     after = space.after(about.x)
-    return replace(about, after=after, missed=space.missed(about.x, after))
+    return replace(
+        about, after=after, missed=space.missed(about.x, after), first=_first(space, about.x, start)
+    )
+
+
+def _first(space: StateSpace, x: Tensor, start: Start) -> Tensor:
+    """Errors (C, ne) of the first of some states (T, C, nx)."""
+    if start.memory is None:
+        return space.error(space.states(start.x[None])[0], x[0])
+    return space.error(torch.cat((start.x, start.memory), 1), x[0])
 
 
 def forced(space: StateSpace, about: Linearisation, disturbance: int, force: Tensor) -> Tensor:

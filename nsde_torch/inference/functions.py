@@ -103,7 +103,9 @@ class Variables:
 def seen_by_networks(system: System) -> Variables:
     """The variables that residual networks of a machine may see."""
     return Variables(
-        system.network_names, lambda x, u: system.network_features(x), lambda u: named_inputs(system, u)
+        system.network_names,
+        lambda x, u: system.network_features(x[:, : system.nx]),
+        lambda u: named_inputs(system, u),
     )
 
 
@@ -627,14 +629,14 @@ class _Choice:
         space, about = self._optimum.of.space, self._optimum.about
         at = space.theta.numpy().copy()
         space.use(found.theta)
-        about = with_parameters(space, about)
+        start = self._optimum.of.start
+        about = with_parameters(space, about, start)
         push = torch.zeros_like(about.missed)
         for group, weights in zip(found.groups, found.weights, strict=True):
             force = self._all.force(group, self._scaled) @ torch.from_numpy(weights)
             push += forced(space, about, group.port, force)
         push[-1] = 0.0
         about = replace(about, missed=about.missed + push)
-        start = self._optimum.of.start
         levels, _, _ = likeliest(space, self._levels, self._levels, about, start, rows=_SCREENED)
         # all chunks of the likelihood again, which keep the pass beside the functions for themselves
         of = self._optimum.of.some(torch.arange(space.chunks.count))

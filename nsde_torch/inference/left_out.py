@@ -20,7 +20,7 @@ from torch import Tensor
 from nsde_torch.arrays import Array, Labels, Mask
 from nsde_torch.data.system_info import rate_columns, rate_pairs
 from nsde_torch.inference.estimate import Optimum, bounded_change
-from nsde_torch.inference.filtering import Linearisation, Pass, with_gains, with_parameters
+from nsde_torch.inference.filtering import Linearisation, Pass, Start, with_gains, with_parameters
 from nsde_torch.inference.sensitivity import Grams, grams
 from nsde_torch.inference.state_space import StateSpace
 from nsde_torch.rotation import matrix
@@ -76,7 +76,8 @@ def left_out(optimum: Optimum, folds: Folds, still: Mask | None = None) -> LeftO
     of_chunk = folds.of(np.array(steps.runs), ends)[chunks.stretch.numpy()]
     known = np.diag(np.concatenate(([0.0], _KNOWN * np.diag(held.total)[1:])))
     moves = np.ones(len(known)) if still is None else np.concatenate(([1.0], ~still))
-    start, missed, theta = np.asarray(space.theta.numpy()), about.missed.clone(), []
+    start, theta = np.asarray(space.theta.numpy()), []
+    missed, begun = about.missed.clone(), about.first.clone()
     for f in range(folds.count):
         blocks = np.stack([held.blocks[of_block != f].sum(0), known]) * moves * moves[:, None]
         rest = Grams(blocks, held.rows, held.parameters)
@@ -85,9 +86,10 @@ def left_out(optimum: Optimum, folds: Folds, still: Mask | None = None) -> LeftO
         if len(some):
             there = space.some(some)
             there.use(theta[-1])
-            missed[:, some] = with_parameters(there, about.of(some)).missed
+            here = with_parameters(there, about.of(some), Start(there.chunks.y[0], optimum.of.start.std))
+            missed[:, some], begun[some] = here.missed, here.first
     vector.use(space.theta)
-    about = replace(about, missed=missed)
+    about = replace(about, missed=missed, first=begun)
     at = with_gains(space, optimum.levels, about, kept.whitening, kept.gain, chunks.counted)
     names, density = _densities(space, about, at)
     run = np.array(steps.runs)[chunks.stretch.numpy()].repeat(chunks.size)
@@ -115,7 +117,7 @@ def _densities(space: StateSpace, about: Linearisation, at: Pass) -> tuple[tuple
     white = torch.linalg.solve_triangular(triangle, errors, upper=False)[..., 0]
     each = -0.5 * white.square() - torch.log(triangle.diagonal(dim1=-2, dim2=-1))
     moves = _moved_by_rates(system)
-    rates = [i for i in range(space.ne) if i not in moves]
+    rates = [i for i in range(len(system.error_names)) if i not in moves]
     owners = [moves.get(i, i) for i in space.observed]
     whose = torch.tensor([[float(o == r) for r in rates] for o in owners], dtype=each.dtype)
     return tuple(system.error_names[i] for i in rates), each @ whose

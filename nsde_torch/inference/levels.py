@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 _GUST_S = 0.2  # first guess of the time that a disturbance lasts [s]
-_FOURTH = 70.0  # C(8, 4): variance of a fourth difference of white noise
+FOURTH = 70.0  # C(8, 4): variance of a fourth difference of white noise
 _OVER = 10  # steps over which the first guess looks for disturbances
 _LEAST = 1e-9
 _MOVES = 1e-3  # of the state that a disturbance moves most: one that it moves less says nothing of its size
@@ -44,7 +44,7 @@ def first_levels(fourth: Tensor, moved: Tensor, pushed: Tensor, h: float) -> Lev
         pushed: What a unit of each disturbance does to these over one step (N, channels, d).
         h: The step [s].
     """
-    sensor = fourth.div(_FOURTH).sqrt().clamp_min(_LEAST)
+    sensor = fourth.div(FOURTH).sqrt().clamp_min(_LEAST)
     # no disturbance is larger than what is left of any channel that it moves
     push, left = pushed.square().mean(0).sqrt(), moved.square().mean(0).sqrt()[:, None]
     most = torch.where(push > _MOVES * push.amax(0), left / push, torch.inf).amin(0)

@@ -19,9 +19,9 @@ _TOLERANCE = 1e-9
 
 def memory_along(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
     """Memory at both ends of every step, or its mean over the step for both, (N, nz - nx) each."""
-    exact, known = _held(system, steps)
+    starts, exact, known = _held(system, steps)
     if bool(known.all()):
-        return exact, exact
+        return starts, exact
     edges, chained = [], []
     for a, b in steps.segments:
         firsts = list(range(a, b, _PIECE))
@@ -40,7 +40,7 @@ def memory_along(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
     x0, x1, u, t = (by_time(v) for v in (steps.x0, steps.x1, steps.u, steps.t))
     middle = by_time(system.project(0.5 * (steps.x0 + steps.x1)))
     live = inside.T[..., None].unbind(0)
-    h, logged, given = steps.dt, steps.logged_dt, by_time(exact)
+    h, logged, given = steps.dt, steps.logged_dt, by_time(0.5 * (starts + exact))
 
     def rate(t: Tensor, x: Tensor, u: Tensor, m: Tensor) -> Tensor:
         moving = system.memory_rate(t, torch.cat((x, m), 1), u)
@@ -70,12 +70,13 @@ def memory_along(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
         start = moved
         if not change > _TOLERANCE * max(1.0, size):
             break
-    return torch.stack(before, 1)[inside], torch.stack(after, 1)[inside]  # pieces are in order
+    out = torch.stack(before, 1)[inside], torch.stack(after, 1)[inside]  # pieces are in order
+    return torch.where(known, starts, out[0]), torch.where(known, exact, out[1])
 
 
-def _held(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
-    """Memory that effects know exactly (N, nz - nx), and its columns (nz - nx,)."""
-    parts = []
+def _held(system: System, steps: Steps) -> tuple[Tensor, Tensor, Tensor]:
+    """Memory that effects know exactly, as `System.held_memory` has it."""
+    starts, parts = [], []
     for i, (a, b) in enumerate(steps.segments):
         t, x, u, lead = steps.t[a:b], steps.x0[a:b], steps.u[a:b], 0
         if steps.run_in is not None:
@@ -85,6 +86,7 @@ def _held(system: System, steps: Steps) -> tuple[Tensor, Tensor]:
                 for before, own in ((steps.run_in.t, t), (steps.run_in.x0, x), (steps.run_in.u, u))
             )
             lead = d - c
-        memory, known = system.held_memory(t, x, u, steps.dt)
-        parts.append(memory[lead:])
-    return torch.cat(parts), known
+        before, after, known = system.held_memory(t, x, u, steps.dt)
+        starts.append(before[lead:])
+        parts.append(after[lead:])
+    return torch.cat(starts), torch.cat(parts), known

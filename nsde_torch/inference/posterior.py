@@ -108,10 +108,10 @@ class Posteriors:
             run_in: See `modes`.
         """
         of = self.likelihood(log.runs, run_in)
-        beside = of.of(other).space
+        beside = of.of(other, of.space.estimates).space
         of.space.use(log.centre)
         beside.use(beside.vector.start)
-        about = linearised_about(of.space, of.space.chunks.y, of.start)
+        about = linearised_about(of.space, of.space.states(of.space.chunks.y), of.start)
         about, at = of.settled(self.levels, about, of.filtered(self.levels, about), _PASSES)
         k, theirs = len(self.vector), len(beside.vector)
         own = of.space.columns(about.x, about.slopes, range(k), about.after)
@@ -205,17 +205,19 @@ class _Batch:
         self._stretch = owner[torch.tensor(self._of.space.steps.runs)]
         self._chunk = self._stretch[self._of.space.chunks.stretch]
         self._block = owner.numpy()[self._of.space.chunks.places()[0]]
-        self._x, self.passes = self._of.space.chunks.y, _PASSES
+        self._x: torch.Tensor | None = None
+        self.passes = _PASSES
 
     @torch.no_grad()
     def at(self, theta: Array) -> list[Posterior]:
         """The densities about parameters (P, k)."""
         space, chunks = self._of.space, self._of.space.chunks
         space.use(theta[self._stretch.numpy()])
-        about = linearised_about(space, self._x, self._of.start)
+        before = space.states(chunks.y) if self._x is None else self._x
+        about = linearised_about(space, before, self._of.start)
         at = self._of.filtered(self._levels, about)
         about, at = self._of.settled(self._levels, about, at, self.passes)
-        self._x, self.passes = torch.where(torch.isfinite(about.x), about.x, self._x), _AGAIN
+        self._x, self.passes = torch.where(torch.isfinite(about.x), about.x, before), _AGAIN
         columns = space.columns(about.x, about.slopes, range(self._k), about.after)
         blocks = grams(space, self._levels, about, at, columns).blocks
         count = len(self._problems)

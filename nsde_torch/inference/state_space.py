@@ -2,11 +2,13 @@
 
 The state of the filter is the error of the machine's state (three columns of an attitude, `System.error`) with the
 disturbances d of the ports behind it. Memory of the effects (lags, delays) is known from the inputs and the measured
-states (`memory_along`), and no state of the filter.
+states (`memory_along`), and no state of the filter. What resonates would take the noise of measured states up: such
+memory (`Effect.estimated`) stands behind the states of the machine.
 """
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import final
 
@@ -98,9 +100,12 @@ class StateSpace:
         every: Rows from one measurement of each of these to the next.
         band: Frequencies above which states were smoothed away [Hz], by error channel.
         disturbances: Columns of the ports on which the machine is disturbed; None finds them (`disturbances_of`).
+        estimates: Names of the effects whose memory is a state of the filter; None: of all that ask for it.
 
     Attributes:
-        ne, nd, n: Number of errors of the state, of disturbances, and of both.
+        estimates, estimated: The effects whose memory is estimated, and its columns among all memory.
+        nx: Number of states, the machine's and estimated memory.
+        ne, nd, n: Number of errors of these, of disturbances, and of both.
         least_sensor: Logarithm of the least noise of each observed channel (m,), below which all is arithmetic.
         measured: Whether a row measures each observed channel (T, C, m), outliers not; None where all do.
     """
@@ -114,13 +119,17 @@ class StateSpace:
         every: Sequence[int],
         band: Mapping[int, float],
         disturbances: tuple[tuple[Port, int], ...] | None,
+        estimates: tuple[str, ...] | None = None,
     ) -> None:
         self.vector, self.steps, self.chunks, self.observed = vector, steps, chunks, list(observed)
         self.h, self.logged_h = steps.dt, steps.logged_dt
         system, some = vector.system, slice(None, None, max(1, len(steps) // _SOME))
         rows = system.project(system.augment(steps.x0[some], steps.u[some]))
         self.disturbances = disturbances or disturbances_of(system, steps.t[some], rows, steps.u[some])
-        self.nx, self.ne = system.nx, len(system.error_names)
+        self.estimates = system.estimated_effects if estimates is None else estimates
+        self.estimated = system.memory_columns(self.estimates)
+        self.nx = system.nx + len(self.estimated)
+        self.ne = len(system.error_names) + len(self.estimated)
         self.nd = len(self.disturbances)
         self.n = self.ne + self.nd
         self.every, self.band = list(every), dict(band)
@@ -135,7 +144,11 @@ class StateSpace:
     def some(self, which: Tensor) -> "StateSpace":
         """The same machine, with the values in use, over some of the chunks."""
         out = copy.copy(self)
-        out.chunks, out.memory = self.chunks.some(which), self.memory[:, which]
+        out.chunks, out.memory, out.begun = (
+            self.chunks.some(which),
+            self.memory[:, which],
+            self.begun[:, which],
+        )
         out.measured = None if self.measured is None else self.measured[:, which]
         return out
 
@@ -151,29 +164,71 @@ class StateSpace:
         """Take these values (k,) for what follows, or those of each stretch of the log (S, k)."""
         self.theta = torch.as_tensor(theta)
         self._take(self.theta)
-        self.memory = self._memory()
+        self.memory, self.begun = self._memory()
 
     def _take(self, theta: Tensor) -> None:
         """Take values for all but memory."""
         self._now, self._many = theta, theta.dim() > 1
         self.vector.use(theta)
 
-    def _memory(self) -> Tensor:
-        """Memory of the effects over the step from each row (T, C, nz - nx)."""
+    def _cut(self, before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
+        """See `_memory`, from memory at both ends of each step."""
+        return self.chunks.cut(0.5 * (before + after)), self.chunks.cut(before[:, list(self.estimated)])
+
+    def _memory(self) -> tuple[Tensor, Tensor]:
+        """Memory of the effects over the step from each row (T, C, nz - nx), and what is estimated, at each row."""
         system = self.vector.system
         if system.nz == system.nx:
-            return self.chunks.u.new_zeros(*self.chunks.row.shape, 0)
+            nothing = self.chunks.u.new_zeros(*self.chunks.row.shape, 0)
+            return nothing, nothing
         if not self._many:
-            before, after = memory_along(system, self.steps)
-            return self.chunks.cut(0.5 * (before + after))
+            return self._cut(*memory_along(system, self.steps))
         each, owner = torch.unique(self._now, dim=0, return_inverse=True)
-        out = self.chunks.u.new_empty(len(self.steps), system.nz - system.nx)
+        out = self.chunks.u.new_empty(2, len(self.steps), system.nz - system.nx)
         for i, theta in enumerate(each):
             self.vector.use(theta)
             part, rows = self.steps.of(torch.nonzero(owner == i)[:, 0].tolist())
-            before, after = memory_along(system, part)
-            out[rows] = 0.5 * (before + after)
-        return self.chunks.cut(out)
+            out[:, rows] = torch.stack(memory_along(system, part))
+        return self._cut(*out)
+
+    def states(self, x: Tensor) -> Tensor:
+        """States (T, C, nx) from the machine's (T, C, k), with estimated memory as it follows what was measured."""
+        return torch.cat((x, self.begun[: len(x)]), -1) if self.estimated else x
+
+    def with_memory(self, x: Tensor, memory: Tensor) -> Tensor:
+        """States of the machine and memory of its effects (N, nz), from states (N, nx) and followed memory."""
+        own, inside = self.vector.system.nx, list(self.estimated)
+        if inside:
+            columns = list(memory.unbind(1))
+            for k, column in zip(inside, x[:, own:].unbind(1), strict=True):
+                columns[k] = column
+            memory = torch.stack(columns, 1)
+        return join_columns((x[:, :own], memory)) if memory.shape[1] else x
+
+    def error(self, x: Tensor, other: Tensor) -> Tensor:
+        """States less others (..., ne)."""
+        own, system = self.vector.system.nx, self.vector.system
+        if not self.estimated:
+            return system.error(x, other)
+        apart = system.error(x[..., :own], other[..., :own])
+        return torch.cat((apart, x[..., own:] - other[..., own:]), -1)
+
+    def seen(self, x: Tensor) -> Tensor:
+        """What was measured less states (T, C, nx), in measured channels (T, C, m)."""
+        system = self.vector.system
+        return system.error(self.chunks.y, x[..., : system.nx])[..., self.observed]
+
+    def noise_of_memory(self, std: Tensor) -> Tensor:
+        """What noise (nx,) of the measured states of the machine does to estimated memory that follows them (k,)."""
+        steps, system = self.steps, self.vector.system
+        noise = (
+            torch.randn(steps.x0.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) * std
+        )
+        x0, x1 = steps.x0 + noise, steps.x1.clone()
+        for a, b in steps.segments:
+            x1[a : b - 1] = x0[a + 1 : b]
+        noisy, clean = (memory_along(system, part)[0] for part in (replace(steps, x0=x0, x1=x1), steps))
+        return (noisy - clean)[:, list(self.estimated)].std(0)
 
     def rate(
         self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor, push: Mapping[Port, Tensor] | None = None
@@ -201,20 +256,32 @@ class StateSpace:
 
     def _rate(self, push: Mapping[Port, Tensor], t: Tensor, x: Tensor, memory: Tensor, u: Tensor) -> Tensor:
         forces = {port: force.expand(len(x), -1) for port, force in push.items()}
-        z = join_columns((x, memory)) if memory.shape[1] else x
-        return self.vector.system.drift(t, z, u, forces)[:, : self.nx]
+        whole, own = (
+            self.vector.system.drift(t, self.with_memory(x, memory), u, forces),
+            self.vector.system.nx,
+        )
+        if not self.estimated:
+            return whole[:, :own]
+        return join_columns((whole[:, :own], *(whole[:, own + k : own + k + 1] for k in self.estimated)))
 
     def _step(self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor) -> Tensor:
-        system, h, late, rate = self.vector.system, self.h, self.logged_h, partial(self._rate, {})
+        project, h, late, rate = self._project, self.h, self.logged_h, partial(self._rate, {})
         k1 = rate(t, x, memory, u)
-        k2 = rate(t + 0.5 * late, system.project(x + 0.5 * h * k1), memory, u)
-        k3 = rate(t + 0.5 * late, system.project(x + 0.5 * h * k2), memory, u)
-        k4 = rate(t + late, system.project(x + h * k3), memory, u)
-        return system.project(x + (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4))
+        k2 = rate(t + 0.5 * late, project(x + 0.5 * h * k1), memory, u)
+        k3 = rate(t + 0.5 * late, project(x + 0.5 * h * k2), memory, u)
+        k4 = rate(t + late, project(x + h * k3), memory, u)
+        return project(x + (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4))
 
     def shifted(self, x: Tensor, error: Tensor) -> Tensor:
         """States (T, C, nx) moved by errors (T, C, ne)."""
-        return self.vector.system.project(moved(self.vector.system, _rows(x), _rows(error))).view(x.shape)
+        return self._project(moved(self.vector.system, _rows(x), _rows(error))).view(x.shape)
+
+    def _project(self, x: Tensor) -> Tensor:
+        """The nearest valid states (N, nx)."""
+        own = self.vector.system.nx
+        if not self.estimated:
+            return self.vector.system.project(x)
+        return join_columns((self.vector.system.project(x[:, :own]), x[:, own:]))
 
     def after(self, x: Tensor) -> Tensor:
         """States a step after some (T, C, nx), undisturbed."""
@@ -224,7 +291,7 @@ class StateSpace:
     def midway(self, x: Tensor, after: Tensor | None = None) -> Tensor:
         """States in the middle of the undisturbed step from some (T, C, nx) to those after it, where they are known."""
         after = self.after(x) if after is None else after
-        moved = self.vector.system.error(_rows(after), _rows(x))
+        moved = self.error(_rows(after), _rows(x))
         return self.shifted(x, 0.5 * moved.view(*x.shape[:2], self.ne))
 
     def linearised(self, x: Tensor) -> tuple[Tensor, Tensor]:
@@ -299,22 +366,22 @@ class StateSpace:
             beside: Rates of other physics in the middle of the same steps (`rates`): what this does beside it is then
                 the first of the columns (T, C, ne, 1 + k).
         """
-        system, v = self.vector.system, self.vector
+        v = self.vector
         there = self.midway(x, after)
-        middle, base = _rows(there), _error_rate(system, _rows(there), self.rates(there))
+        middle, base = _rows(there), _error_rate(v.system, _rows(there), self.rates(there))
         t, memory, u = self._in_the_middle()
         first = 0 if beside is None else 1
         out = base.new_empty(first + len(which), self.ne, len(middle))
         if beside is not None:
-            torch.sub(base.T, _error_rate(system, middle, beside).T, out=out[0]).mul_(self.h)
+            torch.sub(base.T, _error_rate(v.system, middle, beside).T, out=out[0]).mul_(self.h)
         for i, j in enumerate(which, first):
-            remembers = v.moves_memory[j] and system.nz > system.nx
+            remembers = v.moves_memory[j] and v.system.nz > self.nx
             by = _SHARE * float(v.scale[j])
             theta = self.theta.clone()
             theta[..., j] += by
             self._take(theta)
-            held = _rows(self._memory()) if remembers else memory
-            rate = _error_rate(system, middle, self.rate(t, middle, held, u))
+            held = _rows(self._memory()[0]) if remembers else memory
+            rate = _error_rate(v.system, middle, self.rate(t, middle, held, u))
             torch.sub(rate.T, base.T, out=out[i]).mul_(self.h / by)
         self._take(self.theta)
         return self.passed(self._to_the_end(out.permute(2, 1, 0).contiguous(), slopes))
@@ -337,12 +404,12 @@ class StateSpace:
 
     def missed(self, x: Tensor, after: Tensor) -> Tensor:
         """By how much steps from states (T, C, nx) to others, undisturbed, miss the next rows (T, C, ne)."""
-        gap = self.vector.system.error(after[:-1], x[1:])
+        gap = self.error(after[:-1], x[1:])
         gap = torch.cat((gap, torch.zeros_like(gap[:1])))
         if not self.band:
             return gap
-        y = self.chunks.y
-        moved = self.vector.system.error(self.after(y).flatten(0, 1), y.flatten(0, 1)).view_as(gap)
+        y = self.states(self.chunks.y)
+        moved = self.error(self.after(y).flatten(0, 1), y.flatten(0, 1)).view_as(gap)
         return gap - (moved - self.passed(moved))
 
     def passed(self, steps: Tensor) -> Tensor:

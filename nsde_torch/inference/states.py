@@ -30,7 +30,7 @@ class Filtered:
     def states(self, runs: Sequence[Run]) -> list[Array]:
         """States of each run (n, nx); as they were read in rows that no stretch holds."""
         space, steps, chunks = self.of.space, self.of.space.steps, self.of.space.chunks
-        x = space.shifted(self.about.x, self.at.delta[..., : space.ne]).numpy()
+        x = space.shifted(self.about.x, self.at.delta[..., : space.ne])[..., : runs[0].x.shape[1]].numpy()
         out = [np.array(run.x) for run in runs]
         begun = np.array([a for a, _ in steps.segments])
         for c in reversed(range(chunks.count)):  # where two overlap, that which has forgotten its start

@@ -19,7 +19,7 @@ Each is fitted beside what was logged, and taken where the log is likelier with 
 levels of springs, pendulums and arms, 20 to 200 of white noise, 40 to 180 of what moves between rows; -403 where a
 controller moved what is near a level, -7 to -12,000 of means of commands that are held, in loops too: there u_{k+1}
 answers what pushed the machine over the step against the sign with which it would push. Nor may a lag, a delay, play,
-a dead band or a limit that nobody declared explain as much as noise does.
+a dead band or a limit that nobody declared explain as much as noise does, or a hidden mass as much as means.
 """
 
 import copy
@@ -38,6 +38,7 @@ from scipy.stats import norm
 
 from nsde_torch.arrays import Array
 from nsde_torch.data import DataSet, Finding, Run
+from nsde_torch.effects import effects_of
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.inference.estimate import LogLikelihood, nearly_maximised
 from nsde_torch.sysid.rough import beginnings
@@ -159,6 +160,19 @@ class _Fits:
         except _UNFIT:
             return -math.inf
 
+    def with_a_resonance(self) -> float:
+        """By how much the log, as it is, is likelier with the best resonance of the catalogue that nobody declared."""
+        system, best = self._system, -math.inf
+        if self._near is None:
+            return best
+        for name, effect in effects_of(system.name, system.ports, system.bound_coordinates()).items():
+            for values in effect.fitted_from if name not in system.effect_names else ():
+                with suppress(*_UNFIT):
+                    beside = system.with_effects(system.make_effect(name, dict(values)))
+                    found = nearly_maximised(self._near.of.of(beside), self._near)[0]
+                    best = max(best, found.likelihood - self._likelihood)
+        return best
+
 
 _Way = Callable[["_Fits", Sequence[Run], System, float], _Reading | None]
 
@@ -167,11 +181,15 @@ def _with_means_over_steps(fits: _Fits, runs: Sequence[Run], system: System, dt:
     """Inputs that move between rows.
 
     Of two values a mean holds less of their noise, that with the row before too; and what nobody declared may look like
-    an input that is early: of dry friction of a pendulum the mean brings 10 nats, and the next row 20.
+    an input that is early: of dry friction of a pendulum the mean brings 10 nats, and the next row 20. Of a hidden mass
+    of 9 % it brought 70, and a difference between runs was found beside it (benchmarks/blind/hidden_masses.py, spring
+    5).
     """
     nu = system.nu
     nats = fits.likelier(later(runs, nu, 0.5))
     if not nats > NATS or any(not nats - fits.likelier(later(runs, nu, rows)) > NATS for rows in (-0.5, 1.0)):
+        return None
+    if not nats - fits.with_a_resonance() > NATS:
         return None
 
     def means(some: Sequence[Run]) -> list[Run]:

@@ -7,7 +7,7 @@ Kinematics are exact and belong to the system; everything that pushes is an effe
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from itertools import accumulate
 from math import ceil
@@ -175,6 +175,17 @@ class System(Parametrised, ABC):
     def whole_steps(self) -> bool:
         """Whether every memory knows whole steps of held inputs exactly, once given the step."""
         return all(effect.whole_steps for effect in self._own if effect.n_memory)
+
+    @property
+    def estimated_effects(self) -> tuple[str, ...]:
+        """Names of the effects whose memory a filter estimates with the state (see `Effect.estimated`)."""
+        return tuple(effect.name for effect in self._own if effect.estimated)
+
+    def memory_columns(self, names: Collection[str]) -> tuple[int, ...]:
+        """Columns of the memory of some effects among that of all."""
+        ends = accumulate((effect.n_memory for effect in self._own), initial=0)
+        parts = [range(a, a + e.n_memory) for a, e in zip(ends, self._own, strict=False) if e.name in names]
+        return tuple(column for part in parts for column in part)
 
     @property
     def held_columns(self) -> tuple[int, ...]:
@@ -439,7 +450,7 @@ class System(Parametrised, ABC):
         k4 = rate(memory + h * k3)
         return memory + (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
 
-    def held_memory(self, t: Tensor, x: Tensor, u: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+    def held_memory(self, t: Tensor, x: Tensor, u: Tensor, dt: float) -> tuple[Tensor, Tensor, Tensor]:
         """What effects know of their memory over steps (see `Effect.held`, `Effect.followed`).
 
         Args:
@@ -449,8 +460,8 @@ class System(Parametrised, ABC):
             dt: Length of a step [s].
 
         Returns:
-            Memory that holds its mean over each step (n, nz - nx), and whether each column is known (nz - nx,).
-            What comes after an effect that does not know is not known.
+            Memory at the start and at the end of each step, or its mean over it for both, (n, nz - nx) each, and
+            whether each column is known (nz - nx,). What comes after an effect that does not know is not known.
         """
         ends = list(accumulate((effect.n_memory for effect in self._own), initial=0))
         memory, command = x.new_zeros(len(x), ends[-1]), u[:, : self.nu]
@@ -464,11 +475,16 @@ class System(Parametrised, ABC):
                     break
                 memory[:, columns], known[columns] = held, True
             command = command + effect(t, x, own, memory[:, columns])
+        after = memory.clone()
         for k, effect in enumerate(self._own):
             followed = effect.followed(x, dt) if k not in self._on_input else None
-            if followed is not None:
-                memory[:, ends[k] : ends[k + 1]], known[ends[k] : ends[k + 1]] = followed, True
-        return memory, known
+            if followed is None:
+                continue
+            columns, pair = slice(ends[k], ends[k + 1]), (followed[:-1], followed[1:])
+            mean = 0.5 * (pair[0] + pair[1])
+            memory[:, columns], after[:, columns] = pair if effect.estimated else (mean, mean)
+            known[columns] = True
+        return memory, after, known
 
     def quantity(self, name: str, x: Tensor, u: Tensor) -> Tensor:
         """One of `quantities` (N, its columns), from state and applied input."""

@@ -190,7 +190,7 @@ def test_a_hidden_mass_follows_and_pulls_as_two_masses_on_a_spring_do(frequency:
     x = torch.from_numpy(np.column_stack([found[0], speeds]))
     along = effect.followed(x[:-1], DT)
     expected = np.column_stack([found[1] - found[0], found[2]])
-    np.testing.assert_allclose(along[:-1], 0.5 * (expected[1:-1] + expected[:-2]), atol=2e-3)
+    np.testing.assert_allclose(along[:-1], expected[:-1], atol=2e-3)
     memory = torch.from_numpy(expected)
     pull = effect(0.0, x, x[:, :1], memory)[:, 0].detach().numpy()
     slope = np.gradient(found[2], DT, edge_order=2)
@@ -208,7 +208,7 @@ def test_a_slung_load_pulls_east_and_north_alike_and_not_up() -> None:
     moving = torch.zeros(50, 13).double()
     moving[:, 3], moving[:, 4] = 1.0, 2.0
     along = load.followed(moving, DT)
-    np.testing.assert_allclose(along, np.tile([0.0, 0.0, 1.0, 2.0], (50, 1)), atol=1e-12)
+    np.testing.assert_allclose(along, np.tile([0.0, 0.0, 1.0, 2.0], (51, 1)), atol=1e-12)
 
 
 def _bouc_wen(t: np.ndarray, reach: float) -> np.ndarray:
@@ -226,8 +226,7 @@ def test_memory_along_states_is_that_of_the_differential_equation(reach: float) 
     effect = Hysteresis({"reach": reach})
     v = np.cos(t) + 0.7 * np.cos(2.9 * t)
     z = effect.followed(torch.from_numpy(np.column_stack([np.zeros_like(t), v])), DT)[:, 0].numpy()
-    middle = _bouc_wen(np.append(t, t[-1] + DT), reach)
-    np.testing.assert_allclose(z, 0.5 * (middle[1:] + middle[:-1]), atol=0.02)
+    np.testing.assert_allclose(z, _bouc_wen(np.append(t, t[-1] + DT), reach), atol=0.03)
     assert np.abs(z).max() <= 1.0
 
 

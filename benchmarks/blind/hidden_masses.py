@@ -1,0 +1,166 @@
+"""Springs and multirotors that carry a mass which is not in the log: is it named alone, and do its sizes hold?
+
+    python benchmarks/blind/hidden_masses.py springs --first 0 --count 12
+    python benchmarks/blind/hidden_masses.py loads --first 0 --count 4
+
+Every fourth case carries none. Springs are integrated here by Runge and Kutta's method at a millisecond; multirotors
+are those of `closed_loop.py` with a load on a cable at any angle. Nothing of either is shared with the package. Each
+case is a line: what was found, and each size with its 90 % interval and its true value.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import loop_flight
+import numpy as np
+from closed_loop import _machine
+from loop_flight import PATHS, Flight, fly
+from loop_machine import STEP, Array, Bodies, G, Machine
+
+import nsde_torch
+from nsde_torch.data.raw import RawRun
+
+RUN_S, PAUSE_S = 30.0, 5.0
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """A mass that is not in the log: over the machine's, its frequency with the machine held [Hz], and its damping."""
+
+    mass: float
+    hertz: float
+    damping: float
+
+
+def hidden_of(rng: np.random.Generator, none: bool) -> Hidden:
+    """A mass of 3 to 30 % on 0.4 to 4 Hz, or none."""
+    mass, hertz, damping = (
+        float(np.exp(rng.uniform(*np.log(ends)))) for ends in ((0.03, 0.3), (0.4, 4.0), (0.02, 0.3))
+    )
+    return Hidden(0.0 if none else mass, hertz, damping)
+
+
+def spring(seed: int) -> tuple[str, list[RawRun], dict[str, float]]:
+    """Three runs of a spring; of every other seed, of a loop that reads what is logged."""
+    rng = np.random.default_rng([seed, 1])
+    none, loop = seed % 4 == 3, bool(rng.integers(2))
+    hidden = hidden_of(rng, none)
+    gain, stiffness, damping = (float(rng.uniform(*ends)) for ends in ((0.6, 2.0), (1.0, 8.0), (0.1, 0.9)))
+    dt = float(rng.choice([0.01, 0.02, 0.03]))
+    sensors = np.exp(rng.uniform(np.log([0.0003, 0.002]), np.log([0.002, 0.01])))
+    w, fine = 2.0 * np.pi * hidden.hertz, round(dt / STEP)
+
+    def rates(x: Array, u: Array) -> Array:
+        pull = w * w * (x[2] - x[0]) + 2.0 * hidden.damping * w * (x[3] - x[1])
+        own = gain * u - stiffness * x[0] - damping * x[1] + hidden.mass * pull
+        return np.stack([x[1], own, x[3], -pull])
+
+    n, runs = round(RUN_S / dt), 3
+    hertz, phase = rng.uniform(0.1, 2.5, (runs, 6)), rng.uniform(0.0, 2.0 * np.pi, (runs, 6))
+    x, seen, inputs = np.zeros((4, runs)), np.empty((n, runs, 2)), np.empty((n, runs))
+    for k in range(n):
+        seen[k] = x[:2].T + sensors * rng.standard_normal((runs, 2))
+        u = 0.5 * np.sin(2.0 * np.pi * hertz * k * dt + phase).sum(1)
+        if loop:
+            u = u - 1.5 * seen[k, :, 0] - 0.4 * seen[k, :, 1]
+        inputs[k] = u
+        for _ in range(fine):
+            k1 = rates(x, u)
+            k2 = rates(x + 0.5 * STEP * k1, u)
+            k3 = rates(x + 0.5 * STEP * k2, u)
+            k4 = rates(x + STEP * k3, u)
+            x = x + (STEP / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
+    t = dt * np.arange(n)
+    out = [RawRun(f"run_{r}", t + r * (RUN_S + PAUSE_S), seen[:, r], inputs[:, r, None]) for r in range(runs)]
+    sizes = {"mass": hidden.mass, "frequency": hidden.hertz, "damping": hidden.damping}
+    return "hidden_mass", out, {} if none else sizes
+
+
+class Loaded(Bodies):
+    """Multirotors that carry a load on a cable, at any angle; the pull is held over a step of the integration."""
+
+    mass, length, damping = 0.1, 1.0, 0.05
+
+    def __init__(self, machines: list[Machine], t0: Array, noise: Any = None, step: float = STEP) -> None:
+        super().__init__(machines, t0, noise, step)
+        self.way, self.turn = np.tile([0.0, 0.0, -1.0], (len(machines), 1)), np.zeros((len(machines), 3))
+
+    def gust(self) -> Array:
+        push = super().gust()
+        own = self.rates(self.p, self.v, self.q, self.w, self.m, self.t, push)[1]
+        # masses over the machine's: own + tension s and (0, 0, -g) - tension / mass s, at a distance that stays
+        falls = np.array([0.0, 0.0, -G]) - own
+        speed = np.square(self.turn).sum(1, keepdims=True)
+        tension = (self.length * speed + (self.way * falls).sum(1, keepdims=True)) / (1.0 / self.mass + 1.0)
+        rubs = 2.0 * self.damping * np.sqrt(G / self.length) * self.turn
+        away = falls - tension * (1.0 / self.mass + 1.0) * self.way  # what the load gains on the machine
+        self.turn = self.turn + self.step * (away / self.length - rubs)
+        way = self.way + self.step * self.turn
+        self.way = way / np.linalg.norm(way, axis=1, keepdims=True)
+        self.turn -= (self.turn * self.way).sum(1, keepdims=True) * self.way
+        push = push.copy()
+        push[:, :3] += tension * self.way + self.mass * self.length * rubs
+        return push
+
+
+def load(seed: int) -> tuple[str, list[RawRun], dict[str, float]]:
+    """Four flights of a multirotor under a controller that reads what is logged."""
+    rng = np.random.default_rng([seed, 2])
+    none = seed % 4 == 3
+    Loaded.mass, Loaded.length, Loaded.damping = (
+        float(np.exp(rng.uniform(*np.log(ends)))) for ends in ((0.05, 0.3), (0.3, 2.5), (0.01, 0.1))
+    )
+    machine = _machine("quadrotor" if rng.integers(2) else "hexacopter", rng)
+    paths, own = rng.permutation(PATHS).tolist(), int(rng.integers(2**31))
+    vigour, known = float(rng.uniform(0.9, 1.4)), tuple(float(v) for v in rng.uniform(0.9, 1.1, 4))
+    flights = [
+        Flight(machine, path, "a", 40.0, 60.0 * k, own + k, 1.0, vigour, known)
+        for k, path in enumerate(paths)
+    ]
+    loop_flight.Bodies = Bodies if none else Loaded
+    runs = [RawRun(f"run_{k}", run.t, run.x, run.u) for k, run in enumerate(fly(flights))]
+    sizes = {"mass": Loaded.mass, "length": Loaded.length, "damping": Loaded.damping}
+    return f"slung_load@{machine.system}", runs, {} if none else sizes
+
+
+def judged(name: str, found: Mapping[str, Any], true: Mapping[str, float]) -> tuple[bool, list[bool]]:
+    """Whether the effect is named alone (or nothing where nothing is), and whether each interval holds; printed."""
+    added, said, holds = found["added"], [], list[bool]()
+    for key, value in true.items():
+        if name not in added:
+            break
+        one = found["parameters"][f"{name}.{key}"]
+        low, high = one["interval_90"] or (np.nan, np.nan)
+        holds.append(bool(low <= value <= high))
+        mark = "" if holds[-1] else " MISSED"
+        said.append(f"{key} {one['value']:.4g} ({low:.4g} to {high:.4g}; {value:.4g}){mark}")
+    alone = added == ([name] if true else [])
+    sure = "" if found["verdict"] == "unexplained" or not added else f" [{found['verdict']}]"
+    print("ok " if alone else "BAD", ", ".join(added) or found["verdict"], sure, "; ".join(said), flush=True)
+    return alone, holds
+
+
+def main() -> None:
+    """Diagnose some cases, and count."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("kind", choices=("springs", "loads"))
+    parser.add_argument("--first", type=int, default=0, help="number of the first case")
+    parser.add_argument("--count", type=int, default=12, help="how many cases")
+    chosen = parser.parse_args()
+    alone, holds = 0, list[bool]()
+    for seed in range(chosen.first, chosen.first + chosen.count):
+        key, runs, true = (spring if chosen.kind == "springs" else load)(seed)
+        name, _, system = key.partition("@")
+        found = nsde_torch.diagnose(runs, system=system or "mass_spring_damper", say=False).content()
+        print(f"{seed:3d} ", end="")
+        one, each = judged(name, found, true)
+        alone, holds = alone + one, [*holds, *each]
+    print(f"right {alone} of {chosen.count}; intervals that hold {sum(holds)} of {len(holds)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -4,6 +4,7 @@ import gc
 import os
 from collections.abc import Iterator
 from contextlib import suppress
+from copy import copy
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,15 @@ def _imports_are_no_garbage(_one_torch_thread: None) -> None:
     """Collections pass over what was imported, which takes a quarter of a second each time that they look."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _sources_of_configurations_are_shared() -> None:
+    """Hydra copies the store of all schemas for each command, which is a quarter of the time of a short one."""
+    from hydra._internal.config_repository import ConfigRepository
+
+    # what is changed of a copy is which list of sources it has
+    ConfigRepository.__deepcopy__ = lambda self, memo: copy(self)  # type: ignore[attr-defined]
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -30,7 +30,11 @@ Diagnosed = tuple[Path, dict[str, Any]]
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("data") / "spring"
     made = simulate(
-        "mass_spring_damper", effects=[{"coulomb_friction": {"size": 0.3}}], durations=(6.0,) * 4, seed=1
+        "mass_spring_damper",
+        effects=[{"coulomb_friction": {"size": 0.3}}],
+        durations=(5.0,) * 3,
+        dt=0.02,
+        seed=1,
     )
     write(made, folder)
     return folder

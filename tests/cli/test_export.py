@@ -31,13 +31,13 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_file_is_written_once_and_verified(file: Path, refused: Said, shown: Said) -> None:
     assert "is there already" in refused("export", "run=declared", f"out={file}", *MPC)
-    words = ["verify", str(file), "run=declared", "states=30", "adversarial=60", "out=found.json"]
+    words = ["verify", str(file), "run=declared", "states=10", "adversarial=20", "out=found.json"]
     printed = shown(*words)
     assert "passed" in printed
     assert "0 answers not finite" in printed
     found = json.loads(Path("found.json").read_text())
     assert found["passed"]
-    assert found["states"] == 30
+    assert found["states"] == 10
     assert found["step_ms"]["p99"] > 0.0
 
 
@@ -151,13 +151,13 @@ def test_the_flight_computer_is_built_and_flies_a_recorded_log(
     assert "changed" in refused.stderr
 
 
-FAST = ("mpc.compile=off", "mpc.period=0.04", "mpc.iterations=2")
+FAST = ("mpc.compile=off", "mpc.period=0.04", *MPC)
 
 
 def test_a_flight_leaves_numbers_a_log_that_other_commands_read_and_figures(
     shown: Said,
 ) -> None:
-    words = ["run=declared", "duration=0.8", "beside=[pid]", "animation=gif", "out_dir=out", *FAST]
+    words = ["run=declared", "duration=0.4", "beside=[pid]", "animation=gif", "out_dir=out", *FAST]
     printed = shown("track", *words)
     assert "RMSE" in printed
     assert "solves: p50" in printed
@@ -174,7 +174,7 @@ def test_a_flight_leaves_numbers_a_log_that_other_commands_read_and_figures(
         rows = list(csv.reader(file))
     assert rows[0][:4] == ["t", "p_x", "p_y", "p_z"]
     assert rows[0][-1] == "u_6"
-    assert len(rows) == 82
+    assert len(rows) == 42
 
 
 @pytest.mark.slow

@@ -89,7 +89,7 @@ def test_accelerated_gradients_are_those_of_torch(
     h, said = horizon_of(declared, **SMALL, **options), []
     Solver(h, SolverOptions(name="apg", compile="on", cache=str(tmp_path)), say=said.append)
     assert "compiled apg" in said[0]
-    for iterations, tolerance in ((25, 0.0), (40, 2.0)):
+    for iterations, tolerance in ((10, 0.0), (40, 2.0)):
         p = problem_of(h, path, rows=2, off=2.0)
         _both(h, p, 1e-7, name="apg", iterations=iterations, tolerance=tolerance, cache=str(tmp_path))
     assert len(list(tmp_path.iterdir())) == 1

@@ -54,7 +54,7 @@ def _rmse(flight: Flight) -> float:
 
 
 def test_with_the_right_model_and_no_noise_tracking_is_within_a_few_centimetres(declared: System) -> None:
-    flight = _flight(declared)
+    flight = _flight(declared, duration=1.0)
     assert _rmse(flight) < 0.03
     assert {d.status[0] for d in flight.decisions} <= {"converged", "improved"}
 

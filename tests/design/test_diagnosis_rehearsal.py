@@ -26,7 +26,7 @@ from tests.helpers.encoders import encoder_runs
 @pytest.fixture(scope="module")
 def found() -> Diagnosis:
     options = Options(candidates=("coulomb_friction", "quadratic_damping"))
-    return diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5}}, options=options)[0]
+    return diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5}}, options=options, dt=0.04)[0]
 
 
 @pytest.fixture(scope="module")

@@ -246,14 +246,14 @@ def test_a_gain_that_falls_at_moments_of_two_runs_is_no_drift(tmp_path: Path) ->
 
 
 def test_friction_that_begins_in_a_single_run(tmp_path: Path) -> None:
-    run = pushed_spring(5, 50.0, lambda t, v, u: -0.3 * np.tanh(v / 0.01) * (t > 22.0))
+    run = pushed_spring(5, 30.0, lambda t, v, u: -0.3 * np.tanh(v / 0.01) * (t > 13.0))
     content = diagnosed_file(tmp_path / "friction", run)
     name = "run_difference[coulomb_friction/size]"
     assert set(content["added"]) == {name, "coulomb_friction"}
     (size,) = (p for key, p in content["parameters"].items() if key.startswith(name))
     assert abs(size["value"]) == pytest.approx(0.3, abs=0.02)
     ((first, last),) = content["data"]["moments"].values()
-    assert first - 0.1 <= 22.0 <= last + 0.1
+    assert first - 0.1 <= 13.0 <= last + 0.1
 
 
 def test_one_run_is_not_held_against_others(tmp_path: Path) -> None:

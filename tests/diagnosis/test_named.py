@@ -51,7 +51,12 @@ def test_an_effect_alone_is_named_first_and_its_size_lies_near_the_interval(
 
 
 @pytest.mark.parametrize(
-    ("system", "seed"), [("mass_spring_damper", 1), ("mass_spring_damper", 2), ("cartpole", 3)]
+    ("system", "seed"),
+    [
+        ("mass_spring_damper", 1),
+        pytest.param("mass_spring_damper", 2, marks=pytest.mark.slow),
+        ("cartpole", 3),
+    ],
 )
 def test_nothing_is_found_where_nothing_is_missing(system: str, seed: int) -> None:
     _, content = diagnosed(system, seed=seed)

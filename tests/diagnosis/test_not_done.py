@@ -30,7 +30,11 @@ def diagnosed_without(monkeypatch: pytest.MonkeyPatch, *stages: str) -> Diagnosi
     for name in stages:
         monkeypatch.setattr(pipeline, name, _fails)
     made = nsde_torch.simulate(
-        "mass_spring_damper", effects=[{"coulomb_friction": {"size": 0.3}}], durations=[3.0] * 3, seed=1
+        "mass_spring_damper",
+        effects=[{"coulomb_friction": {"size": 0.3}}],
+        durations=[3.0] * 3,
+        dt=0.02,
+        seed=1,
     )
     return nsde_torch.diagnose(made, system="mass_spring_damper", candidates=["coulomb_friction"])
 

@@ -4,7 +4,9 @@ import io
 import json
 import os
 import sys
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
@@ -30,19 +32,31 @@ SPRING, FRICTION = "mass_spring_damper", "coulomb_friction"
 
 @pytest.fixture(scope="module")
 def made() -> Simulation:
-    return nsde_torch.simulate(SPRING, effects=[{FRICTION: {"size": 0.3}}], durations=[3.0] * 3, seed=1)
+    return nsde_torch.simulate(
+        SPRING, effects=[{FRICTION: {"size": 0.3}}], durations=[3.0] * 3, dt=0.02, seed=1
+    )
 
 
 def _diagnosed(made: Simulation, **options: Any) -> Diagnosis:
     return nsde_torch.diagnose(made, system=SPRING, candidates=[FRICTION], **options)
 
 
-def _stopped(made: Simulation, at: str) -> Diagnosis:
-    def say(stage: str, done: int, total: int) -> None:
-        if stage.startswith(at):
-            raise KeyboardInterrupt
+Stopped = Callable[[str], Diagnosis]
 
-    return _diagnosed(made, say=say)
+
+@pytest.fixture(scope="module")
+def stopped(made: Simulation) -> Stopped:
+    """A diagnosis that is stopped as this stage begins."""
+
+    @cache
+    def diagnosis(at: str) -> Diagnosis:
+        def say(stage: str, done: int, total: int) -> None:
+            if stage.startswith(at):
+                raise KeyboardInterrupt
+
+        return _diagnosed(made, say=say)
+
+    return diagnosis
 
 
 @pytest.mark.parametrize(
@@ -54,9 +68,9 @@ def _stopped(made: Simulation, at: str) -> Diagnosis:
     ],
 )
 def test_what_is_known_is_kept_where_it_is_stopped(
-    made: Simulation, tmp_path: Path, at: str, verdict: str, added: list[str], first: str
+    stopped: Stopped, tmp_path: Path, at: str, verdict: str, added: list[str], first: str
 ) -> None:
-    found = _stopped(made, at)
+    found = stopped(at)
     found.save(tmp_path)
     content = json.loads((tmp_path / RESULT).read_text())
     assert content["so_far"].keys() == {"stopped_during", "stopped_after_min", "roughly_left_s", "declared"}
@@ -77,9 +91,9 @@ def test_what_is_known_is_kept_where_it_is_stopped(
         found.finished()
 
 
-def test_before_anything_is_known_it_is_an_interrupt_as_ever(made: Simulation) -> None:
+def test_before_anything_is_known_it_is_an_interrupt_as_ever(stopped: Stopped) -> None:
     with pytest.raises(KeyboardInterrupt):
-        _stopped(made, "fitting the declared physics")
+        stopped("fitting the declared physics")
 
 
 def test_it_ends_in_the_time_that_was_asked_for_with_what_is_known(
@@ -126,8 +140,10 @@ def test_a_stage_that_would_not_end_in_time_is_left_out(
     assert lines(content)[0].startswith(f"stopped after 60 min as asked: not done: {CEILING};")
 
 
-def test_a_resumed_diagnosis_goes_on_from_what_was_selected(made: Simulation, tmp_path: Path) -> None:
-    _stopped(made, "testing what is left").save(tmp_path)
+def test_a_resumed_diagnosis_goes_on_from_what_was_selected(
+    made: Simulation, stopped: Stopped, tmp_path: Path
+) -> None:
+    stopped("testing what is left").save(tmp_path)
     told: list[tuple[str, list[str]]] = []
     rounds: list[str] = []
 
@@ -146,9 +162,11 @@ def test_a_resumed_diagnosis_goes_on_from_what_was_selected(made: Simulation, tm
 
 
 @pytest.mark.slow
-def test_only_the_same_data_and_model_are_gone_on_with(made: Simulation, tmp_path: Path) -> None:
-    stopped = _stopped(made, "round 1: trying 1 effect")
-    stopped.save(tmp_path)
+def test_only_the_same_data_and_model_are_gone_on_with(
+    made: Simulation, stopped: Stopped, tmp_path: Path
+) -> None:
+    known = stopped("round 1: trying 1 effect")
+    known.save(tmp_path)
     other = nsde_torch.simulate(SPRING, durations=[3.0] * 3, seed=2)
     with pytest.raises(DataError, match="looked at other data: fingerprint was "):
         nsde_torch.diagnose(other, system=SPRING, resume=tmp_path)
@@ -158,7 +176,7 @@ def test_only_the_same_data_and_model_are_gone_on_with(made: Simulation, tmp_pat
         nsde_torch.diagnose(made, system=SPRING, effects="quadratic_damping", resume=tmp_path)
     with pytest.raises(CheckpointError, match="no diagnosis to go on with"):
         nsde_torch.diagnose(made, system=SPRING, resume=tmp_path / "elsewhere")
-    replace(stopped, so_far=None).save(tmp_path)
+    replace(known, so_far=None).save(tmp_path)
     with pytest.raises(CheckpointError, match="came to its end"):
         nsde_torch.diagnose(made, system=SPRING, resume=tmp_path)
 
@@ -236,9 +254,9 @@ def test_a_line_is_no_wider_than_the_terminal(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_the_report_so_far_is_written_where_it_takes_little_of_the_time(
-    made: Simulation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    stopped: Stopped, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = _stopped(made, "round 1: trying 1 effect")
+    found = stopped("round 1: trying 1 effect")
     DiagnosisFiles(tmp_path, system=SPRING, note="found").write_so_far(found)
     assert sorted(p.name for p in tmp_path.iterdir()) == [RESULT, EFFECTS]
     monkeypatch.setattr(files, "_REPORT_S", 0.0)

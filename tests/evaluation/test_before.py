@@ -43,7 +43,7 @@ def test_they_are_as_long_as_memory_lasts_and_none_where_there_is_none(windows: 
 
 
 def test_the_true_model_is_scored_without_error_from_anywhere_in_a_run(windows: Windows) -> None:
-    starts = torch.arange(25, len(windows))
+    starts = torch.arange(25, len(windows), 4)
     scores = score(truth(), windows, starts, [5, STEPS], seed=0, particles=3)
     assert float(scores.squares["model"].max()) < 1e-6
     squares = rollout_squares(truth(), windows, starts, [5, STEPS])
@@ -63,7 +63,7 @@ def test_training_errors_of_the_true_model_vanish(windows: Windows) -> None:
             network.layers[-1].weight.zero_()  # type: ignore[union-attr, operator, index]
     options, scale = TrainerOptions(compile="off"), torch.ones(12, dtype=torch.float64)
     fit = Fit(model, *[windows] * 3, scale=scale, loss=LossOptions(kind="replay"), options=options, seed=0)
-    errors, _ = fit.errors(windows, torch.arange(25, len(windows)), 2, generator)
+    errors, _ = fit.errors(windows, torch.arange(25, len(windows), 4), 2, generator)
     assert float(errors.detach().abs().max()) < 1e-3
 
 
@@ -78,7 +78,7 @@ def test_folds_predict_together_as_they_do_alone(
             return plain(self, t, z, u) if bool((z[:, 3:6].abs() < 1e9).all()) else z
 
         monkeypatch.setattr(IdentifiedModel, "drift", drift)
-    starts, steps, model = torch.arange(25, len(windows)), [5, STEPS], truth()
+    starts, steps, model = torch.arange(25, len(windows), 4), [5, STEPS], truth()
     fold = np.arange(len(starts)) * 5 // (2 * len(starts))  # of unlike sizes
     vector = ParameterVector(model.system)
     values = np.stack([vector.start, 1.02 * vector.start, 0.97 * vector.start])

@@ -49,6 +49,7 @@ def controller_of(knowledge: NeuralSDE | System, *, batch: int = 1, **safety: fl
     """A controller without compilation."""
     return Controller(
         knowledge,
+        problem=ProblemOptions(steps=10),
         solver=SolverOptions(compile="off", iterations=3, tolerance=5e-3),
         safety=SafetyOptions(**safety),  # type: ignore[arg-type]
         batch=batch,

@@ -48,12 +48,12 @@ class World:
     """One vehicle, one flight, and what is between them.
 
     Args:
-        path: The reference; 6 s of hovering by default.
+        path: The reference; 4 s of hovering by default.
         down: What becomes of frames from the vehicle; `up`: of those to it.
         speed: Seconds of the vehicle's clock in one of ours.
     """
 
-    path: PathPoints = field(default_factory=lambda: PathPoints(shapes.hover(duration=6.0, height=1.0)))
+    path: PathPoints = field(default_factory=lambda: PathPoints(shapes.hover(duration=4.0, height=1.0)))
     runner: Runner | None = None
     limits: Limits = field(default_factory=Limits)
     options: FlightOptions = field(default_factory=lambda: FlightOptions(**BRISK))

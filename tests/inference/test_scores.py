@@ -192,8 +192,8 @@ SMALL = 1e-5
 
 def flight() -> LogLikelihood:
     system = make_system("hexacopter", effects=["motor_lag"])
-    made = nsde_torch.simulate("hexacopter", effects=["motor_lag"], durations=[3.0], seed=3)
-    return LogLikelihood(system, nsde_torch.read(made, system=system).runs)
+    made = recorded("hexacopter", "motor_lag", durations=(3.0,), seed=3, plant={"rounds": 1})
+    return LogLikelihood(system, made.runs)
 
 
 def passed(problem: LogLikelihood, levels: Levels, about: Linearisation) -> Pass:

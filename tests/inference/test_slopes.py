@@ -1,23 +1,32 @@
 """Slopes of a step are those of the step itself: differences of Runge and Kutta's, with the machine's own values."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 import torch
 
-import nsde_torch
+from nsde_torch.data import Run
 from nsde_torch.inference.estimate import LogLikelihood
 from nsde_torch.inference.state_space import StateSpace, moved
 from nsde_torch.systems import make_system
+from tests.helpers.diagnosed import recorded
 
 _BY = 1e-6
 
 
 @pytest.fixture(scope="module")
-def space() -> StateSpace:
+def runs() -> Sequence[Run]:
+    """A flight of the hexacopter."""
+    few = {"variants": 2, "rounds": 1}
+    return recorded("hexacopter", durations=(2.0,), seed=3, plant=few).runs
+
+
+@pytest.fixture(scope="module")
+def space(runs: Sequence[Run]) -> StateSpace:
     """A hexacopter with drag and motors that lag, at the states of its flight."""
-    made = nsde_torch.simulate("hexacopter", durations=[2.0], seed=3)
     system = make_system("hexacopter", effects=["linear_drag", "motor_lag"])
-    problem = LogLikelihood(system, nsde_torch.read(made, system=system).runs)
+    problem = LogLikelihood(system, runs)
     problem.space.use(problem.vector.start)
     return problem.space
 
@@ -74,11 +83,10 @@ def test_what_physics_does_beside_others_is_the_first_column(space: StateSpace) 
     assert float((0.3 * columns[..., 1] - columns[..., 0]).norm()) < 1e-3 * float(columns[..., 0].norm())
 
 
-def test_what_moves_nothing_has_no_information_by_rounding() -> None:
+def test_what_moves_nothing_has_no_information_by_rounding(runs: Sequence[Run]) -> None:
     """More of all gains and as much less of all motors: what is left of it has to be far below 1e-10 of information."""
-    made = nsde_torch.simulate("hexacopter", durations=[2.0], seed=3)
     system = make_system("hexacopter", effects=["motor_efficiency_loss"])
-    space = LogLikelihood(system, nsde_torch.read(made, system=system).runs).space
+    space = LogLikelihood(system, runs).space
     v, x = space.vector, space.chunks.y
     theta = v.start.copy()
     theta[v.of("motor_efficiency_loss")] = [0.003, 0.003, 0.12, 0.001, 0.002, 0.05]

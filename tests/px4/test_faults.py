@@ -32,7 +32,7 @@ from tests.helpers.px4_world import (
 )
 
 SHORT = PathPoints(shapes.hover(duration=2.5, height=1.0))
-LONG = PathPoints(shapes.hover(duration=6.0, height=1.0))
+LONG = PathPoints(shapes.hover(duration=5.0, height=1.0))
 KEY = bytes(range(32))
 
 

@@ -18,7 +18,7 @@ def model(system: str) -> NeuralSDE:
 def problem(m: NeuralSDE) -> tuple[torch.Tensor, torch.Tensor]:
     g = torch.Generator().manual_seed(1)
     x0 = 0.2 * torch.randn(3, m.system.nx, generator=g, dtype=torch.float64)
-    u = 0.5 + 0.1 * torch.randn(3, 10, m.system.nu, generator=g, dtype=torch.float64)
+    u = 0.5 + 0.1 * torch.randn(3, 4, m.system.nu, generator=g, dtype=torch.float64)
     return m.augment(m.project(x0), u[:, 0]), u
 
 
@@ -29,8 +29,8 @@ def problem(m: NeuralSDE) -> tuple[torch.Tensor, torch.Tensor]:
 def test_paths_are_those_of_our_own_runge_kutta(system: str, method: str) -> None:
     m = model(system)
     z0, u = problem(m)
-    held = u.repeat_interleave(32, 1)
-    fine = rollout(m, z0, held, dt=DT / 32, step=make_step("rk4"), noise=None)[:, :, ::32]
+    held = u.repeat_interleave(16, 1)
+    fine = rollout(m, z0, held, dt=DT / 16, step=make_step("rk4"), noise=None)[:, :, ::16]
     step = make_step("torchdiffeq", method=method, rtol=1e-8, atol=1e-9)
     path = rollout(m, z0, u, dt=DT, step=step, noise=None)
     torch.testing.assert_close(path, fine, rtol=0, atol=1e-3 if method == "rk4" else 5e-4)

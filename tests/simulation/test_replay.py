@@ -16,6 +16,7 @@ from nsde_torch.simulation.flights import chosen_flights
 from nsde_torch.systems import make_system
 
 SHORT = {"durations": [6.0, 5.0], "options": {"variants": 12, "rounds": 1}}
+BRIEF = {"durations": [3.0, 2.5], "options": {"variants": 2, "rounds": 1}}
 QUIET = {"process_noise": 0.0, "sensor_noise": 0.0}
 
 
@@ -110,7 +111,7 @@ def test_gusts_are_drawn_anew_in_their_stationary_law() -> None:
             {"recording": Recording(input_smoothing=0.1)},
             "`recording.input_smoothing` do not go",
         ),
-        ("hexacopter", {"replay": Replay(duration=6.0), **SHORT}, "too short for 50 rows before"),
+        ("hexacopter", {"replay": Replay(duration=3.0), **BRIEF}, "too short for 50 rows before"),
     ],
 )
 def test_what_has_no_interventions_is_refused_by_name(system: str, given: dict[str, Any], said: str) -> None:

@@ -15,7 +15,7 @@ from nsde_torch.sysid.result import Identification
 from nsde_torch.sysid.signals import basis_of, holm, score_tests
 from tests.helpers.rate_loops import CONTROLLERS, GAIN, RateLoop, fly
 
-SEEDS = range(4)
+SEEDS = range(2)
 Flights = dict[str, list[list[Run]]]
 
 

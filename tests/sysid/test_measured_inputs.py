@@ -36,7 +36,10 @@ def thrown(seed: int, *, levels: tuple[float, ...], noise: float, acts: bool = F
     return out
 
 
-@pytest.mark.parametrize("levels", [(-0.6, 0.6), (-0.7, 0.0, 0.7), (0.0, 0.9)])
+@pytest.mark.parametrize(
+    "levels",
+    [(-0.7, 0.0, 0.7), *(pytest.param(two, marks=pytest.mark.slow) for two in ((-0.6, 0.6), (0.0, 0.9)))],
+)
 def test_noise_of_a_measured_force_is_taken_out(levels: tuple[float, ...]) -> None:
     data = read(thrown(1, levels=levels, noise=0.03), system=SPRING)
     (found,) = [f for f in data.summary.findings if f.kind == "input_noise"]

@@ -11,7 +11,6 @@ import pytest
 import torch
 from scipy.optimize import lsq_linear
 
-import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.inference.spread import spread
@@ -230,9 +229,7 @@ def test_losses_of_motors_count_from_the_median_motor() -> None:
 
 @pytest.fixture(scope="module")
 def found() -> Identification:
-    made = nsde_torch.simulate("mass_spring_damper", durations=[10.0, 10.0], seed=1)
-    system = make_system("mass_spring_damper")
-    return identify(system, nsde_torch.read(made, system=system).runs)
+    return identify(make_system("mass_spring_damper"), runs_of("mass_spring_damper", 1.0))
 
 
 def test_no_interval_is_given_for_a_fit_that_had_not_settled(found: Identification) -> None:

@@ -68,9 +68,7 @@ def test_one_command_finds_the_effect_and_writes_what_it_says(diagnosed: Diagnos
     assert effects["effects"]["coulomb_friction"]["size"] == pytest.approx(size, rel=0.01)
 
 
-def test_effects_yaml_gives_a_training_the_effects_and_their_values(
-    diagnosed: Diagnosed,
-) -> None:
+def test_effects_yaml_gives_a_training_the_effects_and_their_values(diagnosed: Diagnosed) -> None:
     out, _ = diagnosed
     config = expanded([str(out / "effects.yaml"), "input_delay"])
     assert config.effects == ["coulomb_friction", "input_delay"]

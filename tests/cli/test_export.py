@@ -154,9 +154,7 @@ def test_the_flight_computer_is_built_and_flies_a_recorded_log(
 FAST = ("mpc.compile=off", "mpc.period=0.04", *MPC)
 
 
-def test_a_flight_leaves_numbers_a_log_that_other_commands_read_and_figures(
-    shown: Said,
-) -> None:
+def test_a_flight_leaves_numbers_a_log_that_other_commands_read_and_figures(shown: Said) -> None:
     words = ["run=declared", "duration=0.4", "beside=[pid]", "animation=gif", "out_dir=out", *FAST]
     printed = shown("track", *words)
     assert "RMSE" in printed

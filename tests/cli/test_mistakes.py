@@ -127,12 +127,8 @@ MISTAKES = {
         ("system=cartpol", "Did you mean `system=cartpole`"),
         ("format=yaml", "text | json"),
     ],
-    "export": [
-        ("system=mass_spring_damper", "it has to be a multirotor (hexacopter, quadrotor)"),
-    ],
-    "design": [
-        ("system=mass_spring_damper", "The system is that of the model, run=DIR. Its groups: none."),
-    ],
+    "export": [("system=mass_spring_damper", "it has to be a multirotor (hexacopter, quadrotor)")],
+    "design": [("system=mass_spring_damper", "The system is that of the model, run=DIR. Its groups: none.")],
     "diagnose": [
         ("data.path=nowhere also=[os:system]", "'os:system' must be a subclass"),
         ("data.path=nowhere", "nowhere"),

@@ -79,11 +79,7 @@ def test_sweep_over_seeds_is_ranked(tmp_path: Path, capsys: pytest.CaptureFixtur
     ],
 )
 def test_fault_of_the_user_is_named(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    refused: Said,
-    word: str,
-    message: str,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Said, word: str, message: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     if word == "environment=hexacopter":

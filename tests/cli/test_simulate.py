@@ -67,8 +67,7 @@ def test_an_effect_of_ones_own_is_simulated(root: Path) -> None:
 
 
 def test_interventions_are_made_of_flights_and_refused_where_nothing_flies(
-    refused: Said,
-    shown: Said,
+    refused: Said, shown: Said
 ) -> None:
     words = ["simulate", "out=data", "pilot=replay"]
     short = ["seed=1", "durations=[3]", "options.variants=12", "options.rounds=1"]

@@ -276,9 +276,7 @@ def test_without_a_compiler_the_solver_says_so_and_runs(
         *(torch.sinh, torch.cosh, torch.ceil),
     ],
 )
-def test_operations_of_machines_of_ones_own_are_those_of_torch(
-    function: Callable[[Tensor], Tensor],
-) -> None:
+def test_operations_of_machines_of_ones_own_are_those_of_torch(function: Callable[[Tensor], Tensor]) -> None:
     x = torch.linspace(-1.4, 1.1, 8, dtype=torch.float64).reshape(2, 4)
     (made,) = scalar.run(lambda x: [function(x)], [np.array(x.tolist(), object)])
     np.testing.assert_allclose(made.astype(float), function(x).numpy(), rtol=1e-12)

@@ -32,9 +32,7 @@ def missed() -> Diagnosed:
 
 
 @pytest.mark.slow
-def test_where_nothing_is_missing_functions_explain_nothing(
-    nothing: Diagnosed,
-) -> None:
+def test_where_nothing_is_missing_functions_explain_nothing(nothing: Diagnosed) -> None:
     own = nothing[1]["flexible"]
     assert (own["left"], own["explained"], own["left_nats"], own["why_not"]) == (False, None, 0.0, None)
     assert own["sentence"] == "Functions of what was measured explain nothing of blocks of time left out."
@@ -90,9 +88,7 @@ def test_beside_a_drift_that_leaves_much_nothing_is_sure(friction: Diagnosed) ->
 
 
 @pytest.mark.slow
-def test_an_effect_beside_which_more_is_left_than_it_explains_is_a_lead(
-    friction: Diagnosed,
-) -> None:
+def test_an_effect_beside_which_more_is_left_than_it_explains_is_a_lead(friction: Diagnosed) -> None:
     outcome = friction[0].outcome
     assert not outcome.found[0].provisional
     (channel,) = outcome.found[0].moves
@@ -118,9 +114,7 @@ def test_an_effect_beside_which_more_is_left_than_it_explains_is_a_lead(
     assert told.endswith("which is provisional.")
 
 
-def test_an_effect_that_is_named_explains_all_that_functions_can(
-    friction: Diagnosed,
-) -> None:
+def test_an_effect_that_is_named_explains_all_that_functions_can(friction: Diagnosed) -> None:
     content = friction[1]
     own = content["flexible"]
     assert content["added"] == ["coulomb_friction"]
@@ -142,9 +136,7 @@ def test_effects_that_win_nothing_on_blocks_left_out_are_no_share_of_what_can_be
     assert "%" not in sentence
 
 
-def test_what_no_candidate_names_is_explained_by_functions(
-    missed: Diagnosed,
-) -> None:
+def test_what_no_candidate_names_is_explained_by_functions(missed: Diagnosed) -> None:
     _, content = missed
     own = content["flexible"]
     assert own["left"] is True

@@ -58,10 +58,7 @@ class Tank(System):
     residual_ports = {Port.FORCE: ResidualPort(1, 0.01, "m/s")}
     sensor_noise = True
     defaults = Defaults(0.2, 20, (0.002,), 0.1, 1.0, "euler_maruyama")
-    PARAMETERS = {
-        "inflow": Parameter(0.05, "m/s", low=0.0),
-        "outflow": Parameter(0.04, "m^0.5/s", low=0.0),
-    }
+    PARAMETERS = {"inflow": Parameter(0.05, "m/s", low=0.0), "outflow": Parameter(0.04, "m^0.5/s", low=0.0)}
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         flow = self.value("inflow") * u - self.value("outflow") * x.clamp_min(1e-6).sqrt()
@@ -79,10 +76,7 @@ class Motor(System):
     residual_ports = {Port.TORQUE: ResidualPort(1, 10.0, "rad/s2")}
     sensor_noise = True
     defaults = Defaults(0.02, 25, (0.5,), 0.1, 1.0, "euler_maruyama")
-    PARAMETERS = {
-        "damping": Parameter(10.0, "1/s", low=0.0),
-        "gain": Parameter(30.0, "rad/(s2 V)", low=0.0),
-    }
+    PARAMETERS = {"damping": Parameter(10.0, "1/s", low=0.0), "gain": Parameter(30.0, "rad/(s2 V)", low=0.0)}
 
     def dynamics(self, t: float | Tensor, x: Tensor, u: Tensor, forces: Mapping[Port, Tensor]) -> Tensor:
         free = self.value("gain") * u - self.value("damping") * x

@@ -208,9 +208,7 @@ def test_a_width_that_is_crossed_within_a_step_is_below_something(
 
 
 @pytest.mark.slow
-def test_what_was_set_aside_stands_on_the_page_with_its_reason(
-    nothing: Diagnosed,
-) -> None:
+def test_what_was_set_aside_stands_on_the_page_with_its_reason(nothing: Diagnosed) -> None:
     aside = {"effect": "x", "sentence": "x would explain something.", "reason": "what <feedback> may hide"}
     content = {**nothing[1], "aside": [aside]}
     told = "x would explain something. This is what <feedback> may hide."

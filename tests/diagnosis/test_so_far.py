@@ -167,7 +167,7 @@ def test_only_the_same_data_and_model_are_gone_on_with(
 ) -> None:
     known = stopped("round 1: trying 1 effect")
     known.save(tmp_path)
-    other = nsde_torch.simulate(SPRING, durations=[3.0] * 3, seed=2)
+    other = nsde_torch.simulate(SPRING, durations=[3.0] * 3, dt=0.02, seed=2)
     with pytest.raises(DataError, match="looked at other data: fingerprint was "):
         nsde_torch.diagnose(other, system=SPRING, resume=tmp_path)
     with pytest.raises(DataError, match=r"runs was \['run_0', .* and is \['run_0', 'run_1'\] now"):

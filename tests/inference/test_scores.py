@@ -110,9 +110,7 @@ def fitted(request: pytest.FixtureRequest) -> Fitted:
     return nearly_maximised(LogLikelihood(make_system(request.param), data.runs, run_in=True))
 
 
-def test_the_score_of_a_force_is_the_slope_of_the_log_likelihood(
-    fitted: Fitted,
-) -> None:
+def test_the_score_of_a_force_is_the_slope_of_the_log_likelihood(fitted: Fitted) -> None:
     best, at = fitted
     alone = np.zeros(0, dtype=np.int64)  # no parameters beside them
     found = force_scores(Optimum(with_own_pass(at.of), at.levels, at.about, at.at, alone))
@@ -173,9 +171,7 @@ def test_directions_are_of_unit_information_in_order() -> None:
     assert not np.triu(turn, 1)[:, :2].any()
 
 
-def test_scores_are_of_the_chunks_whose_filter_has_not_diverged(
-    fitted: Fitted,
-) -> None:
+def test_scores_are_of_the_chunks_whose_filter_has_not_diverged(fitted: Fitted) -> None:
     _, at = fitted
     x = at.x.clone()
     x[:, 0] = torch.nan

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import inf
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -40,8 +41,12 @@ def _cut(world: World) -> None:
     world.down = world.up = lambda data, now: []
 
 
+def _slow(*phases: Phase) -> list[Any]:
+    return [pytest.param(phase, marks=pytest.mark.slow) for phase in phases]
+
+
 @pytest.mark.parametrize(
-    "phase", [Phase.STREAM, Phase.ARM, Phase.TAKEOFF, Phase.TRACK, Phase.RETURN, Phase.LAND]
+    "phase", [Phase.STREAM, Phase.TAKEOFF, Phase.TRACK, Phase.LAND, *_slow(Phase.ARM, Phase.RETURN)]
 )
 def test_a_link_cut_in_any_phase_ends_on_the_ground_by_the_autopilots_own_failsafe(phase: Phase) -> None:
     world = World(path=SHORT).until(phase, 0.0 if phase is Phase.ARM else 0.3)
@@ -330,7 +335,7 @@ def test_asked_to_stop_it_lands_whenever_that_is(phase: Phase, times: int) -> No
     assert ("safe hold" in world.phases) == (times == 1 and phase in (Phase.HOLD, Phase.TRACK))
 
 
-@pytest.mark.parametrize("by", [0.3, 100.0, -5.0])
+@pytest.mark.parametrize("by", [100.0, -5.0, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_a_jump_of_the_autopilots_clock_ends_well(by: float) -> None:
     world = World(path=SHORT).until(Phase.TRACK, 1.0)
     world.vehicle.clock_error = by

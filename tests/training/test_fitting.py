@@ -1,6 +1,7 @@
 """The optimisation: exact resume, determinism, early stopping, checkpoints that do not fit."""
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -135,11 +136,19 @@ def test_a_loss_that_is_not_finite_stops_with_the_step_and_the_remedy() -> None:
         fit.run(title="t", quiet=True)
 
 
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a fit that came to its end."""
+    folder = tmp_path_factory.mktemp("fit")
+    make_fit().run(title="t", checkpoint=folder / "c", quiet=True)
+    return folder
+
+
 @pytest.fixture
-def checkpoint(tmp_path: Path) -> Path:
+def checkpoint(finished: Path, tmp_path: Path) -> Path:
     """A checkpoint, without its suffix."""
-    make_fit().run(title="t", checkpoint=tmp_path / "c", quiet=True)
-    return tmp_path / "c"
+    shutil.copytree(finished, tmp_path / "fit")
+    return tmp_path / "fit" / "c"
 
 
 def test_checkpoints_are_safetensors_with_plain_json(checkpoint: Path) -> None:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from numpy.typing import NDArray
 from scipy.io import savemat
 
@@ -17,11 +16,6 @@ from nsde_benchmarks.public.nanobench import COLUMNS, FLIGHTS
 from nsde_torch.data.raw import RawRun
 
 Array = NDArray[np.float64]
-
-
-@pytest.fixture(autouse=True)
-def _one_thread() -> None:
-    torch.set_num_threads(1)
 
 
 @pytest.fixture

@@ -76,7 +76,7 @@ def test_the_voltage_explains_what_the_rigid_body_does_not(
     monkeypatch: pytest.MonkeyPatch,
     diagnosed: Callable[..., list[RawRun]],
 ) -> None:
-    files = tuple(f"datasets/dataset/{name}.csv" for name in FLIGHTS[:2])
+    files = tuple(f"datasets/dataset/{name}.csv" for name in FLIGHTS[:3])
     monkeypatch.setattr(NanoBench, "files", files)
     monkeypatch.setattr(nanobench, "DIAGNOSED", FLIGHTS[:1])
     monkeypatch.setattr(nanobench, "RUNGS", ((), ("battery_voltage",)))

@@ -25,7 +25,8 @@ def test_alone_or_with_help_it_lists_every_command_with_a_line(words: list[str],
     assert max(map(len, lines)) <= 100
 
 
-def test_unknown_command_suggests_the_nearest(refused: Said) -> None:
+def test_an_unknown_command_suggests_the_nearest_and_an_unknown_shell_is_refused(refused: Said) -> None:
+    assert "bash, zsh, fish" in refused("completion", "tcsh")
     assert "Did you mean `nsde train`?" in refused("trian")
     assert "Did you mean" not in unknown_command("zzz")
     assert "Did you mean" not in unknown_command("nonsense")
@@ -152,10 +153,6 @@ def test_script_is_printed_and_parses(shell: str, shown: Said) -> None:
     if found is None:
         pytest.skip(f"{shell} is not installed: its script is printed but not parsed")
     subprocess.run([found, "-n", "/dev/stdin"], input=script, text=True, check=True)
-
-
-def test_unknown_shell_is_refused(refused: Said) -> None:
-    assert "bash, zsh, fish" in refused("completion", "tcsh")
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")

@@ -126,13 +126,23 @@ def test_a_run_without_a_name_goes_to_a_dated_folder(probe: Probe, tmp_path: Pat
     assert metrics.parent.name.endswith("_cartpole")
 
 
-def test_a_users_error_is_one_message_and_is_recorded(probe: Probe, tmp_path: Path) -> None:
-    done = probe("seed=13", "run_dir=r")
-    assert done.returncode == 2
-    assert done.stderr.strip().splitlines()[-1] == "nsde train: `seed` 13 has no data."
-    assert "Traceback" not in done.stderr
+@pytest.mark.parametrize(
+    ("seed", "kind", "status", "said"),
+    [
+        (13, "DataError", 2, "nsde train: `seed` 13 has no data."),
+        (16, "OSError", 2, "nsde train: The disk is full"),
+        (14, "RuntimeError", 70, "RuntimeError: bug"),  # a fault of ours, which shows its traceback
+    ],
+)
+def test_an_error_is_said_by_whose_fault_it_is_and_recorded(
+    seed: int, kind: str, status: int, said: str, probe: Probe, tmp_path: Path
+) -> None:
+    done = probe(f"seed={seed}", "run_dir=r")
+    assert done.returncode == status
+    assert any(line.startswith(said) for line in done.stderr.splitlines())
+    assert ("Traceback" in done.stderr) == (status == 70)
     failed = json.loads((tmp_path / "r" / "failed.json").read_text())
-    assert failed["error"] == "DataError"
+    assert failed["error"] == kind
     assert "Traceback" in failed["traceback"]
 
 
@@ -141,18 +151,6 @@ def test_a_recorded_error_names_keys_as_the_message_does(probe: Probe, tmp_path:
     assert "job failed: `data.path` and `seed`" in done.stdout + done.stderr
     (failed,) = (tmp_path / "sweep").glob("*/failed.json")
     assert json.loads(failed.read_text())["message"] == "`data.path` and `seed`"
-
-
-def test_a_full_disk_is_no_fault_of_ours(probe: Probe) -> None:
-    done = probe("seed=16", "run_dir=r")
-    assert done.returncode == 2
-    assert done.stderr.startswith("nsde train: The disk is full")
-
-
-def test_a_fault_of_ours_shows_its_traceback(probe: Probe) -> None:
-    done = probe("seed=14", "run_dir=r")
-    assert done.returncode == 70
-    assert "RuntimeError: bug" in done.stderr
 
 
 def test_a_resumed_run_keeps_its_choices_and_its_folder(probe: Probe, tmp_path: Path) -> None:
@@ -280,16 +278,14 @@ def sweep(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_settings_are_ranked_by_the_mean_over_their_seeds(sweep: Path, shown: Said) -> None:
+def test_settings_are_ranked_by_the_mean_over_seeds_and_what_failed_is_named(
+    sweep: Path, shown: Said
+) -> None:
     text = shown("sweep-report", str(sweep))
     rows = [line.split() for line in text.splitlines()]
     assert ["1", "2", "1.5", "+-", "0.71", "loss=default"] in rows
     assert ["2", "2", "4", "+-", "1.4", "loss=paper"] in rows
     assert f"best job: {sweep / '2_job'}" in text
-
-
-def test_failed_jobs_are_named_with_the_reason_and_unfinished_ones_too(sweep: Path, shown: Said) -> None:
-    text = shown("sweep-report", str(sweep))
     assert "7 jobs: 4 done, 1 failed, 2 unfinished" in text
     assert "  4_job: NonFiniteError: left the finite numbers at step 7" in text
     assert "  5_job\n  10_job" in text

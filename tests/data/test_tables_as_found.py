@@ -336,11 +336,6 @@ def test_a_faulty_file_is_refused_with_place_and_remedy(tmp_path: Path, text: st
         read("csv", MSD, path=folder(tmp_path, text))
 
 
-def test_a_step_far_below_that_of_the_data_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"`dt` must be at least 1/1000 of the data's step of 0.01 s"):
-        read("csv", MSD, path=folder(tmp_path, lines()), dt=1e-9)
-
-
 def test_paths_that_are_no_data_set_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"holds no .csv file \(it holds nothing\)"):
         read("csv", MSD, path=str(tmp_path))
@@ -353,7 +348,7 @@ def test_paths_that_are_no_data_set_are_refused(tmp_path: Path) -> None:
         read("csv", MSD, path="")
 
 
-def test_unknown_kinds_and_options_list_the_choices(tmp_path: Path) -> None:
+def test_unknown_kinds_and_options_list_the_choices_and_values_out_of_range_say_it(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"must be one of .*csv, .*published, .*ulog; got 'excel'"):
         read("excel", MSD, path=str(tmp_path))
     with pytest.raises(ConfigError, match="unexpected keyword argument 'speling'"):
@@ -362,3 +357,5 @@ def test_unknown_kinds_and_options_list_the_choices(tmp_path: Path) -> None:
         read("csv", MSD, path=folder(tmp_path, lines()), clock="maybe")
     with pytest.raises(ConfigError, match="`gap` must be longer than the step"):
         read("csv", MSD, path=str(tmp_path), gap=0.001)
+    with pytest.raises(ConfigError, match=r"`dt` must be at least 1/1000 of the data's step of 0.01 s"):
+        read("csv", MSD, path=str(tmp_path), dt=1e-9)

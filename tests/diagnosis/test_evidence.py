@@ -245,7 +245,4 @@ def test_rows_that_were_left_out_are_said_with_their_run_and_time() -> None:
     (warning,) = outlier_warnings(cast(Any, _with_outliers({1: [22.41, 22.42, 22.5]})))
     assert "3 of 'second', from t = 22.41 to 22.5 s" in warning["sentence"]
     assert warning["kind"] == "outliers"
-
-
-def test_nothing_is_said_of_a_log_without_any() -> None:
     assert outlier_warnings(_with_outliers({})) == []

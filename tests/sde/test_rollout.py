@@ -251,12 +251,9 @@ def test_a_factor_that_does_not_divide_the_steps_is_refused() -> None:
         coarsen(draw(), 4)
 
 
-@pytest.mark.parametrize("dt", [0.0, -0.1, float("nan"), float("inf")])
-def test_a_step_that_is_not_positive_and_finite_is_refused(dt: float) -> None:
-    with pytest.raises(SolverError, match="`dt`"):
-        draw(dt=dt)
-
-
-def test_no_particles_are_refused() -> None:
+def test_no_particles_and_steps_that_are_not_positive_and_finite_are_refused() -> None:
+    for dt in (0.0, -0.1, float("nan"), float("inf")):
+        with pytest.raises(SolverError, match="`dt`"):
+            draw(dt=dt)
     with pytest.raises(SolverError, match="`particles`"):
         brownian(0, 1, 1, 1, dt=0.1, generator=torch.Generator())

@@ -22,17 +22,14 @@ def test_the_four_machines_are_known_by_their_names() -> None:
         assert system_class(name) is cls
 
 
-def test_values_reach_the_system_and_its_effects() -> None:
+def test_values_reach_the_system_and_its_effects_and_one_number_serves_all_axes() -> None:
     values = {"thrust_gain": 5.5, "linear_drag.drag": [0.2, 0.3, 0.4]}
     declared = make_system("hexacopter", effects=["linear_drag"], values=values).all_declared()
     assert declared["thrust_gain"][1] == "m/s2"
     torch.testing.assert_close(declared["thrust_gain"][0], torch.tensor([5.5]))
     torch.testing.assert_close(declared["linear_drag.drag"][0], torch.tensor([0.2, 0.3, 0.4]))
-
-
-def test_one_number_serves_all_axes() -> None:
-    s = make_system("hexacopter", effects=["linear_drag"], values={"linear_drag.drag": 0.2})
-    torch.testing.assert_close(s.all_declared()["linear_drag.drag"][0], torch.full((3,), 0.2))
+    one = make_system("hexacopter", effects=["linear_drag"], values={"linear_drag.drag": 0.2})
+    torch.testing.assert_close(one.all_declared()["linear_drag.drag"][0], torch.full((3,), 0.2))
 
 
 def test_an_effect_may_be_an_object() -> None:
@@ -182,7 +179,7 @@ def test_the_drift_is_linear_in_theta_where_the_physics_is() -> None:
     torch.testing.assert_close(drift(away), drift(theta) + slopes @ (away - theta))
 
 
-def test_values_are_moved_strictly_inside_the_bounds_and_written() -> None:
+def test_values_are_moved_strictly_inside_the_bounds_and_written_those_of_effects_too() -> None:
     system = make_system("cartpole")
     vector = ParameterVector(system)
     inside = vector.inside(np.array([-1.0, 2.0, 0.7]))
@@ -192,9 +189,6 @@ def test_values_are_moved_strictly_inside_the_bounds_and_written() -> None:
     written = {name: float(value) for name, (value, _) in system.all_declared().items()}
     assert written["half_length"] == pytest.approx(0.7, rel=1e-6)
     assert written["pole_share"] == pytest.approx(0.95, abs=1e-5)
-
-
-def test_values_of_effects_are_written_too() -> None:
     system = make_system("hexacopter", effects=["linear_drag"])
     vector = ParameterVector(system)
     theta = vector.start.copy()
@@ -223,17 +217,33 @@ def test_times_of_a_memory_are_kept_as_long_as_steps_can_follow() -> None:
     assert low[at["thrust_gain"]] == pytest.approx(1e-4)
 
 
-def test_a_width_stays_where_it_matters_at_the_speeds_of_the_data() -> None:
-    effects = ["stribeck_friction", "actuator_deadband", "input_delay"]
-    vector = ParameterVector(make_system("cartpole", effects=effects))
+CART = {
+    "stribeck_friction[cart].speed": (2.0 * 0.1 / 4, 2.0 * 0.3 * 4),
+    "stribeck_friction[cart].width": (2.0 * 0.02 / 4, None),
+}
+HEXA = {"ground_effect.height": (0.1 / 4, 0.3 * 4)}
+
+
+@pytest.mark.parametrize(
+    ("system", "effects", "sizes", "near", "others"),
+    [
+        ("cartpole", "stribeck_friction actuator_deadband input_delay", {"speed[cart]": 2.0, "input": 25.0}, CART,
+         "actuator_deadband.width input_delay.delay stribeck_friction[cart].size half_length"),
+        ("hexacopter", "ground_effect constant_wind motor_lag", {"input": 0.5}, HEXA,
+         "constant_wind.wind[0] motor_lag.time_constant ground_effect.area"),
+    ],
+)  # fmt: skip
+def test_shapes_stay_where_they_matter_in_the_data_and_near_what_the_effect_is_for(
+    system: str, effects: str, sizes: Any, near: Any, others: str
+) -> None:
+    vector = ParameterVector(make_system(system, effects=effects.split()))
     at = {label: k for k, label in enumerate(vector.labels)}
     before = vector.low.copy(), vector.high.copy()
-    vector.limit({"speed[cart]": 2.0, "input": 25.0})
-    assert vector.low[at["stribeck_friction[cart].speed"]] == pytest.approx(2.0 * 0.1 / 4)
-    assert vector.high[at["stribeck_friction[cart].speed"]] == pytest.approx(2.0 * 0.3 * 4)
-    assert vector.low[at["stribeck_friction[cart].width"]] == pytest.approx(2.0 * 0.02 / 4)
-    others = ("actuator_deadband.width", "input_delay.delay", "stribeck_friction[cart].size", "half_length")
-    for k in (at[name] for name in others):
+    vector.limit(sizes)
+    for name, (low, high) in near.items():
+        assert vector.low[at[name]] == pytest.approx(low)
+        assert high is None or vector.high[at[name]] == pytest.approx(high)
+    for k in (at[name] for name in others.split()):
         assert (vector.low[k], vector.high[k]) == (before[0][k], before[1][k])
 
 
@@ -245,18 +255,6 @@ def test_values_lie_inside_bounds_that_are_closer_than_the_usual_margin() -> Non
     assert vector.high[width] < 1e-6 * vector.scale[width]
     theta = vector.inside(np.full(len(vector), 1.0))
     assert vector.low[width] < theta[width] < vector.high[width]
-
-
-def test_a_height_stays_near_those_that_the_effect_is_for() -> None:
-    effects = ["ground_effect", "constant_wind", "motor_lag"]
-    vector = ParameterVector(make_system("hexacopter", effects=effects))
-    at = {label: k for k, label in enumerate(vector.labels)}
-    before = vector.low.copy()
-    vector.limit({"input": 0.5})
-    assert vector.low[at["ground_effect.height"]] == pytest.approx(0.1 / 4)
-    assert vector.high[at["ground_effect.height"]] == pytest.approx(0.3 * 4)
-    for name in ("constant_wind.wind[0]", "motor_lag.time_constant", "ground_effect.area"):
-        assert vector.low[at[name]] == before[at[name]]
 
 
 def test_the_copy_knows_of_no_coarse_steps() -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 import torch
 
 import nsde_torch
+from nsde_torch.data import DataSet
 from nsde_torch.diagnosis import pipeline
 from nsde_torch.diagnosis.cross_validation import HeldOut
 from nsde_torch.diagnosis.decision import judged_on_runs_left_out
@@ -25,18 +27,19 @@ def _fails(*_: object, **__: object) -> None:
     raise np.linalg.LinAlgError("Singular matrix")
 
 
+@cache
+def rubbing() -> DataSet:
+    """Runs of a spring with dry friction."""
+    dry = [{"coulomb_friction": {"size": 0.3}}]
+    made = nsde_torch.simulate("mass_spring_damper", effects=dry, durations=[3.0] * 3, dt=0.02, seed=1)
+    return nsde_torch.read(made, system="mass_spring_damper")
+
+
 def diagnosed_without(monkeypatch: pytest.MonkeyPatch, *stages: str) -> Diagnosis:
     """Of a spring with dry friction, where these stages fail."""
     for name in stages:
         monkeypatch.setattr(pipeline, name, _fails)
-    made = nsde_torch.simulate(
-        "mass_spring_damper",
-        effects=[{"coulomb_friction": {"size": 0.3}}],
-        durations=[3.0] * 3,
-        dt=0.02,
-        seed=1,
-    )
-    return nsde_torch.diagnose(made, system="mass_spring_damper", candidates=["coulomb_friction"])
+    return nsde_torch.diagnose(rubbing(), system="mass_spring_damper", candidates=["coulomb_friction"])
 
 
 @pytest.mark.slow

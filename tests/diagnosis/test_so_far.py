@@ -16,6 +16,7 @@ import pytest
 
 import nsde_torch
 from nsde_torch import time_limit
+from nsde_torch.data import DataSet
 from nsde_torch.diagnosis import files, pipeline
 from nsde_torch.diagnosis.files import EFFECTS, REPORT, RESULT, DiagnosisFiles
 from nsde_torch.diagnosis.result import Diagnosis
@@ -24,20 +25,20 @@ from nsde_torch.diagnosis.text import lines
 from nsde_torch.effects import files as effects_files
 from nsde_torch.errors import CheckpointError, ConfigError, DataError
 from nsde_torch.progress import Stages, no_bar
-from nsde_torch.simulation.generate import Simulation
 from nsde_torch.whole_files import json_text, write_whole
 
 SPRING, FRICTION = "mass_spring_damper", "coulomb_friction"
 
 
 @pytest.fixture(scope="module")
-def made() -> Simulation:
-    return nsde_torch.simulate(
+def made() -> DataSet:
+    data = nsde_torch.simulate(
         SPRING, effects=[{FRICTION: {"size": 0.3}}], durations=[3.0] * 3, dt=0.02, seed=1
     )
+    return nsde_torch.read(data, system=SPRING)
 
 
-def _diagnosed(made: Simulation, **options: Any) -> Diagnosis:
+def _diagnosed(made: DataSet, **options: Any) -> Diagnosis:
     return nsde_torch.diagnose(made, system=SPRING, candidates=[FRICTION], **options)
 
 
@@ -45,7 +46,7 @@ Stopped = Callable[[str], Diagnosis]
 
 
 @pytest.fixture(scope="module")
-def stopped(made: Simulation) -> Stopped:
+def stopped(made: DataSet) -> Stopped:
     """A diagnosis that is stopped as this stage begins."""
 
     @cache
@@ -97,7 +98,7 @@ def test_before_anything_is_known_it_is_an_interrupt_as_ever(stopped: Stopped) -
 
 
 def test_it_ends_in_the_time_that_was_asked_for_with_what_is_known(
-    made: Simulation, monkeypatch: pytest.MonkeyPatch
+    made: DataSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now, told = [0.0], []
     monkeypatch.setattr(time_limit, "perf_counter", lambda: now[0])
@@ -118,7 +119,7 @@ def test_it_ends_in_the_time_that_was_asked_for_with_what_is_known(
         found.finished()
 
 
-def test_before_anything_is_known_the_limit_waits(made: Simulation, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_before_anything_is_known_the_limit_waits(made: DataSet, monkeypatch: pytest.MonkeyPatch) -> None:
     ticks = iter(range(0, 10**9, 100))
     monkeypatch.setattr(time_limit, "perf_counter", lambda: float(next(ticks)))
     found = _diagnosed(made, say=False, max_minutes=1.0)
@@ -129,7 +130,7 @@ def test_before_anything_is_known_the_limit_waits(made: Simulation, monkeypatch:
 
 @pytest.mark.slow
 def test_a_stage_that_would_not_end_in_time_is_left_out(
-    made: Simulation, monkeypatch: pytest.MonkeyPatch
+    made: DataSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pipeline, "_ROUNDS", {**pipeline._ROUNDS, CEILING: 1e6})
     found = _diagnosed(made, say=False, max_minutes=60.0)
@@ -141,7 +142,7 @@ def test_a_stage_that_would_not_end_in_time_is_left_out(
 
 
 def test_a_resumed_diagnosis_goes_on_from_what_was_selected(
-    made: Simulation, stopped: Stopped, tmp_path: Path
+    made: DataSet, stopped: Stopped, tmp_path: Path
 ) -> None:
     stopped("testing what is left").save(tmp_path)
     told: list[tuple[str, list[str]]] = []
@@ -163,7 +164,7 @@ def test_a_resumed_diagnosis_goes_on_from_what_was_selected(
 
 @pytest.mark.slow
 def test_only_the_same_data_and_model_are_gone_on_with(
-    made: Simulation, stopped: Stopped, tmp_path: Path
+    made: DataSet, stopped: Stopped, tmp_path: Path
 ) -> None:
     known = stopped("round 1: trying 1 effect")
     known.save(tmp_path)
@@ -183,7 +184,7 @@ def test_only_the_same_data_and_model_are_gone_on_with(
 
 @pytest.mark.slow
 def test_python_shows_what_was_found_and_each_stage_leaves_less_to_do(
-    made: Simulation, capsys: pytest.CaptureFixture[str]
+    made: DataSet, capsys: pytest.CaptureFixture[str]
 ) -> None:
     told: list[dict[str, Any]] = []
 
@@ -210,7 +211,7 @@ def test_python_shows_what_was_found_and_each_stage_leaves_less_to_do(
     assert lines(content)[0] == "verdict: effect_found"
 
 
-def test_progress_is_off_where_it_is_asked_for(made: Simulation, capsys: pytest.CaptureFixture[str]) -> None:
+def test_progress_is_off_where_it_is_asked_for(made: DataSet, capsys: pytest.CaptureFixture[str]) -> None:
     def enough(found: Diagnosis) -> None:
         raise KeyboardInterrupt
 

@@ -232,7 +232,8 @@ def test_a_fit_whose_noise_model_learned_a_smoother_is_not_believed() -> None:
 @pytest.fixture(scope="module")
 def rough() -> Any:
     """A rough fit of flights."""
-    return rough_fit(make_system("quadrotor"), nsde_torch.read(log_of("quadrotor"), system="quadrotor").runs)
+    data = nsde_torch.read(log_of("quadrotor"), system="quadrotor", state_smoothing="keep")
+    return rough_fit(make_system("quadrotor"), data.runs)
 
 
 @pytest.mark.parametrize(

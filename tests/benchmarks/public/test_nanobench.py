@@ -1,6 +1,7 @@
 """NanoBench: read, split and scored as its protocol says, on small files whose thrust follows a voltage."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +80,7 @@ def test_the_voltage_explains_what_the_rigid_body_does_not(
     files = tuple(f"datasets/dataset/{name}.csv" for name in FLIGHTS[:3])
     monkeypatch.setattr(NanoBench, "files", files)
     monkeypatch.setattr(nanobench, "DIAGNOSED", FLIGHTS[:1])
+    monkeypatch.setattr(nanobench, "read", partial(nanobench.read, state_smoothing="keep"))
     monkeypatch.setattr(nanobench, "RUNGS", ((), ("battery_voltage",)))
     hidden = {"roll_gain": {"value": 5e-5, "interval_90": None, "unit": "rad/s2"}}
     lead = [{"name": "battery_voltage", "lead": True}]

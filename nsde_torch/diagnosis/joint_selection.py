@@ -424,7 +424,7 @@ class JointSearch:
             if few is not None and not few.wins_here(proposal.system, place):
                 continue
             least = place.best.likelihood + self.search.decisions.alike_nats
-            there = self._tried(proposal.system, place, least)
+            there = self._from_each(proposal.name, place, self._tried(proposal.system, place, least))
             if there.best.likelihood > least and self._surely_brings(there, place, last):
                 best = last = there
         return best
@@ -448,13 +448,20 @@ class JointSearch:
     ) -> FittedPhysics:
         """The likeliest physics with an effect, fitted from each of its values (`Effect.fitted_from`), or the best.
 
-        Each to its end: they begin far below the physics without it.
+        Each to its end: they begin far below the physics without it, and one fit may not get there. Of a hidden mass of
+        3 % it was 190 nats short, which a force that does nothing then brought as it was fitted again
+        (benchmarks/blind/hidden_masses.py, spring 16).
         """
+        before = best
         for values in effect_class(name).fitted_from:
             check_time()
             begun = joined(place.system, name, dict(values))
             if few is None or few.wins_here(begun, place, to_the_end=True):
                 best = max(best, self._tried(begun, place), key=lambda f: f.best.likelihood)
+        while best is not before and isfinite(best.best.likelihood):
+            before, again = best, self._tried(best.system, best)
+            if again.best.likelihood > best.best.likelihood + self.search.decisions.alike_nats:
+                best = again
         return best
 
     def _fitted_to_the_end(self, proposal: Explained, place: FittedPhysics, least: float) -> FittedPhysics:

@@ -227,7 +227,7 @@ def _simulated(
     start = np.repeat(np.stack([x[0] for x in states]), logs, 0)
     of = LogLikelihood(found.outcome.system, found.recorded.runs, found.recorded.clock, states=True)
     at, space = filtered_at(of), of.space
-    levels, _, _ = likeliest(space, at.levels, at.levels, at.about, of.start)
+    levels, _, _ = likeliest(space, at.levels, at.levels, at.about)
     noise = ModelNoise(space, levels).drawn(count, most - 1, rng)
     drive = open_loop(_stacked(inputs, logs))
     for way in (found.feedback.closed, True):

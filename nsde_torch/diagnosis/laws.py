@@ -187,7 +187,7 @@ def tables(
     if levels is None:
         levels = at.levels
     else:
-        here = filtered(space, levels, about, at.of.start, space.chunks.counted)
+        here = filtered(space, levels, about, space.chunks.counted)
     for first in range(0, len(terms), _AT_ONCE):
         some, columns, moved = list[tuple[Term, tuple[int, ...]]](), 1 + base.shape[-1], [base]
         for term in terms[first : first + _AT_ONCE]:

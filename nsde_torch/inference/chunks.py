@@ -79,12 +79,16 @@ class Chunks:
         self.size, self.count = size, len(first)
         self._owners, self.stretch = torch.tensor(owners), torch.tensor(stretch)
 
-    def in_turn(self, values: Tensor) -> tuple[Tensor, Tensor]:
-        """Values (T, C, k) at the first row of each chunk in the one before it (C, k), and whether that is there."""
-        before = torch.arange(self.count) - 1
-        row = self.row[0] - self.row[0, before]
-        there = (before >= 0) & (self.stretch == self.stretch[before]) & (row >= 0) & (row < self.size)
-        return values[torch.where(there, row, 0), before], there
+    @property
+    def follows(self) -> Tensor:
+        """Whether the chunk before each holds its first row (C,): not of the first of a stretch."""
+        row = self.row[0].diff(prepend=self.row[0, :1])
+        return self.stretch.diff(prepend=self.stretch[:1] - 1).eq(0) & (row >= 0) & (row < self.size)
+
+    def in_turn(self, values: Tensor) -> Tensor:
+        """Values (T, C, k) at the first row of each chunk, from the one before it (C, k); of the first its own."""
+        before = (torch.arange(self.count) - 1).clamp_min(0)
+        return values[torch.where(self.follows, self.row[0] - self.row[0, before], 0), before]
 
     def some(self, which: Tensor) -> "Chunks":
         """Some of the chunks, by number."""

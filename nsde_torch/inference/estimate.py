@@ -253,8 +253,7 @@ class LogLikelihood:
         """That of some of the chunks, by number, with the values in use."""
         out = copy.copy(self)
         out.space, out.passes, out.scores = self.space.some(which), Latest(), Latest()
-        memory = None if self.start.memory is None else self.start.memory[which]
-        out.start = Start(out.space.chunks.y[0], self.start.std, memory)
+        out.start = self.start.of(which)
         return out
 
     def _set(
@@ -285,16 +284,17 @@ class LogLikelihood:
             change = inner.error(chunks.y[1:], chunks.y[:-1]).square().flatten(0, -2).mean(0).sqrt()[observed]
             self._floor = torch.log((ARITHMETIC * change).clamp_min(1e-300))
         self.space.least_sensor = self._floor
-        std = torch.ones(self.space.ne, dtype=torch.float64)
+        std = torch.ones(len(inner.error_names), dtype=torch.float64)
         for j, value in unknown.items():
             std[inner.error_names.index(inner.state_names[j])] = _UNKNOWN * value
+        of_memory = std.new_zeros(chunks.count, 0)
         if self.space.estimated:
             noise = chunks.y.diff(n=_DIFFERENCES, dim=0).square().mean((0, 1)).div(FOURTH).sqrt()
             if inner.quaternion is not None:
                 noise[inner.quaternion] = 0.0
             self.vector.use(torch.from_numpy(self.vector.start))
-            std[-len(self.space.estimated) :] = self.space.noise_of_memory(noise)
-        self.start = Start(chunks.y[0], std)
+            of_memory = torch.where(chunks.follows[:, None], *self.space.noise_of_memory(noise))
+        self.start = Start(chunks.y[0], std, of_memory)
 
     def first(self, theta: Array) -> tuple[Levels, Linearisation]:
         """First noise levels, and the linearisation about the measured states."""
@@ -329,7 +329,7 @@ class LogLikelihood:
         another kind, or physics, and stays.
         """
         counted = self.space.chunks.counted
-        measured = within_gate(self.space, levels, about, self.start, _GATE)
+        measured = within_gate(self.space, levels, about, _GATE)
         lost = (self.space.logged & ~measured).any(-1)
         if not bool(lost.any()) or float((lost & counted).sum()) > _RARE * float(counted.sum()):
             return None
@@ -338,19 +338,16 @@ class LogLikelihood:
 
     def filtered(self, levels: Levels, about: Linearisation) -> Pass:
         """A pass over the log with the parameters in use."""
-        space, inside = self.space, len(self.space.estimated)
-        last = space.nd + inside if inside else 0
-        return filtered(space, levels, about, self.start, space.chunks.counted, covariances=last)
+        return filtered(self.space, levels, about, self.space.chunks.counted)
 
     def tried(self, levels: Levels, about: Linearisation, held: Pass) -> Pass:
         """The pass with the parameters in use, its covariances those of another about the same slopes."""
         there = with_parameters(self.space, about, self.start)
-        out = with_gains(self.space, levels, there, held.whitening, held.gain, self.space.chunks.counted)
-        return replace(out, covariance=held.covariance)
+        return with_gains(self.space, levels, there, held.whitening, held.gain, self.space.chunks.counted)
 
     def followed(self, levels: Levels, about: Linearisation, at: Pass) -> tuple[Linearisation, Pass]:
         """The linearisation with the same slopes about the states that a pass found, and the pass about it."""
-        x = self._found(about, at)
+        x = self._found(levels, about, at)
         about = moved_to(self.space, about, x, self.start)
         return about, with_gains(self.space, levels, about, at.whitening, at.gain, self.space.chunks.counted)
 
@@ -359,11 +356,11 @@ class LogLikelihood:
     ) -> tuple[Linearisation, Pass]:
         """The linearisation about the states that a pass found, and the pass about it, some times over."""
         for _ in range(passes):
-            about = linearised_about(self.space, self._found(about, at), self.start)
+            about = linearised_about(self.space, self._found(levels, about, at), self.start)
             at = self.filtered(levels, about)
         return about, at
 
-    def _found(self, about: Linearisation, at: Pass) -> Tensor:
+    def _found(self, levels: Levels, about: Linearisation, at: Pass) -> Tensor:
         """States that a pass found (T, C, nx); each chunk then starts with what the one before it knows of memory.
 
         Memory along measured states has their noise: where it is what a chunk starts with, parameters that lessen it
@@ -372,13 +369,13 @@ class LogLikelihood:
         space, chunks, inside = self.space, self.space.chunks, len(self.space.estimated)
         x = space.shifted(about.x, at.delta[..., : space.ne])
         if inside:
-            memory, there = chunks.in_turn(x[..., -inside:])
-            memory = torch.where(there[:, None], memory, space.begun[0])
-            std = self.start.std.clone()
-            if at.covariance is not None:
-                known = at.covariance[..., space.ne - inside : space.ne, :inside].diagonal(dim1=-2, dim2=-1)
-                std[-inside:] = known[chunks.counted].mean(0).sqrt()
-            self.start = Start(self.start.x, std, memory)
+            before = chunks.follows[:, None]
+            memory = torch.where(before, chunks.in_turn(x[..., -inside:]), space.begun[0])
+            here = filtered(space, levels, about, chunks.counted, covariances=space.nd + inside)
+            assert here.covariance is not None
+            known = here.covariance[..., space.ne - inside : space.ne, :inside].diagonal(dim1=-2, dim2=-1)
+            std = torch.where(before, chunks.in_turn(known).sqrt(), self.start.memory_std)
+            self.start = Start(self.start.x, self.start.std, std, memory)
         return x
 
 
@@ -439,7 +436,7 @@ class Optimum:
         if bool(lost.any()):
             about, _ = self._pass()
             logged = replace(about, measured=of.space.logged)
-            lost = lost & ~within_gate(of.space, self.levels, logged, of.start, _GATE)
+            lost = lost & ~within_gate(of.space, self.levels, logged, _GATE)
         out: dict[int, list[float]] = {}
         for k, c in lost.any(-1).nonzero().tolist():
             out.setdefault(runs[int(chunks.stretch[c])], []).append(float(chunks.t[k, c]))
@@ -534,7 +531,7 @@ def maximised(
     if near is None or space.estimated:
         about, at = problem.settled(levels, about, at, 1)
     if near is None and held is None:  # of the right size first: theta weighs channels by them
-        levels, known, _ = likeliest(space, first, first, about, problem.start, rows=_FIRST_ROWS)
+        levels, known, _ = likeliest(space, first, first, about, rows=_FIRST_ROWS)
         at = problem.filtered(levels, about)
     settled, away, fallen, columns = False, inf, 0, torch.zeros(0)
     # where each measurement costs a nat there is no way back, and fits take a minute (a wind on NeuroBEM)
@@ -563,7 +560,7 @@ def maximised(
         # whichever brings more goes on: levels beside a wrong theta take its errors for noise
         before = at.total
         levels, known, there = likeliest(
-            space, levels, first, about, problem.start, known, least=max(before - begun, gain * worth)
+            space, levels, first, about, known, least=max(before - begun, gain * worth)
         )
         at = there or problem.filtered(levels, about)
         # to compare physics, steps that promise much and bring nothing do too: friction has a sign. Final fits go
@@ -579,7 +576,7 @@ def maximised(
         about = linearised_about(space, about.x, problem.start)
         at = problem.filtered(levels, about)
         columns = space.columns(about.x, about.slopes, everything, about.after)
-        beside = level_columns(space, levels, about, problem.start)
+        beside = level_columns(space, levels, about)
     final = grams(space, levels, about, at, columns, beside)
     references, theta = _from_references(vector, theta, final)
     space.use(theta)

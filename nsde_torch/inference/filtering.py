@@ -23,8 +23,14 @@ class Start:
 
     x: Tensor  # states of the machine (C, k)
     std: Tensor
-    """What is not known of each error channel (ne,); of a measured one its sensor's noise is taken."""
+    """What is not known of its error channels (e,); of a measured one its sensor's noise is taken."""
+    memory_std: Tensor  # what is not known of estimated memory (C, q)
     memory: Tensor | None = None  # estimated memory (C, q); None: as it follows measured states
+
+    def of(self, some: Tensor) -> "Start":
+        """That of some chunks."""
+        memory = None if self.memory is None else self.memory[some]
+        return Start(self.x[some], self.std, self.memory_std[some], memory)
 
 
 @dataclass(frozen=True)
@@ -37,12 +43,17 @@ class Linearisation:
     missed: Tensor  # c, by how much that step misses the next row's state (ne)
     seen: Tensor  # what was measured less the state, in measured channels (m)
     first: Tensor  # error of each chunk's start (C, ne)
+    unknown: Tensor  # its standard deviation, where no sensor measures it (C, ne)
     measured: Tensor | None = None  # whether a row measures each of these channels (m); None where all do
 
     def of(self, some: Tensor) -> "Linearisation":
         """That of some chunks."""
-        rows = {k: part[:, some] for k, part in vars(self).items() if k != "first" and part is not None}
-        return replace(self, first=self.first[some], **rows)
+        rows = {
+            k: part[:, some]
+            for k, part in vars(self).items()
+            if k not in ("first", "unknown") and part is not None
+        }
+        return replace(self, first=self.first[some], unknown=self.unknown[some], **rows)
 
 
 @dataclass(frozen=True)
@@ -72,31 +83,31 @@ def linearised_about(space: StateSpace, x: Tensor, start: Start) -> Linearisatio
     """The linearisation about some states (T, C, nx), with the parameters in use."""
     slopes, after = space.linearised(x)
     return Linearisation(
-        x, slopes, after, space.missed(x, after), space.seen(x), _first(space, x, start), space.measured
+        x, slopes, after, space.missed(x, after), space.seen(x), *_first(space, x, start), space.measured
     )
 
 
 @torch.no_grad()
 def moved_to(space: StateSpace, about: Linearisation, x: Tensor, start: Start) -> Linearisation:
     """The linearisation about other states (T, C, nx), its slopes those that it had."""
-    after, first = space.after(x), _first(space, x, start)
-    return replace(about, x=x, after=after, missed=space.missed(x, after), seen=space.seen(x), first=first)
+    after, (first, unknown) = space.after(x), _first(space, x, start)
+    there = replace(about, first=first, unknown=unknown)
+    return replace(there, x=x, after=after, missed=space.missed(x, after), seen=space.seen(x))
 
 
 @torch.no_grad()
 def with_parameters(space: StateSpace, about: Linearisation, start: Start) -> Linearisation:
     """The same states and slopes with other parameters in use."""
     after = space.after(about.x)
-    return replace(
-        about, after=after, missed=space.missed(about.x, after), first=_first(space, about.x, start)
-    )
+    first, _ = _first(space, about.x, start)
+    return replace(about, after=after, missed=space.missed(about.x, after), first=first)
 
 
-def _first(space: StateSpace, x: Tensor, start: Start) -> Tensor:
-    """Errors (C, ne) of the first of some states (T, C, nx)."""
-    if start.memory is None:
-        return space.error(space.states(start.x[None])[0], x[0])
-    return space.error(torch.cat((start.x, start.memory), 1), x[0])
+def _first(space: StateSpace, x: Tensor, start: Start) -> tuple[Tensor, Tensor]:
+    """Errors of the first of some states (T, C, nx), and what is not known of them, (C, ne) each."""
+    unknown = torch.cat((start.std.expand(len(start.x), -1), start.memory_std), 1)
+    begun = space.begun[0] if start.memory is None else start.memory
+    return space.error(torch.cat((start.x, begun), 1), x[0]), unknown
 
 
 def forced(space: StateSpace, about: Linearisation, disturbance: int, force: Tensor) -> Tensor:
@@ -116,7 +127,6 @@ def filtered(
     space: StateSpace,
     levels: Levels,
     about: Linearisation,
-    start: Start,
     live: Tensor,
     *,
     covariances: int = 0,
@@ -132,32 +142,32 @@ def filtered(
     whitening, gain = new(rows, count, m, m), new(rows, count, n, m)
     left = new(rows, count, n, covariances) if covariances else new(0, 0, 0, 0)
     measured = torch.zeros(0, 0, 0, dtype=torch.bool) if about.measured is None else about.measured
-    noise, filled = _noise(space, levels, start), (whitening, gain, left)
+    noise, filled = _noise(space, levels, about), (whitening, gain, left)
     kernels.in_parts(kernels.covariances, rows, count, about.slopes, *noise, measured, *filled)
     out = with_gains(space, levels, about, whitening, gain, live)
     return replace(out, covariance=left) if covariances else out
 
 
-def _noise(space: StateSpace, levels: Levels, start: Start) -> list[Tensor | list[int]]:
+def _noise(space: StateSpace, levels: Levels, about: Linearisation) -> list[Tensor | list[int]]:
     """Shares of disturbances that are left after a step, variances of all noise, and numbers of measured errors."""
     h, sensor, gust = space.h, torch.exp(2.0 * levels.sensor), torch.exp(2.0 * levels.gust)
     keep = levels.keep(h)
-    begun = torch.cat((start.std.square(), gust))
-    begun[space.observed] = sensor
+    begun = torch.cat((about.unknown.square(), gust.expand(len(about.unknown), -1)), 1)
+    begun[:, space.observed] = sensor
     white = torch.exp(2.0 * levels.white) / h
     added = gust * (1.0 - keep.square())
     return [keep, white, added, sensor, begun, space.observed]
 
 
 @torch.no_grad()
-def within_gate(space: StateSpace, levels: Levels, about: Linearisation, start: Start, gate: float) -> Tensor:
+def within_gate(space: StateSpace, levels: Levels, about: Linearisation, gate: float) -> Tensor:
     """Whether each row measures each channel (T, C, m) within a gate [standard deviations of an innovation].
 
     The filter goes on without what is beyond it, so that one outlier does not lead it astray.
     """
     every = torch.ones_like(about.seen, dtype=torch.bool)
     measured = every if about.measured is None else about.measured.clone()
-    noise, seen = _noise(space, levels, start), (about.first, about.missed, about.seen)
+    noise, seen = _noise(space, levels, about), (about.first, about.missed, about.seen)
     kernels.in_parts(kernels.gated, *seen[-1].shape[:2], about.slopes, *noise, *seen, gate, measured)
     return measured
 

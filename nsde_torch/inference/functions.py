@@ -200,7 +200,7 @@ class _View:
         count = chunks.count
         if most is not None:
             count = min(count, max(_FOLDS, round(most * chunks.count / float(chunks.counted.sum()))))
-        self.space, self.about, self.start = at.of.space, at.about, at.of.start
+        self.space, self.about = at.of.space, at.about
         self._passes: list[tuple[Levels, Pass]] = []
         if count < chunks.count:
             some = torch.linspace(0, chunks.count - 1, count).round().long()
@@ -230,7 +230,7 @@ class _View:
         """The pass under some noise levels."""
         known = next((at for of, at in self._passes if of is levels), None)
         if known is None:
-            known = filtered(self.space, levels, self.about, self.start, self.space.chunks.counted)
+            known = filtered(self.space, levels, self.about, self.space.chunks.counted)
             self._passes.append((levels, known))
         return known
 
@@ -637,10 +637,10 @@ class _Choice:
             push += forced(space, about, group.port, force)
         push[-1] = 0.0
         about = replace(about, missed=about.missed + push)
-        levels, _, _ = likeliest(space, self._levels, self._levels, about, start, rows=_SCREENED)
+        levels, _, _ = likeliest(space, self._levels, self._levels, about, rows=_SCREENED)
         # all chunks of the likelihood again, which keep the pass beside the functions for themselves
         of = self._optimum.of.some(torch.arange(space.chunks.count))
-        passed = filtered(space, levels, about, start, space.chunks.counted)
+        passed = filtered(space, levels, about, space.chunks.counted)
         self._beside_chosen = Optimum(of, levels, about, passed, self._optimum.free)
         self._chances = {}
         space.use(at)

@@ -104,7 +104,7 @@ def covariances(first: int, end: int, *of: Any) -> None:
         keep: Share of each disturbance that is left after a step (d,).
         white, gust: Variance that a step adds to the ports and to the disturbances (d,).
         sensor: Variance of the sensors (m,).
-        start: Variance of the errors that a chunk starts with (n,).
+        start: Variances of the errors that each chunk starts with (C, n).
         observed: Numbers of the measured errors (m,).
         measured: Whether a row measures each of these (T, C, m); (0, 0, 0) where all do.
         whitening, gain: Are filled (T, C, m, m) and (T, C, n, m).
@@ -117,7 +117,7 @@ def covariances(first: int, end: int, *of: Any) -> None:
     w, g, half, room = _room_to_update(n, m)
     shown = np.empty((m if len(measured) else 0, WIDTH))
     for c in range(first, end, WIDTH):
-        _begun(start, p)
+        _begun(start, c, end, p)
         w[:], g[:] = 0.0, 0.0
         for i in range(m):
             store(w[i, i], 1.0)
@@ -141,11 +141,13 @@ def _room_to_update(n: int, m: int) -> tuple[Array, Array, Array, Array]:
 
 
 @compiled
-def _begun(start: Array, p: Array) -> None:
-    """The covariance p (n, n, WIDTH) is filled with that of independent errors."""
+def _begun(start: Array, first: int, end: int, p: Array) -> None:
+    """The covariance p (n, n, WIDTH) is filled with that of independent errors of the chunks from `first` on."""
     p[:] = 0.0
-    for i in range(len(p)):
-        store(p[i, i], start[i])
+    for lane in range(WIDTH):
+        own = start[min(first + lane, end - 1)]
+        for i in range(len(own)):
+            p[i, i, lane] = own[i]
 
 
 @compiled
@@ -266,7 +268,7 @@ def gated(first: int, end: int, *of: Any) -> None:
     w, g, half, room = _room_to_update(n, m)
     shown, mean, error = np.empty((m, WIDTH)), np.empty(n), np.empty(m)
     for c in range(first, end, WIDTH):
-        _begun(start, p)
+        _begun(start, c, end, p)
         left = np.zeros((WIDTH, n))
         for lane in range(min(WIDTH, end - c)):
             for i in range(ne):

@@ -20,7 +20,7 @@ from torch import Tensor
 from nsde_torch.arrays import Array, Labels, Mask
 from nsde_torch.data.system_info import rate_columns, rate_pairs
 from nsde_torch.inference.estimate import Optimum, bounded_change
-from nsde_torch.inference.filtering import Linearisation, Pass, Start, with_gains, with_parameters
+from nsde_torch.inference.filtering import Linearisation, Pass, with_gains, with_parameters
 from nsde_torch.inference.sensitivity import Grams, grams
 from nsde_torch.inference.state_space import StateSpace
 from nsde_torch.rotation import matrix
@@ -86,7 +86,7 @@ def left_out(optimum: Optimum, folds: Folds, still: Mask | None = None) -> LeftO
         if len(some):
             there = space.some(some)
             there.use(theta[-1])
-            here = with_parameters(there, about.of(some), Start(there.chunks.y[0], optimum.of.start.std))
+            here = with_parameters(there, about.of(some), optimum.of.start.of(some))
             missed[:, some], begun[some] = here.missed, here.first
     vector.use(space.theta)
     about = replace(about, missed=missed, first=begun)

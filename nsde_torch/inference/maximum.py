@@ -13,7 +13,7 @@ from math import log
 import torch
 from torch import Tensor
 
-from nsde_torch.inference.filtering import Linearisation, Pass, Start, filtered
+from nsde_torch.inference.filtering import Linearisation, Pass, filtered
 from nsde_torch.inference.level_slopes import level_slopes, score
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.sensitivity import bounded_step
@@ -56,7 +56,6 @@ def likeliest(
     levels: Levels,
     first: Levels,
     about: Linearisation,
-    start: Start,
     known: Tensor | None = None,
     *,
     least: float = 0.0,
@@ -91,7 +90,7 @@ def likeliest(
     parts = [(near.of(part), live[:, part]) for part in split] if len(split) > 1 else [(near, live)]
 
     def passed(values: Tensor, part: tuple[Linearisation, Tensor], covariances: int = space.nd) -> Pass:
-        return filtered(space, levels.like(values), part[0], start, part[1], covariances=covariances)
+        return filtered(space, levels.like(values), part[0], part[1], covariances=covariances)
 
     def tried(values: Tensor) -> tuple[Pass | None, float]:
         """What is to be large, and the pass where it is a single one."""
@@ -175,13 +174,13 @@ def likeliest(
 
 
 @torch.no_grad()
-def level_columns(space: StateSpace, levels: Levels, about: Linearisation, start: Start) -> Tensor:
+def level_columns(space: StateSpace, levels: Levels, about: Linearisation) -> Tensor:
     """What the levels do to the whitened innovations (T, C, m, p): nuisances beside theta, above all under feedback."""
     out = about.seen.new_empty(*about.seen.shape, len(space.observed) + 3 * space.nd)
     for some in torch.arange(space.chunks.count).split(_most(space)):
         check_time()
         near = about.of(some)
-        here = filtered(space, levels, near, start, space.chunks.counted[:, some], covariances=space.nd)
+        here = filtered(space, levels, near, space.chunks.counted[:, some], covariances=space.nd)
         out[:, some] = -level_slopes(space, levels, near, here)[0]
     return out
 

@@ -218,8 +218,11 @@ class StateSpace:
         system = self.vector.system
         return system.error(self.chunks.y, x[..., : system.nx])[..., self.observed]
 
-    def noise_of_memory(self, std: Tensor) -> Tensor:
-        """What noise (nx,) of the measured states of the machine does to estimated memory that follows them (k,)."""
+    def noise_of_memory(self, std: Tensor) -> tuple[Tensor, Tensor]:
+        """What noise (nx,) of the machine's measured states does to estimated memory that follows them, and its size.
+
+        Standard deviations (k,); its size is what is not known of it where a recording begins in the middle of motion.
+        """
         steps, system = self.steps, self.vector.system
         noise = (
             torch.randn(steps.x0.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) * std
@@ -228,7 +231,8 @@ class StateSpace:
         for a, b in steps.segments:
             x1[a : b - 1] = x0[a + 1 : b]
         noisy, clean = (memory_along(system, part)[0] for part in (replace(steps, x0=x0, x1=x1), steps))
-        return (noisy - clean)[:, list(self.estimated)].std(0)
+        noise_std, size = (values[:, list(self.estimated)].std(0) for values in (noisy - clean, clean))
+        return noise_std, size
 
     def rate(
         self, t: Tensor, x: Tensor, memory: Tensor, u: Tensor, push: Mapping[Port, Tensor] | None = None

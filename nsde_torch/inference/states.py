@@ -61,5 +61,5 @@ def filtered_at(of: LogLikelihood) -> Filtered:
     wide.limit(data_sizes(wide.system, of.space.steps))
     levels, about = of.first(of.vector.inside(wide.inside(wide.start)))
     about, _ = of.settled(levels, about, of.filtered(levels, about), _PASSES)
-    at = filtered(of.space, levels, about, of.start, of.space.chunks.counted, covariances=of.space.n)
+    at = filtered(of.space, levels, about, of.space.chunks.counted, covariances=of.space.n)
     return Filtered(of, levels, about, at)

@@ -157,7 +157,7 @@ def test_levels_end_at_once_where_they_end_when_begun_with_again() -> None:
     about, _ = problem.settled(first, about, problem.filtered(first, about), 1)
     levels, totals = first, []
     for _ in range(3):
-        levels, _, _ = likeliest(problem.space, levels, first, about, problem.start)
+        levels, _, _ = likeliest(problem.space, levels, first, about)
         totals.append(problem.filtered(levels, about).total)
     assert totals[-1] - totals[0] < 1.0
 
@@ -172,7 +172,7 @@ def test_levels_that_learned_a_law_let_go_of_it() -> None:
     levels = Levels(*(torch.tensor(values, dtype=torch.float64).log() for values in learned))
     there = system.with_effects(system.make_effect(law, {"c1": -0.2}))
     best, at = maximised(problem.of(there))
-    found, _, _ = likeliest(at.of.space, levels, levels, at.about, at.of.start)
+    found, _, _ = likeliest(at.of.space, levels, levels, at.about)
     assert at.of.filtered(found, at.about).total > best.likelihood - 1.5
 
 
@@ -182,7 +182,7 @@ def test_a_disturbance_lasts_a_step_at_least() -> None:
     problem = LogLikelihood(spring(), runs)
     first, about = problem.first(problem.vector.start)
     short = replace(first, lasts=torch.full_like(first.lasts, -7.0))
-    found, _, _ = likeliest(problem.space, short, first, about, problem.start)
+    found, _, _ = likeliest(problem.space, short, first, about)
     assert float(found.lasts.exp().min()) >= problem.space.h * (1.0 - 1e-9)
 
 

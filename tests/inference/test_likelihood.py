@@ -234,14 +234,14 @@ def test_covariances_are_those_of_dense_matrices_however_many_chunks_there_are(c
     slopes = 0.2 * random.standard_normal((rows, count, ne, n))
     slopes[..., :ne] += np.eye(ne)
     keep, white, gust = np.array([0.9, 0.7]), np.array([0.1, 0.2]), np.array([0.3, 0.1])
-    sensor, begun = np.array([0.05, 0.02]), random.uniform(0.1, 1.0, n)
+    sensor, begun = np.array([0.05, 0.02]), random.uniform(0.1, 1.0, (count, n))
     measured = random.random((rows, count, m)) > 0.3
     whitening, gain = np.zeros((rows, count, m, m)), np.zeros((rows, count, n, m))
     left = np.zeros((rows, count, n, d))
     noise = (keep, white, gust, sensor, begun, observed)
     kernels.covariances(0, count, slopes, *noise, measured, whitening, gain, left)
     for c in range(count):
-        p = np.diag(begun)
+        p = np.diag(begun[c])
         for k in range(1, rows):
             step = np.zeros((n, n))
             step[:ne], step[ne:, ne:] = slopes[k - 1, c], np.diag(keep)

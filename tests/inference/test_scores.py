@@ -117,7 +117,7 @@ def test_the_score_of_a_force_is_the_slope_of_the_log_likelihood(fitted: Fitted)
     space = at.of.space
     space.use(best.theta)
     acts = space.pushed(at.about.x, at.about.slopes, at.about.after)
-    here = filtered(space, at.levels, at.about, at.of.start, space.chunks.counted)
+    here = filtered(space, at.levels, at.about, space.chunks.counted)
     rng = np.random.default_rng(0)
     for port in range(space.nd):
         # a force on a step is one in all chunks that hold it
@@ -194,7 +194,7 @@ def flight() -> LogLikelihood:
 
 def passed(problem: LogLikelihood, levels: Levels, about: Linearisation) -> Pass:
     live = problem.space.chunks.counted
-    return filtered(problem.space, levels, about, problem.start, live, covariances=problem.space.nd)
+    return filtered(problem.space, levels, about, live, covariances=problem.space.nd)
 
 
 @pytest.mark.parametrize("of", ["spring", "flight"])
@@ -261,7 +261,7 @@ def test_the_score_holds_over_long_chunks_of_precise_sensors(precise: float) -> 
     def passed(sensor: np.ndarray, pushed: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Log likelihood, and its slopes in the variances of the sensors and of white disturbances."""
         whitening, gain, spread = (np.zeros((rows, 1, *shape)) for shape in ((3, 3), (6, 3), (6, 2)))
-        noise = (keep, pushed, gust, sensor, np.ones(6), observed, np.zeros((0, 0, 0), bool))
+        noise = (keep, pushed, gust, sensor, np.ones((1, 6)), observed, np.zeros((0, 0, 0), bool))
         kernels.covariances(0, 1, slopes, *noise, whitening, gain, spread)
         errors, whitened = np.zeros((rows, 1, 3)), np.zeros((rows, 1, 3))
         left, nats = np.zeros((rows, 1, 6)), np.zeros((rows, 1))

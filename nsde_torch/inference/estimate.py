@@ -370,11 +370,12 @@ class LogLikelihood:
         x = space.shifted(about.x, at.delta[..., : space.ne])
         if inside:
             before = chunks.follows[:, None]
-            memory = torch.where(before, chunks.in_turn(x[..., -inside:]), space.begun[0])
+            known = space.begun[0] if self.start.memory is None else self.start.memory
+            memory = torch.where(before, chunks.in_turn(x[..., -inside:]), known)
             here = filtered(space, levels, about, chunks.counted, covariances=space.nd + inside)
             assert here.covariance is not None
-            known = here.covariance[..., space.ne - inside : space.ne, :inside].diagonal(dim1=-2, dim2=-1)
-            std = torch.where(before, chunks.in_turn(known).sqrt(), self.start.memory_std)
+            variance = here.covariance[..., space.ne - inside : space.ne, :inside].diagonal(dim1=-2, dim2=-1)
+            std = torch.where(before, chunks.in_turn(variance).sqrt(), self.start.memory_std)
             self.start = Start(self.start.x, self.start.std, std, memory)
         return x
 

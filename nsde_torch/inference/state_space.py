@@ -144,11 +144,8 @@ class StateSpace:
     def some(self, which: Tensor) -> "StateSpace":
         """The same machine, with the values in use, over some of the chunks."""
         out = copy.copy(self)
-        out.chunks, out.memory, out.begun = (
-            self.chunks.some(which),
-            self.memory[:, which],
-            self.begun[:, which],
-        )
+        out.chunks = self.chunks.some(which)
+        out.memory, out.begun = self.memory[:, which], self.begun[:, which]
         out.measured = None if self.measured is None else self.measured[:, which]
         return out
 
@@ -260,10 +257,8 @@ class StateSpace:
 
     def _rate(self, push: Mapping[Port, Tensor], t: Tensor, x: Tensor, memory: Tensor, u: Tensor) -> Tensor:
         forces = {port: force.expand(len(x), -1) for port, force in push.items()}
-        whole, own = (
-            self.vector.system.drift(t, self.with_memory(x, memory), u, forces),
-            self.vector.system.nx,
-        )
+        system, own = self.vector.system, self.vector.system.nx
+        whole = system.drift(t, self.with_memory(x, memory), u, forces)
         if not self.estimated:
             return whole[:, :own]
         return join_columns((whole[:, :own], *(whole[:, own + k : own + k + 1] for k in self.estimated)))

@@ -247,7 +247,7 @@ class Effect(Parametrised, ABC):
     a tuple."""
     fitted_from: ClassVar[Sequence[Mapping[str, float]]] = ()
     """Values from which fits begin, each with the first values of all other parameters, where a linearised step from no
-    effect shows nothing: a resonance is a sharp line, and noise levels learn what swings."""
+    effect shows nothing: a resonance is a sharp line, and noise levels learn what oscillates."""
     smooth: ClassVar[tuple[str, ...]] = ()
     """Parameters of `shapes` that one linear step fits again to some of the runs, as it does amplitudes."""
     relative: ClassVar[Mapping[str, str]] = {}

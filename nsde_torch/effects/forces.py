@@ -36,16 +36,18 @@ class HiddenSwing(Effect):
         """How far it is ahead of the machine, and its velocity."""
         return 2 * self.ways
 
-    def pull(self, x: Tensor, memory: Tensor) -> Tensor:
+    def pull(self, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """Force on the machine (N, ways)."""
-        return -self.value("mass") * self._acceleration(x, memory)
+        return -self.value("mass") * self.acceleration(x, u, memory)
 
-    def _acceleration(self, x: Tensor, memory: Tensor) -> Tensor:
+    def acceleration(self, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """y'' (N, ways)."""
         w, (ahead, speed) = self.swing(), memory.split(self.ways, 1)
         return -w * (w * ahead + 2.0 * self.value("damping") * (speed - self.velocity(x)))
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return torch.cat((memory[:, self.ways :] - self.velocity(x), self._acceleration(x, memory)), 1)
+        pulled = self.acceleration(x, u, memory)[:, : self.ways]
+        return torch.cat((memory[:, self.ways :] - self.velocity(x), pulled), 1)
 
     def followed(self, x: Tensor, dt: float) -> Tensor:
         """See `Effect.followed`; exact for a velocity that is a straight line between the rows."""
@@ -307,7 +309,7 @@ class HiddenMass(HiddenSwing, Law):
         return self.v(x)
 
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        return self.pull(x, memory)
+        return self.pull(x, u, memory)
 
 
 class PositionBias(Law):

@@ -8,7 +8,7 @@ from torch import Tensor
 from nsde_torch.columns import columns, split_columns, stack_columns
 from nsde_torch.effects.base import Effect, Parameter, Port, elapsed
 from nsde_torch.effects.forces import HiddenSwing
-from nsde_torch.rotation import cross, euler_coupling, matrix, rate_products, rotate_back, turned
+from nsde_torch.rotation import axis_up, cross, euler_coupling, matrix, rate_products, rotate_back, turned
 
 GRAVITY = 9.81
 TWO_SPEEDS = "fly at two more speeds, in several directions"
@@ -185,15 +185,17 @@ class ConstantWorldForce(Effect):
 
 @final
 class SlungLoad(HiddenSwing):
-    """A load that hangs below the centre of mass and is not in the log; it swings by small angles.
+    """A load on a cable below the centre of mass that is not in the log; it swings by small angles.
 
-    Its weight is part of what hovering takes, and of the declared gain of thrust.
+    Up and down it moves with the machine, so that thrust over mass T is that over both masses, and the cable holds T_z.
+    Of m y'' the machine feels what the thrust that is counted in T does not give: nothing where it hovers level.
     """
 
     name = "slung_load"
     port = Port.WORLD_FORCE
     needs = (Port.BODY_FORCE,)
-    formula = "-m y'', y'' = (g / l) (p - y) + 2 d sqrt(g / l) (v - y'), east and north"
+    quantities = {"thrust": 1}
+    formula = "m (T - y''), y'' = (T_z / l) (p - y) + 2 d sqrt(g / l) (v - y'), east and north"
     source = "to first order; Goodarzi, Lee, Lee, American Control Conference (2014)"
     PARAMETERS = {
         "mass": Parameter(0.1, "1", low=0.0, help="mass of the load over that of the machine"),
@@ -217,8 +219,18 @@ class SlungLoad(HiddenSwing):
         """See `HiddenSwing`: to east and north."""
         return x[:, 3:5]
 
+    def acceleration(self, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        """See `HiddenSwing`."""
+        ahead, speed = memory.split(2, 1)
+        rub = 2.0 * self.value("damping") * self.swing()
+        return -self._lift(x, u)[:, 2:] / self.value("length") * ahead - rub * (speed - self.velocity(x))
+
+    def _lift(self, x: Tensor, u: Tensor) -> Tensor:
+        """Thrust over mass in the world (N, 3)."""
+        return self.channel("thrust", u) * axis_up(x[:, 6:10])
+
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        pull = self.pull(x, memory)
+        pull = self.pull(x, u, memory) + self.value("mass") * self._lift(x, u)[:, :2]
         return torch.cat((pull, torch.zeros_like(pull[:, :1])), 1)
 
 

@@ -293,6 +293,11 @@ class HeldOut:
         of = [one for name, one in self.content["residual"].items() if name in channels]
         return bool(of) and all(one["low_90"] is not None and one["low_90"] > 0 for one in of)
 
+    def grows(self, share: float) -> list[str]:
+        """Channels whose residual is surely larger with the effects, and by more than a share of what it was."""
+        each = self.content["residual"].items()
+        return [n for n, one in each if self.larger([n]) and one["ratio"] > 1.0 + share]
+
     def refutes(self, effect: str) -> float:
         """Nats by which runs left out are likelier without an effect; 0 where they are not surely so."""
         mine = self.own.get(effect)

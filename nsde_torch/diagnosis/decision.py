@@ -361,11 +361,24 @@ def judged_on_runs_left_out(outcome: Outcome, errors: HeldOut) -> Outcome:
 
     Where structure is left and no residual there is smaller than without any effect, or all are larger, what was found
     stands for something else, and the verdict is `unexplained`: a drive with play and a shaft that twists was a lag, an
-    arm with an elastic joint an input without strength, both surely.
+    arm with an elastic joint an input without strength, both surely. What acts on a channel whose residual grows is
+    provisional, whatever it explains elsewhere: of a boat whose rudder alone is late a lag of both inputs was sure, and
+    the residual along the keel half as large again.
     """
     # before any other reason: beside "something else is there too" it was printed that the log is likelier without it
     against = [replace(f, provisional=errors.against(f.name) or f.provisional) for f in outcome.found]
     outcome = replace(outcome, found=against)
+    grows = {*errors.grows(outcome.decisions.provisional_share)} if errors.inputs else set[str]()
+
+    def why_not(f: Found) -> str:
+        channels = [name for name in f.moves if name in grows]
+        return (
+            f"the residual of {' and '.join(channels)} on runs left out is larger with the effects"
+            if channels
+            else ""
+        )
+
+    outcome = outcome.provisional(why_not)
     moved = {name for f in outcome.found for name in f.moves}
     structured, larger = any(d.channel in moved for d in outcome.structured), errors.larger(moved)
     if errors.smaller(moved) or not (structured or larger):

@@ -100,7 +100,7 @@ def least_squares(content: Content, name: str | None = None) -> list[str]:
     if not to_use:
         return []
     if name is None:
-        return ["least squares: use these", "90 % interval"]
+        return ["least squares: nearer", "90 % interval"]
     one = to_use.get(name)
     return ["-", "-"] if one is None else [valued(one), interval(one["interval_90"])]
 
@@ -140,6 +140,18 @@ def small_ones(content: Content) -> str:
     return (
         f"and {small(len(told['rest']))}, together {told['rest_share']:.1%} of what all effects improve on "
         f"{content['errors']['measured_on']}: {each}"
+    )
+
+
+def beside_leads(content: Content) -> str:
+    """That declared values hold with what is provisional; empty where nothing is."""
+    leads = [f["name"] for f in content["findings"] if f["lead"]]
+    if not (leads and content["declared_parameters"]):
+        return ""
+    return (
+        f"Values of declared parameters and their intervals hold beside {', '.join(leads)} as found, which "
+        f"{'is' if len(leads) == 1 else 'are'} provisional: another effect in {'its' if len(leads) == 1 else 'their'} "
+        "place moves them."
     )
 
 

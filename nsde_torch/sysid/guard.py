@@ -171,7 +171,7 @@ def guarded(
         if less and not objections and chance < CHANCE:
             notes.append(
                 f"least squares on means over 0.15 s find less of {less} than the fit: the fit is kept. Feedback "
-                "that answers what the physics lacks, and noise of the states, pull least squares towards nothing"
+                "that answers what the physics lacks, and noise of the states, make what least squares find smaller"
             )
     values = tuple(vector.labels), tuple(rough.theta.tolist())
     found = Guarded(tuple(objections), tuple(channels), *values, chance, tuple(notes))
@@ -195,7 +195,9 @@ def _recommended(found: Guarded, rough: Regression) -> Guarded:
         between = f"90 % interval {ends[0]:.3g} to {ends[1]:.3g}" if ends else "not shown by the data"
         told.append(f"{name} {own['value']:.3g}{unit} ({between})")
     (one,) = found.objections  # where least squares are to be used, nothing else is said
-    remedy = f"use the values of least squares: {', '.join(told)}; {one.remedy}"
+    remedy = (
+        f"the values of least squares are nearer, if nothing else is missing: {', '.join(told)}; {one.remedy}"
+    )
     return replace(found, objections=(replace(one, remedy=remedy),))
 
 
@@ -227,9 +229,9 @@ def _disagreement(channels: Sequence[Compared], chance: float) -> Objection | No
         )
         return Objection(
             "least_squares",
-            f"least squares on means over 0.15 s leave much less than the fit ({told}). Noise "
-            "and feedback pull least squares towards nothing, so that what they find more is there, and the noise "
-            "model of the fit has learned it",
+            f"least squares on means over 0.15 s leave much less than the fit ({told}). Noise and feedback make what "
+            "least squares find smaller, never larger: what the fit lacks beside them is real, and its noise model "
+            "has taken it for noise",
             "the states may have been smoothed or filtered before they were logged, or something that acts is not "
             "declared: log them raw, or train with model.method=differences; `nsde diagnose` names effects",
         )

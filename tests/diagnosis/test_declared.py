@@ -108,7 +108,7 @@ def test_values_of_least_squares_stand_beside_those_of_the_fit_where_they_are_to
     assert re.search(r"force_gain .* 14\.1\d* +13\.8\d to 14\.3\d", "\n".join(lines(content)))
     html = html_of(found, content)
     assert re.search(r"force_gain</td>.*<td>14\.1\d*</td><td>13\.8\d to 14\.3\d</td>", html)
-    assert html.count("least squares: use these") == 1
+    assert html.count("least squares: nearer") == 1
 
 
 @pytest.mark.slow

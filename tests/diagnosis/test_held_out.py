@@ -20,12 +20,13 @@ from nsde_torch.diagnosis.cross_validation import (
 from nsde_torch.diagnosis.decision import judged_on_runs_left_out, provisional_reason
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import Evidence, fitted_at
-from nsde_torch.diagnosis.outcome import Found
+from nsde_torch.diagnosis.outcome import Found, Outcome
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.residual_tests import Dependence
 from nsde_torch.diagnosis.search import Search, moved_channels
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.models.identified import SysidSpec
+from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import diagnosed, recorded
 
@@ -161,6 +162,24 @@ def test_single_steps_judge_an_effect_and_predictions_under_replayed_inputs_do_n
     assert "w_z" in replay(gain=-2.0).against("angular_damping")
     # inputs that were restored from an average know the future: the residual judges, and it is smaller
     assert replay(gain=-2.0, inputs=False).against("angular_damping") == ""
+
+
+def test_a_residual_that_grows_on_one_channel_doubts_what_acts_there_though_it_explains_another() -> None:
+    def judged(ratio: float, *, inputs: bool = True) -> list[str]:
+        grows = {"low_90": 0.05, "high_90": 0.1, "ratio": ratio}
+        falls = {"low_90": -0.2, "high_90": -0.1, "ratio": 0.1}
+        errors = HeldOut({"residual": {"surge": grows, "yaw": falls}}, True, ("a", "b"), {}, inputs)
+        evidence, none = Evidence(100.0, 5.0, 1e-9), cast(Regression, None)
+        both = [
+            Found(name, evidence, (), moves=m)
+            for name, m in (("lag", ("surge", "yaw")), ("ripple", ("yaw",)))
+        ]
+        first = Outcome("effect_found", none, none, both, None)
+        return [f.provisional for f in judged_on_runs_left_out(first, errors).found]
+
+    assert judged(1.4) == ["the residual of surge on runs left out is larger with the effects", ""]
+    assert judged(1.02) == ["", ""], "as of right effects where a controller answers gusts"
+    assert judged(1.4, inputs=False) == ["", ""]
 
 
 def test_structure_that_is_left_where_an_effect_does_not_act_does_not_make_it_a_lead() -> None:

@@ -245,7 +245,10 @@ def test_values_of_least_squares_are_in_the_short_text_where_they_are_to_be_used
     content: dict[str, Any],
 ) -> None:
     content["guard"]["to_use"] = {"gain": {"value": 1.23456, "interval_90": [1.1, 1.3], "unit": "1"}}
-    assert "values of least squares, to be used: gain 1.23 (1.10 to 1.30)" in short_lines(content)
+    assert (
+        "values of least squares, nearer if nothing else is missing: gain 1.23 (1.10 to 1.30)"
+        in short_lines(content)
+    )
 
 
 @pytest.mark.parametrize(

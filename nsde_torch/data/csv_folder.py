@@ -189,8 +189,7 @@ def read_csv_file(path: str | Path, system: SystemInfo) -> RawRun:
     """
     path = Path(path)
     names = _header(path, system)
-    needed = _needed(system)
-    table = _table(path, names, needed)
+    table = _table(path, names, _needed(system))
     if len(table) < 2:
         raise DataError(
             f"{path} has {len(table)} row; a run needs at least two. Remove the file or record longer."
@@ -243,12 +242,12 @@ def write_csv(dataset: DataSet, folder: str | Path) -> list[Path]:
         extra = {k: v for k, v in run.extra.items() if k not in dataset.input_names}
         names = (TIME, *dataset.state_names, *dataset.input_names, *extra)
         file = folder / f"{run.name}.csv"
-        with file.open("w", encoding="utf-8", newline="\n") as out:
-            out.write(",".join(names) + "\n")
+        with file.open("w", encoding="utf-8", newline="") as out:
+            writer = csv.writer(out, lineterminator="\n")
+            writer.writerow(names)
             for first in range(0, len(run), 4096):  # in pieces: text is five times the size of the numbers
                 rows = slice(first, first + 4096)
                 columns = [run.t[rows], run.x[rows], run.u[rows], *(v[rows] for v in extra.values())]
-                for row in np.column_stack(columns).tolist():
-                    out.write(",".join(map(repr, row)) + "\n")
+                writer.writerows(np.column_stack(columns).tolist())
         files.append(file)
     return files

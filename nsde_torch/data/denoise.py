@@ -25,11 +25,9 @@ _LAMBDAS = 10.0 ** np.arange(-0.5, 8.1, 0.5)
 
 
 def denoised(runs: Sequence[Run]) -> tuple[list[Array], Array]:
-    """States of runs without white sensor noise; gaps are not smoothed over.
+    """States (n, nx) of runs without white sensor noise, and what is left of it as a share of its deviation (nx,).
 
-    Returns:
-        States (n, nx) of each run, as measured in segments of fewer than ten rows; and the standard deviation of their
-        noise as a share of that of the sensors (nx,).
+    Gaps are not smoothed over; segments of fewer than ten rows are as measured.
     """
     pieces = [p for run in runs for p in _pieces(run)]
     nx = runs[0].x.shape[1]

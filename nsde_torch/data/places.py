@@ -40,20 +40,16 @@ def log_place(path: str | Path, expected: str) -> Path:
                 f"{path} is empty: a recording that never began, or a copy that failed. Leave it out."
             )
         if found.st_size >= _HOLE:
-            _refuse_holes(path, found.st_size)
+            with path.open("rb") as file:
+                file.seek(found.st_size - _HOLE)
+                if not file.read(_HOLE).strip(b"\x00"):
+                    raise DataError(
+                        f"{path} ends with {_HOLE >> 20} MiB of zeros or more: a copy or recording that was cut short. "
+                        "Copy it again, or cut the zeros off."
+                    )
     elif not stat.S_ISDIR(found.st_mode):
         raise DataError(f"`path`: {path} is no regular file (a pipe, socket or device); expected {expected}.")
     return path
-
-
-def _refuse_holes(path: Path, size: int) -> None:
-    with path.open("rb") as file:
-        file.seek(size - _HOLE)
-        if not file.read(_HOLE).strip(b"\x00"):
-            raise DataError(
-                f"{path} ends with {_HOLE >> 20} MiB of zeros or more: a copy or recording that was cut short. Copy it "
-                "again, or cut the zeros off."
-            )
 
 
 def entries(folder: Path) -> list[Path]:

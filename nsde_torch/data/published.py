@@ -18,7 +18,7 @@ from nsde_torch.arrays import Array
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.system_info import SystemInfo
 from nsde_torch.data.unpickler import read_pickle
-from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.errors import DataError
 
 CARTPOLE_FORCE = 25.0  # newtons for one unit of the published cartpole input
 
@@ -72,9 +72,7 @@ def _pairs(content: object, where: str) -> list[tuple[Array, Array]]:
 def read_published(system: SystemInfo, *, path: str | Path, dt: float | None = None) -> list[RawRun]:
     """Runs of one of the authors' files, which the system must fit, on a step [s] or the published rate of their kind.
 
-    Raises:
-        DataError: the file is unreadable, of another system, or of no known kind.
-        ConfigError: `dt` is not positive.
+    A DataError refuses a file that is unreadable, of another system or of no known kind.
     """
     path = Path(path)
     pairs = _pairs(read_pickle(path), str(path))
@@ -99,8 +97,6 @@ def read_published(system: SystemInfo, *, path: str | Path, dt: float | None = N
             f"{system.name!r} {reason}. Choose the file's own system."
         )
     step = nominal if dt is None else float(dt)
-    if not step > 0:
-        raise ConfigError(f"`dt` must be a positive step in seconds; got {dt!r}.")
     runs = []
     digits = len(str(len(pairs) - 1))
     before = 0  # rows of the runs before: they were recorded one after another, and a battery remembers

@@ -6,7 +6,6 @@ missing beyond the ends of its stream and in pauses (longer than 0.25 s and than
 
 from __future__ import annotations
 
-import difflib
 import itertools
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 from nsde_torch.arrays import Array
 from nsde_torch.data.quaternion import continuous_signs, slerp
 from nsde_torch.errors import ConfigError, DataError, NsdeError
+from nsde_torch.lookup import did_you_mean
 
 PAUSE_S = 0.25  # shortest pause [s]
 MAX_DISORDER = 0.05  # share of rows out of order that is sorted; more is refused
@@ -257,9 +257,7 @@ def _ticks(name: str, values: Array) -> bool:
     return bool((steps > 0).all()) and even
 
 
-def timed(
-    name: str, fields: dict[str, Array], clock: ClockOf, *, source: str, notes: list[str] | None = None
-) -> Stream:
+def timed(name: str, fields: dict[str, Array], clock: ClockOf, notes: list[str], *, source: str) -> Stream:
     """A table with its clock taken out of its columns, all of one length; a DataError where it is no clock.
 
     `notes` takes what was assumed of the times.
@@ -270,26 +268,22 @@ def timed(
     own = found(fields, clock)
     if own is None or own.source is None:
         return Stream(name, np.full(rows, np.nan), fields)
-    column, unit = own.source, own.unit
-    values = fields[column]
-    if unit not in SECONDS:
-        raise ConfigError(f"`unit` of the time must be one of {', '.join(SECONDS)}; got {unit!r}.")
+    column, values = own.source, fields[own.source]
     good = np.isfinite(values)
     if good.sum() < 2 or not np.diff(values[good]).any():
         raise DataError(
             f"{source}: the column {column!r} is taken for the time and does not increase; a run needs two rows. "
             "Record longer, or say in a mapping which column it is, `time: {from: NAME, unit: s}`."
         )
-    times = values[good] * SECONDS[unit]
+    times = values[good] * SECONDS[own.unit or "s"]
     _, shuffled = disorder(times, column)
     if shuffled:
         raise DataError(f"{source}: {shuffled}")
     kept = {key: v[good] for key, v in fields.items() if key != column}
     even = unrounded(times, np.stack(list(kept.values()), axis=1)) if kept else None
     if even is not None:
-        if notes is not None:
-            said = f"{len(times)} rows have {len(np.unique(times))} times"
-            notes.append(f"{said} in {column!r}: they are taken to be {np.diff(even)[0] * 1e3:.4g} ms apart")
+        said = f"{len(times)} rows have {len(np.unique(times))} times"
+        notes.append(f"{said} in {column!r}: they are taken to be {np.diff(even)[0] * 1e3:.4g} ms apart")
         times = even
     return ordered(Stream(name, times, kept))
 
@@ -324,8 +318,7 @@ class StreamLog:
     def find(self, name: str) -> tuple[Stream, str]:
         """The stream and the column of a name, with its stream in front or, where that is enough, without.
 
-        Raises:
-            ConfigError: no such column (names the nearest), or several.
+        A ConfigError where there is no such column (it names the nearest), or several.
         """
         found = [(s, c) for s in self.streams for c in s.fields if full(s, c) == name]
         found = found or [(s, c) for s in self.streams for c in s.fields if c == name]
@@ -335,11 +328,9 @@ class StreamLog:
             where = ", ".join(full(s, c) for s, c in found)
             raise ConfigError(f"the mapping reads {name!r}, which {self.source} has more than once: {where}.")
         known = self.names()
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f" Did you mean {near[0]!r}?" if near else ""
         shown = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
         raise ConfigError(
-            f"the mapping reads {name!r}, which {self.source} does not have.{hint} It has {shown}."
+            f"the mapping reads {name!r}, which {self.source} does not have.{did_you_mean(name, known)} It has {shown}."
         )
 
 

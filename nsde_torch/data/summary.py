@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -18,47 +18,16 @@ from nsde_torch.data.raw import Finding
 from nsde_torch.data.run import DataSet, Run, fingerprint
 from nsde_torch.data.system_info import SystemInfo, rate_columns
 
-
-@dataclass(frozen=True)
-class ChannelSummary:
-    """Figures of one channel over all segments: extremes and 5, 50, 95 % quantiles, in its unit."""
-
-    name: str
-    unit: str
-    minimum: float
-    q05: float
-    median: float
-    q95: float
-    maximum: float
-
-
-@dataclass(frozen=True)
-class RunSummary:
-    """Figures of one run: rows, seconds inside segments, and the segments."""
-
-    name: str
-    rows: int
-    duration_s: float
-    segments: tuple[tuple[int, int], ...]
-
-
-@dataclass(frozen=True)
-class FlightEnvelope:
-    """Flight envelope of a multirotor (the figures of the supplement's Figure 15): 95 % quantiles and maxima.
-
-    Speed in m/s, magnitudes of roll, pitch and yaw in degrees; the heading is relative to the mean yaw of each run.
-    """
-
-    speed_q95: float
-    speed_max: float
-    roll_q95: float
-    roll_max: float
-    pitch_q95: float
-    pitch_max: float
-    yaw_q95: float
-    yaw_max: float
-    heading_q95: float
-    heading_max: float
+_FIGURES = ("minimum", "q05", "median", "q95", "maximum")  # of a channel, over all segments
+# of the flight envelope of a multirotor (the supplement's Figure 15): the first and the last word of its keys, what
+# people read, and digits. Roll, pitch and yaw are magnitudes; the heading is relative to the mean yaw of each run
+_ENVELOPE = (
+    ("speed", "m_per_s", "speed [m/s]", 2),
+    ("roll", "deg", "|roll| [deg]", 1),
+    ("pitch", "deg", "|pitch| [deg]", 1),
+    ("yaw", "deg", "|yaw| [deg]", 1),
+    ("heading", "deg", "|yaw - mean| [deg]", 1),
+)
 
 
 @dataclass(frozen=True)
@@ -69,9 +38,9 @@ class DataSummary:
     system: str  # name of the system
     dt: float  # step [s]
     clock_scale: float  # physical seconds for each logged second that the models use
-    runs: tuple[RunSummary, ...]  # figures of each run
-    channels: tuple[ChannelSummary, ...]  # figures of each state, input and further channel
-    envelope: FlightEnvelope | None  # flight envelope of a multirotor, otherwise None
+    runs: tuple[Mapping[str, Any], ...]  # name, rows, duration_s (inside segments) and segments of each run
+    channels: tuple[Mapping[str, Any], ...]  # name, unit and figures of each state, input and further channel
+    envelope: Mapping[str, float] | None  # 95 % quantiles and maxima of a multirotor's flight, otherwise None
     input_rank: InputRank  # numerical rank of the inputs
     slopes: tuple[Slope, ...]  # measured clock slopes, axis by axis
     findings: tuple[Finding, ...]  # what was found and done
@@ -79,7 +48,7 @@ class DataSummary:
     @property
     def duration(self) -> float:
         """Recorded time inside segments [s]."""
-        return sum(run.duration_s for run in self.runs)
+        return float(sum(run["duration_s"] for run in self.runs))
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers for JSON; units in the keys or beside the figures."""
@@ -90,7 +59,7 @@ class DataSummary:
             "dt_s": self.dt,
             "rate_hz": 1.0 / self.dt,
             "duration_s": self.duration,
-            "rows": sum(run.rows for run in self.runs),
+            "rows": sum(run["rows"] for run in self.runs),
             "clock_scale": self.clock_scale,
             "clock_measured": {
                 "scale": pooled.value if self.slopes else None,
@@ -98,9 +67,9 @@ class DataSummary:
                 "spread": pooled.spread,
                 "axes": [asdict(s) for s in self.slopes],
             },
-            "runs": [vars(run) | {"segments": [list(s) for s in run.segments]} for run in self.runs],
-            "channels": [vars(channel) for channel in self.channels],
-            "envelope": None if self.envelope is None else _with_units(self.envelope),
+            "runs": list(self.runs),
+            "channels": list(self.channels),
+            "envelope": self.envelope,
             "input_rank": asdict(self.input_rank),
             "findings": [finding.as_dict() for finding in self.findings],
         }
@@ -126,27 +95,20 @@ class DataSummary:
         table: list[tuple[str, ...]] = [("run", "rows", "seconds", "segments")]
         shown = self.runs if len(self.runs) <= 12 else self.runs[:10]
         for run in shown:
-            parts = " ".join(f"{a}-{b}" for a, b in run.segments[:3]) + " ..." * (len(run.segments) > 3)
-            table.append((run.name, str(run.rows), f"{run.duration_s:.2f}", parts))
+            parts = " ".join(f"{a}-{b}" for a, b in run["segments"][:3]) + " ..." * (len(run["segments"]) > 3)
+            table.append((run["name"], str(run["rows"]), f"{run['duration_s']:.2f}", parts))
         lines += [f"  {row}" for row in aligned(table)]
         if len(shown) < len(self.runs):
             lines.append(f"  ... and {len(self.runs) - len(shown)} runs more")
         table = [("channel", "unit", "min", "5 %", "median", "95 %", "max")]
-        table += [
-            (c.name, c.unit, *(f"{v:.4g}" for v in (c.minimum, c.q05, c.median, c.q95, c.maximum)))
-            for c in self.channels
-        ]
+        table += [(c["name"], c["unit"], *(f"{c[k]:.4g}" for k in _FIGURES)) for c in self.channels]
         lines += [f"  {row}" for row in aligned(table)]
         e = self.envelope
         if e is not None:
-            table = [
-                ("envelope", "95 %", "max"),
-                ("speed [m/s]", f"{e.speed_q95:.2f}", f"{e.speed_max:.2f}"),
-                ("|roll| [deg]", f"{e.roll_q95:.1f}", f"{e.roll_max:.1f}"),
-                ("|pitch| [deg]", f"{e.pitch_q95:.1f}", f"{e.pitch_max:.1f}"),
-                ("|yaw| [deg]", f"{e.yaw_q95:.1f}", f"{e.yaw_max:.1f}"),
-                ("|yaw - mean| [deg]", f"{e.heading_q95:.1f}", f"{e.heading_max:.1f}"),
-            ]
+            table = [("envelope", "95 %", "max")]
+            for key, unit, words, digits in _ENVELOPE:
+                ends = (e[f"{key}_{end}_{unit}"] for end in ("q95", "max"))
+                table.append((words, *(f"{value:.{digits}f}" for value in ends)))
             lines += [f"  {row}" for row in aligned(table)]
         if self.input_rank.channels:
             lines.append(f"inputs span {self.input_rank.rank} of {self.input_rank.channels} dimensions")
@@ -156,10 +118,6 @@ class DataSummary:
         else:
             lines.append("found: nothing amiss")
         return "\n".join(lines)
-
-
-def _with_units(envelope: FlightEnvelope) -> dict[str, float]:
-    return {f"{k}_{'m_per_s' if k.startswith('speed') else 'deg'}": v for k, v in vars(envelope).items()}
 
 
 def _grouped(findings: Sequence[Finding]) -> list[str]:
@@ -178,13 +136,12 @@ def _inside(run: Run, column: Array) -> Array:
     return np.concatenate([column[a:b] for a, b in run.segments])
 
 
-def _channel(name: str, unit: str, parts: Sequence[Array]) -> ChannelSummary:
-    return ChannelSummary(
-        name, unit, *np.quantile(np.concatenate(parts), [0.0, 0.05, 0.5, 0.95, 1.0]).tolist()
-    )
+def _channel(name: str, unit: str, parts: Sequence[Array]) -> dict[str, Any]:
+    figures = np.quantile(np.concatenate(parts), [0.0, 0.05, 0.5, 0.95, 1.0]).tolist()
+    return {"name": name, "unit": unit, **dict(zip(_FIGURES, figures, strict=True))}
 
 
-def envelope(runs: Sequence[Run], system: SystemInfo) -> FlightEnvelope | None:
+def envelope(runs: Sequence[Run], system: SystemInfo) -> dict[str, float] | None:
     """Flight envelope of a multirotor; None for a system without position, velocity and attitude."""
     names = list(system.state_names)
     if system.quaternion is None or rate_columns(system) is None or not {"v_x", "v_y", "v_z"} <= set(names):
@@ -198,8 +155,9 @@ def envelope(runs: Sequence[Run], system: SystemInfo) -> FlightEnvelope | None:
         heading = np.arctan2(np.sin(yaw - mean), np.cos(yaw - mean))
         parts.append(np.stack([speed, *np.degrees(np.abs([roll, pitch, yaw, heading]))]))
     values = np.concatenate(parts, axis=1)
-    q95, high = np.quantile(values, 0.95, axis=1).tolist(), values.max(axis=1).tolist()
-    return FlightEnvelope(*(number for pair in zip(q95, high, strict=True) for number in pair))
+    ends = {"q95": np.quantile(values, 0.95, axis=1).tolist(), "max": values.max(axis=1).tolist()}
+    rows = enumerate(_ENVELOPE)
+    return {f"{key}_{end}_{unit}": ends[end][k] for k, (key, unit, *_) in rows for end in ends}
 
 
 def data_set_of(
@@ -227,7 +185,15 @@ def data_set_of(
         system=system.name,
         dt=dt,
         clock_scale=clock_scale,
-        runs=tuple(RunSummary(run.name, len(run), run.duration, run.segments) for run in runs),
+        runs=tuple(
+            {
+                "name": run.name,
+                "rows": len(run),
+                "duration_s": run.duration,
+                "segments": [list(s) for s in run.segments],
+            }
+            for run in runs
+        ),
         channels=tuple(channels),
         envelope=envelope(runs, system),
         input_rank=rank,

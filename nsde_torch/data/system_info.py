@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Any, Protocol
+from types import SimpleNamespace
+from typing import Any, Protocol, cast
 
 from nsde_torch.errors import ConfigError
 
@@ -48,21 +48,6 @@ class SystemInfo(Protocol):
     def optional_inputs(self) -> tuple[str, ...]: ...
 
 
-@dataclass(frozen=True)
-class Columns:
-    """A system as readers see it, with further columns beside the inputs."""
-
-    name: str
-    state_names: tuple[str, ...]
-    state_units: tuple[str, ...]
-    input_names: tuple[str, ...]
-    input_units: tuple[str, ...]
-    exogenous: tuple[str, ...]
-    quaternion: slice | None
-    position_derivatives: tuple[tuple[str, str, str], ...]
-    optional_inputs: tuple[str, ...] = ()
-
-
 def all_columns(systems: Sequence[SystemInfo]) -> SystemInfo:
     """The first system, with the further columns that any of them reads."""
     first = systems[0]
@@ -72,9 +57,12 @@ def all_columns(systems: Sequence[SystemInfo]) -> SystemInfo:
     return changed(first, exogenous=every)
 
 
-def changed(system: SystemInfo, **changes: Any) -> Columns:
+def changed(system: SystemInfo, **changes: Any) -> SystemInfo:
     """A system as readers see it, with some of its attributes replaced."""
-    return Columns(**{f.name: changes.get(f.name, getattr(system, f.name)) for f in fields(Columns)})
+    own = {
+        name: getattr(system, name) for name, kind in vars(SystemInfo).items() if isinstance(kind, property)
+    }
+    return cast(SystemInfo, SimpleNamespace(**{**own, **changes}))
 
 
 def rate_pairs(system: SystemInfo) -> list[tuple[int, int]]:

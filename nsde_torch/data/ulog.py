@@ -335,8 +335,7 @@ def _read_file(path: Path, system: SystemInfo, *, state: str, in_air: bool, moto
             f"{motor_rate:g} Hz are needed, as gains and lags come out wrong of commands that change unseen. "
             f"{_HIGH_RATE}. To read such a log all the same give `motor_rate` to the reader (`nsde_torch.read`)."
         )
-    u = held(motor_topic, commands, t)
-    run = RawRun(path.stem, t, x, u, source=str(path))
+    run = RawRun(path.stem, t, x, held(motor_topic, commands, t), source=str(path))
     notes = run.notes.append
     base = sources[0]
     slow = [topic for topic in (*sources[1:], motor_topic) if topic.rate < 0.8 * base.rate]

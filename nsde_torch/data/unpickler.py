@@ -187,11 +187,8 @@ def _check_memo(file: BinaryIO) -> None:
 def read_pickle(path: str | Path) -> object:
     """Contents of a pickle of NumPy arrays and plain containers; nothing in the file is executed.
 
-    These are lists, tuples, dicts, strings, numbers, None and NumPy arrays of bool, int or float.
-
-    Raises:
-        DataError: the file is missing, not a pickle, cut short, or names anything else (the name is in the
-            message).
+    These are lists, tuples, dicts, strings, numbers, None and NumPy arrays of bool, int or float. A DataError where the
+    file is missing, not a pickle, cut short, or names anything else (the name is in the message).
     """
     path = log_place(path, "a pickle file (.pkl)")
     if path.is_dir():

@@ -136,11 +136,7 @@ class Windows:
         return other
 
     def shortened(self, horizon: int) -> Windows:
-        """The same rows cut into windows of at most as many steps; the tensors are shared.
-
-        Raises:
-            ConfigError: the horizon is longer than that of these windows, or not positive.
-        """
+        """The same rows cut into windows of at most as many steps; the tensors are shared."""
         if not 1 <= horizon <= self.horizon:
             raise ConfigError(
                 f"`horizon` must lie in 1..{self.horizon}, the steps of these windows; got {horizon!r}."
@@ -201,14 +197,6 @@ class Windows:
 
         They are those of the same segment; where it began later, its first input is repeated. Rows that a split has
         given to others are read all the same: inputs are not what is predicted.
-
-        Args:
-            indices: Window numbers (B,).
-            steps: Model steps, at least 1.
-
-        Raises:
-            ConfigError: no step is asked for.
-            IndexError: a number out of range.
         """
         if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
             raise ConfigError(f"`steps` must be a whole number of at least 1; got {steps!r}.")
@@ -234,10 +222,7 @@ class Windows:
         The grid counts samples from the first row of each run, so that every model is scored from the same
         starts; those whose window would leave its segment are left out. Give the windows the longest horizon
         of interest. Runs with a column `intervention` are scored from where it changes from 0 to 1 (see
-        `data.interventions`), and from nowhere else.
-
-        Args:
-            every_s: Distance between starts [s], a whole number of data steps (within 1 %).
+        `data.interventions`), and from nowhere else. `every_s` [s] is a whole number of data steps (within 1 %).
         """
         steps = every_s / self.dt
         if round(steps) < 1 or abs(steps / round(steps) - 1) > TOLERANCE:
@@ -272,20 +257,10 @@ class Windows:
     ) -> tuple[Windows, Windows]:
         """Splits into training and validation windows that share no row.
 
-        Time is cut into blocks; a random share of them is held out. Windows that would cross from a training
-        block into a held-out one belong to neither (they are purged).
-
-        Args:
-            fraction: Share of the rows to hold out, in (0, 1).
-            block_s: Length of a block [s]; at least one window fits in it, else it is made as long.
-            generator: Chooses the blocks.
-
-        Returns:
-            Training and validation windows; both share the stored data.
-
-        Raises:
-            ConfigError: the fraction is not in (0, 1) or the block is not positive.
-            DataError: the data are too short to hold anything out.
+        Time is cut into blocks of a length [s], in which at least one window fits, else they are made as long; a random
+        share of them, a `fraction` in (0, 1) of the rows, is held out. Windows that would cross from a training block
+        into a held-out one belong to neither (they are purged). Both share the stored data. A DataError where these are
+        too short to hold anything out.
         """
         if not 0 < fraction < 1:
             raise ConfigError(
@@ -317,9 +292,9 @@ class Windows:
         train: list[tuple[int, int]] = []
         validation: list[tuple[int, int]] = []
         for e in edges:
-            spans = list(itertools.pairwise(e))
-            train += _merge([s for s in spans if s not in held])
-            validation += _merge([s for s in spans if s in held])
+            for out, blocks in itertools.groupby(itertools.pairwise(e), held.__contains__):
+                ends = [end for block in blocks for end in block]
+                (validation if out else train).append((ends[0], ends[-1]))
         first, second = (self._with(np.array(r, dtype=np.int64), self.horizon) for r in (train, validation))
         if len(first) == 0 or len(second) == 0:
             raise DataError(
@@ -343,14 +318,3 @@ def _choose(
         held.add((a, b))
         taken += b - a
     return held
-
-
-def _merge(spans: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Neighbouring blocks joined."""
-    out: list[tuple[int, int]] = []
-    for a, b in spans:
-        if out and out[-1][1] == a:
-            out[-1] = (out[-1][0], b)
-        else:
-            out.append((a, b))
-    return out

@@ -25,9 +25,6 @@ from nsde_torch.recording.latency import Misfits, suspected_latency, whole_senso
 class Recording:
     """A recording chain with faults, sizes by name (`RecordingOptions` lists them); without any it logs what there is.
 
-    Raises:
-        ConfigError: no fault of that name.
-
     Example:
         >>> Recording(sensor_bias={"q_dot": 0.1}, dropout=0.02).as_dict(0.01)
         {'sensor_bias': {'q_dot': 0.1}, 'dropout': 0.02}
@@ -148,10 +145,8 @@ def instead_of_effects(
 ) -> Recorded | None:
     """The log without the delay of a whole sensor that explains what effects do not; None where there is none.
 
-    Args:
-        misfits: Negative log likelihood per row [nats] of the declared physics in runs, by channel.
-        rows: Number of these rows.
-        other: The misfit of physics with effects, all channels together.
+    `rows` is the number of rows that `misfits` are per, and `other` the misfit of physics with effects, all channels
+    together.
     """
     undone = found.values("sensor_delay")
     late = whole_sensor_late(found.runs, system, misfits, rows=rows, other=other, undone=undone)

@@ -100,17 +100,9 @@ def decide(
     """The clock scale of a data set, physical seconds for each logged second, and how many times too much a rate reads.
 
     A wrong clock shows in every group of axes (positions and attitude) on the same side. Where only one group
-    disagrees, its velocity is at fault, not the clock; that is reported and nothing is scaled. The policy `rescale`
-    returns what was measured, `trust` reports it alone.
-
-    Args:
-        slopes: Of all runs.
-        rate: The `single_rate` of the machine, which is scaled in place of the clock.
-        policy: One of `POLICIES`.
-        report: Takes what was found.
-
-    Raises:
-        DataError: the clock, or the single rate, is wrong and the policy is `refuse`.
+    disagrees, its velocity is at fault, not the clock; that is reported and nothing is scaled. Of a `single_rate` of
+    the machine it is the rate that is scaled. The policy `rescale` returns what was measured, `trust` reports it alone,
+    and `refuse` raises a DataError.
     """
     if not slopes:
         return 1.0, {}

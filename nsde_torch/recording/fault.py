@@ -138,11 +138,7 @@ class Fault(ABC):
         return any(value) if isinstance(value, Sequence) else value != self.option.default
 
     def check(self, value: Any, system: SystemInfo) -> None:
-        """Refuse a size that this system cannot have; the range of `option` has been checked.
-
-        Raises:
-            ConfigError: names the option, what it takes and what it was given.
-        """
+        """Refuse a size that this system cannot have, by a ConfigError; the range of `option` has been checked."""
         return
 
     def rows_before(self, value: Any, dt: float) -> int:
@@ -155,12 +151,9 @@ class Fault(ABC):
 
     @abstractmethod
     def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
-        """Do to a run what the fault does.
+        """Do to a run what a fault of this size does, at a step of the log [s].
 
-        Args:
-            run: As the chain before this fault left it; its arrays are replaced, not written into.
-            value: The size.
-            dt: Step of the log [s].
+        It is as the chain before left it; its arrays are replaced, not written into.
         """
 
     def describe(self, value: Any, *, dt: float) -> dict[str, Any]:
@@ -177,15 +170,13 @@ class Fault(ABC):
     def undo(self, run: Run, system: SystemInfo, values: Mapping[str, float]) -> Run:
         """A run without the fault, of sizes as `detect` finds them or a user gives them; itself if nothing can be done.
 
-        Raises:
-            ConfigError: no such name, or no such size.
+        A ConfigError where there is no such name, or no such size.
         """
         return run
 
     def undo_raw(self, run: RawRun, system: SystemInfo, values: Mapping[str, float]) -> None:
         """Take the fault out of a run that nothing has looked at yet (`remedy_first`); its arrays are replaced.
 
-        Raises:
-            ConfigError: no such name, or no such size.
+        Errors are those of `undo`.
         """
         raise NotImplementedError

@@ -367,6 +367,7 @@ class RotorSpeed(Fault):
     """
 
     name = "rotor_speed"
+    truth = "rotor_speed_of_full_thrust"
     rank = 90
     option = key(0.0, "log speeds of rotors for commands: the speed of full thrust, 0 for commands", low=0)
     remedy = key(
@@ -376,9 +377,6 @@ class RotorSpeed(Fault):
 
     def simulate(self, run: RawRun, value: Any, system: SystemInfo, *, dt: float, rng: Generator) -> None:
         run.u = float(value) * np.sqrt(np.clip(run.u, 0.0, None))
-
-    def describe(self, value: Any, *, dt: float) -> dict[str, Any]:
-        return {"rotor_speed_of_full_thrust": float(value)}
 
     def undo_raw(self, run: RawRun, system: SystemInfo, values: Mapping[str, float]) -> None:
         """Values by name of an input, or by the common name of several."""

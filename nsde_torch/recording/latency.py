@@ -242,14 +242,14 @@ def on_time(
 
     What a filter of first order made late is undone first, x = x_log + T x_log'. Both mix the noise of several rows
     (`Run.apart`), but for moves by whole ones. Delays (negative: early) and time constants are in seconds of the log,
-    by state or by the common name of several.
-
-    Raises:
-        ConfigError: an unknown channel, or a time that is not a number.
-        DataError: the run is too short.
+    by state or by the common name of several. A ConfigError refuses an unknown channel and a time that is no number, a
+    DataError a run that is too short.
     """
+    for channel, d in (*late.items(), *(filters or {}).items()):
+        if isinstance(d, bool) or not isinstance(d, int | float) or not isfinite(d):
+            raise ConfigError(f"the time of {channel!r} must be a finite time [s]; got {d!r}.")
     moves, filtered_by = (
-        [(channel_columns(system, channel), _checked(channel, d) / run.dt) for channel, d in times.items()]
+        [(channel_columns(system, channel), d / run.dt) for channel, d in times.items()]
         for times in (late, filters or {})
     )
     x = run.x.copy()
@@ -292,12 +292,6 @@ def unfiltered(x: Array, rows: float) -> Array:
     if len(x) < 4:
         return x
     return x + rows * np.asarray(CubicSpline(np.arange(len(x), dtype=np.float64), x)(np.arange(len(x)), 1))
-
-
-def _checked(channel: str, d: object) -> float:
-    if isinstance(d, bool) or not isinstance(d, int | float) or not isfinite(d):
-        raise ConfigError(f"the time of {channel!r} must be a finite time [s]; got {d!r}.")
-    return float(d)
 
 
 # simulated

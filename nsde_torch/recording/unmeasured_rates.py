@@ -14,7 +14,7 @@ by their numbers: q and v agree on them far better than on a formula that is nea
 """
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -40,17 +40,11 @@ _ROUNDING = 1e-12  # of how far a position moves: noise below is that of numbers
 _EVEN = 1e-3  # of the step, within which times are even
 
 
-@dataclass(frozen=True)
-class Derived:
-    """A rate that was made of a position: how, in words that follow "is"."""
+def derived_rates(system: SystemInfo, runs: Sequence[RawRun]) -> list[tuple[str, str, str]]:
+    """Rates that are made of positions: both names and how, in words that follow "is".
 
-    rate: str
-    position: str
-    how: str
-
-
-def derived_rates(system: SystemInfo, runs: Sequence[RawRun]) -> list[Derived]:
-    """Rates of a system that are made of its positions; of machines that turn freely none are looked for."""
+    Of machines that turn freely none are looked for.
+    """
     if system.quaternion is not None:
         return []
     names, out = system.state_names, []
@@ -60,7 +54,7 @@ def derived_rates(system: SystemInfo, runs: Sequence[RawRun]) -> list[Derived]:
             continue  # too few, or a rate that stands still, of which `standstill` speaks
         found = (_plain(parts) if _raw(parts) else None) or _filtered(parts)
         if found is not None:
-            out.append(Derived(names[j], names[i], found))
+            out.append((names[j], names[i], found))
     return out
 
 
@@ -169,17 +163,17 @@ def to_infer(system: SystemInfo, raw: Sequence[RawRun], *, policy: str, report: 
             "diagnosis make their equations"
         )
         report(Finding("no_rate", "", len(absent), text, "inferred", {"states": sorted(absent)}))
-    found = [one for one in derived_rates(system, raw) if one.rate not in absent]
-    for one in found:
-        what = f"{one.rate} is {one.how} {one.position}, and no sensor's: it knows nothing that {one.position} does not"
+    found = [one for one in derived_rates(system, raw) if one[0] not in absent]
+    for rate, position, how in found:
+        what = f"{rate} is {how} {position}, and no sensor's: it knows nothing that {position} does not"
         done = {
-            "infer": f"taken out, and inferred from {one.position} alone; `data.derived_rates=keep` takes it as it is",
+            "infer": f"taken out, and inferred from {position} alone; `data.derived_rates=keep` takes it as it is",
             "keep": "kept as it is: errors of fits are too small, and friction is found wrong",
         }[policy]
-        values = {"state": one.rate, "position": one.position, "how": one.how.removesuffix(" of")}
+        values = {"state": rate, "position": position, "how": how.removesuffix(" of")}
         action = "inferred" if policy == "infer" else "reported"
         report(Finding("derived_rate", "", 1, f"{what}; {done}", action, values))
-    names = absent | ({one.rate for one in found} if policy == "infer" else set())
+    names = absent | ({rate for rate, _, _ in found} if policy == "infer" else set())
     for run in raw if names else ():
         run.x = run.x.copy()
         for i, j in _pairs(system, names):

@@ -97,7 +97,7 @@ def test_published_hexacopter_flights_hide_two_gaps_and_a_slow_clock() -> None:
     assert data.summary.input_rank.rank == 4
     envelope = data.summary.envelope
     assert envelope is not None
-    assert envelope.speed_q95 == pytest.approx(1.71, abs=0.1)
+    assert envelope["speed_q95_m_per_s"] == pytest.approx(1.71, abs=0.1)
     kept = read("published", HEXACOPTER, path=FLIGHTS, clock="trust")
     assert kept.clock_scale == 1.0
     with pytest.raises(DataError, match="clock runs wrong"):

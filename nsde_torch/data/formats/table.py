@@ -216,16 +216,14 @@ class _Layout:
     names: list[str]
     mark: str  # between cells
     before: int  # lines that precede the rows
-    unnamed: bool
 
 
-def read_text(path: Path, notes: list[str] | None = None) -> dict[str, Array]:
+def read_text(path: Path, notes: list[str]) -> dict[str, Array]:
     """Columns of numbers by name; an empty cell is nan, a column of words is left out.
 
     `notes` takes what was assumed, and what is missing because it is no number.
     """
-    notes = [] if notes is None else notes
-    layout = _layout(path)
+    layout = _layout(path, notes)
     names, mark = layout.names, layout.mark
     check_names(names, f"{path}:{layout.before}")
     lines = count_rows(path)  # before any of them is read: none is too long to be one
@@ -239,13 +237,11 @@ def read_text(path: Path, notes: list[str] | None = None) -> dict[str, Array]:
     ):
         raise DataError(f"{path}: no column holds numbers.")
     refuse_larger(path, 8.0 * lines * sum(max(width, 1) for width in use.values()))
-    if layout.unnamed:
-        notes.append(f"no header: columns are called by their numbers, {names[0]} to {names[-1]}")
     columns = None if any(use.values()) else _at_once(path, layout, list(use))
     return _cell_by_cell(path, layout, use, notes) if columns is None else columns
 
 
-def _layout(path: Path) -> _Layout:
+def _layout(path: Path, notes: list[str]) -> _Layout:
     """The header: the first row, a comment of as many cells before rows of numbers, or none."""
     comments: list[tuple[int, str]] = []
     rows: list[tuple[int, str]] = []
@@ -275,13 +271,15 @@ def _layout(path: Path) -> _Layout:
     pairs = list(zip(cells, below, strict=False))
     counted = [_is_numeric(a, mark) or a in NOTHING for a, b in pairs if _is_numeric(b, mark)]
     if not (all(counted) and any(_is_numeric(cell, mark) for cell in cells)):
-        return _Layout(cells, mark, number, False)
+        return _Layout(cells, mark, number)
     for _, line in reversed(comments):  # the one nearest to the rows that has a name for each column
         text = line.strip().lstrip("#% ")
         names = _cells(text, _mark(text))
         if len(names) == len(cells) and not any(_number(name, mark) is not None for name in names):
-            return _Layout(names, mark, number - 1, False)
-    return _Layout([f"{UNNAMED}{k + 1}" for k in range(len(cells))], mark, number - 1, True)
+            return _Layout(names, mark, number - 1)
+    names = [f"{UNNAMED}{k + 1}" for k in range(len(cells))]
+    notes.append(f"no header: columns are called by their numbers, {names[0]} to {names[-1]}")
+    return _Layout(names, mark, number - 1)
 
 
 def _mark(line: str) -> str:
@@ -423,15 +421,14 @@ def open_table(path: Path, *, clock: ClockOf | None = None) -> StreamLog:
     clock = clock or ClockOf()
     notes: list[str] = []
     if path.is_dir():
-        files = files_of(path, (*TEXT, *_READ))
         tables = {
             f"{file.stem}/{name}".rstrip("/"): one
-            for file in files
+            for file in files_of(path, (*TEXT, *_READ))
             for name, one in _columns(file, notes).items()
         }
     else:
         tables = _columns(path, notes)
-    streams = [timed(name, fields, clock, source=str(path), notes=notes) for name, fields in tables.items()]
+    streams = [timed(name, fields, clock, notes, source=str(path)) for name, fields in tables.items()]
     if not streams:
         raise DataError(f"{path} holds no table of numbers with two rows or more.")
     clocks = [found(fields, clock) for fields in tables.values()]
@@ -506,5 +503,5 @@ def are_runs(files: list[Path]) -> bool:
     Runs have one header, or share most columns where a recorder logged more in some of them (experiments of a DC motor:
     `t, u, y` and `t, r, y, u`). Streams measure different things under names of their own.
     """
-    headers = [set(_layout(file).names) for file in files]
+    headers = [set(_layout(file, []).names) for file in files]
     return len(set.intersection(*headers)) / max(map(len, headers)) > 0.5

@@ -70,9 +70,8 @@ _VALUES = 10  # number of values from which readings outside the range are no re
 def apply(log: StreamLog, mapping: LogMapping, system: SystemInfo) -> RawRun:
     """One run from one log.
 
-    Raises:
-        ConfigError: a column that the log does not have, an entry that does not fit the system, a unit.
-        DataError: a stream without a clock, too slow, or at another time than the others.
+    A ConfigError refuses a column that the log does not have, an entry that does not fit the system, or a unit; a
+    DataError a stream without a clock, too slow, or at another time than the others.
     """
     return _Applied(log, mapping, system).run()
 
@@ -83,8 +82,8 @@ class _Applied:
         self.names = {name: targets(system, name) for name in mapping.columns}
         self.notes = [Finding("log", log.name, 1, note, "reported") for note in log.notes]
         self.mapping = self._with_what_is_there(mapping)
-        self.units = dict(zip(system.state_names, system.state_units, strict=True))
-        self.units.update(zip(system.input_names, system.input_units, strict=True))
+        names, units = (*system.state_names, *system.input_names), (*system.state_units, *system.input_units)
+        self.units = dict(zip(names, units, strict=True))
         self.columns: dict[str, Array] = {}
         self._complete()
         self.base = self._rows()
@@ -229,8 +228,7 @@ class _Applied:
         if q is None or name is None:
             return None
         entry = self.mapping.columns[name]
-        streams = {id(self.log.find(source)[0]) for source in entry.source}
-        if len(streams) > 1:
+        if len({id(self.log.find(source)[0]) for source in entry.source}) > 1:
             raise ConfigError(
                 f"the mapping reads {name!r} from several streams; an attitude is read from one."
             )

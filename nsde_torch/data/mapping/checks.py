@@ -256,7 +256,7 @@ def pair_left(t: Array, p: Array, v: Array) -> float:
     return motion_left(t, np.diff(p)[:, None], 0.5 * (v[1:] + v[:-1])[:, None])
 
 
-def _times(system: SystemInfo, run: RawRun, mapping: LogMapping | None) -> LogCheck | None:
+def _times(system: SystemInfo, run: RawRun, mapping: LogMapping) -> LogCheck | None:
     """Another unit of the times, in which all positions follow their rates; None where there is none.
 
     Only steps that no log of a moving machine has are looked at: a rate in mm/s does the same to one pair of columns.
@@ -265,8 +265,7 @@ def _times(system: SystemInfo, run: RawRun, mapping: LogMapping | None) -> LogCh
     step = float(np.median(np.diff(run.t))) if len(run.t) > 1 else 0.0
     if not (step >= _SLOW_S or 0 < step < _FAST_S) or _all_sound(system, run, 1.0):
         return None
-    clock = None if mapping is None else mapping.time
-    now = (clock.unit if clock else None) or "s"
+    clock, now = mapping.time, mapping.time.unit or "s"
     row_s = _row_s(system, run) if step == SECONDS[now] else None
     if row_s is not None and _all_sound(system, run, row_s / step):
         text = f"the times count rows; with rows {row_s:.3g} s apart they agree with all rates."
@@ -276,11 +275,10 @@ def _times(system: SystemInfo, run: RawRun, mapping: LogMapping | None) -> LogCh
     for unit, seconds in SECONDS.items():
         size = seconds / SECONDS[now]
         if unit != now and _FASTEST_S <= size * step < _SLOW_S and _all_sound(system, run, size):
-            name = clock.source if clock and clock.source else "t"
-            entry = f"`time: {{from: {name}, unit: {unit}}}`"
+            entry = f"`time: {{from: {clock.source or 't'}, unit: {unit}}}`"
             remedy = (
                 f"write {entry} in the mapping"
-                if clock and clock.source
+                if clock.source
                 else f"write `t` in seconds, or read the files as tables, with {entry} in a mapping "
                 "(`nsde inspect LOG kind=table` writes one)"
             )
@@ -344,9 +342,7 @@ def exchanged(system: SystemInfo, run: RawRun) -> list[list[tuple[str, str]]]:
     return list(out.values())
 
 
-def rate_misread(
-    system: SystemInfo, run: RawRun, i: int, j: int, mapping: LogMapping | None
-) -> list[Misread]:
+def rate_misread(system: SystemInfo, run: RawRun, i: int, j: int, mapping: LogMapping) -> list[Misread]:
     """Units and signs of a position (column i) or its rate (j) in which they agree, best first; none in a sound log.
 
     A unit that the mapping reads wrongly does what another unit of the other column does.
@@ -363,7 +359,7 @@ def rate_misread(
             remedy = f"multiply {column} by {size:.4g}, or write `unit: {its}` in its entry of a mapping"
             left = pair_left(run.t, p, factor * v)
             other, read = (position, name) if column == rate else (rate, f"{name}/s")
-            entry = None if mapping is None else mapping.columns.get(other)
+            entry = mapping.columns.get(other)
             if entry is not None and entry.unit == read:
                 no = f"take `unit: {read}` out of its entry of the mapping"
                 tried.append(Misread(f"{other} has another unit than the {read} of the mapping", no, left))
@@ -450,6 +446,7 @@ def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -
         run = RawRun(run.name, run.t[rows], run.x[rows], run.u[rows])
     own = np.diff(run.t, prepend=-np.inf) > 0
     run = RawRun(run.name, run.t[own], _without_spikes(_unwrapped(system, run.x[own])), run.u[own])
+    mapping = LogMapping({}) if mapping is None else mapping
     times = _times(system, run, mapping)
     if times is not None:
         return [times]
@@ -459,8 +456,7 @@ def checks(system: SystemInfo, run: RawRun, mapping: LogMapping | None = None) -
     q, rates = system.quaternion, rate_columns(system)
     attitude = None if q is None else run.x[:, q]
     if q is not None and attitude is not None and rates is not None:
-        logged = _logged(system.state_names[q], mapping)
-        out.append(_attitude(run.t, attitude, run.x[:, rates], logged))
+        out.append(_attitude(run.t, attitude, run.x[:, rates], _logged(system.state_names[q], mapping)))
     for group, (i, j) in derivative_columns(system).items():
         if not np.isfinite(run.x[:, j]).any():
             continue
@@ -520,9 +516,9 @@ class _Logged:
         return attitude_between(read_attitude(raw, AttitudeWay(order, turns)), ned=self.ned, frd=self.frd)
 
 
-def _logged(names: Sequence[str], mapping: LogMapping | None) -> _Logged:
-    for name, entry in () if mapping is None else mapping.columns.items():
-        if mapping is not None and name in (names[0].partition("_")[0], *names):
+def _logged(names: Sequence[str], mapping: LogMapping) -> _Logged:
+    for name, entry in mapping.columns.items():
+        if name in (names[0].partition("_")[0], *names):
             turns, angles = entry.turns or "body to world", len(entry.source) == 3
             return _Logged(entry.order or "wxyz", turns, *mapping.axes_of(entry), angles)
     return _Logged()
@@ -617,7 +613,7 @@ def _velocity_words(way: VelocityWay, names: Sequence[str]) -> str:
     return "their third axis has the opposite sign of the position's (one up, one down)"
 
 
-def _axis(system: SystemInfo, run: RawRun, i: int, j: int, mapping: LogMapping | None) -> LogCheck:
+def _axis(system: SystemInfo, run: RawRun, i: int, j: int, mapping: LogMapping) -> LogCheck:
     position, rate = system.state_names[i], system.state_names[j]
     names = f"{position} and {rate}"
     own = pair_left(run.t, run.x[:, i], run.x[:, j])
@@ -643,7 +639,7 @@ def _noise_alone(t: Array, p: Array, left: float) -> bool:
 
 
 def _exchanged(
-    system: SystemInfo, run: RawRun, ways: Sequence[tuple[str, str]], mapping: LogMapping | None
+    system: SystemInfo, run: RawRun, ways: Sequence[tuple[str, str]], mapping: LogMapping
 ) -> LogCheck:
     """Two columns that are exchanged, or whatever else makes them agree."""
     a, b = ways[0]

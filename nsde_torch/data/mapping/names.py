@@ -74,13 +74,8 @@ def _size(unit: str) -> tuple[float, dict[str, int]] | None:
 _UNIT = re.compile(r"\s*[\[\(]([^\]\)]*)[\]\)]\s*$")
 _SUFFIX = re.compile(r"_(deg_s|deg_per_s|dps|deg|rad_s|rad|mps|m_s|rpm|mm|cm|pwm)$")
 _SUFFIXES = {
-    "deg_s": "deg/s",
-    "deg_per_s": "deg/s",
-    "dps": "deg/s",
-    "rad_s": "rad/s",
-    "mps": "m/s",
-    "m_s": "m/s",
-}
+    **dict.fromkeys(("deg_s", "deg_per_s", "dps"), "deg/s"), "rad_s": "rad/s", "mps": "m/s", "m_s": "m/s",
+}  # fmt: skip
 
 POSITION, VELOCITY, QUATERNION, EULER, RATES, ACCELERATION, MOTORS = (
     "position", "velocity", "quaternion", "euler", "rates", "acceleration", "motors",
@@ -144,8 +139,7 @@ def bare(name: str) -> tuple[str, str | None]:
     found = _UNIT.search(name)
     if found and found[1].strip() and not found[1].strip().isdigit() and known(found[1]):
         return name[: found.start()].strip(), found[1]
-    low = name.lower()
-    ending = _SUFFIX.search(low)
+    ending = _SUFFIX.search(name.lower())
     if ending:
         unit = None if ending[1] == "pwm" else _SUFFIXES.get(ending[1], ending[1])
         return name[: ending.start()], unit
@@ -185,8 +179,7 @@ def _splits(name: str) -> Iterator[tuple[str, str, str, str]]:
     for form in _FORMS:
         found = form.match(name)
         if found:
-            groups = found.groupdict()
-            yield found["stem"], found["joint"], found["axis"], groups.get("tail") or ""
+            yield found["stem"], found["joint"], found["axis"], found.groupdict().get("tail") or ""
             return
     if name in ("p", "q", "r"):
         yield "pqr", "", {"p": "x", "q": "y", "r": "z"}[name], ""

@@ -16,21 +16,8 @@ from typing import Any
 import numpy as np
 
 from nsde_torch.arrays import Array
+from nsde_torch.data.mapping import checks
 from nsde_torch.data.mapping import names as kinds
-from nsde_torch.data.mapping.checks import (
-    INTERVAL_S,
-    NOISY_VELOCITY,
-    SOUND_ATTITUDE,
-    SOUND_VELOCITY,
-    VELOCITY_WAYS,
-    AttitudeWay,
-    attitude_left,
-    attitude_ways,
-    best,
-    lean,
-    read_attitude,
-    velocity_left,
-)
 from nsde_torch.data.mapping.mapping import ColumnEntry, LogMapping, mapping_of, targets
 from nsde_torch.data.mapping.names import Named, bare, is_measured
 from nsde_torch.data.quaternion import from_euler_zyx, rotate
@@ -125,20 +112,20 @@ def _by_what_holds(stream: Stream, motors: int) -> dict[str, str]:
         return {}
     q = table[:, places]
     take(places, "q_0", "q_1", "q_2", "q_3")
-    ways = attitude_ways(None, None)
+    ways = checks.attitude_ways(None, None)
     turning = [
         (left[k], p, ways[k])
         for p in free(3)
-        for left in [[attitude_left(t, q, table[:, p], way) for way in ways]]
-        for k in [best(left)]
+        for left in [[checks.attitude_left(t, q, table[:, p], way) for way in ways]]
+        for k in [checks.best(left)]
         if k is not None
     ]
     left, places, way = min(turning, default=(1.0, [], ways[0]), key=lambda row: row[0])
-    if left > SOUND_ATTITUDE:
+    if left > checks.SOUND_ATTITUDE:
         return {}
     take(places, "w_x", "w_y", "w_z")
-    q = read_attitude(q, way)
-    every = max(1, round(INTERVAL_S * stream.rate))
+    q = checks.read_attitude(q, way)
+    every = max(1, round(checks.INTERVAL_S * stream.rate))
     step = np.diff(t, append=t[-1])[:, None]
     moved = {tuple(p): np.diff(table[::every, p], axis=0) for p in free(3)}
     told = [(p, axes) for p in moved for axes in (table[:, p], rotate(q, table[:, p]))]
@@ -149,7 +136,7 @@ def _by_what_holds(stream: Stream, motors: int) -> dict[str, str]:
         for v, movement in rate
         if not set(p) & set(v)
         for left in [np.square(change - movement).sum() / np.square(change - change.mean(axis=0)).sum()]
-        if left < SOUND_VELOCITY
+        if left < checks.SOUND_VELOCITY
     ]
     rates = [v for _, _, v in pairs]
     pairs = [row for row in pairs if row[1] not in rates] or pairs  # what has a rate and is none itself
@@ -288,7 +275,7 @@ def _follows(log: StreamLog, position: str, rate: str) -> bool:
     (one, p), (other, v) = log.find(position), log.find(rate)
     if one is not other or not one.timed:
         return True
-    every = max(1, round(INTERVAL_S * one.rate))
+    every = max(1, round(checks.INTERVAL_S * one.rate))
     good = np.isfinite(one.fields[p] + one.fields[v])
     place, speed = one.fields[p][good], one.fields[v][good]
     steps = np.diff(place, prepend=place[:1])
@@ -429,16 +416,16 @@ class _Vehicle:
                 w = self._on(stream, rate)
                 # Euler angles turn the body into the world; a frame that the log fixes leaves no other signs open
                 order = entry.order or ("wxyz" if len(one.columns) == 3 else None)
-                ways = attitude_ways(order, rate_entry.unit)
-                left = [attitude_left(stream.t, q, w, way) for way in ways]
-                if (k := best(left)) is not None:
+                ways = checks.attitude_ways(order, rate_entry.unit)
+                left = [checks.attitude_left(stream.t, q, w, way) for way in ways]
+                if (k := checks.best(left)) is not None:
                     tried.append((left[k], one, entry, rate_entry, ways[k]))
         if not tried:
             one, entry = quaternions[0]
             self._open("the attitude", (entry for _, entry in quaternions))
             self._open("the rates", (entry for _, entry in rates))
             return {"q": self._quaternion(one, entry)[2], **({"w": rates[0][1]} if rates else {})}
-        sound = self._sound(tried, SOUND_ATTITUDE, "the attitude", "the rates")
+        sound = self._sound(tried, checks.SOUND_ATTITUDE, "the attitude", "the rates")
         sensors = [row for row in sound if any(word in " ".join(row[3].source).lower() for word in _SENSOR)]
         usual = quaternions[0][0]
         _, one, entry, rate_entry, way = min(
@@ -469,16 +456,16 @@ class _Vehicle:
             p, q = stream.columns(*one.columns), self._known(attitude, stream.t)
             for velocity, velocity_entry in velocities:
                 v = self._on(stream, velocity)
-                ways = [w for w in VELOCITY_WAYS if velocity_entry.axes in (None, w.axes)]
-                left = [velocity_left(stream.t, q, p, v, way) for way in ways]
-                if (k := best(left)) is not None:
+                ways = [w for w in checks.VELOCITY_WAYS if velocity_entry.axes in (None, w.axes)]
+                left = [checks.velocity_left(stream.t, q, p, v, way) for way in ways]
+                if (k := checks.best(left)) is not None:
                     tried.append((left[k], one, entry, velocity_entry, ways[k]))
         if not tried:
             self._open("the position", (entry for _, entry in positions))
             self._open("the velocity", (entry for _, entry in velocities))
             first = velocities[0][1]
             return {"p": positions[0][1], "v": replace(first, axes=first.axes or "world")}
-        sound = self._sound(tried, NOISY_VELOCITY, "the position", "the velocity")
+        sound = self._sound(tried, checks.NOISY_VELOCITY, "the position", "the velocity")
         _, one, entry, velocity_entry, way = min(sound, key=lambda row: row[0])
         source = tuple(velocity_entry.source[k] for k in way.places)
         velocity_entry = replace(velocity_entry, axes=way.axes, source=source)
@@ -497,14 +484,14 @@ class _Vehicle:
         _, q, _ = self._quaternion(one, entry)
         if len(columns) == 4:
             turns = entry.turns or "body to world"
-            q = read_attitude(q, AttitudeWay(entry.order or "wxyz", turns))
+            q = checks.read_attitude(q, checks.AttitudeWay(entry.order or "wxyz", turns))
         return q if t is stream.t else attitudes(stream, q, t)
 
     def _axes(self, columns: _Columns) -> None:
         """Axes of world and body that the log does not name, by where the machine speeds up."""
         stream, names = self._of(columns["p"])
         q = self._known(columns["q"], stream.t)
-        found = None if q is None else lean(stream.t, q, stream.columns(*names))
+        found = None if q is None else checks.lean(stream.t, q, stream.columns(*names))
         if found is None or found.way not in ("up", "down"):
             self.out.notes.append(f"axes are taken for {self.world} and {self.body}: the log does not tell")
             if found is not None and found.way is not None:
@@ -518,11 +505,8 @@ class _Vehicle:
             f"{'along' if up else 'against'} the lean of the body's third axis"
         )
         rates = columns.get("w")
-        if rates is not None and rates.sign == (
-            1.0,
-            -1.0,
-            -1.0,
-        ):  # of the body's other handedness, by its name
+        # of the body's other handedness, by its name
+        if rates is not None and rates.sign[1:] == (-1.0, -1.0):
             columns["w"] = replace(rates, sign=(), body="FRD" if up else "FLU")
 
     def _motors(self) -> _Columns:
@@ -597,10 +581,6 @@ def in_unit(entry: ColumnEntry, values: Array, unit: str | None) -> ColumnEntry:
         return replace(entry, unit="us", low=1000.0, high=2000.0)
     if not speeds and 30000.0 < top <= 65535.0:  # a duty cycle in 16 bits
         return replace(entry, low=0.0, high=65535.0)
-    return replace(entry, unit=unit, full=_rounded_up(float(flat.max())))
-
-
-def _rounded_up(value: float) -> float:
-    """A speed a little above one that was read."""
-    size = 10.0 ** (np.floor(np.log10(value)) - 1)
-    return float(np.ceil(value / size) * size)
+    most = float(flat.max())
+    size = 10.0 ** (np.floor(np.log10(most)) - 1)  # a little above what was read
+    return replace(entry, unit=unit, full=float(np.ceil(most / size) * size))

@@ -117,11 +117,8 @@ def format_of(path: str | Path, system: SystemInfo | None = None) -> str:
 def read_log(system: SystemInfo, *, path: str | Path, mapping: str | None = None) -> list[RawRun]:
     """Runs of a file or folder of logs.
 
-    What the columns mean is said by a YAML file; None: `mapping.yaml` beside the logs, else the proposal.
-
-    Raises:
-        DataError: as the reader of the format.
-        ConfigError: a mapping for a format that needs none.
+    What the columns mean is said by a YAML file; None: `mapping.yaml` beside the logs, else the proposal. A ConfigError
+    refuses a mapping for a format that needs none.
     """
     kind = "table" if mapping and kind_of(path) == "csv" else format_of(path, system)
     given: dict[str, Any] = {}
@@ -162,11 +159,8 @@ def read_mapped(
     """Runs of a file or a folder of logs, of a kind of `READERS` that reads streams.
 
     What the columns mean is said by a mapping or its YAML file; None: `mapping.yaml` beside the logs, else the
-    proposal.
-
-    Raises:
-        DataError: a log that cannot be read, one that needs a mapping, or one that contradicts it.
-        ConfigError: a mapping that does not fit the logs or the system.
+    proposal. A DataError refuses a log that cannot be read, needs a mapping, or contradicts it; a ConfigError a mapping
+    that does not fit the logs or the system.
     """
     files = log_files(kind, path)
     beside = mapping_beside(path) if mapping is None else None

@@ -73,13 +73,9 @@ class Difference:
     low: Tensor  # lower end of its interval (K,), NaN where there are too few blocks
     high: Tensor  # upper end (K,)
 
-    def words(self) -> list[str]:
-        """Whether the other is "better" or "worse", or "no difference" is shown; "too few blocks" to say."""
-        return [verdict(float(a), float(b)) for a, b in zip(self.low, self.high, strict=True)]
-
 
 def verdict(low: float, high: float) -> str:
-    """A plain word for an interval of other minus first, of something that should be small."""
+    """Whether an interval of other minus first shows the other "better" or "worse", of what should be small."""
     if low != low or high != high:
         return "too few blocks"
     return "better" if high < 0 else "worse" if low > 0 else "no difference"

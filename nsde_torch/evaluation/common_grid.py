@@ -82,9 +82,8 @@ class Grid:
 def check(candidates: Sequence[Candidate], data: DataSet) -> None:
     """Refuse models that cannot be compared on these data.
 
-    Raises:
-        ConfigError: different systems, names given twice, or a step that does not divide.
-        DataError: a column is missing.
+    A ConfigError names different systems, names given twice, or a step that does not divide; a DataError a column that
+    is missing.
     """
     if not candidates:
         raise ConfigError("no model to evaluate.")
@@ -121,9 +120,8 @@ def common_horizons(
 ) -> tuple[list[float], list[Note]]:
     """Horizons [s] that every model and some stretch of the runs has, and what to say of them.
 
-    Raises:
-        ConfigError: a given horizon is below the step of a model.
-        DataError: a given horizon, or any, does not fit in the runs.
+    A ConfigError where one that is given is below the step of a model, a DataError where it, or any, does not fit in
+    the runs.
     """
     coarsest = max(candidates, key=lambda c: c.model.spec.dt)
     dt = coarsest.model.spec.dt
@@ -165,11 +163,7 @@ def common_horizons(
 def common_grids(
     candidates: Sequence[Candidate], data: DataSet, runs: Sequence[Run], horizons: Sequence[float]
 ) -> tuple[list[Grid], list[Note]]:
-    """The grid of every model, with the same starts, and what to say of their clocks and inputs.
-
-    Raises:
-        DataError: no stretch is as long as the longest horizon.
-    """
+    """The grid of every model, with the same starts, and what to say of their clocks and inputs."""
     made = []
     for c in candidates:
         steps = [max(1, round(h / c.model.spec.dt)) for h in horizons]

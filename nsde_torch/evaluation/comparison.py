@@ -54,6 +54,7 @@ from nsde_torch.evaluation.common_grid import (
 )
 from nsde_torch.evaluation.metrics import START_EVERY, summary
 from nsde_torch.evaluation.one_step import one_step
+from nsde_torch.evaluation.report import listed
 from nsde_torch.evaluation.scores import LEVELS, PARTICLES, Scores, baseline_squares, rms_by_group, score
 from nsde_torch.evaluation.seen import BY_NAME, NAMESAKE, PART, WHOLE, trained_on
 from nsde_torch.shown import data_frame, preformatted
@@ -281,12 +282,12 @@ def _remarks(candidate: Candidate, scores: Scores, matches: Mapping[str, str]) -
     for match, text in ways.items():
         runs = [run for run, found in matches.items() if found == match]
         if runs:
-            remarks.append(note(f"{name} {text.format(_listed(runs))}", red=True))
+            remarks.append(note(f"{name} {text.format(listed(runs))}", red=True))
     if candidate.seen.hashes is None:
         old = f"{name} was written by an older version, which did not record what its training runs hold: they are "
         remarks.append(note(old + "recognised by name alone"))
     if namesakes := [run for run, found in matches.items() if found == NAMESAKE]:
-        text = f"{name} was trained on other runs of the name {_listed(namesakes)}; make sure that they are others"
+        text = f"{name} was trained on other runs of the name {listed(namesakes)}; make sure that they are others"
         remarks.append(note(text))
     if scores.diverged:
         left = "" if scores.diverged == scores.starts else "; its figures leave these out, which flatters it"
@@ -296,10 +297,6 @@ def _remarks(candidate: Candidate, scores: Scores, matches: Mapping[str, str]) -
         text = f"{name} is deterministic: no intervals and no likelihood; its CRPS is the absolute error"
         remarks.append(note(text))
     return remarks
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names) if len(names) <= 4 else f"{names[0]} ... {names[-1]} ({len(names)} runs)"
 
 
 def _differences(
@@ -358,13 +355,8 @@ def _pair(
     for i, g in enumerate(system.error_groups):
         for k, h in enumerate(keys):
             a, b, value, low, high = (float(c[k, i]) * g.factor for c in columns)
-            ends = {"low": low, "high": high} if low == low else {"low": None, "high": None}
-            entry = {
-                "first": a,
-                "other": b,
-                "difference": value,
-                **ends,
-                "verdict": bootstrap.verdict(low, high),
-            }
+            ends: dict[str, Any] = {"low": low, "high": high} if low == low else {"low": None, "high": None}
+            entry = {"first": a, "other": b, "difference": value, **ends}
+            entry["verdict"] = bootstrap.verdict(low, high)
             result.setdefault(g.name, {})[h] = entry if meet[k] else None
     return result

@@ -221,11 +221,10 @@ def fit(seen: Sequence[Spectrum], *, lasting: bool, shortest: float) -> Disturba
 
 @torch.no_grad()
 def one_step(model: Model, runs: Sequence[Run]) -> dict[str, dict[str, Any]] | None:
-    """Residuals of a model's steps.
+    """Residuals of a model's steps; None for a model without physics, or runs that are too short.
 
-    Returns:
-        channel -> `unit` (of its rate), `measured`, `residual` (root mean squares), `explained` (share of the variance)
-        and `nats_per_s` (None without a diffusion); None for a model without physics, or runs that are too short.
+    channel -> `unit` (of its rate), `measured`, `residual` (root mean squares), `explained` (share of the variance) and
+    `nats_per_s` (None without a diffusion).
     """
     if not model.capabilities.has_physics:
         return None

@@ -21,9 +21,8 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def number(value: float, width: float = 0.0) -> str:
     """Three significant digits, without an exponent where that is readable.
 
-    Args:
-        width: Length of its interval, if it has one: the digits are those that two digits of half of it have, so that a
-            value and the ends of its interval end at one place.
+    Of a value with an interval of that width, the digits are those that two digits of half of it have, so that the
+    value and the ends end at one place.
     """
     digits = 3
     if 0 < width < inf:
@@ -35,6 +34,13 @@ def number(value: float, width: float = 0.0) -> str:
     if value == 0:
         return "0"
     return f"{value:.{digits}g}" if 1e-4 <= abs(value) < 1e5 else f"{value:.{digits - 1}e}"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names of runs; of more than four the first and the last."""
+    if len(names) > 4:
+        return f"{names[0]} ... {names[-1]} ({len(names)} runs)"
+    return ", ".join(names) or "nothing"
 
 
 def between_ends(ends: Sequence[float]) -> str:

@@ -37,14 +37,7 @@ _BATCH = 256
 
 
 def crps(errors: Tensor) -> Tensor:
-    """Fair CRPS of an ensemble, element by element.
-
-    Args:
-        errors: Ensemble minus truth (P, ...); a point forecast, P = 1, scores its absolute error.
-
-    Returns:
-        Score (...), in the unit of the errors.
-    """
+    """Fair CRPS (...) of errors, ensemble minus truth (P, ...); a point forecast, P = 1, scores its absolute error."""
     p = errors.shape[0]
     distance = errors.abs().mean(0)
     if p == 1:
@@ -85,11 +78,8 @@ def interval_quantiles(ordered: Tensor, level: float) -> tuple[Tensor, Tensor]:
 def gaussian_nll(errors: Tensor) -> Tensor:
     """Negative log density of the truth under a Gaussian of the ensemble's mean and variance.
 
-    Args:
-        errors: Ensemble minus truth (P, ...).
-
-    Returns:
-        NLL (...) in float64 [nat, for a density in the unit of the errors]; NaN where the ensemble has no spread.
+    Of ensemble minus truth (P, ...): (...) in float64 [nat, for a density in the unit of the errors]; NaN where the
+    ensemble has no spread.
     """
     e = errors.double()
     variance = e.var(0, correction=min(1, len(e) - 1))
@@ -112,11 +102,7 @@ def group_squares(system: System, errors: Tensor) -> Tensor:
 
 
 def rms_by_group(system: System, squares: Tensor, horizons: Sequence[str]) -> dict[str, dict[str, float]]:
-    """Root mean square over starts, in the unit of each group: group -> horizon -> error.
-
-    Args:
-        squares: Squared norms (S, horizons, groups).
-    """
+    """Root mean square over starts, of squared norms (S, horizons, groups): group -> horizon -> error, in its unit."""
     rms = squares.mean(0).sqrt()
     return {
         g.name: {h: float(rms[k, i]) * g.factor for k, h in enumerate(horizons)}
@@ -168,13 +154,10 @@ def score(
     compile: bool = False,
     measurement_std: Tensor | None = None,
 ) -> Scores:
-    """Score a model from some starts.
+    """Score a model from starts, by window numbers (B,), at horizons [model steps].
 
-    Args:
-        starts: Window numbers (B,).
-        steps: Horizons [model steps].
-        dt: Step on the clock of the training data if it is not the model's own [s].
-        measurement_std: Sensor noise of these runs if it is not that of the training data (nx,).
+    `dt` is the step on the clock of the training data [s] if it is not the model's own, and `measurement_std` the
+    sensor noise of these runs (nx,) if it is not that of the training data.
     """
     system = model.system
     generator = torch.Generator().manual_seed(seed)

@@ -27,11 +27,10 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from nsde_torch.columns import columns, stack_columns
 from nsde_torch.errors import ConfigError
 from nsde_torch.models.model import Capabilities, Model, ModelSpec, normal
 from nsde_torch.models.networks import Standardise, at_zero
-from nsde_torch.rotation import rotation_between, turned
+from nsde_torch.rotation import matrix, rotation_between, turned
 from nsde_torch.sde.checks import check_finite
 from nsde_torch.systems import System
 
@@ -49,31 +48,27 @@ _TURN = 2.0 * torch.pi
 
 
 class Chart:
-    """Inputs and differences of the states of one system.
+    """Inputs (`width` columns) and differences (`n_change` columns) of the states of one system.
 
-    Args:
-        system: The machine. A column whose error does not see a full turn is taken to be an angle.
-
-    Attributes:
-        angles: Columns that are angles.
-        width: Columns of `inputs`.
-        n_change: Columns of `change`.
+    A column whose error does not see a full turn is taken to be an angle (`angles`).
     """
 
     def __init__(self, system: System) -> None:
         self.nx, self.quaternion = system.nx, system.quaternion
-        self.angles = _angles(system)
-        attitude = () if self.quaternion is None else range(self.quaternion.start, self.quaternion.stop)
-        self._plain = [i for i in range(self.nx) if i not in self.angles and i not in attitude]
-        self.width = len(self._plain) + 2 * len(self.angles) + (0 if self.quaternion is None else 9)
-        self.n_change = self.nx - (0 if self.quaternion is None else 1)
+        attitude = range(self.nx)[self.quaternion] if self.quaternion is not None else ()
+        at = at_zero(system)
+        once = {i: at.index_fill(1, torch.tensor(i), _TURN) for i in range(self.nx) if i not in attitude}
+        self.angles = [i for i, x in once.items() if bool((system.error(x, at).abs() < 1e-4).all())]
+        self._plain = [i for i in once if i not in self.angles]
+        self.width = len(self._plain) + 2 * len(self.angles) + (9 if attitude else 0)
+        self.n_change = self.nx - (1 if attitude else 0)
 
     def inputs(self, x: Tensor) -> Tensor:
         """What a network sees of states (N, nx): (N, width)."""
         angle = x[:, self.angles]
         parts = [x[:, self._plain], torch.sin(angle), torch.cos(angle)]
         if self.quaternion is not None:
-            parts.append(_matrix(x[:, self.quaternion]))
+            parts.append(matrix(x[:, self.quaternion]).flatten(1))
         return torch.cat(parts, 1)
 
     def change(self, x: Tensor, after: Tensor) -> Tensor:
@@ -95,31 +90,6 @@ class Chart:
         a, b = self.quaternion.start, self.quaternion.stop
         attitude = turned(x[:, self.quaternion], change[:, a : a + 3])
         return torch.cat((x[:, :a] + change[:, :a], attitude, x[:, b:] + change[:, a + 3 :]), 1)
-
-
-def _angles(system: System) -> list[int]:
-    at = at_zero(system)
-    found = []
-    for i in range(system.nx):
-        if system.quaternion is not None and system.quaternion.start <= i < system.quaternion.stop:
-            continue
-        round_once = at.clone()
-        round_once[:, i] += _TURN
-        if bool((system.error(round_once, at).abs() < 1e-4).all()):
-            found.append(i)
-    return found
-
-
-def _matrix(q: Tensor) -> Tensor:
-    """Rotation matrices, body to world, row by row (N, 9)."""
-    w, x, y, z = columns(q)
-    return stack_columns(
-        (
-            *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-            *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-            *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-        )
-    )
 
 
 # Several networks of one shape, computed together: layer by layer one batched matrix product.
@@ -145,11 +115,8 @@ class StackedMLP(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Outputs (members, N, n_out) for rows (members, N, n_in)."""
-        last = len(self.weights) - 1
         for k, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            x = torch.baddbmm(bias, x, weight)
-            if k < last:
-                x = nn.functional.silu(x)
+            x = torch.baddbmm(bias, nn.functional.silu(x) if k else x, weight)
         return x
 
 
@@ -183,12 +150,7 @@ class EnsembleSpec(ModelSpec):
 
 
 class GaussianEnsemble(Model):
-    """Gaussian ensemble of a system.
-
-    Args:
-        spec: What to build.
-        generator: Source of the initial weights.
-        values: Initial values of declared parameters, which play no part here.
+    """Gaussian ensemble of a system; initial `values` of declared parameters play no part here.
 
     Example:
         >>> spec = EnsembleSpec("cartpole", dt=0.02, horizon=30)
@@ -275,13 +237,9 @@ class GaussianEnsemble(Model):
         return made.to(self.clock_scale.device)
 
     def advance(self, x: Tensor, u: Tensor, members: Tensor, noise: Tensor) -> Tensor:
-        """One step of every row by its own member: valid states one step later (N, nx).
+        """Valid states (N, nx) one step later, of inputs over the step (N, nu), by the member of each row (N,).
 
-        Args:
-            x: States (N, nx).
-            u: Inputs over the step (N, nu).
-            members: Member of each row (N,).
-            noise: Standard normal numbers (N, n_change).
+        `noise` are standard normal numbers (N, n_change).
         """
         count = self.spec.members
         # the rows of each member side by side, so that a row costs one member's work and not that of all
@@ -342,8 +300,7 @@ class GaussianEnsemble(Model):
         for k in range(steps):
             if k and self.spec.propagation == "redrawn":
                 members = self.draw_members(rows, generator)
-            noise = normal((rows, self.chart.n_change), generator, x)
-            x = self.advance(x, tiled[:, k], members, noise)
+            x = self.advance(x, tiled[:, k], members, normal((rows, self.chart.n_change), generator, x))
             path.append(x)
         out = torch.stack(path, 1).view(particles, batch, steps + 1, -1)
         check_finite(out, dt=dt, t0=t0, remedy="Look for states and inputs far from the training data.")

@@ -43,13 +43,7 @@ _RANK = 1e-6  # of the largest variance of e_k: inputs that a mixer ties to othe
 
 
 class FeedbackModel(nn.Module):
-    """The controller of the training runs.
-
-    Args:
-        width: Number of features.
-        nu: Number of inputs.
-        lags: Steps of the past n, at least 1.
-    """
+    """The controller of the training runs, by so many features, inputs, and steps of the past n."""
 
     weights: Tensor  # C_0 ... C_n, B_1 ... B_n and c, one below the other ((n + 1) width + n nu + 1, nu)
     covariance: Tensor  # R (nu, nu)
@@ -63,14 +57,9 @@ class FeedbackModel(nn.Module):
     def filter(
         self, model: NeuralSDE, u: Tensor, *, dt: float, std: Tensor, generator: torch.Generator
     ) -> Callable[[int, Tensor], Tensor]:
-        """A filter of paths, to be called at each step k with their states (P B, nz) before u_k acts.
+        """A filter of paths of a model, to be called at each step k with their states (P B, nz) before u_k acts.
 
-        Args:
-            model: Whose paths these are.
-            u: Applied inputs (B, T, nu).
-            dt: Step [s].
-            std: Standard deviation of the sensors at the start (nx,).
-            generator: Source of what the controller did beside the law.
+        Of applied inputs (B, T, nu), and sensors with a standard deviation at the start (nx,).
         """
         return _Filter(self, model, u, dt, std, generator).moved
 
@@ -191,10 +180,7 @@ class _Filter:
 def fit_feedback(model: NeuralSDE, runs: Sequence[Run], lags: int = LAGS) -> FeedbackModel | None:
     """The controller of some runs, by least squares; None where they are too short for it, or no input ever changes.
 
-    Args:
-        model: Whose features and applied inputs count.
-        runs: As logged, at the step of the model or a part of it.
-        lags: Steps of the past.
+    Runs are as logged, at the step of the model or a part of it; its features and applied inputs count.
     """
     system, dt = model.system, model.spec.dt
     rows, answers = [], []

@@ -32,11 +32,7 @@ class SysidSpec(ModelSpec):
     solver: Mapping[str, Any] = field(default_factory=dict)  # further arguments of the integrator
     method: str = "weak"  # integral form, whitened; or "differences", finite ones of smoothed states
     max_iterations: int = 20  # largest number of least-squares steps
-    filter_reach: int = 0  # taps on each side of the filter that restores smoothed inputs; 0 for none
-
-    @property
-    def input_filter_reach(self) -> int:
-        return self.filter_reach
+    filter_reach: int = 0  # type: ignore[misc]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -48,12 +44,7 @@ class SysidSpec(ModelSpec):
 
 @final
 class IdentifiedModel(Model):
-    """Declared physics of a system.
-
-    Args:
-        spec: What to build.
-        generator: Plays no part: there is nothing random.
-        values: Initial values of declared parameters.
+    """Declared physics of a system, with initial `values` of its parameters; `generator` plays no part.
 
     Example:
         >>> spec = SysidSpec("cartpole", dt=0.02, horizon=30)
@@ -112,13 +103,10 @@ class IdentifiedModel(Model):
         return self.system.inner(z, y)
 
     def drift(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:
-        """Rate of the state (N, nz) per logged second.
+        """Rate of the state (N, nz) per logged second, at a time [s] under applied inputs (N, nu).
 
-        Args:
-            t: Time [s].
-            z: State and memory of the effects (N, nz); or the state alone (N, nx), with the memory that is
-                stationary under `u`, and then the rate is that of the state.
-            u: Applied inputs (N, nu).
+        Of state and memory of the effects (N, nz); or of the state alone (N, nx), with the memory that is stationary
+        under `u`, and then the rate is that of the state.
         """
         nx = self.system.nx
         if z.shape[1] == self.nz:

@@ -84,29 +84,17 @@ class ModelKind(ABC):
     def make_spec(cls, choice: Choice) -> ModelSpec:
         """The specification of a model: what the user did not choose is as the machine and the data ask for.
 
-        Raises:
-            ConfigError: choices that do not fit.
+        A ConfigError refuses choices that do not fit.
         """
 
     @classmethod
     @abstractmethod
     def fit(cls, task: Any) -> Any:
-        """Fit a model to runs.
-
-        Args:
-            task: What to fit to and how, a `Task` (see `nsde_torch.training.task`).
-
-        Returns:
-            The model and how it went, a `Fitted` (see there).
-        """
+        """Fit a model to runs: from a `Task` the model and how it went, a `Fitted` (`nsde_torch.training.task`)."""
 
     @classmethod
     def step(cls, choice: Choice) -> Step:
-        """The integrator that the user chose, or else the one that fits.
-
-        Raises:
-            ConfigError: there is no such integrator, or it does not fit the kind of model.
-        """
+        """The integrator that the user chose, or else the one that fits; a ConfigError where it does not."""
         kind = choice.options.kind
         made = make_step(cls.step_name(choice), **choice.integrator.settings)
         if cls.noise is False and not made.deterministic:
@@ -135,8 +123,7 @@ class ModelKind(ABC):
 def model_kind(name: str) -> type[ModelKind]:
     """A kind of model: a key of `MODELS`, or `package.module:Class` of the user's own.
 
-    Raises:
-        ConfigError: unknown name (lists the choices), no such module or class, or not a ModelKind.
+    A ConfigError where the name is unknown (it lists the choices), or is none of a ModelKind.
     """
     if name not in MODELS and ":" not in name:
         raise ConfigError(f"`model.kind` must be one of {', '.join(MODELS)}; got {name!r}.")
@@ -147,12 +134,8 @@ def model_kind(name: str) -> type[ModelKind]:
 def model_options(model: str | type[ModelKind] | ModelOptions, **values: Any) -> ModelOptions:
     """What a user chooses of a model, by the name of its kind or the kind itself; options as they are.
 
-    Args:
-        model: Key of `MODELS`, `package.module:Class`, a class that a module defines, or options.
-        values: Options that are not the kind's own defaults.
-
-    Raises:
-        ConfigError: no such kind, or it has no such option.
+    A kind is a key of `MODELS`, `package.module:Class`, or a class that a module defines; `values` are options that are
+    not its own defaults. A ConfigError where there is no such kind, or it has no such option.
     """
     if isinstance(model, ModelOptions):
         return model

@@ -25,6 +25,8 @@ class ModelSpec:
 
     kinds: ClassVar[tuple[str, ...]] = ()
     """Names of the kinds that have such a specification, the default first; empty for those of the user's own."""
+    filter_reach: ClassVar[int] = 0
+    """Taps on each side of the filter that restores smoothed inputs, a field of those that have one; 0 for none."""
 
     system: str  # name of the system
     _: KW_ONLY
@@ -42,11 +44,6 @@ class ModelSpec:
             raise ConfigError(
                 f"{type(self).__name__} is of kind {' or '.join(self.kinds) or 'module:Class'}; got {self.kind!r}."
             )
-
-    @property
-    def input_filter_reach(self) -> int:
-        """Taps on each side of the filter that restores smoothed inputs; 0 for none."""
-        return 0
 
     def as_dict(self) -> dict[str, Any]:
         """Plain containers, for YAML."""
@@ -104,9 +101,8 @@ class Model(nn.Module, ABC):
     system: System  # the machine; `system.error` and `system.error_groups` say what an error is
     clock_scale: Tensor  # physical seconds per logged second of the training data, 0-d
     filter: InputFilter | None  # restores inputs that the log smoothed; None where it did not
-    metrics: Mapping[
-        str, Any
-    ] = {}  # what `metrics.json` of its run directory holds; empty if it was not trained
+    metrics: Mapping[str, Any] = {}
+    """What `metrics.json` of its run directory holds; empty if it was not trained."""
     folder: Path | None = None  # its run directory; None without one
 
     def __init__(self) -> None:
@@ -240,13 +236,7 @@ class Model(nn.Module, ABC):
     def checked(
         self, x0: Tensor, u: Tensor, particles: int, generator: torch.Generator
     ) -> tuple[Tensor, Tensor]:
-        """The arguments of `sample`, refused if they do not fit; x0 projected, both on the model's device and type.
-
-        Raises:
-            ShapeError: wrong axes or columns.
-            NonFiniteError: x0 or u is not finite.
-            ConfigError: no generator, or no number of particles.
-        """
+        """The arguments of `sample`, refused if they do not fit; x0 projected, both on the model's device and type."""
         s = self.system
         for name, given in (("x0", x0), ("u", u)):
             _check_real(name, given, "torch.Tensor")
@@ -271,12 +261,7 @@ class Model(nn.Module, ABC):
         return self.project(x0.to(self.clock_scale)), u.to(self.clock_scale)
 
     def checked_before(self, u_before: Tensor | None, x0: Tensor) -> Tensor | None:
-        """`u_before` of `sample`, refused if it does not fit `x0` (B, nx); on the model's device and type.
-
-        Raises:
-            ShapeError: wrong axes or columns.
-            NonFiniteError: not finite.
-        """
+        """`u_before` of `sample`, refused if it does not fit `x0` (B, nx); on the model's device and type."""
         if u_before is None:
             return None
         _check_real("u_before", u_before, "torch.Tensor or None")

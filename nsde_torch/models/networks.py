@@ -41,13 +41,8 @@ def affine(layer: nn.Module, x: Tensor, *, frozen: bool = False) -> Tensor:
 class MLP(nn.Module):
     """Fully connected network with one activation after each hidden layer.
 
-    Args:
-        n_in: Inputs.
-        hidden: Widths of the hidden layers.
-        n_out: Outputs.
-        activation: torch.tanh, for example.
-        generator: Source of the initial weights (uniform, 1 / sqrt(fan in), biases zero).
-        last_gain: Factor on the weights of the last layer; small makes the network start near zero.
+    Initial weights are uniform, 1 / sqrt(fan in), biases zero; a small `last_gain`, the factor on the weights of the
+    last layer, makes the network start near zero.
     """
 
     def __init__(
@@ -158,13 +153,10 @@ _HALVINGS = 60
 
 
 class Diffusion(nn.Module):
-    """h_phi and sigma_max.
+    """h_phi and the largest diffusion sigma_max (nx,) [state unit per root second], > 0, which may be learned.
 
-    Args:
-        sigma_max: Largest diffusion (nx,) [state unit per root second], > 0.
-        learned: Whether sigma_max is optimised with the rest.
-        tied: Channels of a quaternion, which share one sigma: equal noise on all four, projected to the sphere,
-            is the same rotation noise at every attitude, and noise along the quaternion alone cannot be seen.
+    Channels of a quaternion are `tied`, they share one sigma: equal noise on all four, projected to the sphere, is the
+    same rotation noise at every attitude, and noise along the quaternion alone cannot be seen.
     """
 
     def __init__(self, sigma_max: Tensor, *, learned: bool, tied: slice | None = None) -> None:
@@ -190,9 +182,8 @@ class Diffusion(nn.Module):
     def through(self, eta: Tensor, sigma: Tensor, far: Tensor) -> None:
         """Set sigma_max and h so that sigma has a given size on data of distance `eta` (N,) and grows away from them.
 
-        Args:
-            sigma: Root mean square of sigma over them (nx,), > 0, at least `START_SHARE` of `far`.
-            far: Least sigma where eta is 1 (nx,); it is at least `FAR_SHARE` / `START_SHARE` times `sigma`.
+        `sigma` is its root mean square over them (nx,), > 0, at least `START_SHARE` of `far`, the least one where eta
+        is 1 (nx,), which is at least `FAR_SHARE` / `START_SHARE` times `sigma`.
         """
         sigma = torch.maximum(sigma, START_SHARE * far)
         largest = torch.maximum(sigma / START_SHARE, far / FAR_SHARE).double()

@@ -60,7 +60,7 @@ class SDESpec(ModelSpec):
     mu_hidden: tuple[int, ...] = (8, 8)  # widths of the network of its convexity
     residual_hidden: tuple[int, ...] = (8, 16)  # widths of the residual networks
     sigma_max: tuple[float, ...] | None = None  # fixed largest diffusion, one per state; None learns it
-    filter_reach: int = 0  # taps on each side of the input filter; 0 for none
+    filter_reach: int = 0  # type: ignore[misc]
     measurement: bool = False  # whether sensor noise is learned
     disturbance: bool = False  # whether the system's disturbed ports carry a lasting disturbance
     learn_lag: bool = False  # whether a lag or a delay of the inputs may be learned that is not declared
@@ -69,18 +69,9 @@ class SDESpec(ModelSpec):
     """What differs between runs, by target, with its standard deviations (see `in_new_runs`)."""
     feedback: int = 0  # steps that the learned controller of the training runs remembers; 0: none is learned
 
-    @property
-    def input_filter_reach(self) -> int:
-        return self.filter_reach
-
 
 class NeuralSDE(Model):
-    """Neural SDE of a system.
-
-    Args:
-        spec: What to build.
-        generator: Source of the initial weights.
-        values: Initial values of declared parameters.
+    """Neural SDE of a system, with initial `values` of declared parameters.
 
     Example:
         >>> spec = SDESpec("hexacopter", dt=0.05, horizon=20, step="milstein")
@@ -124,18 +115,15 @@ class NeuralSDE(Model):
         start = [torch.full((s.nx,), 0.1) if fixed is None else torch.tensor(fixed)]
         for port, width in self._disturbed.items():
             start.append(torch.full((width,), 0.8 * s.residual_ports[port].scale))
-        sigma = torch.cat(start)
-        self.h = Diffusion(sigma, learned=fixed is None, tied=s.quaternion)
+        self.h = Diffusion(torch.cat(start), learned=fixed is None, tied=s.quaternion)
         self.filter = InputFilter(spec.filter_reach, spec.dt) if spec.filter_reach else None
         self.log_tau = nn.Parameter(torch.zeros(self.nd), requires_grad=self.nd > 0)
         self.log_measurement_std = nn.Parameter(torch.full((s.nx,), -7.0), requires_grad=spec.measurement)
         self.freeze_distance = spec.loss != "paper"  # other data losses do not move eta
         width = s.residual_features(probe).shape[1]
         self.feedback = FeedbackModel(width, s.nu, spec.feedback) if spec.feedback else None
-        if spec.between_runs:
-            in_new_runs(
-                s, spec.between_runs, torch.zeros(1, self._start_widths[-1])
-            )  # refuses what it has not
+        if spec.between_runs:  # refuses what it has not
+            in_new_runs(s, spec.between_runs, torch.zeros(1, self._start_widths[-1]))
 
     @property
     def tau(self) -> Tensor:
@@ -184,13 +172,10 @@ class NeuralSDE(Model):
         return self.system.nz + self.nd
 
     def drift(self, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:
-        """Rate of the state (N, nz) per logged second.
+        """Rate of the state (N, nz) per logged second, at a time [s] under applied inputs (N, nu).
 
-        Args:
-            t: Time [s].
-            z: State, memory of the effects and disturbances (N, nz); or the state alone (N, nx), undisturbed and
-                with the memory that is stationary under `u`, and then the rate is that of the state.
-            u: Applied inputs (N, nu).
+        Of state, memory of the effects and disturbances (N, nz); or of the state alone (N, nx), undisturbed and with
+        the memory that is stationary under `u`, and then the rate is that of the state.
         """
         s = self.system
         self._check_width(z)
@@ -202,8 +187,7 @@ class NeuralSDE(Model):
         forces = self.residual(split_columns(own, s.nx, s.nz - s.nx)[0])
         for port, part in zip(self._disturbed, split_columns(d, *self._disturbed.values()), strict=True):
             forces[port] = forces[port] + part if port in forces else part
-        rate = s.drift(t, own, u, forces)
-        return self.clock_scale * join_columns((rate, -d / self.tau))
+        return self.clock_scale * join_columns((s.drift(t, own, u, forces), -d / self.tau))
 
     def set_step(self, dt: float) -> None:
         """Tell the effects the step of the integrator on the logged clock [s]; see `System.set_step`."""
@@ -262,12 +246,6 @@ class NeuralSDE(Model):
     def _start_widths(self) -> tuple[int, int, int]:
         of_runs = sum(len(std) for std in self.spec.between_runs.values())
         return self.system.nx if self.spec.measurement else 0, self.nd, of_runs
-
-    @contextmanager
-    def _in_new_runs(self, draws: Tensor) -> Iterator[None]:
-        """Let each row of what follows be in a run of its own, by numbers for what differs (N, n)."""
-        with self.of_system(in_new_runs(self.system, self.spec.between_runs, draws)):
-            yield
 
     @contextmanager
     def of_system(self, system: System) -> Iterator[None]:
@@ -343,7 +321,8 @@ class NeuralSDE(Model):
         if self.spec.between_runs:
             # the column with the number of the run, which nobody reads
             wide = join_columns((flat_u, torch.zeros_like(flat_u[..., :1])))
-            with self._in_new_runs(of_runs.reshape(p * b, -1)):
+            # each row is in a run of its own
+            with self.of_system(in_new_runs(self.system, self.spec.between_runs, of_runs.reshape(p * b, -1))):
                 path = rollout(self, z0, wide, **given)
         else:
             path = rollout(self, z0, flat_u, compile=compile, **given)

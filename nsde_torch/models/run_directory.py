@@ -20,8 +20,7 @@ from nsde_torch.models.model import Model, ModelSpec
 def make_spec(values: Mapping[str, Any]) -> ModelSpec:
     """A specification from plain values, as `ModelSpec.as_dict` gives them.
 
-    Raises:
-        ConfigError: no such kind, an unknown key, or a value that cannot be.
+    A ConfigError where there is no such kind, a key is unknown, or a value cannot be.
     """
     return model_kind(str(values.get("kind", "nsde"))).spec.from_dict(values)
 
@@ -44,12 +43,9 @@ _DAMAGE = (yaml.YAMLError, SafetensorError, OSError, LookupError, TypeError, Val
 
 
 def save(model: Model, run_dir: str | Path, *, about: Mapping[str, Any] | None = None) -> None:
-    """Write a model.
+    """Write a model into a folder, made if need be.
 
-    Args:
-        model: The model.
-        run_dir: Folder, made if need be.
-        about: Further plain values for `config.yaml` (the whole configuration of the command).
+    `about` are further plain values for `config.yaml` (the whole configuration of the command).
     """
     folder = Path(run_dir)
     folder.mkdir(parents=True, exist_ok=True)
@@ -121,19 +117,14 @@ def load(run_dir: str | Path, *, device: str | torch.device = "cpu") -> Model:
         raise CheckpointError(
             f"{folder / WEIGHTS} holds numbers that are not finite ({', '.join(broken[:5])}). Train again."
         )
-    dtype = tensors["clock_scale"].dtype
-    model.to(dtype=dtype).load_state_dict(tensors)
+    model.to(dtype=tensors["clock_scale"].dtype).load_state_dict(tensors)
     model.folder = folder
     model.metrics = read_metrics(folder) if (folder / METRICS).is_file() else {}
     return model.to(device).eval().requires_grad_(False)
 
 
 def read_metrics(folder: Path) -> Mapping[str, Any]:
-    """The content of the `metrics.json` of a run directory.
-
-    Raises:
-        CheckpointError: the file is damaged.
-    """
+    """The content of the `metrics.json` of a run directory; a CheckpointError where it is damaged."""
     called = folder / METRICS
     try:
         content = json.loads(called.read_text(encoding="utf-8"))

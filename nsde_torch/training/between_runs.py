@@ -57,7 +57,11 @@ def differing(at: Optimum, beside: Functions | None) -> list[str]:
     system = vector.at(at.theta)
     tables = [space.columns(about.x, about.slopes, range(len(vector)), about.after).float()]
     candidates = _of_the_physics(at, system)
-    names = [name for name in _steady(system) if name not in system.effect_names]
+    able = effects_of(system.name, {*system.ports, Port.INPUT}, system.bound_coordinates())
+    steady = [
+        name for name in able if split_name(name)[0] in OF_EACH_RUN
+    ]  # of which there may be another in each run
+    names = [name for name in steady if name not in system.effect_names]
     if names:
         wider = at.of.of(system.with_effects(*(system.make_effect(name) for name in names)))
         known = dict(zip(vector.labels, at.theta.tolist(), strict=True))
@@ -116,12 +120,6 @@ def _of_the_physics(at: Optimum, system: System) -> dict[str, Labels]:
         if may_differ(system, target, x, u):
             out[target] = columns
     return out
-
-
-def _steady(system: System) -> list[str]:
-    """Effects of the catalogue of which there may be another in each run."""
-    able = effects_of(system.name, {*system.ports, Port.INPUT}, system.bound_coordinates())
-    return [name for name in able if split_name(name)[0] in OF_EACH_RUN]
 
 
 def _forces(at: Optimum, system: System, beside: Functions | None) -> list[tuple[int, torch.Tensor]]:

@@ -9,7 +9,6 @@ sees only what was chosen for its port.
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -189,80 +188,51 @@ def _least_squares(
     """
     seen = (y != 0).any(0)
     y, target, root = y.double()[:, seen], target.double()[:, rows], weight.double().sqrt()[:, None]
-    tables: list[Tensor] = []
-    widths = [int(seen.sum())]
-    for layer in network.layers:
-        assert isinstance(layer, nn.Linear)
-        tables += [layer.weight, layer.bias]
-        widths.append(layer.out_features)
-    widths[-1] = len(rows)
+    names, tables = zip(*((name, table.detach()) for name, table in network.named_parameters()), strict=True)
     # weights of inputs that are not seen and of outputs that are not fitted have no say
     live = [torch.ones_like(table, dtype=torch.bool) for table in tables]
     live[0] &= seen
     for table in live[-2:]:
         table[[j for j in range(len(table)) if j not in rows]] = False
-    phi = torch.cat([table.detach()[at].double() for table, at in zip(tables, live, strict=True)])
+    shapes = [[len(at.nonzero()[:, axis].unique()) for axis in range(at.ndim)] for at in live]
+    counts = [int(at.sum()) for at in live]
+    phi = torch.cat([table[at].double() for table, at in zip(tables, live, strict=True)])
     scale, pull_back = root / len(y) ** 0.5, torch.eye(len(phi), dtype=phi.dtype) * _DECAY
+
+    def outputs(phi: Tensor, y: Tensor) -> Tensor:
+        parts = (part.view(shape) for part, shape in zip(phi.split(counts), shapes, strict=True))
+        out: Tensor = torch.func.functional_call(network, dict(zip(names, parts, strict=True)), (y,))
+        return out
+
+    def left(phi: Tensor) -> Tensor:
+        return scale * (outputs(phi, y) - target)
 
     def size_of(phi: Tensor, value: Tensor) -> float:
         return float(value.square().sum() + _DECAY * phi.square().sum())
 
-    def left(phi: Tensor) -> tuple[list[Tensor], Tensor]:
-        signals = _signals(phi, widths, y)
-        return signals, scale * (signals.pop() - target)
-
-    signals, value = left(phi)
+    slopes_of = torch.func.vmap(torch.func.jacrev(lambda phi, row: outputs(phi, row[None])[0]), (None, 0))
+    value = left(phi)
     damping, least, slow, taken = 1e-2, size_of(phi, value), 0, 0
     while taken < steps and least > _EXACT:
         taken += 1
-        slopes = (_slopes(phi, widths, signals) * scale[..., None]).flatten(0, 1)
+        slopes = (slopes_of(phi, y) * scale[..., None]).flatten(0, 1)
         gram = slopes.T @ slopes + pull_back
         pull = slopes.T @ value.flatten() + _DECAY * phi
         moved = False
         while damping < _MOST_DAMPING:
             step = torch.linalg.solve(gram + damping * torch.diag(gram.diagonal()), pull)
             there = left(phi - step)
-            size = size_of(phi - step, there[1])
+            size = size_of(phi - step, there)
             if size < least:
                 slow, moved = 0 if size < (1.0 - _SETTLED) * least else slow + 1, True
-                phi, (signals, value), least, damping = phi - step, there, size, max(0.2 * damping, 1e-10)
+                phi, value, least, damping = phi - step, there, size, max(0.2 * damping, 1e-10)
                 break
             damping *= 4.0
         if not moved or slow == _PATIENCE:
             break
-    with torch.no_grad():
-        counts = [int(at.sum()) for at in live]
-        for table, at, part in zip(tables, live, phi.split(counts), strict=True):
-            table[at] = part.to(table)
+    for table, at, part in zip(tables, live, phi.split(counts), strict=True):
+        table[at] = part.to(table)
     return least, taken
-
-
-def _layers(phi: Tensor, widths: Sequence[int]) -> list[tuple[Tensor, Tensor]]:
-    """Weights and biases of the layers of a network, from one vector."""
-    sizes = [size for n, m in pairwise(widths) for size in (m * n, m)]
-    parts = phi.split(sizes)
-    return [(w.view(len(b), -1), b) for w, b in zip(parts[::2], parts[1::2], strict=True)]
-
-
-def _signals(phi: Tensor, widths: Sequence[int], y: Tensor) -> list[Tensor]:
-    """What every layer of a network passes on (N, width), its inputs first."""
-    *hidden, (weight, bias) = _layers(phi, widths)
-    out = [y]
-    for w, b in hidden:
-        out.append(torch.tanh(out[-1] @ w.T + b))
-    return [*out, out[-1] @ weight.T + bias]
-
-
-def _slopes(phi: Tensor, widths: Sequence[int], signals: Sequence[Tensor]) -> Tensor:
-    """Slopes (N, outputs, weights) of a network in its weights, backwards from its outputs."""
-    layers, count = _layers(phi, widths), len(signals[0])
-    # slopes in what enters the activation
-    back = torch.eye(widths[-1], dtype=phi.dtype).expand(count, -1, -1)
-    parts: list[Tensor] = []
-    for (weight, _), signal in zip(reversed(layers), reversed(signals), strict=True):
-        parts = [(back[..., None] * signal[:, None, None, :]).flatten(2), back, *parts]
-        back = (back @ weight) * (1.0 - signal.square())[:, None]
-    return torch.cat(parts, 2)
 
 
 def _points(seen: Array, names: Sequence[str], variables: Sequence[str], found: Functions) -> Array:

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, astuple, dataclass, fields, replace
 from math import hypot, sqrt
 from typing import Any
 
@@ -75,15 +75,14 @@ from nsde_torch.training.task import Fitted, Parameters, Progress, Task
 _DISTANCE_STEPS = 600
 _LEAST = 1e-7  # a diffusion or a sensor that is nothing, in the units of the state
 _ROWS = 20_000  # whose features the distance sees
+_NOISE = ("diffusion", "force_std", "force_tau_s", "sensor_std")  # what is said of a `Disturbance`
 
 
 def fit_innovations(task: Task) -> Fitted:
     """Fit a model with declared physics by innovations.
 
-    Raises:
-        ConfigError: the system declares no parameter.
-        DataError: a run is too short.
-        NonFiniteError: the physics leaves the finite numbers.
+    A ConfigError refuses a system that declares no parameter, a DataError runs that are too short, a NonFiniteError
+    physics that leaves the finite numbers.
     """
     near, values = task.near, task.values
     spec = task.spec if near is None else near.model.spec
@@ -183,8 +182,7 @@ class _Fit:
         for column, rate in zip(left.rows.tolist(), self._doubt(left, learned), strict=True):
             name = model.system.state_names[column]
             # a rate that is off by r moves the state by r T in a time T, and a diffusion of r sqrt(T) as far
-            diffusion = hypot(laws[name].diffusion, rate * sqrt(window))
-            laws[name] = replace(laws[name], diffusion=diffusion)
+            laws[name] = replace(laws[name], diffusion=hypot(laws[name].diffusion, rate * sqrt(window)))
         if not model.step.deterministic:
             _set_laws(model, laws, left, features)
         return self._about(left, learned, laws)
@@ -344,15 +342,7 @@ class _Fit:
                 "networks": networks,
                 "learned_lag": found.learned if found and found.learned else None,
                 "learned_lag_nats": found.evidence if found else 0.0,
-                "noise": {
-                    name: {
-                        "diffusion": law.diffusion,
-                        "force_std": law.std,
-                        "force_tau_s": law.tau,
-                        "sensor_std": law.sensor,
-                    }
-                    for name, law in laws.items()
-                },
+                "noise": {name: dict(zip(_NOISE, astuple(law), strict=True)) for name, law in laws.items()},
                 "not_shown": known.findings if known else [],
             },
             "between_runs": {
@@ -478,10 +468,8 @@ def identified(spec: SDESpec, runs: Sequence[Run], *, clock: float, values: Mapp
     """Identify declared physics, with a lag or a delay of the inputs where the data show one.
 
     Of runs with inputs as they acted, from initial `values`. A law is looked for with the method "weak" alone, whose
-    innovations are white.
-
-    Raises:
-        ConfigError, DataError, NonFiniteError: there is no parameter, nothing moves, or the physics diverges.
+    innovations are white. ConfigError, DataError or NonFiniteError where there is no parameter, nothing moves, or the
+    physics diverges.
     """
     system, method = spec.make_system(values), "differences" if spec.filter_reach else "weak"
     base = settled(system, runs, clock=clock, method=method, width=None, iterations=ITERATIONS)
@@ -508,10 +496,9 @@ def identified(spec: SDESpec, runs: Sequence[Run], *, clock: float, values: Mapp
 
 def _shown(regression: Regression, law: str) -> bool:
     """Whether the times of a law are surely more than nothing."""
-    sure = identification(regression, "weak").parameters()
     return all(
         half is not None and value > 2.0 * half
-        for key, p in sure.items()
+        for key, p in identification(regression, "weak").parameters().items()
         if key.startswith(f"{law}.")
         for value, half in zip(p["value"], p["half_width_90"], strict=True)  # type: ignore[call-overload]
     )

@@ -17,6 +17,7 @@ from nsde_torch.models.before import inputs_before
 from nsde_torch.models.model import normal
 from nsde_torch.models.neural_sde import NeuralSDE, SDESpec
 from nsde_torch.sde import brownian
+from nsde_torch.systems.in_run import owner_of
 from nsde_torch.training.fit_innovations import fit_innovations
 from nsde_torch.training.loop import Loop
 from nsde_torch.training.losses import data_loss, distance_terms
@@ -44,15 +45,13 @@ _SHOWN = 1e-10  # of the largest information; below that a parameter moves nothi
 
 @torch.no_grad()
 def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> Parameters:
-    """Declared parameters with half-widths of 90 % intervals.
+    """Declared parameters of a model that was fitted to windows, with half-widths of 90 % intervals.
 
-    The model was fitted to these windows; `scale` is that of the error channels (n_error,).
-
-    Returns:
-        name -> `value`, `half_width_90` (lists, one entry per axis; None where no prediction depends on the
-        parameter, so that the data cannot show it, or all windows are of one cluster) and `unit`.
+    One is None where no prediction depends on the parameter, so that the data cannot show it, or all windows are of one
+    cluster. `scale` is that of the error channels (n_error,).
     """
-    parameters = [(name, *_owner(model, name), *told) for name, told in model.system.all_declared().items()]
+    told = model.system.all_declared()
+    parameters = [(k, *owner_of(model.system, k.replace(".", "/")), *told[k]) for k in told]
     out: Parameters = {}
     if not parameters:
         return out
@@ -86,7 +85,7 @@ def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> Pa
     ridge = 1e-9 * information.diagonal().mean().clamp_min(1e-12)
     inverse = torch.linalg.inv(information + ridge * torch.eye(len(information), dtype=torch.float64))
     score = torch.einsum("bek,be->bk", jacobian, base)
-    cluster = torch.div(t0 - t0.min(), _CLUSTER_S, rounding_mode="floor").long()
+    cluster = ((t0 - t0.min()) // _CLUSTER_S).long()
     run = torch.cumsum((torch.diff(t0, prepend=t0[:1]) < 0).long(), 0)
     _, label = torch.unique(run * (int(cluster.max()) + 1) + cluster, return_inverse=True)
     sums = torch.zeros(int(label.max()) + 1, score.shape[1], dtype=torch.float64)
@@ -100,23 +99,14 @@ def declared_confidence(model: NeuralSDE, windows: Windows, scale: Tensor) -> Pa
     deviation = widening * covariance.diagonal().clamp_min(0).sqrt()
     alone = inverse.diagonal() * information.diagonal() < _COLLINEAR
     shown = alone & (information.diagonal() > _SHOWN * information.diagonal().max()) & (clusters > 1)
-    at = 0
-    for name, owner, own, value, unit in parameters:
-        k = owner.raw[own].numel()
+    counts = [value.numel() for *_, value, _ in parameters]
+    each = zip(parameters, deviation.split(counts), shown.split(counts), strict=True)
+    for (name, owner, own, value, unit), of_raw, sure in each:
         slope = _slope(owner, own)
-        half = (deviation[at : at + k].to(slope) * slope.abs()).tolist()
-        known = [h if s else None for h, s in zip(half, shown[at : at + k].tolist(), strict=True)]
+        half = (of_raw.to(slope) * slope.abs()).tolist()
+        known = [h if s else None for h, s in zip(half, sure.tolist(), strict=True)]
         out[name] = {"value": value.tolist(), "half_width_90": known, "unit": unit}
-        at += k
     return out
-
-
-def _owner(model: NeuralSDE, name: str) -> tuple[Any, str]:
-    """The system or effect that a declared parameter is of, and its name there."""
-    effect, dot, own = name.partition(".")
-    if not dot:
-        return model.system, name
-    return next(e for e in model.system.effects if e.name == effect), own
 
 
 def _slope(owner: Any, own: str) -> Tensor:
@@ -285,10 +275,7 @@ class Fit(Loop):
 def fit_sde(task: Task) -> Fitted:
     """Fit by innovations, or by gradient steps on windows where that is asked for or there is no physics.
 
-    Raises:
-        ConfigError: the system declares no parameter.
-        DataError: a run is too short.
-        NonFiniteError: the optimisation left the finite numbers.
+    Errors are those of `fit_innovations`; a NonFiniteError also where the optimisation leaves the finite numbers.
     """
     spec = task.spec
     assert isinstance(spec, SDESpec)

@@ -17,10 +17,8 @@ _UNKNOWN = {True: "not shown by the data", False: "had not settled"}
 def fit_sysid(task: Task) -> Fitted:
     """Fit by least squares: no gradient steps, no seed.
 
-    Raises:
-        ConfigError: the system declares no parameter.
-        DataError: nothing moves.
-        NonFiniteError: the physics leaves the finite numbers.
+    A ConfigError refuses a system that declares no parameter, a DataError data in which nothing moves, a NonFiniteError
+    physics that leaves the finite numbers.
     """
     spec = task.spec
     assert isinstance(spec, SysidSpec)

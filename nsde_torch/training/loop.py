@@ -95,14 +95,8 @@ class Loop(ABC):
     ) -> Progress:
         """Optimise until the steps are done or the validation score stops falling; keeps the best weights.
 
-        Args:
-            title: Name of the progress bar.
-            checkpoint: File (without suffix) to write to and to resume from if it is there.
-            log: Called with step and losses at each validation.
-            quiet: No progress bar.
-
-        Raises:
-            NonFiniteError: the loss is not finite.
+        It writes to the file `checkpoint` (without suffix) and resumes from it if it is there, and calls `log` with
+        step and losses at each validation. NonFiniteError where the loss is not finite.
         """
         if checkpoint is not None:
             self.restore(checkpoint)
@@ -250,13 +244,10 @@ def write_checkpoint(path: Path, tensors: Mapping[str, Tensor], about: Mapping[s
 def read_checkpoint(
     path: Path, expected: Mapping[str, Tensor], identity: str, *, parts: Collection[str], differ: str
 ) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
-    """Read `path`.safetensors; None if there is none.
+    """Read `path`.safetensors; None if there is none, CheckpointError where it is damaged or of another training.
 
     It should be of a training of that identity, else `differ` says what may differ, and hold tensors as the expected
     ones of the model and further parts.
-
-    Raises:
-        CheckpointError: damaged, or of another model or training.
     """
     file = path.with_suffix(".safetensors")
     if not file.exists():

@@ -73,11 +73,8 @@ def distance_losses(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Gradient, convexity and reward loss of a distance, each 0-d.
 
-    Args:
-        features: Raw features of data (M, nf).
-        directions, share: Unit vectors (M, K, nf), and uniform numbers in [0, 1) (M, K, 1).
-        kind: Of the loss; "paper" as the supplement has it.
-        near, far: Radius r of the ball, and the largest one, but with "paper" [standard deviations].
+    Of raw features of data (M, nf), unit vectors (M, K, nf) and uniform numbers in [0, 1) (M, K, 1). The ball has the
+    radius `near`, but with "paper" up to `far` [standard deviations].
     """
     y = eta.standardise(features)
     m, k, n = directions.shape

@@ -32,10 +32,7 @@ def prepare(
 ) -> None:
     """Set standardisation, first sigma, clock and first values of declared parameters of a model, changed in place.
 
-    Args:
-        model, runs, windows: The model, with its training runs and their windows.
-        clock_scale: Physical seconds per logged second.
-        given: Names of parameters that keep the value they have.
+    Windows are those of its training runs; parameters that are `given` keep the value they have.
     """
     x, u, _ = windows.batch(_spread(len(windows), _ROWS // (windows.horizon + 1) + 1))
     rows = x.reshape(-1, x.shape[-1])

@@ -73,17 +73,12 @@ class Training:
         compiles = compiles and (self.options.compile == "on" or self.loss.kind != "innovations")
         self.compile = self.options.compile != "off" and compiles
         self.smoothing = smoothing_width(self.split.train, len(self.data.input_names))
-        self.filter_reach = self.spec.input_filter_reach
+        self.filter_reach = self.spec.filter_reach
 
     def run(self) -> dict[str, Any]:
-        """Train, calibrate, test and write.
+        """Train, calibrate, test and write; returns what `metrics.json` holds.
 
-        Returns:
-            What `metrics.json` holds; `["validation"]["score"]` is the validation score (smaller is better).
-
-        Raises:
-            DataError: the data cannot be used.
-            NonFiniteError: the optimisation left the finite numbers.
+        A DataError where the data cannot be used, a NonFiniteError where the optimisation left the finite numbers.
         """
         if not self.split.train:
             raise DataError("no run to train on.")
@@ -95,7 +90,9 @@ class Training:
             raise DataError(
                 f"the test runs ({names}) are too short for a horizon of 0.1 s; hold out longer ones."
             )
-        fit = self._fit(self._task(self.split.train, self.seed, "train", self.options))
+        fit: Fitted = model_kind(self.spec.kind).fit(
+            self._task(self.split.train, self.seed, "train", self.options)
+        )
         model, p = fit.model, fit.progress
         fitted = time.perf_counter()
         ended = "validation no longer fell" if p.stopped else "all steps done"
@@ -149,10 +146,6 @@ class Training:
         return metrics
 
     # ---- stages ---------------------------------------------------------------------------------------
-
-    def _fit(self, task: Task) -> Fitted:
-        fitted: Fitted = model_kind(self.spec.kind).fit(task)
-        return fitted
 
     def _task(
         self, runs: Sequence[Run], seed: int, name: str, options: TrainerOptions, near: Fitted | None = None
@@ -242,7 +235,7 @@ class Training:
 
     def _left_out(self, task: Task, run: Run) -> float:
         """log of the factor at which intervals of a fit to other runs hold as much of a run as they should."""
-        auxiliary = self._fit(task).model
+        auxiliary = model_kind(self.spec.kind).fit(task).model
         assert is_stochastic(auxiliary)
         return Coverage(auxiliary, [run], seed=0, compile=self.compile).log_factor()
 
@@ -290,9 +283,8 @@ class Training:
 
         with SummaryWriter(str(self.folder / "tensorboard")) as writer:
             for name in figures:  # as they were drawn: to draw them again takes as long as the first time
-                writer.file_writer.add_summary(
-                    _picture(name, self.folder / "plots" / f"{name}.png"), progress.step
-                )
+                image = _picture(name, self.folder / "plots" / f"{name}.png")
+                writer.file_writer.add_summary(image, progress.step)
             for group, by_horizon in metrics.get("test", {}).get("errors", {}).get("model", {}).items():
                 for horizon, value in by_horizon.items():
                     writer.add_scalar(f"test/{group}_{horizon}s", value, progress.step)
@@ -310,7 +302,7 @@ class Training:
 
     def _say_split(self) -> None:
         train, test = ([run.name for run in side] for side in (self.split.train, self.split.test))
-        self._say(f"training on {_names(train)}; testing on {_names(test)}")
+        self._say(f"training on {report.listed(train)}; testing on {report.listed(test)}")
         if self.note():
             self._say(f"note: {self.note()}")
 
@@ -320,17 +312,17 @@ class Training:
         test = metrics.get("test")
         if test and test["errors"]:
             noisy = any(value > 0 for by in test["spread"].values() for value in by.values())
-            starts = f"{_names(metrics['test_runs'])}; {test['starts']} starts, {test['diverged']} diverged"
-            tables = [
-                f"Held-out runs: {starts}",
-                one_step_table(test["one_step"]) if test["one_step"] else "",
-            ]
-            tables += [
-                report.error_table(test),
-                report.coverage_table(test) if noisy else report.NO_INTERVALS,
-            ]
-            if not self.verbose:
-                tables = [f"held out: {starts}\n{report.short_table(test, noisy=noisy)}"]
+            starts = (
+                f"{report.listed(metrics['test_runs'])}; {test['starts']} starts, {test['diverged']} diverged"
+            )
+            tables = [f"held out: {starts}\n{report.short_table(test, noisy=noisy)}"]
+            if self.verbose:
+                tables = [
+                    f"Held-out runs: {starts}",
+                    one_step_table(test["one_step"]) if test["one_step"] else "",
+                ]
+                tables.append(report.error_table(test))
+                tables.append(report.coverage_table(test) if noisy else report.NO_INTERVALS)
             self._say("\n" + "\n\n".join(filter(None, tables)))
         if self.note():
             self._say(f"\nnote: {self.note()}")
@@ -352,12 +344,6 @@ class Training:
             writer[0].flush()
 
         return log
-
-
-def _names(runs: Sequence[str]) -> str:
-    if len(runs) > 4:
-        return f"{runs[0]} ... {runs[-1]} ({len(runs)} runs)"
-    return ", ".join(runs) or "nothing"
 
 
 def _picture(name: str, path: Path) -> Any:
@@ -385,9 +371,8 @@ _SURE = 2.0  # standard errors; the built-in carts, in open loop, have -0.0003 +
 def learn_feedback(model: NeuralSDE, runs: Sequence[Run], *, seed: int) -> dict[str, Any]:
     """Learn the controller of some runs, or take it out of the model.
 
-    Returns:
-        What `metrics.json` holds: `kept`, and, where the runs are long enough, `crps`: the change of the score as a
-        share, and `standard_error`.
+    What `metrics.json` holds: `kept`, and, where the runs are long enough, `crps`: the change of the score as a share,
+    and `standard_error`.
     """
     made, dt = fit_feedback(model, runs, model.spec.feedback), model.spec.dt
     steps = [round(h / dt) for h in horizons_of(runs, dt) if h <= _LONGEST_S and h > model.spec.feedback * dt]

@@ -137,11 +137,7 @@ def design(
 
 
 def check_runs(system: System, runs: Sequence[Run]) -> None:
-    """Refuse runs that an experiment cannot be planned from.
-
-    Raises:
-        DataError: what stands in the way.
-    """
+    """Refuse runs that an experiment cannot be planned from, by a DataError that says what stands in the way."""
     if any(run.inferred for run in runs):
         names = ", ".join(sorted({n for run in runs for n in run.inferred}))
         raise DataError(
@@ -161,11 +157,7 @@ def check_runs(system: System, runs: Sequence[Run]) -> None:
 
 
 def first_state(system: System, runs: Sequence[Run], given: Mapping[str, float]) -> Array:
-    """Where an experiment begins: at rest where runs began, but for what is given.
-
-    Raises:
-        ConfigError: a name that is no state.
-    """
+    """Where an experiment begins: at rest where runs began, but for what is given, by names of states."""
     names = list(system.state_names)
     if system.quaternion is not None:  # hovering, in the middle of the flown range
         out = np.zeros(len(names))

@@ -194,8 +194,7 @@ def _rehearsed(found: Diagnosis, logs: int, seed: int, say: Say) -> Rehearsal:
         say("diagnosing a simulated log", len(again), logs + len(alone))
         try:
             data = assemble(log, found.system, kind="rehearsed", clock="trust")
-            made_again = diagnose(found.system, found.spec, data, data.runs, options)
-            again.append(made_again.content())
+            again.append(diagnose(found.system, found.spec, data, data.runs, options).content())
         except NsdeError as error:
             return Rehearsal({}, names, followed, (), None, left_out, f"a simulated log is refused: {error}")
     values = {

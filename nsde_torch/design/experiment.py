@@ -32,17 +32,13 @@ _POINTS = 600  # of each
 
 def write_plan(file: Path, names: tuple[str, ...], rows: Array) -> None:
     """Write a plan as CSV: times and what is given from then on, (n, 1 + columns)."""
-    with file.open("w", encoding="utf-8", newline="\n") as out:
-        out.write(",".join(("t", *names)) + "\n")
-        out.writelines(",".join(f"{v:.9g}" for v in row) + "\n" for row in rows.tolist())
+    np.savetxt(
+        file, rows, fmt="%.9g", delimiter=",", header=",".join(("t", *names)), comments="", encoding="utf-8"
+    )
 
 
 def read_design(folder: str | Path) -> dict[str, Any]:
-    """Content of `design.json`.
-
-    Raises:
-        ConfigError: the folder holds none.
-    """
+    """Content of `design.json`; a ConfigError where the folder holds none."""
     file = Path(folder) / RESULT
     if not file.is_file():
         raise ConfigError(f"{folder} holds no {RESULT}; `nsde design` writes one.")
@@ -215,10 +211,8 @@ class Experiment:
     def units(self) -> dict[str, str]:
         """Units of inputs and states."""
         s = self.system
-        return {
-            **dict(zip(s.input_names, s.input_units, strict=True)),
-            **dict(zip(s.state_names, s.state_units, strict=True)),
-        }
+        names, units = (*s.input_names, *s.state_names), (*s.input_units, *s.state_units)
+        return dict(zip(names, units, strict=True))
 
     @property
     def given(self) -> dict[str, int]:

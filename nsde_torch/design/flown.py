@@ -159,10 +159,7 @@ def obtained(
         values: First values of effects.
         expected: What was expected (`design.json`).
         trusted: Whether the log is known to be of this machine: what no member explains is reported (`doubt`), not
-            refused.
-
-    Raises:
-        DataError: no member explains the log: it is not of this machine, or what may be true was not among them.
+            refused, by a DataError.
     """
     check_runs(system, [*runs, *flown])
     members = members_of(system, runs, question, values or {}, clock=clock)

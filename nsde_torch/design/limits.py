@@ -62,11 +62,7 @@ class ExperimentLimits:
 
 
 def limits_of(system: System, runs: Sequence[Run], given: Mapping[str, Any]) -> ExperimentLimits:
-    """Limits as they are given; where none is named, the range of the runs.
-
-    Raises:
-        ConfigError: a name that is no input or state, or no two rising numbers.
-    """
+    """Limits as they are given, two rising numbers by name of an input or state, else the range of the runs."""
     q = system.quaternion
     turned = set() if q is None else set(range(q.start, q.stop))
     u = np.concatenate([run.u[:, : system.nu] for run in runs])

@@ -80,12 +80,7 @@ class ModelNoise:
 
 @final
 class Rollouts:
-    """Experiments of one system.
-
-    Args:
-        system: Physics.
-        dt: Step [s].
-    """
+    """Experiments of one system in steps of `dt` [s]."""
 
     def __init__(self, system: System, *, dt: float) -> None:
         self.vector, self.dt = ParameterVector(system), dt
@@ -106,10 +101,9 @@ class Rollouts:
         noise: Disturbances | None = None,
         times: Array | None = None,
     ) -> tuple[Array, Array, Array]:
-        """Fly experiments from states (B, nx) with parameters (B, k), beginning at `times` (B,) [s] or 0.
+        """True and measured states (B, N + 1, nx) and inputs (B, N, nu) of experiments with parameters (B, k).
 
-        Returns:
-            True states (B, N + 1, nx), measured states (B, N + 1, nx) and inputs (B, N, nu).
+        They begin in states (B, nx) at `times` (B,) [s] or 0.
         """
         theta, x, system = torch.as_tensor(thetas), torch.as_tensor(start), self.system
         nx, nothing = system.nx, torch.zeros(len(x), steps, 0, dtype=torch.float64)
@@ -289,14 +283,10 @@ def members_of(
     clock: float,
     noise: ModelNoise | None = None,
 ) -> list[Member]:
-    """The members of a question, fitted to the runs there are.
+    """The members of a question, fitted to the runs there are, with first `values` of effects.
 
-    Args:
-        values: First values of effects, `{effect: {parameter: value}}`.
-        noise: Noise of them all; None: that of the likeliest.
-
-    Raises:
-        ConfigError: the system cannot have an effect, or a member cannot be fitted to the runs.
+    `noise` is that of them all; None: that of the likeliest. A ConfigError names an effect that the system cannot have,
+    or a member that cannot be fitted to the runs.
     """
     named = [_physics_with(declared, effects, values) for effects in question.members]
     search = Search(declared, runs, clock, Options(), channels=True)
@@ -389,8 +379,7 @@ def _noise(systems: Sequence[System], log: LogOfRuns) -> ModelNoise:
     of = LogLikelihood(systems[0], log.runs, log.clock, run_in=log.run_in, states=True)
     best = maximised(of, nuisances=False)[1]
     for system in systems[1:]:
-        found = maximised(of.of(system), best, nuisances=False)[1]
-        best = max(best, found, key=lambda f: f.at.total)
+        best = max(best, maximised(of.of(system), best, nuisances=False)[1], key=lambda f: f.at.total)
     return ModelNoise(best.of.space, best.levels)
 
 
@@ -399,8 +388,7 @@ def _member(fit: Regression, log: LogOfRuns, noise: ModelNoise) -> Member:
     own = Posteriors(system, noise.levels, clock=log.clock, disturbances=noise.space.disturbances)
     prior = prior_information(own.vector)
     given = prior + np.diag(fit.held / np.square(_SURE_OF_HELD * fit.vector.scale))
-    fine_dt = Rollouts(system, dt=dt).fine_dt
-    own.vector.low = _lower_bounds(fit.vector, fit.theta, dt=dt, fine_dt=fine_dt)
+    own.vector.low = _lower_bounds(fit.vector, fit.theta, dt=dt, fine_dt=Rollouts(system, dt=dt).fine_dt)
     own.vector.high = fit.vector.high
     begun = [fit.theta, np.where(fit.held, fit.theta, fit.vector.start)]
     tried = [LogWithPrior(log.runs, fit.theta, given)] * len(begun)

@@ -111,7 +111,7 @@ class Signals:
         """What a person reads of the genes (pieces, nu, 6) of one experiment."""
         edges = self.dt * np.linspace(0, self.steps, PIECES + 1).round()
         out = []
-        half, middle, (low, high) = self._half, self._middle, np.log(self.hertz)
+        (middle, half), (low, high) = self._range, np.log(self.hertz)
         for p, (a, b) in enumerate(pairwise(edges.tolist())):
             for i, name in enumerate(self.limits.inputs):
                 g = genes[p, i]
@@ -157,25 +157,20 @@ class Signals:
         return {**out, "the longest run again": (table, ("the inputs of the longest run",))}
 
     def _scaled(self, unit: Array) -> Array:
-        return np.asarray(self._middle + self._half * np.clip(unit, -1.0, 1.0))
+        middle, half = self._range
+        return np.asarray(middle + half * np.clip(unit, -1.0, 1.0))
 
     @property
-    def _half(self) -> Array:
-        return np.asarray(0.5 * (self.limits.high - self.limits.low))
-
-    @property
-    def _middle(self) -> Array:
-        return np.asarray(0.5 * (self.limits.high + self.limits.low))
-
-    @property
-    def _rest(self) -> Array:
-        """Input 0, or the nearest to it, in [-1, 1]."""
-        return np.clip(-self._middle / self._half, -1.0, 1.0)
+    def _range(self) -> tuple[Array, Array]:
+        """Middle and half of the range of the inputs."""
+        low, high = self.limits.low, self.limits.high
+        return np.asarray(0.5 * (high + low)), np.asarray(0.5 * (high - low))
 
     def _offset(self, gene: Array) -> Array:
-        """Offsets in [-1, 1] of genes (..., nu): 0.5 is rest, 0 and 1 are the ends of the range."""
-        away = _fine(2.0 * gene - 1.0)
-        return np.asarray(self._rest + away * np.where(away < 0, 1.0 + self._rest, 1.0 - self._rest))
+        """Offsets in [-1, 1] of genes (..., nu): 0.5 is rest, or the nearest to it, 0 and 1 the ends of the range."""
+        middle, half = self._range
+        rest, away = np.clip(-middle / half, -1.0, 1.0), _fine(2.0 * gene - 1.0)
+        return np.asarray(rest + away * np.where(away < 0, 1.0 + rest, 1.0 - rest))
 
     def _piece(self, g: Array, t: Array) -> Array:
         """Unit inputs (count, nu, n) of the genes (count, nu, 6) of one piece at times (n,)."""
@@ -418,20 +413,10 @@ def search(
     rng: np.random.Generator,
     say: Say,
 ) -> tuple[list[PlannedRun], float, Array]:
-    """The best experiments.
+    """So many experiments to `keep`, the best first, from some rounds of so many `proposals`.
 
-    Args:
-        proposals: Number judged together.
-        generations: Rounds of changes.
-        keep: Number returned.
-        say: Told stage, number done and number in all.
-
-    Returns:
-        These, the best first; the most evidence of any tried, within the limits or beyond; and the largest share
-        of each state's range that this one takes (nx,).
-
-    Raises:
-        ConfigError: none stays within the limits; says which limit is in the way.
+    With them the most evidence of any tried, within the limits or beyond, and the largest share of each state's range
+    that this one takes (nx,). Where none stays within the limits, a ConfigError says which is in the way.
     """
     genes = np.concatenate((family.random(proposals, rng), family.gentle(proposals // 4, rng)))
     found: list[tuple[Array, PlannedRun]] = []

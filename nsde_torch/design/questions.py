@@ -64,8 +64,7 @@ class Question:
 def question_of(content: Mapping[str, Any], system: System, options: DesignOptions) -> Question:
     """What is asked: what the options say, or the first tie of a diagnosis, or what it does not show.
 
-    Raises:
-        ConfigError: nothing is tied and everything is shown, or a name that the system does not know.
+    A ConfigError where nothing is tied and everything is shown, or the system does not know a name.
     """
     found = _found(content)
     if options.members is not None:

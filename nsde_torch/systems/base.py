@@ -217,8 +217,7 @@ class System(Parametrised, ABC):
     def with_effects(self, *effects: Effect) -> "System":
         """A copy of the machine, with its present values, that has further effects.
 
-        Raises:
-            ConfigError: an effect is there already, or reads what the system does not offer.
+        A ConfigError where one is there already, or reads what the system does not offer.
         """
         for effect in effects:
             coordinates_of.check_effect(self, effect)
@@ -261,8 +260,7 @@ class System(Parametrised, ABC):
     @property
     def exogenous(self) -> tuple[str, ...]:
         """Logged columns behind the inputs: those of `reading`, then what other effects read."""
-        read = (n for e in self._own for n in e.exogenous)
-        return tuple(dict.fromkeys((*self._channels, *read)))
+        return tuple(dict.fromkeys((*self._channels, *(n for e in self._own for n in e.exogenous))))
 
     @property
     def effect_names(self) -> tuple[str, ...]:
@@ -317,25 +315,18 @@ class System(Parametrised, ABC):
     def start_values(
         self, x: NDArray[np.float64], u: NDArray[np.float64], dt: float
     ) -> dict[str, list[float]]:
-        """First values of parameters from data (rows of one continuous stretch); nothing by default.
+        """First values of parameters from states (n, nx) and inputs (n, nu) of one continuous stretch, `dt` [s] apart.
 
-        Args:
-            x: States (n, nx).
-            u: Inputs (n, nu).
-            dt: Step [s].
+        Nothing by default.
         """
         return {}
 
     def drift(
         self, t: float | Tensor, z: Tensor, u: Tensor, residual: Mapping[Port, Tensor] | None = None
     ) -> Tensor:
-        """Rate of state and memory (N, nz).
+        """Rate of state and memory (N, nz) at a time [s], with learned contributions (`residual`) by port.
 
-        Args:
-            t: Time [s].
-            z: State and memory (N, nz).
-            u: Input and exogenous channels (N, nu + n_exogenous).
-            residual: Learned contributions by port.
+        `u` are input and exogenous channels (N, nu + n_exogenous).
         """
         if not self._on_parameter:
             return self._drift(t, z, u, residual)
@@ -412,9 +403,6 @@ class System(Parametrised, ABC):
             u: Inputs from now on (N, nu + n_exogenous), under which memory is stationary where nothing else is known.
             u_before: Inputs held during the steps before now, oldest first (N, K, nu + n_exogenous), or None.
             dt: Length of a step [s].
-
-        Raises:
-            ShapeError: `u_before` does not fit.
         """
         if u_before is None or self.nz == self.nx:
             return self.augment(x, u)
@@ -525,11 +513,7 @@ class System(Parametrised, ABC):
         return out
 
     def check_rows(self, name: str, tensor: Tensor, width: int) -> None:
-        """Refuse a tensor whose last axis is not `width`.
-
-        Raises:
-            ShapeError: names the argument and the columns that were expected.
-        """
+        """Refuse a tensor whose last axis is not `width`, by its name and the columns that were expected."""
         if tensor.shape[-1] != width:
             columns = ", ".join(self.state_names if width == self.nx else self.input_names)
             raise ShapeError(f"`{name}` must have {width} columns ({columns}); got {tensor.shape[-1]}.")

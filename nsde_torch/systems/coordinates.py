@@ -166,13 +166,8 @@ def all_made(system: System, items: Sequence[str | Effect], values: dict[str, Nu
 def check_pushes(system: System, x: Tensor, u: Tensor) -> None:
     """Refuse a coordinate whose port does not push it: a force speeds up its own velocity, whatever the masses.
 
-    Args:
-        system: The machine, with its first values.
-        x: States of the data (N, nx).
-        u: Inputs there (N, nu + n_exogenous).
-
-    Raises:
-        ConfigError: names the coordinate, and what its push changes.
+    With the first values of the machine, at states of the data (N, nx) and inputs there (N, nu + n_exogenous). The
+    ConfigError names the coordinate, and what its push changes.
     """
     z = system.augment(x, u)
     with torch.no_grad():
@@ -193,11 +188,7 @@ def check_pushes(system: System, x: Tensor, u: Tensor) -> None:
 
 
 def check_effect(system: System, effect: Effect) -> None:
-    """Refuse an effect that reads what the system does not offer, or acts where it has no place.
-
-    Raises:
-        ConfigError: says what was expected and what came.
-    """
+    """Refuse an effect that reads what the system does not offer, or acts where it has no place."""
     has = offered(type(system))
     missing = [n for n, width in effect.quantities.items() if has.get(n) != width]
     if missing or (effect.quantities and effect.port is Port.INPUT):

@@ -35,9 +35,7 @@ OVER_MASS = (Port.FORCE, Port.BODY_FORCE)
 def in_its_run(system: System, effects: Sequence[int], u: Tensor) -> Iterator[Tensor | None]:
     """Give every row the parameters of its run, and yield what forces over the mass are multiplied by (N, 1).
 
-    Args:
-        effects: Numbers of its effects on the port `parameter`.
-        u: Inputs and logged channels (N, nu + n).
+    Of inputs and logged channels (N, nu + n), and the numbers of its effects on the port `parameter`.
     """
     column = system.nu + system.exogenous.index(RUN)
     changed: list[tuple[Parametrised, str]] = []
@@ -88,11 +86,7 @@ def row_by_row(
 
 
 def owner_of(system: System, target: str) -> tuple[Parametrised, str]:
-    """The machine or the effect that has a parameter, and the name of it there.
-
-    Raises:
-        ConfigError: there is none.
-    """
+    """The machine or the effect that has a parameter, and the name of it there; a ConfigError where there is none."""
     effect, _, own = target.rpartition("/")
     owner: Parametrised | None = system
     if effect:
@@ -107,8 +101,7 @@ def owner_of(system: System, target: str) -> tuple[Parametrised, str]:
 def difference_on(system: System, target: str) -> type[RunDifference]:
     """The effect that a parameter of a machine differs between runs, in its unit.
 
-    Raises:
-        ConfigError: there is no such parameter, or the machine does not say what goes with its mass.
+    A ConfigError where there is no such parameter, or the machine does not say what goes with its mass.
     """
     if target == MASS:
         if not system.over_mass:
@@ -124,12 +117,9 @@ def difference_on(system: System, target: str) -> type[RunDifference]:
 def in_new_runs(system: System, spread: Mapping[str, Sequence[float]], draws: Tensor) -> System:
     """A copy of a machine each row of which is in a run of its own that nobody has seen.
 
-    It reads the column `run`, whatever stands there.
-
-    Args:
-        spread: By target, what differs between runs: an effect with a size for each run, or a parameter
-            (`RunDifference.target`); its standard deviations.
-        draws: Standard normal numbers of each row (N, n), n of all targets together.
+    It reads the column `run`, whatever stands there. `spread` has the standard deviations of what differs between runs,
+    by target (an effect with a size for each run, or a parameter, see `RunDifference.target`), and `draws` are standard
+    normal numbers of each row (N, n), n of all targets together.
     """
     out = system.reading(RUN)
     made = {
@@ -170,11 +160,8 @@ def _both(first: Callable[[Tensor], Tensor], then: Callable[[Tensor], Tensor]) -
 def may_differ(system: System, target: str, x: Tensor, u: Tensor) -> bool:
     """Whether a machine's formulas take a value for each row in the place of one for all, at some rows.
 
-    Args:
-        system: The machine, without effects on the port `parameter`.
-        target: See `RunDifference`.
-        x: States (N, nx), in double precision.
-        u: Inputs and logged channels (N, nu + n).
+    The machine has no effects on the port `parameter`; states (N, nx) are in double precision, with inputs and logged
+    channels (N, nu + n).
     """
     made = difference_on(system, target)
     effect = made({"change": [0.1] * made.width}).to(x.dtype)

@@ -14,11 +14,7 @@ Limits = tuple[float, float] | Sequence[tuple[float, float]]
 
 
 def ends_of(limits: Limits, inputs: Sequence[str]) -> tuple[Any, Any]:
-    """Lowest and highest command: a number for all inputs, or a tuple with one for each of those named so.
-
-    Raises:
-        ConfigError: limits of another number of inputs, or no pairs.
-    """
+    """Lowest and highest command: a number for all inputs, or a tuple with one for each of those named so."""
     pairs = cast("Sequence[Any]", limits)
     if not any(isinstance(pair, Sequence) for pair in pairs) and len(pairs) == 2:
         return pairs[0], pairs[1]

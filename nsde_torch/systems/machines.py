@@ -58,25 +58,17 @@ _MULTIROTOR: dict[str, Any] = {
 MACHINES: dict[str, Machine] = {
     "hexacopter": Machine(
         values={
-            "thrust_gain": 4.6,
-            "thrust_offset": -1.0,
-            "roll_gain": 108.0,
-            "pitch_gain": 108.0,
-            "yaw_gain": 3.4,
-            "inertia_x": 0.54,
-            "inertia_y": 0.54,
+            **{"thrust_gain": 4.6, "thrust_offset": -1.0, "yaw_gain": 3.4},
+            **dict.fromkeys(("roll_gain", "pitch_gain"), 108.0),
+            **dict.fromkeys(("inertia_x", "inertia_y"), 0.54),
         },
         **_MULTIROTOR,
     ),
     "quadrotor": Machine(
         values={
-            "thrust_gain": 6.4,
-            "thrust_offset": -0.8,
-            "roll_gain": 58.0,
-            "pitch_gain": 58.0,
-            "yaw_gain": 2.8,
-            "inertia_x": 0.53,
-            "inertia_y": 0.53,
+            **{"thrust_gain": 6.4, "thrust_offset": -0.8, "yaw_gain": 2.8},
+            **dict.fromkeys(("roll_gain", "pitch_gain"), 58.0),
+            **dict.fromkeys(("inertia_x", "inertia_y"), 0.53),
         },
         **_MULTIROTOR,
     ),
@@ -99,11 +91,7 @@ MACHINES: dict[str, Machine] = {
 
 
 def machine(name: str) -> Machine:
-    """Machine of a system: one of `MACHINES`, or what its class says (`System.machine`).
-
-    Raises:
-        ConfigError: the system has no plant; names the remedy.
-    """
+    """Machine of a system: one of `MACHINES`, or what its class says (`System.machine`); a ConfigError without any."""
     cls = system_class(name) if ":" in name or name in SYSTEMS else None
     own = MACHINES.get(name) or (cls.machine if cls is not None else None)
     if own is None and cls is not None and ":" in name:
@@ -124,15 +112,9 @@ def _bare(cls: type[System]) -> Machine:
 
 
 def named_effects(effects: Effects, system: str | None = None) -> dict[str, Values]:
-    """Effects as a mapping from name to parameter values.
+    """Effects of a system (None: of any) as a mapping from name to parameter values; files are read.
 
-    Args:
-        effects: See `Effects`; files are read.
-        system: Name of the system that they are of; None: any.
-
-    Raises:
-        ConfigError: an entry is no name, file of this system or `{name: {parameter: value}}`, or a name comes
-            twice.
+    A ConfigError where an entry is no name, file of this system or `{name: {parameter: value}}`, or a name comes twice.
     """
     out: dict[str, Values] = {}
     for entry in [effects] if isinstance(effects, str | Mapping) else effects:
@@ -154,19 +136,14 @@ def named_effects(effects: Effects, system: str | None = None) -> dict[str, Valu
 
 
 def plant_effects(name: str, *, effects: Effects = (), declared_only: bool = False) -> dict[str, Values]:
-    """Effects of a plant beside the declared physics, with the values that are not those of the effects themselves.
-
-    Raises:
-        ConfigError: no plant of that name, or an unknown effect.
-    """
+    """Effects of a plant beside the declared physics, with the values that are not those of the effects themselves."""
     spec, own = machine(name), system_class(name)
     present: dict[str, Values] = {} if declared_only else {k: dict(v) for k, v in spec.effects.items()}
     for asked, given in named_effects(effects, name).items():
         key = own.effect_key(asked)
         cls = own.effect_class(key)
         for part in cls.includes:  # it stands in for a simpler effect, with the values of that one
-            standing = present.pop(part, {})
-            given = {**{k: v for k, v in standing.items() if k in cls.PARAMETERS}, **given}
+            given = {**{k: v for k, v in present.pop(part, {}).items() if k in cls.PARAMETERS}, **given}
         present.setdefault(key, {}).update(given)
     return present
 
@@ -177,13 +154,11 @@ def make_plant_system(
     """The machine of a plant as a system, with all its effects and the true parameters.
 
     Args:
-        name: Name of the system.
         effects: Effects beyond those that the plant has; parameters given here also replace the plant's own.
         declared_only: Leave out what the declared physics does not have (`effects` are still added).
         values: Parameters of the declared physics in place of the plant's own.
 
-    Raises:
-        ConfigError: no plant of that name, or an unknown effect or parameter.
+    A ConfigError where there is no plant of that name, or an effect or parameter is unknown.
     """
     spec = machine(name)
     present = plant_effects(name, effects=effects, declared_only=declared_only)

@@ -75,14 +75,8 @@ class MassSpringDamper(OneDegreeOfFreedom):
 GRAVITY = 9.8
 _FRICTION = ("coulomb_friction", "viscous_friction")
 _OF_THE_CART = (
-    *_FRICTION,
-    "asymmetric_friction",
-    "stribeck_friction",
-    "quadratic_damping",
-    "linear_spring",
-    "cubic_stiffness",
-    "constant_force",
-    "periodic_force",
+    *(*_FRICTION, "asymmetric_friction", "stribeck_friction", "quadratic_damping"),
+    *("linear_spring", "cubic_stiffness", "constant_force", "periodic_force"),
 )
 
 

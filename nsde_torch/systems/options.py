@@ -60,11 +60,7 @@ class SystemOptions:
         return dict(dotted(self.parameters))
 
     def make(self) -> System:
-        """The system.
-
-        Raises:
-            ConfigError: there is no such system, effect, parameter or option.
-        """
+        """The system; a ConfigError where there is no such one, or no such effect, parameter or option."""
         from nsde_torch.systems.registry import make_system
 
         return make_system(
@@ -85,15 +81,10 @@ def system_options(
 ) -> SystemOptions:
     """A machine with its declared physics, from what a user may write.
 
-    Args:
-        system: Key of `SYSTEMS`, `package.module:Class`, a class of the user's own that a module defines, or options.
-        effects: Effects to add to the declared physics: names, `{name: {parameter: value}}`, files `effects.yaml` of a
-            diagnosis, or a list of these. Values are where a training starts from.
-        declared: Effects that replace the declared ones; None keeps them.
-        parameters: Initial values, `name` or `effect.name`; they win over those in `effects`.
-
-    Raises:
-        ConfigError: a file that cannot be used, or one of another system.
+    A system is a key of `SYSTEMS`, `package.module:Class`, a class that a module of the user's own defines, or options.
+    Effects are names, `{name: {parameter: value}}`, files `effects.yaml` of a diagnosis, or a list of these; their
+    values are where a training starts from, and `parameters`, by `name` or `effect.name`, win over them. A ConfigError
+    refuses a file that cannot be used, or one of another system.
     """
     if isinstance(system, type):
         system = key_of_class(system)

@@ -134,11 +134,9 @@ class ParameterVector:
         return [s.start + int(np.argsort(theta[s])[(s.stop - s.start - 1) // 2]) for s in unknown]
 
     def use(self, theta: Tensor) -> None:
-        """Take these values for every following drift of the copy.
+        """Take these values (k,), which may carry derivatives, for every following drift of the copy.
 
-        Args:
-            theta: (k,), which may carry derivatives; or (N, k), a row of values for each row of the batch, for systems
-                whose formulas only multiply and add them by columns.
+        Or (N, k), a row for each row of the batch, for systems whose formulas only multiply and add them by columns.
         """
         self._theta[:] = [theta]
 

@@ -18,8 +18,7 @@ SYSTEMS: dict[str, type[System]] = {
 def system_class(name: str) -> type[System]:
     """Class of a system: a key of `SYSTEMS`, or `package.module:Class` of the user's own.
 
-    Raises:
-        ConfigError: unknown name (lists the choices), no such module or class, or not a System.
+    A ConfigError where the name is unknown (it lists the choices), or is none of a System.
     """
     return class_by_name(name, SYSTEMS, System, kind="system", home="nsde_torch.systems")
 

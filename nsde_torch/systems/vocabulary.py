@@ -63,13 +63,10 @@ def quantity_of(system: System, name: str, x: Tensor, u: Tensor) -> Tensor:
 
 
 def seen_by(system: System, effect: Effect, t: float | Tensor, z: Tensor, u: Tensor) -> Tensor:
-    """What an effect on a force port would be given as its input (N, nu + what it reads).
+    """What an effect on a force port, which need not be one of the system's, would be given as its input.
 
-    Args:
-        effect: The effect, which need not be one of the system's.
-        t: Time [s].
-        z: State and memory (N, nz).
-        u: Input and exogenous channels (N, nu + n_exogenous).
+    That is (N, nu + what it reads), at a time [s], from state and memory (N, nz) and from input and exogenous channels
+    (N, nu + n_exogenous).
     """
     columns = [system.nu + system.exogenous.index(name) for name in effect.exogenous]
     return given(system, effect, columns, z[:, : system.nx], system.applied(t, z, u), u)
@@ -105,8 +102,7 @@ def _ports(cls: type[System]) -> dict[str, Rows]:
             names = _AXES
         names = ("",) if width == 1 else names
         unit = known.get(port) or forces.get(port, "")
-        own = tuple(of_rows.get((port, k), unit) for k in range(width))
-        out[port.value] = Rows(names, own)
+        out[port.value] = Rows(names, tuple(of_rows.get((port, k), unit) for k in range(width)))
     only = len(cls.input_names) == 1
     out[Port.INPUT.value] = Rows(("",) if only else cls.input_names, cls.input_units)
     rates = tuple(units.of("state/s", {"state": unit}) for unit in cls.state_units)

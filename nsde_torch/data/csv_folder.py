@@ -144,10 +144,8 @@ def _explain(path: Path, names: Sequence[str], needed: Sequence[str]) -> DataErr
                     "be cut short, or a decimal comma splits a number."
                 )
             for name, cell in zip(names, cells, strict=True):
-                read = (
-                    _is_number(cell) or name not in needed or (name == TIME and from_date(cell) is not None)
-                )
-                if cell not in NOTHING and not read:
+                date = name == TIME and from_date(cell) is not None
+                if name in needed and not (cell in NOTHING or _is_number(cell) or date):
                     return DataError(
                         f"{path}:{number}: column {name!r} holds {cell!r}; expected a number or `nan`."
                     )

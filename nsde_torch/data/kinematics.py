@@ -235,9 +235,8 @@ def _sums(a: Array, edges: NDArray[np.int64]) -> Array:
 def pairs_of(system: SystemInfo) -> dict[str, tuple[list[str], list[str]]]:
     """Names of positions and of their rates, of an attitude and body rates, by group as in `axis_groups`."""
     names = list(system.state_names)
-    out = {
-        g: ([names[k] for k in i], [names[k] for k in j]) for g, (i, j) in derivative_columns(system).items()
-    }
+    groups = derivative_columns(system).items()
+    out = {g: ([names[k] for k in i], [names[k] for k in j]) for g, (i, j) in groups}
     if system.quaternion is not None and rate_columns(system) is not None:
         out[ATTITUDE] = (names[system.quaternion], list(RATE_NAMES))
     return out

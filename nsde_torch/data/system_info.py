@@ -59,9 +59,7 @@ def all_columns(systems: Sequence[SystemInfo]) -> SystemInfo:
 
 def changed(system: SystemInfo, **changes: Any) -> SystemInfo:
     """A system as readers see it, with some of its attributes replaced."""
-    own = {
-        name: getattr(system, name) for name, kind in vars(SystemInfo).items() if isinstance(kind, property)
-    }
+    own = {n: getattr(system, n) for n, kind in vars(SystemInfo).items() if isinstance(kind, property)}
     return cast(SystemInfo, SimpleNamespace(**{**own, **changes}))
 
 

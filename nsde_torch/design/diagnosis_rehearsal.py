@@ -130,9 +130,8 @@ class Rehearsal:
         """In how many logs an effect is named, surely or as a lead, and in how many something tied with it is."""
         sure = sum(name in _sure(c) for c in self.again)
         named = sum(name in c["added"] for c in self.again)
-        others = [
-            [o for tie in c["ties"] for o in tie["effects"]] for c in self.again if name not in c["added"]
-        ]
+        without = [c for c in self.again if name not in c["added"]]
+        others = [[o for tie in c["ties"] for o in tie["effects"]] for c in without]
         tied = sum(any(name in one.split(AND) for one in some) for some in others)
         return {"sure": sure, "lead": named - sure, "tied": tied}
 

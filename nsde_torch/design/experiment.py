@@ -32,9 +32,8 @@ _POINTS = 600  # of each
 
 def write_plan(file: Path, names: tuple[str, ...], rows: Array) -> None:
     """Write a plan as CSV: times and what is given from then on, (n, 1 + columns)."""
-    np.savetxt(
-        file, rows, fmt="%.9g", delimiter=",", header=",".join(("t", *names)), comments="", encoding="utf-8"
-    )
+    head = ",".join(("t", *names))
+    np.savetxt(file, rows, fmt="%.9g", delimiter=",", header=head, comments="", encoding="utf-8")
 
 
 def read_design(folder: str | Path) -> dict[str, Any]:

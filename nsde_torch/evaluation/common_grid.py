@@ -210,10 +210,8 @@ def _said_once(ahead: Sequence[tuple[str, str]]) -> list[Note]:
     words: dict[str, list[str]] = {}
     for name, text in ahead:
         words.setdefault(text, []).append(name)
-    named = {
-        text: text if len(words) == 1 else f"{', '.join(names)}: {text}" for text, names in words.items()
-    }
-    return [note(said) for text, said in named.items() if text]
+    who = {text: "" if len(words) == 1 else f"{', '.join(names)}: " for text, names in words.items()}
+    return [note(before + text) for text, before in who.items() if text]
 
 
 def _with_columns(runs: Sequence[Run], candidate: Candidate, data: DataSet) -> list[Run]:

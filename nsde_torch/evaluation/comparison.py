@@ -101,16 +101,9 @@ class Comparison:
         """A `pandas.DataFrame`: `model`, `group`, `horizon` [s], `error` (rms), `unit`, `coverage_90`."""
         units = self.content["units"]["errors"]
         rows = [
-            (
-                m["name"],
-                group,
-                float(h),
-                error,
-                units[group],
-                m["coverage"] and m["coverage"]["0.9"][group][h],
-            )
+            (m["name"], g, float(h), error, units[g], m["coverage"] and m["coverage"]["0.9"][g][h])
             for m in self.content["models"]
-            for group, errors in m["errors"].items()
+            for g, errors in m["errors"].items()
             for h, error in errors.items()
         ]
         return data_frame(rows, ("model", "group", "horizon", "error", "unit", "coverage_90"))

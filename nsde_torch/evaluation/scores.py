@@ -182,10 +182,8 @@ def score(
                 parts[:0] = part.chunk(2)
             continue
         kept.append(part)
-        of_horizons = [
-            _of_horizon(system, samples[:, :, k], x[:, 0], x[:, k], k * windows.dt_model) for k in steps
-        ]
-        rows.append(tuple(torch.stack(column, 1).cpu() for column in zip(*of_horizons, strict=True)))
+        made = [_of_horizon(system, samples[:, :, k], x[:, 0], x[:, k], k * windows.dt_model) for k in steps]
+        rows.append(tuple(torch.stack(column, 1).cpu() for column in zip(*made, strict=True)))
     if not rows:
         h, c, g = len(steps), len(system.error_names), len(system.error_groups)
         tails = ((g,), (g,), (g,), (len(LEVELS), c), (c,), (c,), (c,))

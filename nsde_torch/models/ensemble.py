@@ -20,7 +20,7 @@ the sensors is part of the variance of every step.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from itertools import pairwise
 
@@ -33,6 +33,7 @@ from nsde_torch.models.networks import Standardise, at_zero
 from nsde_torch.rotation import matrix, rotation_between, turned
 from nsde_torch.sde.checks import check_finite
 from nsde_torch.systems import System
+from nsde_torch.systems.values import Values
 
 # A state as a network should see it, and the difference of two states as a network should predict it.
 #
@@ -158,11 +159,7 @@ class GaussianEnsemble(Model):
     """
 
     def __init__(
-        self,
-        spec: EnsembleSpec,
-        *,
-        generator: torch.Generator,
-        values: Mapping[str, float | list[float]] | None = None,
+        self, spec: EnsembleSpec, *, generator: torch.Generator, values: Values | None = None
     ) -> None:
         super().__init__()
         self.filter = None

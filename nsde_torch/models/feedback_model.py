@@ -68,15 +68,9 @@ class _Filter:
     """Covariance (B, m, m) of the state and of the features of the last n steps, m = nz + n width."""
 
     def __init__(
-        self,
-        law: FeedbackModel,
-        model: NeuralSDE,
-        u: Tensor,
-        dt: float,
-        std: Tensor,
-        generator: torch.Generator,
+        self, law: FeedbackModel, model: NeuralSDE, u: Tensor, dt: float, std: Tensor, rng: torch.Generator
     ) -> None:
-        self.model, self.u, self.dt, self.std, self.generator = model, u, dt, std, generator
+        self.model, self.u, self.dt, self.std, self.rng = model, u, dt, std, rng
         self.system = model.system  # that of all runs, whatever each path draws for its own
         variance, along = torch.linalg.eigh(law.covariance.double())
         along = along[:, variance > _RANK * variance[-1]]
@@ -152,7 +146,7 @@ class _Filter:
         for i, w in enumerate(self.of_inputs, 1):
             known = known - self.u[:, k - i, : len(w)] @ w.to(z)
         told = sum((y @ w.to(z) for y, w in zip(past, self.of_features, strict=True)), torch.zeros(()))
-        drawn = normal((len(z), len(self.deviation)), self.generator, z) @ self.deviation.T
+        drawn = normal((len(z), len(self.deviation)), self.rng, z) @ self.deviation.T
         away = (known.repeat(len(z) // batch, 1) - told - drawn).view(-1, batch, known.shape[1])
         in_deviations = torch.linalg.solve_triangular(root.to(z), away.permute(1, 2, 0), upper=False)
         away = away * (_FARTHEST / in_deviations.norm(dim=1).T[..., None]).clamp(max=1.0)

@@ -17,6 +17,7 @@ from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.models.model import Capabilities, Model, ModelSpec
 from nsde_torch.models.networks import InputFilter
 from nsde_torch.sde import Calculus, make_step, rollout
+from nsde_torch.systems.values import Values
 
 METHODS = ("weak", "differences")
 
@@ -51,13 +52,7 @@ class IdentifiedModel(Model):
         >>> model = IdentifiedModel(spec, generator=torch.Generator())
     """
 
-    def __init__(
-        self,
-        spec: SysidSpec,
-        *,
-        generator: torch.Generator,
-        values: Mapping[str, float | list[float]] | None = None,
-    ) -> None:
+    def __init__(self, spec: SysidSpec, *, generator: torch.Generator, values: Values | None = None) -> None:
         super().__init__()
         self.spec: SysidSpec = spec
         self.step = make_step(spec.step, **spec.solver)

@@ -13,6 +13,7 @@ from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
 from nsde_torch.models.networks import InputFilter
 from nsde_torch.shown import data_frame, preformatted
 from nsde_torch.systems import System, make_system
+from nsde_torch.systems.values import Values
 
 if TYPE_CHECKING:
     from nsde_torch.data import Run
@@ -66,7 +67,7 @@ class ModelSpec:
         plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
         return cls(**plain)
 
-    def make_system(self, values: Mapping[str, float | list[float]] | None = None) -> System:
+    def make_system(self, values: Values | None = None) -> System:
         """The system, with initial values of declared parameters."""
         return make_system(
             self.system, effects=self.effects, declared=self.declared, values=values, **self.system_options

@@ -27,21 +27,13 @@ from torch import Tensor, nn
 from nsde_torch.columns import join_columns, split_columns
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError, ShapeError
+from nsde_torch.models import networks
 from nsde_torch.models.feedback_model import FeedbackModel
 from nsde_torch.models.model import Capabilities, Model, ModelSpec, normal
-from nsde_torch.models.networks import (
-    MLP,
-    BlackBoxDrift,
-    Diffusion,
-    Distance,
-    InputFilter,
-    Standardise,
-    at_zero,
-    tanh,
-)
 from nsde_torch.sde import Calculus, brownian, make_step, rollout
 from nsde_torch.systems import System
 from nsde_torch.systems.in_run import in_new_runs
+from nsde_torch.systems.values import Values
 
 
 @dataclass(frozen=True)
@@ -78,13 +70,7 @@ class NeuralSDE(Model):
         >>> model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0))
     """
 
-    def __init__(
-        self,
-        spec: SDESpec,
-        *,
-        generator: torch.Generator,
-        values: Mapping[str, float | list[float]] | None = None,
-    ) -> None:
+    def __init__(self, spec: SDESpec, *, generator: torch.Generator, values: Values | None = None) -> None:
         super().__init__()
         if spec.effects and not spec.physics:
             raise ConfigError(
@@ -94,18 +80,23 @@ class NeuralSDE(Model):
         self.step = make_step(spec.step, **spec.solver)
         self.system = spec.make_system(values)
         self.system.set_step(spec.dt)
-        s, probe = self.system, at_zero(self.system)
+        s, probe = self.system, networks.at_zero(self.system)
         n_features, n_residual = s.features(probe).shape[1], s.network_features(probe).shape[1]
-        self.residual_inputs = Standardise(n_residual)
-        self.black_box = None if spec.physics else BlackBoxDrift(s, spec.drift_hidden, generator=generator)
+        self.residual_inputs = networks.Standardise(n_residual)
+        self.black_box = (
+            None if spec.physics else networks.BlackBoxDrift(s, spec.drift_hidden, generator=generator)
+        )
         s.requires_grad_(spec.physics)
-        options: dict[str, Any] = {"activation": tanh, "generator": generator, "last_gain": 0.1}
+        options: dict[str, Any] = {"activation": networks.tanh, "generator": generator, "last_gain": 0.1}
         ports = s.residual_ports if spec.physics else {}
         self.residuals = nn.ModuleDict(
-            {p.value: MLP(n_residual, spec.residual_hidden, k.width, **options) for p, k in ports.items()}
+            {
+                p.value: networks.MLP(n_residual, spec.residual_hidden, k.width, **options)
+                for p, k in ports.items()
+            }
         )
         self._residual_scale = {port.value: kind.scale for port, kind in s.residual_ports.items()}
-        self.eta = Distance(n_features, spec.distance_hidden, spec.mu_hidden, generator=generator)
+        self.eta = networks.Distance(n_features, spec.distance_hidden, spec.mu_hidden, generator=generator)
         fixed = spec.sigma_max
         if fixed is not None and len(fixed) != s.nx:
             raise ConfigError(f"`sigma_max` must have one value per state ({s.nx}); got {len(fixed)}.")
@@ -115,8 +106,8 @@ class NeuralSDE(Model):
         start = [torch.full((s.nx,), 0.1) if fixed is None else torch.tensor(fixed)]
         for port, width in self._disturbed.items():
             start.append(torch.full((width,), 0.8 * s.residual_ports[port].scale))
-        self.h = Diffusion(torch.cat(start), learned=fixed is None, tied=s.quaternion)
-        self.filter = InputFilter(spec.filter_reach, spec.dt) if spec.filter_reach else None
+        self.h = networks.Diffusion(torch.cat(start), learned=fixed is None, tied=s.quaternion)
+        self.filter = networks.InputFilter(spec.filter_reach, spec.dt) if spec.filter_reach else None
         self.log_tau = nn.Parameter(torch.zeros(self.nd), requires_grad=self.nd > 0)
         self.log_measurement_std = nn.Parameter(torch.full((s.nx,), -7.0), requires_grad=spec.measurement)
         self.freeze_distance = spec.loss != "paper"  # other data losses do not move eta
@@ -271,25 +262,19 @@ class NeuralSDE(Model):
         u_before: Tensor | None = None,
         correct: Callable[[int, Tensor], Tensor] | None = None,
     ) -> Tensor:
-        """Paths of the state under given noise: what training and `sample` share.
+        """Paths of the state (P, B, T + 1, nx) under given noise: what training and `sample` share.
+
+        From first states (B, nx) under applied inputs (B, T, nu), in steps of `dt` [s].
 
         Args:
-            x0: First states (B, nx).
-            u: Applied inputs (B, T, nu).
-            dt: Step [s].
             noise: Brownian increments (P, B, T, nz), or None for sigma = 0 (integrated by rk4).
             start: Normal numbers that start the paths (P, B, n_start), or None to start at x0 undisturbed, in the mean
                 of all runs.
             std: Standard deviation of the sensors (nx,), with `start`.
-            compile: Compile the step.
-            t0: Time of the first state.
             check: Raise on a non-finite state.
             u_before: Applied inputs of the steps before (B, K, nu), which the memory of the effects begins with, or
                 None for memory that is stationary under u[:, 0].
             correct: A filter of the paths, as `rollout` takes it.
-
-        Returns:
-            States (P, B, T + 1, nx).
         """
         nx = self.system.nx
         step = make_step("rk4") if noise is None and not self.step.deterministic else self.step

@@ -62,9 +62,7 @@ class RunPrediction:
     def to_frame(self) -> Any:
         """A `pandas.DataFrame` by time: `t`, `ahead`, and NAME, NAME_low, NAME_median, NAME_high of each channel."""
         tables = {"": self.measured, "_low": self.low, "_median": self.median, "_high": self.high}
-        channels = {
-            f"{name}{end}": table[:, k] for k, name in enumerate(self.names) for end, table in tables.items()
-        }
+        channels = {f"{n}{end}": t[:, k] for k, n in enumerate(self.names) for end, t in tables.items()}
         return data_frame({"t": self.t, "ahead": self.ahead, **channels})
 
     def plot(self) -> Figure:

@@ -15,6 +15,7 @@ from safetensors.torch import load_file, save_file
 from nsde_torch.errors import CheckpointError, ConfigError, NsdeError
 from nsde_torch.models.kind import model_kind
 from nsde_torch.models.model import Model, ModelSpec
+from nsde_torch.systems.values import Values
 
 
 def make_spec(values: Mapping[str, Any]) -> ModelSpec:
@@ -25,12 +26,7 @@ def make_spec(values: Mapping[str, Any]) -> ModelSpec:
     return model_kind(str(values.get("kind", "nsde"))).spec.from_dict(values)
 
 
-def make_model(
-    spec: ModelSpec,
-    *,
-    generator: torch.Generator,
-    values: Mapping[str, float | list[float]] | None = None,
-) -> Model:
+def make_model(spec: ModelSpec, *, generator: torch.Generator, values: Values | None = None) -> Model:
     """A model with fresh weights from `generator`, and initial values of declared parameters."""
     make: Any = model_kind(spec.kind).model
     made: Model = make(spec, generator=generator, values=values)

@@ -17,7 +17,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -25,8 +26,7 @@ if TYPE_CHECKING:
     from nsde_torch.data.raw import RawRun
     from nsde_torch.data.run import DataSet, Run
     from nsde_torch.data.system_info import SystemInfo
-
-T = TypeVar("T")
+    from nsde_torch.recording.latency import Latency
 
 STAGES = ("clock", "lateness", "biases", "effects", "structure")
 """In order. The first three are faults of the recording chain, `structure` the tests of the residuals."""
@@ -81,14 +81,15 @@ class LoggedRuns:
 
     def __post_init__(self) -> None:
         self.clock = 1.0  # physical seconds for each logged second, as far as it is known
-        self._found, self._once = set[str](), dict[Any, Any]()
+        self._found = set[str]()
 
-    def once(self, what: Callable[[LoggedRuns], T]) -> T:
-        """What a function says of the log as it was when this was first asked."""
-        if what not in self._once:
-            self._once[what] = what(self)
-        answer: T = self._once[what]
-        return answer
+    @cached_property
+    def late(self) -> tuple[list[Latency], list[Latency]]:
+        """How late channels are in the log as it was when this was first asked, and those that surely are."""
+        from nsde_torch.recording.latency import late_channels, surely_late
+
+        late = late_channels(self.system, self.runs, clock=self.clock)
+        return late, surely_late(late, self.runs[0].dt, chance=self.level("lateness"))
 
     def level(self, stage: str) -> float:
         """Significance level of a stage, after what was taken out so far."""

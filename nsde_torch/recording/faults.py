@@ -244,10 +244,8 @@ class DerivedRate(Fault):
         run.x, names = run.x.copy(), list(system.state_names)
         for position, rate, _ in system.position_derivatives:
             q = run.x[:, names.index(position)]
-            made = (
-                np.diff(q, prepend=q[0]) / dt if value == 2 else savgol_filter(q, value, 2, deriv=1, delta=dt)
-            )
-            run.x[:, names.index(rate)] = made
+            v = np.diff(q, prepend=q[0]) / dt if value == 2 else savgol_filter(q, value, 2, deriv=1, delta=dt)
+            run.x[:, names.index(rate)] = v
 
     def detect(self, log: LoggedRuns) -> Detected | None:
         """The reader has found it, and the rates are inferred: nothing is left to undo."""
@@ -396,10 +394,8 @@ class RotorSpeed(Fault):
                 u[:, k], rows = noise.shares(run.u[:, k], float(most), name=names[k], where=run.label)
                 if rows:
                     text = f"{len(rows)} rows of rotor speed {names[k]!r} that no rotor can have had"
-                    found = {"column": names[k], "rows": rows}
-                    run.notes.append(
-                        Finding("input_glitch", run.name, len(rows), text, "interpolated", found)
-                    )
+                    at = {"column": names[k], "rows": rows}
+                    run.notes.append(Finding("input_glitch", run.name, len(rows), text, "interpolated", at))
         run.u = u
 
 

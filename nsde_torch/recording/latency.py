@@ -352,24 +352,16 @@ def latency_findings(late: Sequence[Latency], *, action: str = "reported") -> li
 
 def found_latency(log: LoggedRuns, *, filtered: bool) -> Detected | None:
     """Channels of a log that are surely delayed, or filtered, as one finding; None for none."""
-    late = [d for d in log.once(_surely_late_in) if d.filtered == filtered]
+    late = [d for d in log.late[1] if d.filtered == filtered]
     return _detected(late) if late else None
 
 
 def suspected_latency(log: LoggedRuns) -> list[Detected]:
     """Channels that are late by less than what is sure; physics has to say, as a simulator may step so."""
-    late, sure, level = log.once(_late_in), log.once(_surely_late_in), log.level("lateness")
+    (late, sure), level = log.late, log.level("lateness")
     least = _LEAST_STEPS * log.runs[0].dt
     some = [d for d in late if d.p * len(late) < level and d.low > least and d not in sure]
     return [_detected([d], short=True) for d in some]
-
-
-def _late_in(log: LoggedRuns) -> list[Latency]:
-    return late_channels(log.system, log.runs, clock=log.clock)
-
-
-def _surely_late_in(log: LoggedRuns) -> list[Latency]:
-    return surely_late(log.once(_late_in), log.runs[0].dt, chance=log.level("lateness"))
 
 
 def _detected(late: Sequence[Latency], *, short: bool = False) -> Detected:

@@ -151,9 +151,8 @@ def _cubic_spline(f: Array, size: float, order: int, dt: float) -> Complex:
 def _weighted(f: Array, weights: Array, dt: float) -> Complex:
     """Response of symmetric weights over rows about each row."""
     half = len(weights) // 2
-    return np.asarray(
-        np.cos(2 * pi * dt * np.outer(f, np.arange(-half, half + 1))) @ weights, dtype=np.complex128
-    )
+    waves = np.cos(2 * pi * dt * np.outer(f, np.arange(-half, half + 1)))
+    return np.asarray(waves @ weights, dtype=np.complex128)
 
 
 def _gaussian(f: Array, size: float, order: int, dt: float) -> Complex:
@@ -175,9 +174,8 @@ def _savitzky_golay_slope(f: Array, size: float, order: int, dt: float) -> Compl
     half = round(size) // 2
     weights = np.asarray(savgol_coeffs(2 * half + 1, order, deriv=1, delta=dt, use="dot"))
     turn = 2 * pi * np.maximum(f, 1e-6 / dt)
-    return np.asarray(
-        np.sin(np.outer(turn, dt * np.arange(-half, half + 1))) @ weights / turn, dtype=np.complex128
-    )
+    waves = np.sin(np.outer(turn, dt * np.arange(-half, half + 1)))
+    return np.asarray(waves @ weights / turn, dtype=np.complex128)
 
 
 FAMILIES = (

@@ -23,9 +23,9 @@ from nsde_torch.simulation.make import Making, check_numbers
 from nsde_torch.simulation.registry import RECORDINGS, RunRecorder, planned, recorder
 from nsde_torch.simulation.replay import Replay, joined
 from nsde_torch.systems import System, make_system, system_class
-from nsde_torch.systems.machines import Effects, Values, machine, make_plant_system, named_effects
+from nsde_torch.systems.machines import Effects, machine, make_plant_system, named_effects
 from nsde_torch.systems.options import key_of_class
-from nsde_torch.systems.values import dotted
+from nsde_torch.systems.values import Numbers, dotted
 
 SCHEMA = 1
 _SUBSTEPS = 8
@@ -219,18 +219,18 @@ def _check_replay(system: str, how: RunRecorder, replay: Replay, chain: Recordin
 
 
 def _with_parameters(
-    asked: dict[str, Values],
+    asked: dict[str, Numbers],
     parameters: Mapping[str, Any],
     known: System,
     standing: Collection[str],
     system: str,
-) -> tuple[dict[str, Values], Values]:
+) -> tuple[dict[str, Numbers], Numbers]:
     """Effects with their values joined, and values of the declared physics.
 
     An effect of the user's own is known by its name in `parameters`.
     """
     own = system_class(system)
-    declared: Values = {}
+    declared: Numbers = {}
     out = {own.effect_key(key): dict(values) for key, values in asked.items()}
     names = {effect_class(key).name: key for key in out}
     for path, value in dotted(parameters):
@@ -264,9 +264,9 @@ def _with_parameters(
     return out, declared
 
 
-def _typical(cls: type[Effect], given: Collection[str], n_inputs: int) -> Values:
+def _typical(cls: type[Effect], given: Collection[str], n_inputs: int) -> Numbers:
     """Sizes for what would add nothing: parameters that start at zero, and a loss that is the same for all inputs."""
-    out: Values = {}
+    out: Numbers = {}
     for name, spec in cls.PARAMETERS.items():
         initial = spec.initial if isinstance(spec.initial, tuple) else (spec.initial,)
         if spec.per_input:
@@ -287,7 +287,7 @@ def _off_bounds(spec: Parameter, value: float | list[float]) -> float | list[flo
     return value - margin if value == spec.high else value
 
 
-def _latency(values: Values | None, step: float, fine: float) -> tuple[float | None, float | None]:
+def _latency(values: Numbers | None, step: float, fine: float) -> tuple[float | None, float | None]:
     """The delay that a plant can have nearest to what was asked, and the fine step for it."""
     if values is None:
         return None, None
@@ -301,7 +301,7 @@ def _latency(values: Values | None, step: float, fine: float) -> tuple[float | N
 
 
 def _undeclared(
-    own: System, known: System, standing: Sequence[str], asked: Mapping[str, Values]
+    own: System, known: System, standing: Sequence[str], asked: Mapping[str, Numbers]
 ) -> dict[str, Any]:
     wanted = {effect_class(key).name: values for key, values in asked.items()}
     out: dict[str, Any] = {}

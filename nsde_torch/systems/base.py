@@ -28,7 +28,7 @@ from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.systems import coordinates as coordinates_of
 from nsde_torch.systems.in_run import OVER_MASS, in_its_run, row_by_row
 from nsde_torch.systems.machine import Machine
-from nsde_torch.systems.values import Defaults, ErrorGroup, ResidualPort, split_values
+from nsde_torch.systems.values import Defaults, ErrorGroup, ResidualPort, Values, split_values
 from nsde_torch.systems.vocabulary import given, vocabulary
 
 MEMORY_S = 0.5
@@ -107,7 +107,7 @@ class System(Parametrised, ABC):
         effects: Sequence[str | Effect] = (),
         *,
         declared: Sequence[str] | None = None,
-        values: Mapping[str, float | list[float]] | None = None,
+        values: Values | None = None,
     ) -> None:
         own, given = split_values(values or {})
         super().__init__(own)
@@ -143,7 +143,7 @@ class System(Parametrised, ABC):
             return expression_at(name, vocabulary(cls))
         return effect_class(cls.effect_key(name), cls.bound_coordinates())
 
-    def make_effect(self, name: str, values: Mapping[str, float | list[float]] | None = None) -> Effect:
+    def make_effect(self, name: str, values: Values | None = None) -> Effect:
         """An effect for this machine, by name, with first values of its parameters (see `effects.make_effect`)."""
         return coordinates_of.made(self, self.effect_key(name), values)
 
@@ -441,15 +441,10 @@ class System(Parametrised, ABC):
     def held_memory(self, t: Tensor, x: Tensor, u: Tensor, dt: float) -> tuple[Tensor, Tensor, Tensor]:
         """What effects know of their memory over steps (see `Effect.held`, `Effect.followed`).
 
-        Args:
-            t: Starts of consecutive steps (n,) [s].
-            x: States there (n, nx).
-            u: Inputs and exogenous channels held over each (n, nu + n_exogenous).
-            dt: Length of a step [s].
-
-        Returns:
-            Memory at the start and at the end of each step, or its mean over it for both, (n, nz - nx) each, and
-            whether each column is known (nz - nx,). What comes after an effect that does not know is not known.
+        Of starts (n,) [s] of consecutive steps of a length `dt` [s], states there (n, nx), and inputs and exogenous
+        channels held over each (n, nu + n_exogenous): memory at the start and at the end of each step, or its mean over
+        it for both, (n, nz - nx) each, and whether each column is known (nz - nx,). What comes after an effect that
+        does not know is not known.
         """
         ends = list(accumulate((effect.n_memory for effect in self._own), initial=0))
         memory, command = x.new_zeros(len(x), ends[-1]), u[:, : self.nu]

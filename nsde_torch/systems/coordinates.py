@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
@@ -19,7 +19,7 @@ from nsde_torch.effects.law import Law
 from nsde_torch.effects.registry import effect_class, make_effect
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems.in_run import difference_on
-from nsde_torch.systems.values import ErrorGroup, Numbers
+from nsde_torch.systems.values import ErrorGroup, Numbers, Values
 from nsde_torch.systems.vocabulary import offered
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def _pushes(cls: type[System], port: Port, speed: str) -> bool:
     return own in [units.powers(u) for u in ("N", "N m", "Nm", f"{speed}2")]
 
 
-def made(system: System, name: str, values: Mapping[str, float | list[float]] | None = None) -> Effect:
+def made(system: System, name: str, values: Values | None = None) -> Effect:
     """An effect for a system, by the name that it has on it."""
     if is_law(name):
         return system.effect_class(name)(values, n_inputs=system.nu)

@@ -10,16 +10,8 @@ from typing import TYPE_CHECKING, cast
 import torch
 from torch import Tensor
 
+from nsde_torch.effects import by_run
 from nsde_torch.effects.base import Effect, Parametrised, Port
-from nsde_torch.effects.by_run import (
-    BY_RUN,
-    MASS,
-    RUN,
-    ByRun,
-    RunDifference,
-    difference_class,
-    difference_name,
-)
 from nsde_torch.effects.law import split_name
 from nsde_torch.errors import ConfigError
 
@@ -37,15 +29,15 @@ def in_its_run(system: System, effects: Sequence[int], u: Tensor) -> Iterator[Te
 
     Of inputs and logged channels (N, nu + n), and the numbers of its effects on the port `parameter`.
     """
-    column = system.nu + system.exogenous.index(RUN)
+    column = system.nu + system.exogenous.index(by_run.RUN)
     changed: list[tuple[Parametrised, str]] = []
     lighter = None
     try:
         for k in effects:
             effect = system.effects[k]
-            assert isinstance(effect, RunDifference)
+            assert isinstance(effect, by_run.RunDifference)
             change = effect.of_run(u[:, column : column + 1])
-            if effect.target == MASS:
+            if effect.target == by_run.MASS:
                 lighter = 1.0 / (1.0 + change)
                 turned, own = _times(lighter), [(cast(Parametrised, system), n) for n in system.over_mass]
             else:
@@ -93,25 +85,26 @@ def owner_of(system: System, target: str) -> tuple[Parametrised, str]:
         owner = next((e for e in system.effects if isinstance(e, Effect) and e.name == effect), None)
     if owner is None or own not in owner.declared_parameters():
         raise ConfigError(
-            f"{difference_name(target)!r} is of a parameter that {system.name!r} with these effects does not have."
+            f"{by_run.difference_name(target)!r} is of a parameter that {system.name!r} with these effects does not "
+            "have."
         )
     return owner, own
 
 
-def difference_on(system: System, target: str) -> type[RunDifference]:
+def difference_on(system: System, target: str) -> type[by_run.RunDifference]:
     """The effect that a parameter of a machine differs between runs, in its unit.
 
     A ConfigError where there is no such parameter, or the machine does not say what goes with its mass.
     """
-    if target == MASS:
+    if target == by_run.MASS:
         if not system.over_mass:
             raise ConfigError(
                 f"system {system.name!r} does not say which parameters go with its mass (`over_mass`)."
             )
-        return difference_class(MASS)
+        return by_run.difference_class(by_run.MASS)
     owner, own = owner_of(system, target)
     width = owner.raw[own].numel()
-    return difference_class(target, width, owner.parameter(own).unit, owner.scale_of(own))
+    return by_run.difference_class(target, width, owner.parameter(own).unit, owner.scale_of(own))
 
 
 def in_new_runs(system: System, spread: Mapping[str, Sequence[float]], draws: Tensor) -> System:
@@ -121,9 +114,11 @@ def in_new_runs(system: System, spread: Mapping[str, Sequence[float]], draws: Te
     by target (an effect with a size for each run, or a parameter, see `RunDifference.target`), and `draws` are standard
     normal numbers of each row (N, n), n of all targets together.
     """
-    out = system.reading(RUN)
+    out = system.reading(by_run.RUN)
     made = {
-        target: out.make_effect(target) if split_name(target)[0] in BY_RUN else difference_on(out, target)()
+        target: out.make_effect(target)
+        if split_name(target)[0] in by_run.BY_RUN
+        else difference_on(out, target)()
         for target in spread
     }
     out = out.with_effects(*made.values())
@@ -131,12 +126,12 @@ def in_new_runs(system: System, spread: Mapping[str, Sequence[float]], draws: Te
     first = 0
     for target, std in spread.items():
         effect = own[str(made[target].name)]
-        assert isinstance(effect, ByRun)
+        assert isinstance(effect, by_run.ByRun)
         effect.drawn = draws[:, first : first + len(std)] * draws.new_tensor(std)
         first += len(std)
-        if target == MASS:
+        if target == by_run.MASS:
             effect.drawn = effect.drawn.clamp_min(-_MOST)
-        elif isinstance(effect, RunDifference):
+        elif isinstance(effect, by_run.RunDifference):
             owner, name = owner_of(system, target)
             value, low = owner.value(name), owner.parameter(name).low
             if low is not None:
@@ -166,7 +161,7 @@ def may_differ(system: System, target: str, x: Tensor, u: Tensor) -> bool:
     made = difference_on(system, target)
     effect = made({"change": [0.1] * made.width}).to(x.dtype)
     effect.set_value("change", 0.1 * effect.scale_of("change"))
-    machine = system.reading(RUN).to(x.dtype).with_effects(effect)
+    machine = system.reading(by_run.RUN).to(x.dtype).with_effects(effect)
     run = torch.arange(len(x), dtype=x.dtype)[:, None] % 2.0
     wide = torch.cat((u, run), 1)
     try:

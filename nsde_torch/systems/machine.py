@@ -8,6 +8,7 @@ from typing import Any, cast
 
 from nsde_torch.effects.base import Port
 from nsde_torch.errors import ConfigError
+from nsde_torch.systems.values import Values
 
 Limits = tuple[float, float] | Sequence[tuple[float, float]]
 """Lowest and highest command [its unit]: of all inputs, or of each."""
@@ -55,11 +56,11 @@ class Excitation:
 class Machine:
     """What a plant of one system is made of."""
 
-    values: Mapping[str, float | list[float]]  # parameters of the declared physics, `name` or `effect.name`
+    values: Values  # parameters of the declared physics, `name` or `effect.name`
     dt: float  # sample [s]
     step: float  # fine step of the integration [s]
     sensor_std: tuple[float, ...]  # measurement noise, one number per error channel of the system [its unit]
-    effects: Mapping[str, Mapping[str, float | list[float]]] = field(default_factory=dict)
+    effects: Mapping[str, Values] = field(default_factory=dict)
     """Effects that the machine has beyond the declared physics, with their parameters."""
     gusts: Mapping[Port, Gust] = field(default_factory=dict)  # what pushes the ports; empty: no process noise
     limits: Limits | None = None  # lowest and highest command, one pair or one for each input, or None

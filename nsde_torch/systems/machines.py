@@ -37,9 +37,9 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.systems.base import System
 from nsde_torch.systems.machine import Gust, Machine
 from nsde_torch.systems.registry import SYSTEMS, make_system, system_class
+from nsde_torch.systems.values import Numbers, Values
 
-Values = dict[str, float | list[float]]
-Effects = Sequence[str | Mapping[str, Mapping[str, float | list[float]] | None]] | Mapping[str, Any]
+Effects = Sequence[str | Mapping[str, Values | None]] | Mapping[str, Any]
 """Effects as a user names them: `name`, `{name: {parameter: value}}` or a file `effects.yaml` of a diagnosis, in a list
 or as one of them."""
 
@@ -111,12 +111,12 @@ def _bare(cls: type[System]) -> Machine:
     return Machine(values={}, dt=dt, step=0.25 * dt, sensor_std=(0.0,) * len(cls.error_names))
 
 
-def named_effects(effects: Effects, system: str | None = None) -> dict[str, Values]:
+def named_effects(effects: Effects, system: str | None = None) -> dict[str, Numbers]:
     """Effects of a system (None: of any) as a mapping from name to parameter values; files are read.
 
     A ConfigError where an entry is no name, file of this system or `{name: {parameter: value}}`, or a name comes twice.
     """
-    out: dict[str, Values] = {}
+    out: dict[str, Numbers] = {}
     for entry in [effects] if isinstance(effects, str | Mapping) else effects:
         pairs: Any = entry
         if isinstance(entry, str):
@@ -135,10 +135,10 @@ def named_effects(effects: Effects, system: str | None = None) -> dict[str, Valu
     return out
 
 
-def plant_effects(name: str, *, effects: Effects = (), declared_only: bool = False) -> dict[str, Values]:
+def plant_effects(name: str, *, effects: Effects = (), declared_only: bool = False) -> dict[str, Numbers]:
     """Effects of a plant beside the declared physics, with the values that are not those of the effects themselves."""
     spec, own = machine(name), system_class(name)
-    present: dict[str, Values] = {} if declared_only else {k: dict(v) for k, v in spec.effects.items()}
+    present: dict[str, Numbers] = {} if declared_only else {k: dict(v) for k, v in spec.effects.items()}
     for asked, given in named_effects(effects, name).items():
         key = own.effect_key(asked)
         cls = own.effect_class(key)
@@ -163,7 +163,7 @@ def make_plant_system(
     spec = machine(name)
     present = plant_effects(name, effects=effects, declared_only=declared_only)
     declared = make_system(name).effect_names
-    parameters: Values = {**spec.values, **(values or {})}
+    parameters: Numbers = {**spec.values, **(values or {})}
     for key, held in present.items():
         called = effect_class(key).name
         parameters.update({f"{called}.{parameter}": value for parameter, value in held.items()})

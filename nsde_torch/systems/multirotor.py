@@ -22,22 +22,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from nsde_torch import rotation
 from nsde_torch.columns import few, join_columns, split_columns
 from nsde_torch.effects import Effect, Parameter, Port
 from nsde_torch.effects.multirotor_forces import GRAVITY as GRAVITY
 from nsde_torch.errors import ConfigError
-from nsde_torch.rotation import (
-    axis_up,
-    euler_coupling,
-    gravity_direction,
-    quaternion_rate,
-    rate_products,
-    rotate,
-    rotate_back,
-    rotation_between,
-)
 from nsde_torch.systems.base import System
-from nsde_torch.systems.values import Defaults, ErrorGroup, ResidualPort
+from nsde_torch.systems.values import Defaults, ErrorGroup, ResidualPort, Values
 
 _DEGREES = 180.0 / pi
 _PARTS = (3, 3, 4, 3)  # position, velocity, quaternion, rates
@@ -110,7 +101,7 @@ class Multirotor(System):
         effects: Sequence[str | Effect] = (),
         *,
         declared: Sequence[str] | None = None,
-        values: Mapping[str, float | list[float]] | None = None,
+        values: Values | None = None,
         thrust_degree: int = 1,
         yaw_direction: int = 1,
     ) -> None:
@@ -135,17 +126,17 @@ class Multirotor(System):
         _, v, q, omega = split_columns(x, *_PARTS)
         thrust, moments = self._thrust_and_moments(u)
         angular = self._angular(omega, moments)
-        acceleration = thrust * axis_up(q) + self.gravity
+        acceleration = thrust * rotation.axis_up(q) + self.gravity
         if Port.BODY_FORCE in forces:
-            acceleration = acceleration + rotate(q, forces[Port.BODY_FORCE])
+            acceleration = acceleration + rotation.rotate(q, forces[Port.BODY_FORCE])
         if Port.BODY_MOMENT in forces:
             angular = angular + forces[Port.BODY_MOMENT]
         if Port.BODY_WRENCH in forces:
             push, twist = split_columns(forces[Port.BODY_WRENCH], 3, 3)
-            acceleration, angular = acceleration + rotate(q, push), angular + twist
+            acceleration, angular = acceleration + rotation.rotate(q, push), angular + twist
         if Port.WORLD_FORCE in forces:
             acceleration = acceleration + forces[Port.WORLD_FORCE]
-        return join_columns((v, acceleration, quaternion_rate(q, omega), angular))
+        return join_columns((v, acceleration, rotation.quaternion_rate(q, omega), angular))
 
     def quantity(self, name: str, x: Tensor, u: Tensor) -> Tensor:
         if name == "spin":  # speeds of rotors go with the roots of their thrusts
@@ -172,25 +163,25 @@ class Multirotor(System):
         """Angular acceleration (N, 3) under mixed commands, without effects."""
         gains = _of_axes(self.value("roll_gain"), self.value("pitch_gain"), self.value("yaw_gain"))
         jx, jy = self.value("inertia_x"), self.value("inertia_y")
-        return gains * moments + _of_axes(*euler_coupling(jx, jy)) * rate_products(omega)
+        return gains * moments + _of_axes(*rotation.euler_coupling(jx, jy)) * rotation.rate_products(omega)
 
     def features(self, x: Tensor) -> Tensor:
         """Body velocity and body rates, the supplement's x_feat seen from the body."""
         _, v, q, omega = split_columns(x, *_PARTS)
-        return join_columns((rotate_back(q, v), omega))
+        return join_columns((rotation.rotate_back(q, v), omega))
 
     def residual_features(self, x: Tensor) -> Tensor:
         """Body velocity, body rates and the direction of gravity (x and y of world's up in the body)."""
         _, v, q, omega = split_columns(x, *_PARTS)
-        up_x, up_y, _ = split_columns(gravity_direction(q), 1, 1, 1)
-        return join_columns((rotate_back(q, v), omega, up_x, up_y))
+        up_x, up_y, _ = split_columns(rotation.gravity_direction(q), 1, 1, 1)
+        return join_columns((rotation.rotate_back(q, v), omega, up_x, up_y))
 
     def error(self, predicted: Tensor, measured: Tensor) -> Tensor:
         """Position, velocity, rotation vector from measured to predicted attitude [rad], rates."""
         (p, v, q, omega), (at, speed, attitude, rates) = (
             split_columns(x, *_PARTS) for x in torch.broadcast_tensors(predicted, measured)
         )
-        return join_columns((p - at, v - speed, rotation_between(attitude, q), omega - rates))
+        return join_columns((p - at, v - speed, rotation.rotation_between(attitude, q), omega - rates))
 
     def project(self, z: Tensor) -> Tensor:
         """Quaternion back on the unit sphere."""
@@ -207,7 +198,7 @@ class Multirotor(System):
         mixed = u @ np.asarray(self.mixing).T
         q = torch.tensor(x[:, 6:10])  # a copy: the arrays of a run are read-only
         acc = np.gradient(x[:, 3:6], dt, axis=0) + np.array([0.0, 0.0, GRAVITY])
-        force = rotate_back(q, torch.as_tensor(acc)).numpy()
+        force = rotation.rotate_back(q, torch.as_tensor(acc)).numpy()
         out: dict[str, list[float]] = {}
         columns = np.stack((mixed[:, 0], np.ones(len(x))), 1)
         if mixed[:, 0].std() > 1e-3:

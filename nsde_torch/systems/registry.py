@@ -1,6 +1,6 @@
 """The systems by name: those of the package, and `package.module:Class` of the user's own."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from nsde_torch.effects.base import Effect
@@ -8,6 +8,7 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.lookup import class_by_name
 from nsde_torch.systems.base import System
 from nsde_torch.systems.names import SYSTEM_HOMES
+from nsde_torch.systems.values import Values
 
 SYSTEMS: dict[str, type[System]] = {
     name: class_by_name(home, {}, System, kind="system", home="nsde_torch.systems")
@@ -28,7 +29,7 @@ def make_system(
     *,
     effects: Sequence[str | Effect] = (),
     declared: Sequence[str] | None = None,
-    values: Mapping[str, float | list[float]] | None = None,
+    values: Values | None = None,
     **options: Any,
 ) -> System:
     """Make a system by name.

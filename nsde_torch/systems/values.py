@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 Numbers = dict[str, float | list[float]]
+Values = Mapping[str, float | list[float]]
 
 
 def dotted(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -131,9 +131,8 @@ def _forces(at: Optimum, system: System, beside: Functions | None) -> list[tuple
     flat = variables.values(middle.flatten(0, 1), chunks.u.flatten(0, 1)).numpy()
     values = {name: flat[:, k] for k, name in enumerate(variables.names)}
     ports = sorted({g.port for g in beside.groups if g.kind != "past"})
-    return [
-        (k, torch.from_numpy(beside.force(values, k)[0]).view(*about.x.shape[:2], 1).double()) for k in ports
-    ]
+    forces = {k: torch.from_numpy(beside.force(values, k)[0]).double() for k in ports}
+    return [(k, force.view(*about.x.shape[:2], 1)) for k, force in forces.items()]
 
 
 def _chosen(of_runs: Array, shared: Labels, candidates: Mapping[str, Labels]) -> list[str]:

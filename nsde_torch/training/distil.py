@@ -108,12 +108,7 @@ def _groups(
 
 
 def _distil(
-    model: NeuralSDE,
-    port: Port,
-    found: Functions,
-    rows: Mapping[int, int],
-    seen: Array,
-    variables: Sequence[str],
+    model: NeuralSDE, port: Port, found: Functions, rows: Mapping[int, int], seen: Array, own: Sequence[str]
 ) -> int:
     """Fit one network to the functions on the rows of its port, which only their variables reach; steps taken."""
     network, names = model.residuals[port.value], model.system.network_names
@@ -121,15 +116,15 @@ def _distil(
     first, last = network.layers[0], network.layers[-1]
     assert isinstance(first, nn.Linear)
     assert isinstance(last, nn.Linear)
-    unseen = [k for k, name in enumerate(names) if name not in variables]
+    unseen = [k for k, name in enumerate(names) if name not in own]
     with torch.no_grad():
         first.weight[:, unseen] = 0.0
         if not rows:
             silence(network)
             return 0
-    points = _points(seen, names, variables, found)
-    within, _ = _inside(points, names, variables, found, 1.0)
-    near, far = _inside(points, names, variables, found, _MARGIN)
+    points = _points(seen, names, own, found)
+    within, _ = _inside(points, names, own, found, 1.0)
+    near, far = _inside(points, names, own, found, _MARGIN)
     edge, values = ({name: at[:, k] for k, name in enumerate(names)} for at in (within, near))
     target = torch.zeros(len(points), last.out_features)
     for j, k in rows.items():

@@ -214,10 +214,9 @@ class _Fit:
         """Take values of the parameters, and write the means over the runs, where they differ, to the model."""
         self.theta = theta
         if write:
-            by_run = self.physics is not self.declared
-            values = (
-                between_runs.means(self.declared.vector, self.physics.vector.at(theta)) if by_run else theta
-            )
+            values = theta
+            if self.physics is not self.declared:
+                values = between_runs.means(self.declared.vector, self.physics.vector.at(theta))
             self.declared.vector.write(self.model.system, values)
             if self.known is not None:
                 self.known = replace(self.known, values=values)
@@ -229,10 +228,8 @@ class _Fit:
         if at is None or self.found is None or self.task.near is not None or self.model.spec.filter_reach > 0:
             return None
         try:
-            functions = learned.functions if learned else None
-            targets = recall(
-                ("differing", self.task.before_seed), lambda: between_runs.differing(at, functions)
-            )
+            beside = learned.functions if learned else None
+            targets = recall(("differing", self.task.before_seed), lambda: between_runs.differing(at, beside))
             if not targets:
                 return None
             runs = between_runs.numbered(self.runs, self.model.system)

@@ -36,9 +36,7 @@ class Loop(ABC):
     a line is said every so many steps.
     """
 
-    differ: ClassVar[str] = (
-        "runs, seed, loss, trainer or model"  # what a checkpoint of another training may be of
-    )
+    differ: ClassVar[str] = "runs, seed, loss, trainer or model"  # what another training may differ in
     lower: ClassVar[str] = "trainer.lr"  # options to lower where the gradient is not finite
     weight: int = 1  # of the whole loss
 
@@ -214,10 +212,11 @@ class Loop(ABC):
             return
         tensors, about = found
         device = self.parameters[0].device
-        self.model.load_state_dict(
-            {k[6:]: v.to(device) for k, v in tensors.items() if k.startswith("model.")}
+        model, self.kept = (
+            {k.removeprefix(part): v.to(device) for k, v in tensors.items() if k.startswith(part)}
+            for part in ("model.", "kept.")
         )
-        self.kept = {k[5:]: v.to(device) for k, v in tensors.items() if k.startswith("kept.")}
+        self.model.load_state_dict(model)
         self.batches.set_state(tensors["batches"])
         self._continue(tensors)
         fused = self.optimiser.defaults["fused"]  # else the number of the step stays where it is

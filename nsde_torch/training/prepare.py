@@ -23,12 +23,7 @@ def blind_to_places(model: NeuralSDE) -> None:
 
 
 def prepare(
-    model: NeuralSDE,
-    runs: Sequence[Run],
-    windows: Windows,
-    *,
-    clock_scale: float,
-    given: Collection[str] = (),
+    model: NeuralSDE, runs: Sequence[Run], windows: Windows, *, clock_scale: float, given: Collection[str]
 ) -> None:
     """Set standardisation, first sigma, clock and first values of declared parameters of a model, changed in place.
 

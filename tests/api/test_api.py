@@ -271,7 +271,7 @@ def test_a_training_that_is_stopped_once_the_model_is_fitted_returns_it(
     model = nsde_torch.train(runs, system=SYSTEM, model="sysid")
     assert model.predict(nsde_torch.read(runs, system=SYSTEM).runs[0], horizon=0.5).run == "run_0"
     assert "stopped: the model is fitted" in capsys.readouterr().out
-    monkeypatch.setattr("nsde_torch.training.session.Training._fit", stop)
+    monkeypatch.setattr("nsde_torch.training.fit_sysid.fit_sysid", stop)
     with pytest.raises(KeyboardInterrupt):
         nsde_torch.train(runs, system=SYSTEM, model="sysid")
 

@@ -16,7 +16,7 @@ def prepared(horizon: int = 10, **spec: object) -> tuple[NeuralSDE, list[Run]]:
     model = make_model(Decay, horizon=horizon, **spec).requires_grad_(False)
     model.h.log_sigma_max.requires_grad_("sigma_max" not in spec)
     runs = decay_runs(2, 60.0, sigma=0.5)
-    prepare(model, runs, Windows(runs, DT, horizon), clock_scale=1.04)
+    prepare(model, runs, Windows(runs, DT, horizon), clock_scale=1.04, given=())
     return model, runs
 
 
@@ -72,7 +72,7 @@ def test_first_sensor_noise_of_a_model_is_that_of_the_data() -> None:
     t = 0.01 * np.arange(4000)
     x = np.stack((np.sin(t), np.cos(t)), 1) + 0.01 * np.random.default_rng(0).standard_normal((4000, 2))
     runs = [Run("swing", t, x, np.zeros((4000, 1)))]
-    prepare(model, runs, Windows(runs, 0.01, 10), clock_scale=1.0)
+    prepare(model, runs, Windows(runs, 0.01, 10), clock_scale=1.0, given=())
     torch.testing.assert_close(model.measurement_std.detach(), torch.full((2,), 0.01), rtol=0.06, atol=0)
 
 
@@ -93,7 +93,7 @@ def test_first_parameters_of_a_multirotor_come_near_those_of_the_plant() -> None
     model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0))
     defaults = {k: v.clone() for k, (v, _) in model.system.all_declared().items()}
     runs = list(data.runs)
-    prepare(model, runs, Windows(runs, 0.05, 20), clock_scale=data.clock_scale)
+    prepare(model, runs, Windows(runs, 0.05, 20), clock_scale=data.clock_scale, given=())
     values = {k: v for k, (v, _) in model.system.all_declared().items()}
     for name in ("thrust_gain", "roll_gain", "pitch_gain", "yaw_gain"):
         assert float(values[name]) > 0

@@ -11,15 +11,7 @@ from typing import IO, Any
 import numpy as np
 
 from nsde_torch.arrays import Array
-from nsde_torch.data.formats.ros import (
-    LARGEST,
-    MEMORY,
-    Fields,
-    UnsupportedMessageError,
-    log_of,
-    seconds_since,
-    stream_of,
-)
+from nsde_torch.data.formats import ros
 from nsde_torch.data.streams import Stream, StreamLog, optional, ordered, parsing
 
 _CHUNK = 1 << 28  # bytes of a chunk
@@ -39,7 +31,7 @@ def open_mcap(path: Path) -> StreamLog:
         try:
             for schema, channel, message in _messages(file):
                 topic = channel.topic
-                if len(message.data) > LARGEST or size > MEMORY:
+                if len(message.data) > ros.LARGEST or size > ros.MEMORY:
                     large.add(topic)
                     continue
                 size += len(message.data)
@@ -60,9 +52,9 @@ def open_mcap(path: Path) -> StreamLog:
         try:
             kinds[topic] = _kind(schema)
             streams[topic] = _stream(topic, schema, channel, stamps[topic], messages[topic], since)
-        except UnsupportedMessageError as error:
+        except ros.UnsupportedMessageError as error:
             notes.append(f"{topic} ({kinds[topic] or channel.message_encoding}): left out, {error}")
-    return log_of(path.stem, str(path), streams, kinds, notes)
+    return ros.log_of(path.stem, str(path), streams, kinds, notes)
 
 
 def _messages(file: IO[bytes]) -> Iterator[tuple[Any, Any, Any]]:
@@ -110,27 +102,27 @@ def _stream(
     topic: str, schema: Any, channel: Any, stamps: Sequence[int], messages: Sequence[bytes], since: int
 ) -> Stream:
     if channel.message_encoding == "json":
-        return _json(topic, seconds_since(stamps, since), messages)
+        return _json(topic, ros.seconds_since(stamps, since), messages)
     if channel.message_encoding in ("cdr", "ros1") and schema and schema.encoding in ("ros1msg", "ros2msg"):
         types = _types(schema)
         aligned = channel.message_encoding == "cdr"
-        return stream_of(topic, _kind(schema), stamps, messages, types, aligned=aligned, since=since)
+        return ros.stream_of(topic, _kind(schema), stamps, messages, types, aligned=aligned, since=since)
     encoding = f"{channel.message_encoding} with {schema.encoding}" if schema else channel.message_encoding
-    raise UnsupportedMessageError(f"the encoding {encoding!r} is none of ROS 1, ROS 2 and JSON")
+    raise ros.UnsupportedMessageError(f"the encoding {encoding!r} is none of ROS 1, ROS 2 and JSON")
 
 
-def _types(schema: Any) -> Fields:
+def _types(schema: Any) -> ros.Fields:
     """Types of a schema, and those of ROS that every schema may name."""
     try:
         from rosbags.typesys import get_types_from_msg
     except ImportError as error:
-        raise UnsupportedMessageError(
+        raise ros.UnsupportedMessageError(
             "messages of ROS need the package rosbags, the extra nsde_torch[mcap]"
         ) from error
     try:
         found = get_types_from_msg(schema.data.decode("utf-8"), _kind(schema))
     except Exception as error:  # of a damaged type, nearly anything
-        raise UnsupportedMessageError(f"its type cannot be read ({type(error).__name__})") from error
+        raise ros.UnsupportedMessageError(f"its type cannot be read ({type(error).__name__})") from error
     times: dict[str, Any] = {
         f"builtin_interfaces/msg/{name}": [("sec", (1, ("int32", 0))), ("nanosec", (1, ("uint32", 0)))]
         for name in ("Time", "Duration")
@@ -147,7 +139,7 @@ def _json(topic: str, stamps: Array, messages: Sequence[bytes]) -> Stream:
             rows.append({})
     names = list(dict.fromkeys(name for row in rows for name in row))
     if not names:
-        raise UnsupportedMessageError("no numbers in its JSON")
+        raise ros.UnsupportedMessageError("no numbers in its JSON")
     fields = {name: np.array([row.get(name, np.nan) for row in rows], dtype=np.float64) for name in names}
     return ordered(Stream(topic, stamps, fields))
 

@@ -77,9 +77,7 @@ def read_mat(path: Path) -> Arrays:
             f"{path} holds objects alone ({', '.join(objects)}: timeseries or Datasets, say), which only MATLAB "
             "reads: log as `Structure With Time`, or save `struct('time', x.Time, 'q', x.Data)`."
         )
-    return {
-        name: a for key, value in raw.items() if key[:2] != "__" for name, a in _flat(key, np.asarray(value))
-    }
+    return {name: a for key, v in raw.items() if key[:2] != "__" for name, a in _flat(key, np.asarray(v))}
 
 
 def _flat(name: str, value: NDArray[Any], depth: int = 0) -> Iterator[tuple[str, NDArray[Any]]]:
@@ -232,9 +230,7 @@ def read_text(path: Path, notes: list[str]) -> dict[str, Array]:
         raise DataError(f"{path} has a header and no rows.")
     widths = {k: _width([r[k] for r in rows if k < len(r)], mark) for k, name in enumerate(names) if name}
     use = {k: width for k, width in widths.items() if width >= 0}
-    if not any(
-        _number(r[k], mark) is not None or width for r in rows for k, width in use.items() if k < len(r)
-    ):
+    if not any(_number(r[k], mark) is not None or w for r in rows for k, w in use.items() if k < len(r)):
         raise DataError(f"{path}: no column holds numbers.")
     refuse_larger(path, 8.0 * lines * sum(max(width, 1) for width in use.values()))
     columns = None if any(use.values()) else _at_once(path, layout, list(use))

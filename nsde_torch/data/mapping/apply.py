@@ -215,10 +215,8 @@ class _Applied:
         out = []
         for source in entry.source:
             stream, column = self.log.find(source)
-            values = stream.fields[column][:, None]
-            out.append(
-                values if stream is self.base else (commands if held else linear)(stream, values, self.t)
-            )
+            own = stream.fields[column][:, None]
+            out.append(own if stream is self.base else (commands if held else linear)(stream, own, self.t))
         return np.concatenate(out, axis=1) * np.array(entry.sign or 1.0) * entry.scale
 
     def _attitude(self) -> str | None:

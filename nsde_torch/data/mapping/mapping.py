@@ -182,10 +182,8 @@ def text(mapping: LogMapping) -> str:
     content = plain(mapping)
 
     def flow(value: Any) -> str:
-        dumped = yaml.safe_dump(
-            value, default_flow_style=True, sort_keys=False, width=10_000, allow_unicode=True
-        )
-        return str(dumped).strip()
+        out = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=9999, allow_unicode=True)
+        return str(out).strip()
 
     lines = [f"{key}: {content[key]}" for key in ("system", "kind") if key in content]
     lines += [f"{key}: {flow(content[key])}" for key in ("time", "frames") if key in content]
@@ -196,13 +194,9 @@ def text(mapping: LogMapping) -> str:
 
 def targets(system: SystemInfo, name: str) -> tuple[str, ...]:
     """Columns of a system that an entry names; for an unknown name, the channel of that name."""
-    everything = (*system.state_names, *system.input_names, *system.exogenous)
-    if name in everything:
-        return (name,)
-    group = tuple(
-        one for one in everything if one.rpartition("_")[0] == name or one.partition("_")[0] == name
-    )
-    return group or (name,)
+    every = (*system.state_names, *system.input_names, *system.exogenous)
+    group = tuple(one for one in every if name in (one.rpartition("_")[0], one.partition("_")[0]))
+    return (name,) if name in every else group or (name,)
 
 
 def _known(given: Table[str, Any], keys: Sequence[str], what: str) -> None:

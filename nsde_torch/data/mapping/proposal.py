@@ -196,16 +196,14 @@ def _single(log: StreamLog, system: SystemInfo, said: Mapping[str, ColumnEntry],
     for wanted in wanted_names:
         if wanted in given:
             continue
-        found = _named(wanted, free, still, system, rates)
+        found = _named(wanted, free, still, system)
         if wanted in rates:  # `v` may be a voltage: a rate of another name is one by its position
             place = columns.get(rates[wanted])
             same = [key for key in found if _squeezed(free[key][0]) == _squeezed(wanted)]
             if place is not None and not found:
                 of = {_squeezed(place.source[0]) + dot for dot in _DOTS}
                 found = [key for key, (name, _) in free.items() if _squeezed(name) in of]
-            found = same or [
-                key for key in found if place is not None and _follows(log, place.source[0], key)
-            ]
+            found = same or [k for k in found if place is not None and _follows(log, place.source[0], k)]
         if found:
             if len(found) > 1:
                 out.open.append(f"{wanted} may be {' or '.join(found)}")
@@ -226,24 +224,20 @@ def _single(log: StreamLog, system: SystemInfo, said: Mapping[str, ColumnEntry],
 
 
 def _named(
-    wanted: str,
-    free: dict[str, tuple[str, str | None]],
-    still: set[str],
-    system: SystemInfo,
-    rates: dict[str, str],
+    wanted: str, free: dict[str, tuple[str, str | None]], still: set[str], system: SystemInfo
 ) -> list[str]:
     """Columns of a name that means `wanted`: the same, else a synonym where the system has one such, else alike."""
     plain = {key: _squeezed(name) for key, (name, _) in free.items()}
     same = [key for key, name in plain.items() if name == _squeezed(wanted)]
     if same:
         return same
-    plain = {key: _MEASURED.sub("", name.lower()) for key, (name, _) in free.items()}
-    if wanted in system.input_names:
-        plain = {key: _COMMANDED.sub("", name) for key, name in plain.items()}
-    plain = {key: _squeezed(name) for key, name in plain.items()}
-    plain = {key: name for key, name in plain.items() if key not in still}
-    if wanted in system.state_names:  # a setpoint is no state, however much it is called like one
-        plain = {key: name for key, name in plain.items() if is_measured(free[key][0])}
+    plain = {}
+    for key, (name, _) in free.items():
+        # a setpoint is no state, however much it is called like one
+        if key not in still and (wanted not in system.state_names or is_measured(name)):
+            name = _MEASURED.sub("", name.lower())
+            plain[key] = _squeezed(_COMMANDED.sub("", name) if wanted in system.input_names else name)
+    rates = [rate for _, rate, _ in system.position_derivatives]
     positions = [n for n in system.state_names if n not in rates]
     words = _RATES if wanted in rates else _POSITIONS if wanted in positions else _INPUTS
     several = len(system.input_names if words is _INPUTS else positions) > 1
@@ -255,9 +249,8 @@ def _named(
         alone = [n for n in positions if _OF_UNIT.get(units[n]) is said] == [wanted]
         words = said if alone else set()
     alike = [key for key, name in plain.items() if name in words and not several]
-    alike = alike or [
-        key for key, name in plain.items() if _of_joint(name, words, number if several else None)
-    ]
+    own = number if several else None
+    alike = alike or [key for key, name in plain.items() if _of_joint(name, words, own)]
     if alike:
         return alike
     near = difflib.get_close_matches(_squeezed(wanted), list(plain.values()), n=1, cutoff=0.8)
@@ -567,10 +560,9 @@ def in_unit(entry: ColumnEntry, values: Array, unit: str | None) -> ColumnEntry:
     top = float(np.quantile(flat, 0.999))
     running = flat[flat > 0.02 * top]
     low = float(np.quantile(running, 0.001)) if len(running) else 0.0
-    unit = unit or next(
-        (unit for mark, unit in _TURNS.items() if mark in " ".join(entry.source).lower()), None
-    )
-    speeds = unit in _TURNS.values() or _SPEEDS.search(" ".join(entry.source).lower())
+    names = " ".join(entry.source).lower()
+    unit = unit or next((unit for mark, unit in _TURNS.items() if mark in names), None)
+    speeds = unit in _TURNS.values() or _SPEEDS.search(names)
     if top <= 1.05:
         return replace(entry, unit="1")
     if top <= 105.0:

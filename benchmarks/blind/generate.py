@@ -69,6 +69,7 @@ _LATER = (  # than the committed seeds, whose draws stay what they were
     "rotor_drag",
     "translational_lift",
     "asymmetric_lag",
+    "actuator_rate_limit",
     "tracked_point",
     "supply_sag",
     "slung_load",

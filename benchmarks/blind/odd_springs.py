@@ -99,7 +99,7 @@ def kinds(rng: np.random.Generator) -> dict[str, Kind]:
         "sticks": Kind(dry=lambda s: 3.0 * size, may=dry),
         "stribeck": Kind(dry=lambda s: size * (1.0 + 0.6 * math.exp(-((s.v / fast) ** 2))), may=dry),
         "warms": Kind(dry=lambda s: size * (0.4 + 0.6 * math.exp(-s.t / 10.0)), may=dry),
-        "slew": Kind(acts=_slew(rate)),
+        "slew": Kind(acts=_slew(rate), may=("actuator_rate_limit",)),
         "levels": Kind(acts=lambda u, s: round(u / 0.25) * 0.25),
         "stops": Kind(
             pulls=lambda u, s: -slope * (max(s.q - stop, 0.0) + min(s.q + stop, 0.0)),

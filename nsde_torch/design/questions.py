@@ -188,7 +188,8 @@ def _known(system: System, name: str) -> str:
     return key
 
 
-LATE = ("input_delay", "motor_lag", "actuator_lag", "asymmetric_lag")  # effects that make inputs act late
+# effects that make inputs act late
+LATE = ("input_delay", "motor_lag", "actuator_lag", "asymmetric_lag", "actuator_rate_limit")
 
 
 @dataclass(frozen=True)

@@ -318,10 +318,17 @@ def doubted(outcome: Outcome, guard: Guarded) -> Outcome:
 def sized(outcome: Outcome) -> Outcome:
     """The outcome, effects provisional that may be nothing by the intervals that are printed.
 
-    Evidence compares fits; intervals also hold what feedback and a smoother's band may have done to the values.
+    Evidence compares fits; intervals also hold what feedback and a smoother's band may have done to the values. And
+    what is named beside physics all of which may be nothing imitates it: of a force a part of which is late, a hidden
+    mass of 72 % was sure beside such a gain, stiffness and damping (odd_springs.py, "pull in the past").
     """
-    why = "its size may be nothing by its interval"
-    return outcome.provisional(lambda f: why if _may_be_nothing(outcome, f) else "")
+    why, labels = "its size may be nothing by its interval", outcome.final.vector.labels
+    declared = outcome.estimated(
+        [j for j, name in enumerate(labels) if name in outcome.declared.vector.labels]
+    )
+    beside = "beside it all that is declared may be nothing, by its interval"
+    beside = beside if declared and all(e.bound == "below" for e in declared) else ""
+    return outcome.provisional(lambda f: why if _may_be_nothing(outcome, f) else beside)
 
 
 def _may_be_nothing(outcome: Outcome, found: Found) -> bool:

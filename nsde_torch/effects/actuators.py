@@ -405,6 +405,54 @@ class ActuatorLag(_Lag):
     )
 
 
+@final
+class ActuatorRateLimit(_AnyLag):
+    """An actuator that follows its command at a limited rate; each input carries one state.
+
+    A drive of 25 N/s on a spring was a lag of 0.137 s, surely (docs/content/results/diagnosis.md).
+    """
+
+    name = "actuator_rate_limit"
+    formula = "u_eff = m, dm/dt = clip((u - m) / 10 ms, -rate, rate)"
+    source = BOOK
+    excludes = (Port.BODY_MOMENT,)  # motors follow by a lag
+    PARAMETERS = {
+        "rate": Parameter(10.0, "input/s", low=0.0, scale=1.0, help="fastest change that is followed")
+    }
+    null = {"rate": NONE}
+    shapes = {"rate": (1.0, 3.0, 10.0, 30.0)}
+    relative = {"rate": "input"}
+    sentence = "The actuator changes by {rate} at most, whatever is commanded."
+    separate = (
+        "give steps of the input, small and large: a lag takes as long for both, a limited rate does not"
+    )
+
+    def _time_constant(self, late: Tensor) -> Tensor:
+        return (late.abs() / self.value("rate")).clamp_min(0.01)
+
+    def _mean(self, late: Tensor, step: float) -> Tensor:
+        """Mean over a step of how far memory is behind an input that it is so far behind at the start."""
+        steps = late.abs() / (self.value("rate") * step)  # that it takes to be there
+        return late * torch.where(steps > 1.0, 1.0 - 0.5 / steps.clamp_min(1.0), 0.5 * steps)
+
+    def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        late = u[:, : self.n_inputs] - memory
+        return -self._mean(late, self.step) if self.step else -late
+
+    def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
+        late = u[:, : self.n_inputs] - memory
+        if not self.step:
+            return late / self._time_constant(late)
+        return late.clamp(-self.value("rate") * self.step, self.value("rate") * self.step) / self.step
+
+    def held(self, u: Tensor, dt: float) -> Tensor:
+        from nsde_torch.effects.recursions import rate_limited
+
+        own = u[:, : self.n_inputs]
+        memory = rate_limited(own.double().contiguous().numpy(), float(self.value("rate")) * dt)
+        return own - self._mean(own - torch.from_numpy(memory).to(own), dt)
+
+
 class AsymmetricLag(_AnyLag):
     """Actuators that follow a command upwards faster or slower than one downwards; each input carries one state.
 

@@ -40,6 +40,18 @@ def two_lags(u: Array, rising: float, falling: float) -> Array:
 
 
 @compiled
+def rate_limited(u: Array, most: float) -> Array:
+    """Memory (n, nu) at the starts of steps that inputs (n, nu) are held over, which follows them by so much a step."""
+    out = np.empty_like(u)
+    for k in range(u.shape[1]):
+        m = u[0, k]
+        for i in range(u.shape[0]):
+            out[i, k] = m
+            m += min(max(u[i, k] - m, -most), most)
+    return out
+
+
+@compiled
 def second_order(over: Array, v: Array, dt: float) -> Array:
     """Two states (n, 2 d) of a linear equation, those of all directions beside one another, along velocities (n, d).
 

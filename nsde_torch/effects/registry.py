@@ -41,6 +41,7 @@ EFFECTS: dict[str, type[Effect]] = {
         actuators.InputDelay,
         actuators.ActuatorLag,
         actuators.AsymmetricLag,
+        actuators.ActuatorRateLimit,
         actuators.ActuatorDeadband,
         actuators.AsymmetricDeadband,
         actuators.AsymmetricGain,

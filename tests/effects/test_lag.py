@@ -103,6 +103,35 @@ class TestAsymmetricLag(EffectContract):
         torch.testing.assert_close(both.held(u, 0.01), one.held(u, 0.01))
 
 
+class TestActuatorRateLimit(EffectContract):
+    name, system, memory = "actuator_rate_limit", "mass_spring_damper", 1
+    values: ClassVar = {"rate": 4.0}
+
+    def test_a_held_step_is_followed_in_a_straight_line(self) -> None:
+        effect = self.make({"rate": 4.0}).double()
+        effect.step, x = 0.1, torch.zeros(3, 2).double()
+        memory, u = (
+            torch.tensor([[1.0], [1.0], [-1.0]]).double(),
+            torch.tensor([[1.0], [3.0], [-1.1]]).double(),
+        )
+        fine = torch.linspace(0.0, 0.1, 20001).double()
+        path = memory + (u - memory).sign() * torch.minimum(4.0 * fine, (u - memory).abs())
+        mean = u + effect(0.0, x, u, memory)
+        torch.testing.assert_close(mean[:, 0].detach(), path.mean(1), atol=1e-5, rtol=0.0)
+        after = memory + 0.1 * effect.memory_rate(0.0, x, u, memory)
+        torch.testing.assert_close(after[:, 0].detach(), path[:, -1])
+
+    @torch.no_grad()
+    def test_what_acts_of_held_inputs_is_what_step_after_step_makes(self) -> None:
+        effect, u = self.make({"rate": 4.0}).double(), torch.randn(50, 1).double()
+        effect.step, memory, x = 0.1, u[:1], torch.zeros(1, 2).double()
+        means = []
+        for row in u[:, None]:
+            means.append(row + effect(0.0, x, row, memory))
+            memory = memory + 0.1 * effect.memory_rate(0.0, x, row, memory)
+        torch.testing.assert_close(effect.held(u, 0.1), torch.cat(means))
+
+
 def _rk4(s: torch.nn.Module, z: torch.Tensor, u: torch.Tensor, dt: float) -> torch.Tensor:
     with torch.no_grad():
         a = s.drift(0.0, z, u)  # type: ignore[operator]
@@ -200,11 +229,17 @@ def test_a_hidden_mass_follows_and_pulls_as_two_masses_on_a_spring_do(frequency:
     np.testing.assert_allclose(effect.memory_start(x[:1], x[:1, :1])[0], [0.0, v(0.0)])
 
 
-def test_a_slung_load_pulls_east_and_north_alike_and_not_up() -> None:
-    load = SlungLoad({"mass": 0.2, "length": 1.5, "damping": 0.05}).double()
+def test_a_slung_load_pulls_to_its_side_and_takes_its_share_of_a_tilted_thrust() -> None:
+    mass, length, tilt = 0.2, 1.5, 0.1
+    load = SlungLoad({"mass": mass, "length": length, "damping": 0.05}).double()
     x, memory = torch.zeros(1, 13).double(), torch.tensor([[0.3, -0.1, 0.0, 0.0]]).double()
-    pull = load(0.0, x, x[:, :6], memory)[0].detach()
-    assert pull.tolist() == pytest.approx([0.2 * 9.81 / 1.5 * 0.3, -0.2 * 9.81 / 1.5 * 0.1, 0.0])
+    x[0, 6:10] = torch.tensor([np.cos(tilt / 2), 0.0, np.sin(tilt / 2), 0.0])
+    # both masses fall with g; machine: (1 + m) T along its axis and the cable, load: the cable alone
+    both = 9.81 / np.cos(tilt)
+    cable = 9.81 / length * np.array([0.3, -0.1])  # over the mass of the load
+    expected = [both * np.sin(tilt) * mass + mass * cable[0], mass * cable[1], 0.0]
+    pull = load(0.0, x, torch.tensor([[0.5] * 6 + [both]]).double(), memory)[0].detach()
+    assert pull.tolist() == pytest.approx(expected)
     moving = torch.zeros(50, 13).double()
     moving[:, 3], moving[:, 4] = 1.0, 2.0
     along = load.followed(moving, DT)

@@ -46,8 +46,7 @@ class HiddenSwing(Effect):
         return -w * (w * ahead + 2.0 * self.value("damping") * (speed - self.velocity(x)))
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
-        pulled = self.acceleration(x, u, memory)[:, : self.ways]
-        return torch.cat((memory[:, self.ways :] - self.velocity(x), pulled), 1)
+        return torch.cat((memory[:, self.ways :] - self.velocity(x), self.acceleration(x, u, memory)), 1)
 
     def followed(self, x: Tensor, dt: float) -> Tensor:
         """See `Effect.followed`; exact for a velocity that is a straight line between the rows."""

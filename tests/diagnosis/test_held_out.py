@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -17,11 +18,12 @@ from nsde_torch.diagnosis.cross_validation import (
     one_step,
     own,
 )
-from nsde_torch.diagnosis.decision import judged_on_runs_left_out, provisional_reason
+from nsde_torch.diagnosis.decision import judged_on_runs_left_out, provisional_reason, sized
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import Evidence, fitted_at
-from nsde_torch.diagnosis.outcome import Found, Outcome
+from nsde_torch.diagnosis.outcome import Estimate, Found, Outcome
 from nsde_torch.diagnosis.pipeline import diagnose
+from nsde_torch.diagnosis.reading import Log, not_sure
 from nsde_torch.diagnosis.residual_tests import Dependence
 from nsde_torch.diagnosis.search import Search, moved_channels
 from nsde_torch.inference import LogLikelihood
@@ -180,6 +182,45 @@ def test_a_residual_that_grows_on_one_channel_doubts_what_acts_there_though_it_e
     assert judged(1.4) == ["the residual of surge on runs left out is larger with the effects", ""]
     assert judged(1.02) == ["", ""], "as of right effects where a controller answers gusts"
     assert judged(1.4, inputs=False) == ["", ""]
+
+
+def test_no_change_at_a_moment_is_sure_where_the_residual_depends_on_time() -> None:
+    names = ("run_difference[gain]", "coulomb_friction")
+    found = [Found(name, Evidence(100.0, 5.0, 1e-9), (), moves=("q_dot",)) for name in names]
+    left = [Dependence("q_dot", "time", 1e-6, 0.05, 0.5, 40.0, 4)]
+    none = cast(Regression, None)
+    outcome = Outcome("effect_found", none, none, found, None, structured=left)
+
+    def judged(moments: dict[str, tuple[float, float]], of: Outcome = outcome) -> list[str]:
+        log = cast(Log, SimpleNamespace(runs=[SimpleNamespace(inferred=())], moments=moments))
+        return [f.provisional for f in not_sure(log, of).found]
+
+    assert judged({"run_0": (15.4, 17.6)}) == ["the residual still depends on time: it may change slowly", ""]
+    assert judged({"run_0": (15.4, 17.6)}, replace(outcome, structured=[])) == ["", ""]
+    assert judged({}) == ["", ""], "a number of its own for a run, from its start to its end"
+
+
+@pytest.mark.parametrize(("low", "why"), [(0.0, "beside it all that is declared may be nothing"), (0.3, "")])
+def test_what_is_named_beside_physics_all_of_which_may_be_nothing_is_provisional(
+    low: float, why: str
+) -> None:
+    class Estimated(Outcome):
+        def estimated(self, columns: Sequence[int]) -> list[Estimate]:
+            both = [Estimate("gain", 1.0, 0.0, 7.0, "1", "below"), Estimate("damping", 1.0, low, 3.0, "1")]
+            both[1] = replace(both[1], bound=None if low else "below")
+            return [([*both, Estimate("hidden_mass.mass", 0.7, 0.4, 1.0, "1")])[j] for j in columns]
+
+    vector = SimpleNamespace(labels=["gain", "damping"])
+    declared = cast(Regression, SimpleNamespace(vector=vector))
+    system = make_system(SPRING, effects=["hidden_mass"])
+    labels = ["gain", "damping", "hidden_mass.mass"]
+    final = SimpleNamespace(labels=labels, of=lambda name: [2], system=system)
+    found = [Found("hidden_mass", Evidence(100.0, 5.0, 1e-9), ())]
+    outcome = Estimated(
+        "effect_found", declared, cast(Regression, SimpleNamespace(vector=final)), found, None
+    )
+    assert sized(outcome).found[0].provisional.startswith(why)
+    assert bool(sized(outcome).found[0].provisional) == bool(why)
 
 
 def test_structure_that_is_left_where_an_effect_does_not_act_does_not_make_it_a_lead() -> None:

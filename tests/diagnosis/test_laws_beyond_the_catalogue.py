@@ -302,3 +302,13 @@ def test_a_force_that_repeats_less_than_once_a_turn_is_none_that_repeats() -> No
         theta[at] = order
         ends.append(bent_shape(cast(Regression, SimpleNamespace(vector=vector, theta=theta)), "ripple[pole]"))
     assert ends == ["ripple[pole].order", ""]
+
+
+def test_what_hardly_resonates_is_no_hidden_mass() -> None:
+    vector = ParameterVector(make_system("mass_spring_damper", effects=["hidden_mass"]))
+    at = vector.labels.index("hidden_mass.damping")
+    ends, theta = [], vector.start.copy()
+    for damping in (float(vector.high[at]), 0.08, float(vector.low[at])):
+        theta[at] = damping
+        ends.append(bent_shape(cast(Regression, SimpleNamespace(vector=vector, theta=theta)), "hidden_mass"))
+    assert ends == ["hidden_mass.damping", "", ""]

@@ -77,4 +77,4 @@ def test_rows_on_a_longer_step_are_those_of_the_log_with_means_of_inputs() -> No
     np.testing.assert_allclose(data.runs[0].u[:124, 0], raw.u[:496, 0].reshape(-1, 4).mean(axis=1))
     np.testing.assert_allclose(data.runs[0].extra["voltage"][:125], np.arange(0, 500, 4))
     assert data.summary.dt == 0.04
-    assert sum(one.rows for one in data.summary.runs) == 395
+    assert sum(one["rows"] for one in data.summary.runs) == 395

@@ -111,7 +111,7 @@ def kinds(rng: np.random.Generator) -> dict[str, Kind]:
         "vibrates": Kind(
             pulls=lambda u, s: 0.5 * math.sin(turn * s.t), may=("periodic_force", "sinusoidal_force")
         ),
-        "hidden mass": Kind(pulls=_hidden(40.0, 0.2)),
+        "hidden mass": Kind(pulls=_hidden(40.0, 0.2), may=("hidden_mass",)),
         "three": Kind(
             pulls=lambda u, s: 0.3 - 1.5 * s.v * abs(s.v),
             dry=lambda s: size,

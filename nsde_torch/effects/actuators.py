@@ -413,8 +413,10 @@ class ActuatorRateLimit(_AnyLag):
     """
 
     name = "actuator_rate_limit"
-    formula = "u_eff = m, dm/dt = clip((u - m) / 10 ms, -rate, rate)"
+    formula = "u_eff = m, dm/dt = rate sign(u - m)"
     source = BOOK
+    # it stops where it meets the command; at an instant, without a step, it nears it with a time constant of 10 ms
+    jumps = True
     excludes = (Port.BODY_MOMENT,)  # motors follow by a lag
     PARAMETERS = {
         "rate": Parameter(10.0, "input/s", low=0.0, scale=1.0, help="fastest change that is followed")

@@ -276,7 +276,7 @@ class Effect(Parametrised, ABC):
     """Whether, with a `step`, `memory_rate` is the mean rate over a step that starts from a memory, and `forward` the
     mean term over it, for inputs that are held: what they are given is then of its start."""
     jumps: ClassVar[bool] = False
-    """Whether, of `whole_steps`, its memory jumps with a held input, so that it has a rate over a step alone."""
+    """Whether, of `whole_steps`, its memory jumps or stops within a step, so that it has a rate over a step alone."""
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)

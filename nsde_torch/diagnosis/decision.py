@@ -9,6 +9,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import torch
+
 from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.cross_validation import LARGER, HeldOut
@@ -35,8 +37,9 @@ from nsde_torch.diagnosis.search import Search, bent_shape, fitted_system, moved
 from nsde_torch.diagnosis.shape import channel_residuals
 from nsde_torch.effects import effect_class
 from nsde_torch.effects.by_run import BY_RUN, target_of
+from nsde_torch.effects.expression import Expression
 from nsde_torch.effects.expression_grammar import is_law
-from nsde_torch.effects.law import split_name
+from nsde_torch.effects.law import Law, split_name
 from nsde_torch.sysid.feedback_test import FeedbackTest
 from nsde_torch.sysid.guard import Guarded, doubts_the_fit, guarded
 from nsde_torch.sysid.readings import LESS
@@ -166,6 +169,7 @@ def decide(search: Search, chosen: Outcome, alone: FittedPhysics | None = None) 
         why = _bent(bent_shape(base, f.name)) or provisional_reason(f, left, brought, search.decisions)
         why = why or _unshown(base, f.name) or _slow(search, base, f.name) or _of_many(f, chosen.test)
         why = why or next((text for channel, text in abrupt.items() if channel in f.moves), "")
+        why = why or _shared(f, found, base.vector.system)
         found[i] = replace(f, provisional=why)
     verdict: Verdict = "effect_found" if found else "no_effect"
     if rest > explained if found else left:
@@ -232,6 +236,26 @@ def _of_many(f: Found, tested: FeedbackTest) -> str:
     if tested.predictive:
         return "inputs know what the log does not, and a law may stand for that"
     return "other laws explain as much" if any(map(is_law, f.ties)) else ""
+
+
+def _shared(f: Found, found: Sequence[Found], system: System) -> str:
+    """Why a term of one variable is provisional: with two others, a law beyond the catalogue among them, it may share
+    one that nobody listed (a pull of 0.03 / (0.9 - q)^2 was two stops, two laws and a constant force, all sure)."""
+    of = {str(effect.name): _variable(effect) for effect in system.effects}
+    own = of.get(f.name)
+    alike = [o.name for o in found if own and {*o.moves} == {*f.moves} and of.get(o.name) == own]
+    many = len(alike) > 2 and any(map(is_law, alike))
+    return f"{len(alike)} terms of one variable may share a law that is not listed" if many else ""
+
+
+def _variable(effect: torch.nn.Module) -> tuple[str, int | None] | None:
+    """The one variable that a term is a function of: its kind, and its column there; None where it is no such term."""
+    if isinstance(effect, Expression):
+        each = [(source.kind, source.column) for source in effect.sources.values()]
+        return each[0] if len(each) == 1 else None
+    if not isinstance(effect, Law) or effect.along not in ("position", "speed"):
+        return None
+    return "state", effect.at.position if effect.along == "position" else effect.at.velocity
 
 
 def _bent(shape: str) -> str:

@@ -9,8 +9,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import torch
-
 from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.cross_validation import LARGER, HeldOut
@@ -240,7 +238,8 @@ def _of_many(f: Found, tested: FeedbackTest) -> str:
 
 def _shared(f: Found, found: Sequence[Found], system: System) -> str:
     """Why a term of one variable is provisional: with two others, a law beyond the catalogue among them, it may share
-    one that nobody listed (a pull of 0.03 / (0.9 - q)^2 was two stops, two laws and a constant force, all sure)."""
+    one that nobody listed (a pull of 0.03 / (0.9 - q)^2 was two stops, two laws and a constant force, all sure).
+    """
     of = {str(effect.name): _variable(effect) for effect in system.effects}
     own = of.get(f.name)
     alike = [o.name for o in found if own and {*o.moves} == {*f.moves} and of.get(o.name) == own]
@@ -248,7 +247,7 @@ def _shared(f: Found, found: Sequence[Found], system: System) -> str:
     return f"{len(alike)} terms of one variable may share a law that is not listed" if many else ""
 
 
-def _variable(effect: torch.nn.Module) -> tuple[str, int | None] | None:
+def _variable(effect: object) -> tuple[str, int | None] | None:
     """The one variable that a term is a function of: its kind, and its column there; None where it is no such term."""
     if isinstance(effect, Expression):
         each = [(source.kind, source.column) for source in effect.sources.values()]

@@ -64,7 +64,8 @@ def run(config: DictConfig, job: Job) -> None:
     print(
         "\nAdd some to the declared physics with system.effects=[NAME,...], to a simulated machine with\n"
         "plant.effects=[NAME,...]; `module:Class` names one of your own. Laws of one coordinate are named with it\n"
-        "where a machine has several: coulomb_friction[q2]."
+        "where a machine has several, coulomb_friction[q2], effects on one input of several with that:\n"
+        "actuator_lag[tau2]."
     )
 
 
@@ -77,7 +78,7 @@ def catalogue(system: str | None = None) -> list[dict[str, Any]]:
         ConfigError: There is no such system.
     """
     from nsde_torch.diagnosis.candidates import why_not
-    from nsde_torch.effects import EFFECTS, effects_of
+    from nsde_torch.effects import EFFECTS
     from nsde_torch.effects.law import split_name
     from nsde_torch.systems import SYSTEMS, make_system
 
@@ -86,8 +87,8 @@ def catalogue(system: str | None = None) -> list[dict[str, Any]]:
         chosen = dict(EFFECTS)
     else:
         machine = make_system(system)
-        chosen = effects_of(machine.name, machine.ports, machine.bound_coordinates())
-    able = {s: effects_of(s, cls.ports, cls.bound_coordinates()) for s, cls in SYSTEMS.items()}
+        chosen = machine.able_effects()
+    able = {s: cls.able_effects() for s, cls in SYSTEMS.items()}
     of_machines = {s: {split_name(name)[0] for name in effects} for s, effects in able.items()}
     rows = []
     for name, cls in chosen.items():

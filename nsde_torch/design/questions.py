@@ -273,9 +273,9 @@ def open_questions(content: Mapping[str, Any], system: System) -> list[Question]
     labels = list(dict.fromkeys([*labels, *now.wide]))
     few = now.suspected[:MOST]
     for asked in (
-        [label for label in labels if label.partition(".")[0] not in LATE],
+        [label for label in labels if split_name(label.partition(".")[0])[0] not in LATE],
         [n["parameter"] for n in content.get("not_shown", ()) if n["effect"] in few],
-        [label for label in labels if label.partition(".")[0] in LATE],
+        [label for label in labels if split_name(label.partition(".")[0])[0] in LATE],
     ):
         if asked:
             out.append(of_parameters(system, now.found, asked))

@@ -282,7 +282,7 @@ def same_effect(steps: Steps, system: System, law: str) -> tuple[str, Start] | N
     found: list[tuple[str, Start]] = []  # a friction of two sizes is one too, where both are alike
     shapes = [value for name, value in values_of(own).items() if name.startswith("k")]
     for name in candidate_names(system):
-        cls = effect_class(name, system.bound_coordinates())
+        cls = system.effect_class(name)
         if cls.port is not own.port or cls.exogenous:
             continue
         # a sign of the speed with its width is a dry friction (tests/diagnosis/test_law_names.py)

@@ -5,14 +5,16 @@ from math import prod
 
 import torch
 
-from nsde_torch.effects import EFFECTS, Effect, Law, Port, effect_class, effects_of, register
+from nsde_torch.effects import EFFECTS, Effect, Law, Port, effect_class, register
 from nsde_torch.effects.law import joined_name, split_name
+from nsde_torch.effects.one_input import OnOneInput, of_several_units
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import System
 from nsde_torch.systems.coordinates import SPEEDS
 from nsde_torch.systems.parameters import own_name
 
 Start = dict[str, float | list[float]]
+SEVERAL_UNITS = "it has one number for inputs of several units; each input has its own"
 
 
 def candidate_names(system: System, among: Collection[str] | None = None) -> list[str]:
@@ -21,7 +23,7 @@ def candidate_names(system: System, among: Collection[str] | None = None) -> lis
     What an effect of the system contains is none of them: beside it, it would be one law in two names.
     They are chosen from `among`; None for all.
     """
-    effects = effects_of(system.name, {*system.ports, Port.INPUT}, system.bound_coordinates())
+    effects = system.able_effects()
     able = (n for n in effects if (among is None or n in among) and not why_not(system, n))
     return sorted(n for n in able if set(effects[n].exogenous) <= set(system.exogenous))
 
@@ -36,6 +38,8 @@ def why_not(system: System, name: str) -> str:
     cls = effect_class(name)
     if system.nu == 1 and any(cls.PARAMETERS[own].per_input for own in cls.amplitudes):
         return "it compares inputs, and the machine has one"
+    if of_several_units(cls, system.input_units[: system.nu]) and not issubclass(cls, OnOneInput):
+        return SEVERAL_UNITS
     if cls.port is Port.POSITION and not _depends(system, name):
         return "nothing that is declared depends on that position"
     return cls.no_candidate(system.name)
@@ -43,7 +47,7 @@ def why_not(system: System, name: str) -> str:
 
 def without_motion(system: System) -> tuple[str, str]:
     """That no friction and no force is among the candidates of a machine, and the line that adds them; else nothing."""
-    effects = effects_of(system.name, system.ports, system.bound_coordinates())
+    effects = system.able_effects()
     if any(cls.port in system.ports for cls in effects.values()) or not system.ports:
         return "", ""
     (port, width), *_ = system.ports.items()
@@ -81,7 +85,7 @@ def check_candidates(system: System, names: Sequence[str], also: Sequence[str] =
             raise ConfigError(
                 f"`candidates` names {name!r}, which `nsde effects` does not list; one of your own goes into `also`."
             )
-    effects = effects_of(system.name, system.ports, system.bound_coordinates())
+    effects = system.able_effects()
     read = {c for cls in effects.values() for c in cls.exogenous}
     able = candidate_names(system.reading(*sorted(read - set(system.exogenous))))
     for name in on_coordinates(system, names):
@@ -96,14 +100,20 @@ def check_candidates(system: System, names: Sequence[str], also: Sequence[str] =
 
 
 def on_coordinates(system: System, names: Sequence[str]) -> list[str]:
-    """Names as the system has them; a law without a coordinate means that law on each of its coordinates."""
+    """Names as the system has them.
+
+    A law without a coordinate means that law on each of its coordinates, an effect on all inputs each of them, too.
+    """
     out: list[str] = []
     for name in map(system.effect_key, names):
         law, at = effect_class(name), system.bound_coordinates()
-        if issubclass(law, Law) and not split_name(name)[1] and len(at) > 1:
+        placed = bool(split_name(name)[1])
+        if issubclass(law, Law) and not placed and len(at) > 1:
             out += [joined_name(name, c.name) for c in at if law.suits(c)]
-        else:
-            out.append(name)
+            continue
+        each = system.single_inputs() if law.each_input and not placed else ()
+        out += [] if each and why_not(system, name) == SEVERAL_UNITS else [name]
+        out += [joined_name(name, one.name) for one in each]
     return list(dict.fromkeys(out))
 
 

@@ -29,7 +29,7 @@ from nsde_torch.diagnosis.joint_selection import JointSelection
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.search import Search, at_bounds, fitted_system
 from nsde_torch.diagnosis.stages import MOVING_ROWS, Begun, OptionalStages
-from nsde_torch.effects import effect_class, effects_of
+from nsde_torch.effects import effect_class
 from nsde_torch.effects.by_run import target_of
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.inference import LogLikelihood
@@ -179,7 +179,7 @@ def read_log(
 
 def logged_channels(system: System, runs: Sequence[Run]) -> tuple[str, ...]:
     """Logged columns, of all runs and without gaps, that an effect of the catalogue could read."""
-    effects = effects_of(system.name, system.ports, system.bound_coordinates())
+    effects = system.able_effects()
     names = {name for cls in effects.values() for name in cls.exogenous}
     return tuple(
         n

@@ -24,6 +24,7 @@ class ActuatorDeadband(Effect):
     """Commands near zero do nothing, and larger ones lose as much."""
 
     name = "actuator_deadband"
+    each_input = True
     port = Port.INPUT
     stage = 1
     formula = "u_eff = u - clip(u, -w, w)"
@@ -89,6 +90,7 @@ class ActuatorSaturation(Effect):
     """Commands beyond a level are cut."""
 
     name = "actuator_saturation"
+    each_input = True
     port = Port.INPUT
     stage = 1
     formula = "u_eff = clip(u, -level, level)"
@@ -143,6 +145,7 @@ class AsymmetricGain(Effect):
     """An input that acts more strongly in one direction than in the other."""
 
     name = "asymmetric_gain"
+    each_input = True
     port = Port.INPUT
     stage = 1
     excludes = (Port.BODY_MOMENT,)  # commands of motors have one sign
@@ -166,6 +169,7 @@ class ActuatorGainDrift(Effect):
     """The strength of the actuator changes with time."""
 
     name = "actuator_gain_drift"
+    each_input = True
     drifts = True
     port = Port.INPUT
     formula = "u_eff = u (1 + r t)"
@@ -248,6 +252,7 @@ class InputDelay(Effect):
     """The inputs act some time after they were logged."""
 
     name = "input_delay"
+    each_input = True
     port = Port.INPUT
     stage = 0
     whole_steps = True
@@ -395,6 +400,7 @@ class ActuatorLag(_Lag):
     """The actuator follows its command with a first-order lag; each input carries one state."""
 
     name = "actuator_lag"
+    each_input = True
     source = (
         "first-order actuator dynamics; Franklin, Powell, Emami-Naeini, Feedback Control of Dynamic Systems"
     )
@@ -413,6 +419,7 @@ class ActuatorRateLimit(_AnyLag):
     """
 
     name = "actuator_rate_limit"
+    each_input = True
     formula = "u_eff = m, dm/dt = rate sign(u - m)"
     source = BOOK
     # it stops where it meets the command; at an instant, without a step, it nears it with a time constant of 10 ms

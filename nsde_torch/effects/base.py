@@ -264,6 +264,8 @@ class Effect(Parametrised, ABC):
     along: ClassVar[str] = ""
     """The one variable that it is a law of (`speed`, `position`), if there is one: two of one variable on one port may
     together represent a third that nobody listed."""
+    each_input: ClassVar[bool] = False
+    """Whether one input of several may have it alone (see `effects.one_input`)."""
     local: ClassVar[bool] = False
     """Whether it acts in one place alone. The data may never have reached it: that they do not show it says nothing."""
     drifts: ClassVar[bool] = False  # whether it grows with the time of the log

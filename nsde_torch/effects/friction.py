@@ -259,6 +259,7 @@ class InputPlay(Effect):
     """Play (backlash) between an input and what it moves: after a turn nothing moves until the gap is taken up."""
 
     name = "input_play"
+    each_input = True
     port = Port.INPUT
     stage = 1
     whole_steps = True

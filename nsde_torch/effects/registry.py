@@ -1,9 +1,11 @@
 """Effects by name: those of the catalogue, and `package.module:Class` of the user's own.
 
-A law of one coordinate is named with it, `coulomb_friction[q2]`, on a machine that has several.
+A law of one coordinate is named with it, `coulomb_friction[q2]`, on a machine that has several, and an effect on one
+input of several with that, `actuator_lag[rudder]`.
 """
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 
 from nsde_torch.effects import actuators, cartpole, forces, friction, multirotor_forces
 from nsde_torch.effects.base import Effect, Port
@@ -12,6 +14,7 @@ from nsde_torch.effects.coordinates import Bound
 from nsde_torch.effects.expression import Expression, unplaced_expression
 from nsde_torch.effects.expression_grammar import is_law
 from nsde_torch.effects.law import Law, joined_name, law_at, split_name, unplaced
+from nsde_torch.effects.one_input import UNPLACED, Input, OnOneInput, on_input
 from nsde_torch.errors import ConfigError
 from nsde_torch.lookup import class_by_name, did_you_mean
 
@@ -106,6 +109,8 @@ def key_of(cls: type[Effect]) -> str:
     """What names an effect in any process: its name in the catalogue, `module:Class`, or the text of a law."""
     if issubclass(cls, Expression):
         return cls.name
+    if issubclass(cls, OnOneInput):
+        return joined_name(key_of(cls.of_all), cls.at.name)
     if issubclass(cls, Law):
         law = cls.law
         own = law.name if (EFFECTS | BY_RUN).get(law.name) is law else f"{law.__module__}:{law.__qualname__}"
@@ -119,8 +124,10 @@ def _known() -> dict[str, type[Effect]]:
     return {**EFFECTS, **_OWN}
 
 
-def effect_class(name: str, coordinates: Sequence[Bound] | None = None) -> type[Effect]:
-    """Class of an effect: a key of `EFFECTS`, or `package.module:Class` of the user's own; with a coordinate in `[]`.
+def effect_class(
+    name: str, coordinates: Sequence[Bound] | None = None, inputs: Sequence[Input] = ()
+) -> type[Effect]:
+    """Class of an effect: a key of `EFFECTS`, or `package.module:Class` of the user's own; with its place in `[]`.
 
     A law that is written as text has its coefficients, and not where it acts: see `System.effect_class`.
 
@@ -143,12 +150,26 @@ def effect_class(name: str, coordinates: Sequence[Bound] | None = None) -> type[
             f"effect {name!r} has no `name`. Write one into the class: name = {cls.__name__.lower()!r}."
         )
     if not issubclass(cls, Law):
-        if coordinate:
-            raise ConfigError(f"effect {base!r} is no law of one coordinate; leave out [{coordinate}].")
-        return cls
+        return (
+            cls if not coordinate else _on_one_input(cls, coordinate, None if coordinates is None else inputs)
+        )
     if coordinates is None:
         return unplaced(cls, coordinate) if coordinate else cls
     return law_at(cls, _coordinate(base, coordinate, coordinates))
+
+
+def _on_one_input(cls: type[Effect], name: str, inputs: Sequence[Input] | None) -> type[Effect]:
+    """The effect on the input of this name; of no machine where `inputs` is None."""
+    if not cls.each_input:
+        raise ConfigError(f"effect {cls.name!r} is no law of one coordinate; leave out [{name}].")
+    if inputs is None:
+        return on_input(cls, replace(UNPLACED, name=name))
+    for at in inputs:
+        if at.name == name:
+            return on_input(cls, at)
+    able = ", ".join(joined_name(cls.name, at.name) for at in inputs)
+    what = f"choose among {able}" if able else f"the system has none that {cls.name} may be on alone"
+    raise ConfigError(f"effect {joined_name(cls.name, name)!r}: {name!r} is no input of the system; {what}.")
 
 
 def _coordinate(law: str, name: str, coordinates: Sequence[Bound]) -> Bound:
@@ -188,12 +209,14 @@ def make_effect(
     n_inputs: int,
     values: Mapping[str, float | list[float]] | None = None,
     coordinates: Sequence[Bound] = (),
+    inputs: Sequence[Input] = (),
 ) -> Effect:
     """Make an effect by name.
 
     Args:
-        name: Key in `EFFECTS`, or `package.module:Class`; with its coordinate in `[]` where the system has several.
-        system, ports, n_inputs, coordinates: Those of the system that it will act on.
+        name: Key in `EFFECTS`, or `package.module:Class`; with its coordinate in `[]` where the system has several, or
+            with the one input of several that it is on.
+        system, ports, n_inputs, coordinates, inputs: Those of the system that it will act on.
         values: Initial values of its parameters.
 
     Raises:
@@ -203,7 +226,7 @@ def make_effect(
     known = _known() | BY_RUN
     if ":" not in name and (base not in known or not _may(known[base], system, ports)):
         what = f"does not act on system {system!r}" if base in known else "is not in the catalogue"
-        able = effects_of(system, ports, coordinates)
+        able = effects_of(system, ports, coordinates, inputs)
         raise ConfigError(
             f"effect {name!r} {what}; choose among: {', '.join(sorted(able)) or 'none'}.{did_you_mean(name, able)}"
         )
@@ -214,7 +237,7 @@ def make_effect(
             'coordinates = (Coordinate("q1", "q1_dot", Port.TORQUE, position="q1"),) in its class does so. Without, '
             f"choose among: {', '.join(sorted(able)) or 'none'}."
         )
-    cls = effect_class(name, coordinates)
+    cls = effect_class(name, coordinates, inputs)
     if not _may(cls, system, ports):
         raise ConfigError(
             f"effect {name!r} acts on the port {cls.port.value!r} and does not fit system {system!r}, whose ports "
@@ -228,9 +251,12 @@ def _may(cls: type[Effect], system: str, ports: Collection[Port]) -> bool:
 
 
 def effects_of(
-    system: str, ports: Collection[Port], coordinates: Sequence[Bound] = ()
+    system: str, ports: Collection[Port], coordinates: Sequence[Bound] = (), inputs: Sequence[Input] = ()
 ) -> dict[str, type[Effect]]:
-    """The effects of the catalogue, and those registered, that a system can have: laws for each of its coordinates."""
+    """The effects of the catalogue, and those registered, that a system can have.
+
+    Laws for each of its coordinates; what one input may have alone, for each of `inputs`.
+    """
     out: dict[str, type[Effect]] = {}
     for name, cls in _known().items():
         if issubclass(cls, Law):
@@ -238,4 +264,6 @@ def effects_of(
             out |= {effect.name: effect for effect in on}
         elif cls.fits(system, {*ports, Port.INPUT}):
             out[name] = cls
+            if cls.each_input:
+                out |= {one.name: one for one in (on_input(cls, at) for at in inputs)}
     return out

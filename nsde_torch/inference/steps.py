@@ -244,6 +244,7 @@ def data_sizes(system: System, steps: Steps) -> dict[str, float]:
 
     out = {"input": size(steps.u[:, : system.nu]), "step": steps.dt}
     out |= {kind: size(steps.x0[:, k]) for kind, k in _COLUMNS.items() if k < system.nx}
+    out |= {joined_name("input", at.name): size(steps.u[:, at.column]) for at in system.single_inputs()}
     for at in system.bound_coordinates():
         out[joined_name("speed", at.name)] = size(steps.x0[:, at.velocity])
         out[joined_name("slow speed", at.name)] = size(steps.x0[:, at.velocity], SLOW)

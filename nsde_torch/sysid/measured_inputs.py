@@ -38,7 +38,6 @@ from scipy.stats import norm
 
 from nsde_torch.arrays import Array
 from nsde_torch.data import DataSet, Finding, Run
-from nsde_torch.effects import effects_of
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.inference.estimate import LogLikelihood, nearly_maximised
 from nsde_torch.sysid.rough import beginnings
@@ -165,7 +164,7 @@ class _Fits:
         system, best = self._system, -math.inf
         if self._near is None:
             return best
-        for name, effect in effects_of(system.name, system.ports, system.bound_coordinates()).items():
+        for name, effect in system.able_effects().items():
             for values in effect.fitted_from if name not in system.effect_names else ():
                 with suppress(*_UNFIT):
                     beside = system.with_effects(system.make_effect(name, dict(values)))

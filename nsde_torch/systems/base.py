@@ -19,11 +19,20 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from nsde_torch.columns import join_columns, split_columns
-from nsde_torch.effects import Coordinate, Effect, Parametrised, Port, canonical_name, effect_class
+from nsde_torch.effects import (
+    Coordinate,
+    Effect,
+    Parametrised,
+    Port,
+    canonical_name,
+    effect_class,
+    effects_of,
+)
 from nsde_torch.effects.by_run import target_of
 from nsde_torch.effects.coordinates import Bound
 from nsde_torch.effects.expression import expression_at
 from nsde_torch.effects.expression_grammar import is_law
+from nsde_torch.effects.one_input import Input, single_inputs
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.systems import coordinates as coordinates_of
 from nsde_torch.systems.in_run import OVER_MASS, in_its_run, row_by_row
@@ -132,6 +141,16 @@ class System(Parametrised, ABC):
         return coordinates_of.bound_coordinates(cls)
 
     @classmethod
+    def single_inputs(cls) -> tuple[Input, ...]:
+        """The inputs that effects may be on alone (see `effects.one_input`)."""
+        return single_inputs(cls.input_names, cls.input_units, cls.ports)
+
+    @classmethod
+    def able_effects(cls) -> dict[str, type[Effect]]:
+        """The effects of the catalogue, and those registered, that the machine can have, by their names on it."""
+        return effects_of(cls.name, cls.ports, cls.bound_coordinates(), cls.single_inputs())
+
+    @classmethod
     def effect_key(cls, name: str) -> str:
         """What an effect is called on this machine: `coulomb_friction[q2]`, plain where there is one coordinate."""
         return canonical_name(name, cls.bound_coordinates(), cls.older_names)
@@ -141,7 +160,7 @@ class System(Parametrised, ABC):
         """Class of an effect as it is on this machine: with its columns, units and words."""
         if is_law(name):
             return expression_at(name, vocabulary(cls))
-        return effect_class(cls.effect_key(name), cls.bound_coordinates())
+        return effect_class(cls.effect_key(name), cls.bound_coordinates(), cls.single_inputs())
 
     def make_effect(self, name: str, values: Values | None = None) -> Effect:
         """An effect for this machine, by name, with first values of its parameters (see `effects.make_effect`)."""

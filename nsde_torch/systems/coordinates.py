@@ -147,6 +147,7 @@ def made(system: System, name: str, values: Values | None = None) -> Effect:
         n_inputs=system.nu,
         values=values,
         coordinates=system.bound_coordinates(),
+        inputs=system.single_inputs(),
     )
 
 

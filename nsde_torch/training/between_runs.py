@@ -25,7 +25,7 @@ from scipy.stats import chi2, norm, t
 
 from nsde_torch.arrays import Array, Labels
 from nsde_torch.data import Run
-from nsde_torch.effects import Effect, Port, effects_of
+from nsde_torch.effects import Effect, Port
 from nsde_torch.effects.by_run import BY_RUN, MASS, OF_EACH_RUN, RUN, ByRun, target_of
 from nsde_torch.effects.law import joined_name, split_name
 from nsde_torch.inference import MaximumLikelihood, Optimum
@@ -57,7 +57,7 @@ def differing(at: Optimum, beside: Functions | None) -> list[str]:
     system = vector.at(at.theta)
     tables = [space.columns(about.x, about.slopes, range(len(vector)), about.after).float()]
     candidates = _of_the_physics(at, system)
-    able = effects_of(system.name, {*system.ports, Port.INPUT}, system.bound_coordinates())
+    able = system.able_effects()
     steady = [
         name for name in able if split_name(name)[0] in OF_EACH_RUN
     ]  # of which there may be another in each run

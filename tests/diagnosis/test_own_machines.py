@@ -113,13 +113,19 @@ class Boat(System):
         return rates + torch.cat((force, torque), 1)
 
 
-def sailed(strength: tuple[float, float], sideways: float, slip: float = 0.0) -> list[RawRun]:
-    """Three runs of the boat: what each propeller gives, their force to the side [1/kg], drag of a turn [1/rad]."""
+def sailed(
+    strength: tuple[float, float], sideways: float, slip: float = 0.0, *, late: int = 0
+) -> list[RawRun]:
+    """Three runs of the boat: what each propeller gives, their force to the side [1/kg], drag of a turn [1/rad].
+
+    `late` is how many rows later than logged starboard acts.
+    """
     runs = []
     for seed in range(3):
         rng = np.random.default_rng(seed)
         u = np.repeat(rng.uniform(5.0, 40.0, (40, 2)), 15, axis=0)
         left, right = (u * strength).T
+        right = np.concatenate((right[:1].repeat(late), right[: len(u) - late]))
         pushed = np.stack((0.055 * (left + right), sideways * (left + right), 0.028 * (right - left)), 1)
         x = np.zeros((len(u), 3))
         for k in range(len(u) - 1):
@@ -217,6 +223,12 @@ def test_the_zero_of_a_position_is_a_candidate_where_something_depends_on_it() -
 
 
 @pytest.mark.slow
+def test_one_input_of_two_that_acts_late_is_named() -> None:
+    found = nsde_torch.diagnose(sailed((1.0, 1.0), 0.0, late=3), system=Boat, say=False)
+    assert found.added == ["input_delay[starboard]"]
+    assert_interval(found.parameters, "input_delay[starboard].delay", 0.15, slack=0.001, width=0.01)
+
+
 def test_a_force_that_two_inputs_make_is_a_law_of_both() -> None:
     found = nsde_torch.diagnose(sailed((1.0, 1.0), 0.012), system=Boat, say=False)
     assert found.added == ["force[sway] = c1 port_side + c2 starboard"]

@@ -165,7 +165,8 @@ def test_every_coordinate_has_the_laws_of_the_catalogue_as_candidates() -> None:
     assert "load_friction[q2]" not in names, "that joint says no load"
     assert "coulomb_friction" not in names
     spread = on_coordinates(make_system(HOME), ["coulomb_friction", "input_delay"])
-    assert spread == ["coulomb_friction[q1]", "coulomb_friction[q2]", "input_delay"]
+    each = ["input_delay", "input_delay[tau1]", "input_delay[tau2]"]
+    assert spread == ["coulomb_friction[q1]", "coulomb_friction[q2]", *each]
 
 
 def test_a_machine_with_one_coordinate_has_plain_names_and_takes_the_long_ones() -> None:
@@ -243,7 +244,7 @@ def test_a_law_of_ones_own_is_an_effect_on_every_coordinate() -> None:
     [
         (HOME, "coulomb_friction", ["several coordinates", "coulomb_friction[q1], coulomb_friction[q2]"]),
         (HOME, "coulomb_friction[q3]", ["'q3' is none", "coulomb_friction[q1]"]),
-        (HOME, "input_delay[q1]", ["no law of one coordinate", "leave out [q1]"]),
+        (HOME, "asymmetric_lag[q1]", ["no law of one coordinate", "leave out [q1]"]),
         (HOME, "load_friction[q2]", ["`load`", "'q2'"]),
         ("cartpole", "link_weight[pole]", ["one of several angles", "'pole'"]),
         ("cartpole", "cubic_stiffness[pole]", ["rail or joint", "'pole' is of kind axis"]),

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from nsde_torch.effects import EFFECTS, Effect, Parameter, Port, effect_class, key_of
+from nsde_torch.effects import EFFECTS, Effect, Parameter, Port, key_of
 from nsde_torch.effects.law import split_name
 from nsde_torch.systems import SYSTEMS, System, make_system, system_class
 
@@ -35,8 +35,7 @@ class EffectContract:
     @property
     def effect(self) -> type[Effect]:
         """The class that the name is on the system."""
-        cls = system_class(self.system)
-        return effect_class(cls.effect_key(self.name), cls.bound_coordinates())
+        return system_class(self.system).effect_class(self.name)
 
     def machine(self, **options: object) -> System:
         """The system with this effect and no other."""

@@ -338,12 +338,17 @@ def doubted(outcome: Outcome, guard: Guarded) -> Outcome:
     return replace(outcome, doubted_channels=frozenset(c for o in guard.objections for c in o.channels))
 
 
+_ANY = 10.0  # ends of a frequency's interval this many times apart: true hidden masses are known within a few percent
+
+
 def sized(outcome: Outcome) -> Outcome:
     """The outcome, effects provisional that may be nothing by the intervals that are printed.
 
     Evidence compares fits; intervals also hold what feedback and a smoother's band may have done to the values. And
     what is named beside physics all of which may be nothing imitates it: of a force a part of which is late, a hidden
-    mass of 72 % was sure beside such a gain, stiffness and damping (odd_springs.py, "pull in the past").
+    mass of 72 % was sure beside such a gain, stiffness and damping (odd_springs.py, "pull in the past"). A hidden mass
+    whose frequency is unknown is an inertia: of a crane whose rope is a quarter longer than its class says, one of
+    0.238 was sure, at 0.1 to 18 Hz.
     """
     why, labels = "its size may be nothing by its interval", outcome.final.vector.labels
     declared = outcome.estimated(
@@ -351,7 +356,20 @@ def sized(outcome: Outcome) -> Outcome:
     )
     beside = "beside it all that is declared may be nothing, by its interval"
     beside = beside if declared and all(e.bound == "below" for e in declared) else ""
-    return outcome.provisional(lambda f: why if _may_be_nothing(outcome, f) else beside)
+    rigid = "its frequency is unknown: an inertia or a length that is declared wrong does the same"
+
+    def doubt(f: Found) -> str:
+        return why if _may_be_nothing(outcome, f) else beside or rigid * _any_frequency(outcome, f)
+
+    return outcome.provisional(doubt)
+
+
+def _any_frequency(outcome: Outcome, found: Found) -> bool:
+    """Whether a memory that a filter estimates may swing at nearly any frequency, by its interval."""
+    if not effect_class(found.name).estimated:
+        return False
+    ends = [(e.low, e.high) for e in outcome.estimates(found.name) if e.unit == "Hz"]
+    return any(not low or not high or high > _ANY * low for low, high in ends)
 
 
 def _may_be_nothing(outcome: Outcome, found: Found) -> bool:

@@ -212,21 +212,29 @@ def test_no_change_at_a_moment_is_sure_where_the_residual_depends_on_time() -> N
     assert judged({}) == ["", ""], "a number of its own for a run, from its start to its end"
 
 
-@pytest.mark.parametrize(("low", "why"), [(0.0, "beside it all that is declared may be nothing"), (0.3, "")])
-def test_what_is_named_beside_physics_all_of_which_may_be_nothing_is_provisional(
-    low: float, why: str
+@pytest.mark.parametrize(
+    ("low", "slowest", "why"),
+    [
+        (0.0, 0.9, "beside it all that is declared may be nothing"),
+        (0.3, 0.9, ""),
+        (0.3, 0.1, "its frequency is unknown: an inertia"),
+    ],
+)
+def test_what_is_beside_physics_that_may_be_nothing_or_swings_at_any_frequency_is_provisional(
+    low: float, slowest: float, why: str
 ) -> None:
     class Estimated(Outcome):
         def estimated(self, columns: Sequence[int]) -> list[Estimate]:
             both = [Estimate("gain", 1.0, 0.0, 7.0, "1", "below"), Estimate("damping", 1.0, low, 3.0, "1")]
             both[1] = replace(both[1], bound=None if low else "below")
-            return [([*both, Estimate("hidden_mass.mass", 0.7, 0.4, 1.0, "1")])[j] for j in columns]
+            swing = Estimate("hidden_mass.frequency", 1.0, slowest, 1.1, "Hz")
+            return [([*both, Estimate("hidden_mass.mass", 0.7, 0.4, 1.0, "1"), swing])[j] for j in columns]
 
     vector = SimpleNamespace(labels=["gain", "damping"])
     declared = cast(Regression, SimpleNamespace(vector=vector))
     system = make_system(SPRING, effects=["hidden_mass"])
-    labels = ["gain", "damping", "hidden_mass.mass"]
-    final = SimpleNamespace(labels=labels, of=lambda name: [2], system=system)
+    labels = ["gain", "damping", "hidden_mass.mass", "hidden_mass.frequency"]
+    final = SimpleNamespace(labels=labels, of=lambda name: [2, 3], system=system)
     found = [Found("hidden_mass", Evidence(100.0, 5.0, 1e-9), ())]
     outcome = Estimated(
         "effect_found", declared, cast(Regression, SimpleNamespace(vector=final)), found, None
@@ -264,7 +272,8 @@ def test_what_makes_no_residual_smaller_where_structure_is_left_explains_nothing
     judged = judged_on_runs_left_out(left, same)
     assert judged.verdict == "unexplained"
     assert "no smaller with what was found" in judged.found[0].provisional
-    more = replace(errors, content=errors.content | {"residual": {channel: {"low_90": 0.1, "high_90": 0.2}}})
+    grown = {channel: {"low_90": 0.1, "high_90": 0.2, "ratio": 1.3}}
+    more = replace(errors, content=errors.content | {"residual": grown})
     judged = judged_on_runs_left_out(outcome, more)
     assert judged.verdict == "unexplained"
     assert "larger with what was found" in judged.found[0].provisional

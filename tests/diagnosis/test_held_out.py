@@ -276,7 +276,7 @@ def test_what_makes_no_residual_smaller_where_structure_is_left_explains_nothing
     more = replace(errors, content=errors.content | {"residual": grown})
     judged = judged_on_runs_left_out(outcome, more)
     assert judged.verdict == "unexplained"
-    assert "larger with what was found" in judged.found[0].provisional
+    assert "is larger with the effects" in judged.found[0].provisional
 
 
 @pytest.fixture(scope="module")

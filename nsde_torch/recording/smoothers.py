@@ -52,6 +52,7 @@ _TYPICAL = 0.3  # deviance where the form is right
 _AGREE = 0.1  # of the gain
 _SLOW = 1e-3  # of the rate of the log, at which a delay is read off the phase
 _SAME = 0.03  # deviance by which smoothers are alike
+_VANISHES, _RETURNS = 0.02, 0.05  # |S| at a zero, and between two
 _WIDEST = 75  # rows of the widest moving average or Savitzky-Golay filter
 
 
@@ -92,6 +93,12 @@ class Smoother:
         f = np.linspace(0.0, 0.499 / self.dt, 2000)
         below = np.flatnonzero(np.abs(self.response(f)) < level)
         return float(f[below[0]]) if len(below) else float(f[-1])
+
+    @property
+    def vanishes_between(self) -> bool:
+        """Whether |S| vanishes at some frequency and not above it, as that of a mean does."""
+        level = np.abs(self.response(np.linspace(0.0, 0.5 / self.dt, 2000)))
+        return bool(level[int(np.argmax(level < _VANISHES)) :].max() > _RETURNS and level.min() < _VANISHES)
 
     def __str__(self) -> str:
         order = f" of order {self.order}" if len(self.family.orders) > 1 else ""
@@ -166,6 +173,10 @@ def _mean(f: Array, size: float, order: int, dt: float) -> Complex:
     return _weighted(f, mean_weights(round(size)), dt)
 
 
+def _mean_of_past(f: Array, size: float, order: int, dt: float) -> Complex:
+    return np.asarray(np.exp(-2j * pi * dt * np.outer(f, np.arange(round(size)))).mean(1))
+
+
 def _savitzky_golay(f: Array, size: float, order: int, dt: float) -> Complex:
     return _weighted(f, np.asarray(savgol_coeffs(round(size), order)), dt)
 
@@ -178,13 +189,15 @@ def _savitzky_golay_slope(f: Array, size: float, order: int, dt: float) -> Compl
     return np.asarray(waves @ weights / turn, dtype=np.complex128)
 
 
+CENTRED, OF_THE_PAST = "moving average", "causal moving average"
 FAMILIES = (
     Family("Butterworth filter forwards and backwards", _two_ways, (1, 2, 3, 4, 5, 6, 8)),
     Family("causal Butterworth filter", _one_way, (1, 2, 3, 4), delays=True),
     Family("Kalman smoother", _spline, (1, 2, 3)),
     Family("cubic smoothing spline", _cubic_spline, (2,)),
     Family("Gaussian filter", _gaussian, (3, 4, 6)),
-    Family("moving average", _mean, (0,), of_rows=True),
+    Family(CENTRED, _mean, (0,), of_rows=True),
+    Family(OF_THE_PAST, _mean_of_past, (0,), of_rows=True, delays=True),
     Family("Savitzky-Golay filter", _savitzky_golay, (2, 4), of_rows=True),
     Family("Savitzky-Golay derivative", _savitzky_golay_slope, (2, 4), of_rows=True, differentiates=True),
 )

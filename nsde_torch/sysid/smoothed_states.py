@@ -2,10 +2,11 @@
 
 What a smoother took away, a noise model takes for noise that is not there, and gains go to nothing, surely. A motion
 alone ends in the white noise of the sensor, and not in the log's digits. A log was smoothed where it ends in no such
-noise, and where position and integrated rate do not agree in the band in which S falls, or else the declared physics
-predicts changes better behind S, each with the lag and the delay of actuators that suit it best. Physics is not asked
-where kinematics show it: in a closed loop inputs answer the noise of sensors (docs/content/theory/recording.md). Of
-sensors in which nothing was found by their noise, it is asked what they show of the inputs (`response_ends`).
+noise, and where position and integrated rate do not agree in the band in which S falls, or its spectrum vanishes
+between others that do not, or else the declared physics predicts changes better behind S, each with the lag and the
+delay of actuators that suit it best. Physics is not asked where kinematics or zeros show it: in a closed loop inputs
+answer the noise of sensors (docs/content/theory/recording.md). Of sensors in which nothing was found by their noise, it
+is asked what they show of the inputs (`response_ends`).
 
 An estimator integrates body rates to an attitude. Its error is an integral too, which falls with the frequency as
 behind a filter of first order; restored, it would put an attitude that was on time 13 ms before its rates (seen in logs
@@ -182,7 +183,8 @@ def smoothed_states(runs: Sequence[Run], system: System, clock: float = 1.0) -> 
             for k, one in fits.items()
         ):
             continue
-        if not max(_apart(system, runs, sensor, smoother, dt) for sensor in sensors) > APART:
+        known = max(_apart(system, runs, sensor, smoother, dt) for sensor in sensors) > APART
+        if not (known or _by_its_zeros(likely, runs, system, dt)):
             regression = regression or rough_fit(system, runs, clock, levels=False)
             if regression is None or _nats(regression, sensors, smoother) < NATS:
                 continue
@@ -309,6 +311,23 @@ def _best_of(tried: Sequence[Likely], seen: Spectra) -> Likely:
 def _off(one: SpectrumFit, seen: Spectra) -> float:
     """Share by which a spectrum differs from its fit, beyond chance: a share s has a deviance of K s^2 / 2."""
     return (2.0 * max(one.deviance - _CHANCE, 0.0) / seen.windows) ** 0.5
+
+
+def _by_its_zeros(likely: Likely, runs: Sequence[Run], system: System, dt: float) -> bool:
+    """Whether a spectrum vanishes between others that do not, as behind a mean, and those of the inputs do not.
+
+    No motion does so, unless its inputs are held over several rows, and no white sensor. Of a motor's speed alone, a
+    mean of ten rows, inputs say nothing at 10 Hz, where it first vanishes: it was a delay and a lag, both surely.
+    """
+    if not all(one.vanishes_between for one in (likely.smoother, *likely.others)):
+        return False
+    inputs = [np.asarray(run.u[a:b, : system.nu]) for run in runs for a, b in run.segments]
+    moved = np.any([(part != part[0]).any(0) for part in inputs], axis=0)
+    seen = smoothers.spectra_of([part[:, moved] for part in inputs], dt) if moved.any() else None
+    if seen is None or not (seen.power > 0).all():
+        return False
+    behind, without = (smoothers.fit(seen, one).deviance for one in (likely.smoother, None))
+    return bool(GAIN * behind > without)
 
 
 def _noisy_behind(seen: Spectra, one: SpectrumFit, sensor: SensorGroup, runs: Sequence[Run]) -> bool:
@@ -491,9 +510,36 @@ def smoothers_of(
     held = not system.nu or held_over_rows(data.runs, system.nu)
     data = without_noise_about_levels(data, system)
     found = smoothed_states(data.runs, system, clock) if ask else []
+    found = [_on_time_or_late(one, data, system) for one in found]
     if not held:
         data = as_they_act(data, system, restored(data, found).runs)
     return data, [*found, *(smoothed_by_response(data.runs, system, found, clock) if ask else ())]
+
+
+def _on_time_or_late(one: Smoothed, data: DataSet, system: System) -> Smoothed:
+    """A centred mean of an odd number of rows, or that of the past, whose |S| is the same: where physics says so.
+
+    Of two axes under steps of their forces, behind a mean of the last five rows, something with a memory was missing.
+    """
+    smoother, past = one.smoother, next(f for f in smoothers.FAMILIES if f.name == smoothers.OF_THE_PAST)
+    if smoother.family.name != smoothers.CENTRED or smoother.size % 2 == 0:
+        return one
+    late = replace(one, smoother=replace(smoother, family=past))
+    values = []
+    for tried in (one, late):
+        fitted = rough_fit(system, restored(data, [tried]).runs, data.clock_scale)
+        if fitted is None:
+            return one
+        driven = sorted({channel for way in signals.directions(fitted) for channel in way.channels})
+        left, rows = fitted.physics.residual(fitted.theta)[:, driven], max(1, round(smoother.size / 2))
+        means = [
+            left[k : k + rows].mean(0)
+            for a, b in fitted.physics.steps.segments
+            for k in range(a, b - rows + 1, rows)
+        ]
+        size = np.square(np.array(means)).mean(0)
+        values.append(-0.5 * len(means) * float(np.log(np.maximum(size, 1e-300)).sum()))
+    return late if values[1] > values[0] + NATS else one
 
 
 def restored(data: DataSet, found: Sequence[Smoothed]) -> DataSet:

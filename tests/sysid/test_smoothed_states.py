@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import butter, savgol_filter, sosfiltfilt
+from scipy.signal import butter, lfilter, savgol_filter, sosfiltfilt
 
 from nsde_torch.api.reading import read
 from nsde_torch.data import DataSet
@@ -26,7 +26,13 @@ def butterworth(cut: float) -> Filter:
     return lambda x: np.asarray(sosfiltfilt(butter(4, cut, fs=1 / DT, output="sos"), x, axis=0))
 
 
+def mean_of_past(rows: int) -> Filter:
+    return lambda x: np.asarray(lfilter(np.ones(rows) / rows, 1.0, x, axis=0))
+
+
 FILTERS: dict[str, Filter] = {
+    "mean of the last 5 rows": mean_of_past(5),
+    "mean of the last 6 rows": mean_of_past(6),
     "butterworth 10 Hz": butterworth(10.0),
     "butterworth 4 Hz": butterworth(4.0),
     "mean of 0.15 s": lambda x: np.asarray(uniform_filter1d(x, 15, axis=0)),
@@ -96,6 +102,33 @@ def test_a_smoothed_log_gives_the_parameters_of_the_raw_one(name: str) -> None:
     relative, widths = errors(data)
     assert relative.max() < (0.1 if "mean" in name else 0.03)  # behind the first null nothing is known
     assert widths.max() < 1.5
+
+
+@pytest.mark.parametrize(
+    ("smooth", "name"),
+    [
+        (mean_of_past(5), "causal moving average"),
+        (mean_of_past(6), "causal moving average"),
+        (FILTERS["mean of 0.15 s"], "moving average"),
+    ],
+)
+def test_a_mean_of_the_past_is_not_one_about_each_row(smooth: Filter, name: str) -> None:
+    (found,) = told(read(swings(3, smooth=smooth), system=SPRING))
+    assert found["smoother"] == name
+
+
+@pytest.mark.parametrize("rows", [1, 10])
+def test_zeros_of_a_spectrum_show_a_mean_of_one_sensor_unless_inputs_are_held(rows: int) -> None:
+    rng, n, raw = np.random.default_rng(5), 6000, []
+    for name in ("a", "b", "c"):
+        u = np.repeat(rng.standard_normal(n // rows), rows)
+        x, noise = np.zeros(n), 0.01 * rng.standard_normal(n)
+        for k in range(n - 1):
+            x[k + 1] = np.exp(-DT) * x[k] + (1.0 - np.exp(-DT)) * u[k]
+        x = x + noise if rows > 1 else mean_of_past(10)(x + noise)
+        raw.append(RawRun(name, DT * np.arange(n), x[:, None], u[:, None]))
+    found = told(read(raw, system=make_system("tests.helpers.toy_systems:Decay")))
+    assert [one["smoother"] for one in found] == (["causal moving average"] if rows == 1 else [])
 
 
 def test_kept_smoothing_is_what_ruins_the_identification() -> None:

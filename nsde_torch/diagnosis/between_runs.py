@@ -135,15 +135,14 @@ def with_differences(
     instead = _instead(search, joint)
     asked = bool(instead) or asked_for(outcome, guard)
     # a friction that begins after a third of a run left 105 times white noise in which no test saw a structure
-    if not asked and not far_above_noise(outcome.declared, outcome.final, search.decisions):
-        return now
+    all_of_it = asked or bool(far_above_noise(outcome.declared, outcome.final, search.decisions))
     log.say("what differs between runs", 0, _MOST)
     begun = joint.final
     if instead:
         begun = fitted(joint.final.system.without_effects(*instead), joint.final)
     apart = joint.final.at.of.apart_s
     odd = _one_is_odd(guard)
-    columns = columns_beside(begun, together=odd)
+    columns = columns_beside(begun, together=odd, steady=not all_of_it)
     first = _best(search, begun, columns)
     whole = {run.name for run in log.runs}
     parts = cut_where_it_changes(log, search, begun, columns, {one.of.target: one.nats for one in first})

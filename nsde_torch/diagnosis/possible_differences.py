@@ -50,14 +50,17 @@ class ColumnsBeside:
 
 
 @torch.no_grad()
-def columns_beside(place: FittedPhysics, *, together: bool = False) -> ColumnsBeside:
-    """Columns of all that may differ, from the optimum of some physics; of all its own parameters `together` too."""
+def columns_beside(place: FittedPhysics, *, together: bool = False, steady: bool = False) -> ColumnsBeside:
+    """Columns of all that may differ, from the optimum of some physics.
+
+    Of all its own parameters `together` too; of `steady` forces and zeros alone, that are no part of it.
+    """
     space, about, vector = place.at.of.space, place.at.about, place.best.vector
     tables = [space.columns(about.x, about.slopes, range(len(vector)), about.after)]
     known = dict(zip(vector.labels, place.best.theta.tolist(), strict=True))
     new: list[tuple[str, System, int, int]] = []
     at = len(vector)
-    for target, system, label in _not_there(place):
+    for target, system, label in _not_there(place, steady):
         own = place.at.of.of(system)
         own.space.use(own.vector.inside(own.vector.first_values(known)))
         labels = [(name, name.partition("[")[0]) for name in own.vector.labels]
@@ -70,14 +73,19 @@ def columns_beside(place: FittedPhysics, *, together: bool = False) -> ColumnsBe
     table = torch.cat([t.float() for t in tables], -1)
     held = grams(space, place.at.levels, about, place.at.at, table, apart=apart)
     candidates = [PossibleDifference(s, target, np.eye(at)[:, a : a + k], True) for target, s, a, k in new]
-    candidates += _of_the_physics(place, at, together)
+    candidates += _of_the_physics(place, at, together, steady)
     return ColumnsBeside(candidates, table, held.blocks)
 
 
-def _not_there(place: FittedPhysics) -> Iterator[tuple[str, System, str]]:
-    """What is no part of the physics and has one size: what differs, the physics with it, and the label of its size."""
+def _not_there(place: FittedPhysics, steady: bool) -> Iterator[tuple[str, System, str]]:
+    """What is no part of the physics and has one size: what differs, the physics with it, and the label of its size.
+
+    Steady forces and zeros alone, if `steady`.
+    """
     system = place.system
     for name in candidate_names(system):
+        if steady and split_name(name)[0] not in OF_EACH_RUN:
+            continue
         cls = system.effect_class(name)
         (law, coordinate), found = split_name(name), starts(system, name, place.at.of.sizes, ())
         simpler = next((system.effect_class(n) for n in cls.includes if n in system.effect_names), None)
@@ -110,7 +118,9 @@ def _may_differ(place: FittedPhysics, system: System, target: str) -> bool:
     return may_differ(plain, target, steps.x0[some, : system.nx].double(), u.double())
 
 
-def _of_the_physics(place: FittedPhysics, whole: int, together: bool) -> Iterator[PossibleDifference]:
+def _of_the_physics(
+    place: FittedPhysics, whole: int, together: bool, steady: bool
+) -> Iterator[PossibleDifference]:
     """Parameters of the machine, sizes of its effects, and its mass, of a table of so many columns.
 
     `together`, all its own parameters too, unless the machine says what a load changes: one at the tip of an arm
@@ -133,6 +143,8 @@ def _of_the_physics(place: FittedPhysics, whole: int, together: bool) -> Iterato
         if law in OF_EACH_RUN:
             each = joined_name(OF_EACH_RUN[law], coordinate)
             yield PossibleDifference(system, each, every[:, at.columns], False)
+        elif steady:
+            continue
         elif target not in differing and _may_differ(place, system, target):
             yield PossibleDifference(system, target, every[:, at.columns], False)
             if (
@@ -143,7 +155,7 @@ def _of_the_physics(place: FittedPhysics, whole: int, together: bool) -> Iterato
     if together and len(machine) > 1 and not system.over_mass:
         turn = np.concatenate([every[:, at.columns] for at in machine], 1)
         yield PossibleDifference(system, ",".join(at.name for at in machine), turn, False)
-    if system.over_mass and MASS not in differing and int((mass != 0).sum()) > 1:
+    if not steady and system.over_mass and MASS not in differing and int((mass != 0).sum()) > 1:
         yield PossibleDifference(system, MASS, mass, False)
 
 

@@ -47,7 +47,7 @@ from nsde_torch.systems import System
 from nsde_torch.systems.coordinates import check_pushes
 
 # by name of a run, the logged times between which something changes
-Moments: TypeAlias = Mapping[str, tuple[float, float]]
+Moments: TypeAlias = Mapping[str, tuple[tuple[float, float], ...]]
 _CHECKED = 50  # rows of the data at which coordinates are checked
 
 
@@ -70,10 +70,10 @@ class Log:
     begun: Begun | None = None
     """What an earlier diagnosis had selected, which the selection starts from; None: the declared physics."""
     moments: Moments = field(default_factory=dict)
-    """Where runs were cut in two, by their names, as something changes there (`within_runs`)."""
+    """Where runs were cut, by their names, as something changes there (`within_runs`)."""
 
     def cut(self, moments: Moments) -> Log:
-        """The log with runs cut in two."""
+        """The log with runs cut at moments of each."""
         recorded = replace(self.recorded, runs=cut_at(self.recorded.runs, moments))
         return replace(self, recorded=recorded, runs=cut_at(self.runs, moments), moments=moments)
 
@@ -119,16 +119,16 @@ class Log:
 
 
 def cut_at(runs: Sequence[Run], moments: Moments) -> tuple[Run, ...]:
-    """Runs, some of them cut in two, without the rows between."""
+    """Runs, some of them cut at moments, without the rows between which each may be."""
     out: list[Run] = []
     for run in runs:
-        if run.name not in moments:
-            out.append(run)
-            continue
-        times = moments[run.name]
-        first, last = (int(at) for at in np.searchsorted(run.t, times))
-        out.append(run.slice(0, first, name=f"{run.name} before {times[0]:.2f} s"))
-        out.append(run.slice(last, len(run), name=f"{run.name} from {times[1]:.2f} s"))
+        begin, words = 0, ""
+        for first, last in moments.get(run.name, ()):
+            a, b = (int(at) for at in np.searchsorted(run.t, (first, last)))
+            name = f"{words} to {first:.2f} s" if words else f"{run.name} before {first:.2f} s"
+            out.append(run.slice(begin, a, name=name))
+            begin, words = b, f"{run.name} from {last:.2f}"
+        out.append(run.slice(begin, len(run), name=f"{words} s") if words else run)
     return tuple(out)
 
 

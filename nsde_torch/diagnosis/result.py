@@ -328,7 +328,7 @@ def content(found: Diagnosis) -> Content:
             "kind": found.data.kind,
             "system": found.data.system_name,
             "runs": list(found.runs),
-            "moments": {run: list(times) for run, times in found.moments.items()},
+            "moments": {run: [list(one) for one in times] for run, times in found.moments.items()},
             "duration_s": sum(run.duration for run in found.recorded.runs),
             "clock_scale": found.recorded.clock,
             "dt_s": found.data.dt,
@@ -382,13 +382,17 @@ def summary(
         "elsewhere": bool(left) and left[0].channel not in moved,
         "functions": functions,
         "changes": ", ".join(
-            f"in {run} at {a:.2f} s" if a == b else f"in {run} between {a:.2f} and {b:.2f} s"
-            for run, (a, b) in moments.items()
+            f"in {run} {' and '.join(map(_moment, times))}" for run, times in moments.items()
         ),
         "not_believed": sorted(outcome.doubted_channels),
         "above": _far_above_noise(outcome, channels),
     }
     return rendered("summary.txt", values).strip()
+
+
+def _moment(between: tuple[float, float]) -> str:
+    a, b = between
+    return f"at {a:.2f} s" if a == b else f"between {a:.2f} and {b:.2f} s"
 
 
 def named(first: Sequence[str], shown: ShownEffects) -> str:

@@ -1,16 +1,17 @@
-"""Where a run changes: something begins, ends or becomes stronger at a moment, and stays so.
+"""Where a run changes: something begins, ends or becomes stronger at a moment, and stays so; or is there for a while.
 
-    e = J theta + 1[t > t0] J_c d + noise,      J_c the columns of a parameter, or of an effect that is not there yet
+    e = J theta + 1[t0 < t < t1] J_c d + noise,      J_c the columns of a parameter, or of an effect not there yet
 
-A load that is dropped, a motor that loses a blade, a bearing that seizes. The Gram matrices by block of time say what
-each candidate would explain from any block on, and the whitened rows of the best one say at which row
-(Andrews, Econometrica 61 (1993): the largest of the score tests over moments). The run is then two, one before and one
-after, and what differs between them is found as between any runs (`between_runs`).
+A load that is dropped, a motor that loses a blade, a bearing that seizes; t1 is the end of the run. Steady forces may
+end before: a gust, a push. The Gram matrices by block of time say what each candidate would explain from any block on,
+or to any other, and the whitened rows of the best one say at which row (Andrews, Econometrica 61 (1993): the largest of
+the score tests over moments). The run is then parted there, and what differs between its parts is found as between any
+runs (`between_runs`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import log as ln
 
@@ -24,12 +25,15 @@ from nsde_torch.diagnosis.joint_selection import FittedPhysics
 from nsde_torch.diagnosis.possible_differences import ColumnsBeside, PossibleDifference
 from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.search import Search
+from nsde_torch.effects.by_run import BY_RUN
+from nsde_torch.effects.law import split_name
 from nsde_torch.inference.sensitivity import inverted, rows_of
 
 _EDGE = 4  # blocks of time on either side of a moment, so that both sides show what differs
 _NEAR = 2  # blocks around the best one in which the moment is looked for
 # a gain that fell while the force was small was cut 0.6 s late, and the residual depended on time
 _AS_LIKELY = 3.0  # nats below the likeliest moment that others may be; rows between them are in neither part
+_ENDS = 150  # most moments of a run between which a while is looked for
 _SHOWN = 1e-3  # least share of what a column does after a moment that no other column does
 
 
@@ -38,7 +42,9 @@ class ChangeWithinRuns:
     """What a candidate would explain if it changed at a moment of some runs."""
 
     of: PossibleDifference
-    steps: Mapping[int, int]  # by number of the run: step that the block after the moment begins with
+    steps: Mapping[
+        int, tuple[int, ...]
+    ]  # by number of the run: steps that the blocks after the moments begin with
     of_runs: float  # log likelihood that a number of their own for these runs would bring
     nats: float  # that which it would bring beyond, less the price of numbers and moments (Schwarz)
 
@@ -46,7 +52,7 @@ class ChangeWithinRuns:
 def cut_where_it_changes(
     log: Log, search: Search, place: FittedPhysics, columns: ColumnsBeside, otherwise: Mapping[str, float]
 ) -> Log:
-    """The log with each run cut in two where something in it surely changes; the log itself where nothing does.
+    """The log with each run cut where something in it surely changes; the log itself where nothing does.
 
     Or where that explains no more than differences between whole runs would: of a run whose encoder's zero was off,
     some stiffness would change. `otherwise` has the nats of these by what differs.
@@ -70,27 +76,50 @@ def _change(
     owner, firsts = place.at.of.space.chunks.places()
     count, among = one.turn.shape[1], len(columns.candidates) * len(owner)
     price = 0.5 * count * ln(len(owner)) + ln(len(owner))
-    steps: dict[int, int] = {}
+    steps: dict[int, tuple[int, ...]] = {}
     nats = of_runs = 0.0
     for run in np.unique(owner):
         blocks = np.flatnonzero(owner == run)
         blocks = blocks[np.argsort(firsts[blocks], kind="stable")]
         if len(blocks) <= 2 * _EDGE:
             continue
-        gained, of_run = _gains(place, columns, one, blocks)
-        at = int(gained.argmax())
-        p = bonferroni(float(chdtrc(count, 2.0 * gained[at])), among)
-        if gained[at] - price > search.decisions.alike_nats and p < search.level("effects"):
-            steps[int(run)] = int(firsts[blocks[_EDGE + at]])
-            nats, of_runs = nats + float(gained[at]) - price, of_runs + of_run
+        best, best_nats = None, search.decisions.alike_nats
+        for windows in _windows(one, len(blocks)):
+            gained, of_run = _gains(place, columns, one, blocks, windows)
+            at = int(gained.argmax())
+            # another moment, another price
+            ends = [int(k) for k in windows[at] if k < len(blocks)]
+            own = float(gained[at]) - price - (len(ends) - 1) * ln(len(owner))
+            p = bonferroni(float(chdtrc(count, 2.0 * gained[at])), among * len(windows) // len(blocks))
+            if own > best_nats and p < search.level("effects"):
+                best, best_nats = ends, own + search.decisions.alike_nats
+                found = own, of_run
+        if best is not None:
+            steps[int(run)] = tuple(int(firsts[blocks[k]]) for k in best)
+            nats, of_runs = nats + found[0], of_runs + found[1]
     return ChangeWithinRuns(one, steps, of_runs, nats) if steps else None
 
 
+def _windows(one: PossibleDifference, count: int) -> Iterator[Labels]:
+    """Blocks from which to which a candidate may be another one, among so many of a run (W, 2).
+
+    From one on, and of a steady force for a while: a gust of 8 s in one run of three was noise
+    (tests/diagnosis/test_between_runs.py).
+    """
+    begin = np.arange(_EDGE, count - _EDGE)
+    yield np.stack((begin, np.full_like(begin, count)), 1)
+    if split_name(one.target)[0] in BY_RUN and count > 3 * _EDGE:
+        apart = max(1, count // _ENDS)
+        each = np.arange(_EDGE, count - _EDGE + 1, apart)
+        first, last = (k.ravel() for k in np.meshgrid(each, each, indexing="ij"))
+        yield np.stack((first, last), 1)[last - first >= _EDGE]
+
+
 def _gains(
-    place: FittedPhysics, columns: ColumnsBeside, one: PossibleDifference, blocks: Labels
+    place: FittedPhysics, columns: ColumnsBeside, one: PossibleDifference, blocks: Labels, windows: Labels
 ) -> tuple[Array, float]:
-    """What a change before each block of a run but the first and last ones would bring beyond a number of its own for
-    the run, and what that brings [nats].
+    """What a change within each window of blocks of a run would bring beyond a number of its own for the run (W,), and
+    what that brings [nats].
 
     Where all runs change, each at another moment, what they have in common is neither side; and a run that is another
     one from its start to its end does not change.
@@ -99,12 +128,14 @@ def _gains(
     turn, grams = one.turn[moved - 1], columns.blocks
     inverse = inverted(grams[:, kept[:, None], kept].sum(0))
 
-    def after(values: Array) -> Array:
-        return np.asarray(values[::-1].cumsum(0)[::-1])
+    def within(values: Array) -> Array:
+        """Sums over all of the run and over each window."""
+        sums = np.concatenate((np.zeros_like(values[:1]), values.cumsum(0)))
+        return np.concatenate((sums[-1:], sums[windows[:, 1]] - sums[windows[:, 0]]))
 
-    inner = after(turn.T @ grams[blocks][:, moved[:, None], moved] @ turn)
-    across = after(turn.T @ grams[blocks][:, moved[:, None], kept])
-    pulls = after(grams[blocks][:, moved, 0] @ turn)
+    inner = within(turn.T @ grams[blocks][:, moved[:, None], moved] @ turn)
+    across = within(turn.T @ grams[blocks][:, moved[:, None], kept])
+    pulls = within(grams[blocks][:, moved, 0] @ turn)
     left = inner - across @ inverse @ across.transpose(0, 2, 1)
 
     def shown(information: Array) -> Array:
@@ -118,12 +149,12 @@ def _gains(
         of_run = float(0.5 * whole @ inverted(left[0]) @ whole) / place.best.inflation
         pulls, left = pulls - turned @ whole, left - turned @ shared.transpose(0, 2, 1)
     found = np.where(shown(left), 0.5 * np.einsum("bi,bij,bj->b", pulls, inverted(left), pulls), 0.0)
-    return found[_EDGE : len(blocks) - _EDGE] / place.best.inflation, of_run
+    return found[1:] / place.best.inflation, of_run
 
 
 def _moments(
     place: FittedPhysics, columns: ColumnsBeside, change: ChangeWithinRuns
-) -> dict[int, tuple[float, float]]:
+) -> dict[int, tuple[tuple[float, float], ...]]:
     """Logged times between which the moments are, by number of the run."""
     space, kept, turn = place.at.of.space, place.best.free, torch.from_numpy(change.of.turn).float()
     table = torch.cat((columns.table[..., kept], columns.table @ turn), -1)
@@ -132,22 +163,27 @@ def _moments(
     e, physics, column = np.split(rows, [1, 1 + len(kept)], -1)
     block = np.median(np.diff(np.sort(space.chunks.places()[1])))
     times = {}
-    for run, begun in change.steps.items():
+    for run, ends in change.steps.items():
         mine = owner == run
         known = np.concatenate((physics, column * mine[:, None, None]), -1)
-        of_run, after = known[mine], (steps[mine] >= begun)[:, None, None] * column[mine]
+        last = ends[1] if len(ends) > 1 else len(owner)
+        inside = ((steps[mine] >= ends[0]) & (steps[mine] < last))[:, None, None]
+        of_run, changed = known[mine], inside * column[mine]
         inverse = inverted(np.einsum("nmi,nmj->ij", known, known))
         left = e[mine, :, 0] - of_run @ (inverse @ np.einsum("nmi,nmj->i", known, e))
-        across = np.einsum("nmi,nmj->ij", of_run, after)
-        inner = np.einsum("nmi,nmj->ij", after, after) - across.T @ inverse @ across
-        size = inverted(inner) @ np.einsum("nmi,nm->i", after, left)
+        across = np.einsum("nmi,nmj->ij", of_run, changed)
+        inner = np.einsum("nmi,nmj->ij", changed, changed) - across.T @ inverse @ across
+        size = inverted(inner) @ np.einsum("nmi,nm->i", changed, left)
         beside = of_run @ (inverse @ across @ size)
-        first, then = (
+        outside, within = (
             (left * moved - 0.5 * moved * moved).sum(1) for moved in (-beside, column[mine] @ size - beside)
         )
-        # log likelihood of a change before each row, but for a constant
-        value = (first - then).cumsum() - (first - then)
-        near = np.flatnonzero(np.abs(steps[mine] - begun) <= _NEAR * block)
-        able = steps[mine][near[value[near] > value[near].max() - _AS_LIKELY]]
-        times[run] = float(space.steps.t[able[0]]), float(space.steps.t[able[-1]])
+        between = []
+        for end, sign in zip(ends, (1.0, -1.0), strict=False):
+            # log likelihood of a moment before each row, but for a constant
+            value = sign * ((outside - within).cumsum() - (outside - within))
+            near = np.flatnonzero(np.abs(steps[mine] - end) <= _NEAR * block)
+            able = steps[mine][near[value[near] > value[near].max() - _AS_LIKELY]]
+            between.append((float(space.steps.t[able[0]]), float(space.steps.t[able[-1]])))
+        times[run] = tuple(between)
     return times

@@ -234,7 +234,7 @@ def test_a_gain_that_falls_at_moments_of_two_runs_is_no_drift(tmp_path: Path) ->
     name = "run_difference[force_gain]"
     assert content["added"] == [name]
     assert not any(f["lead"] for f in content["findings"])
-    for (first, last), moment in zip(content["data"]["moments"].values(), moments, strict=True):
+    for ((first, last),), moment in zip(content["data"]["moments"].values(), moments, strict=True):
         assert first - 0.1 <= moment <= last + 0.1
         assert last - first < 2.0
         assert f"between {first:.2f} and {last:.2f} s" in content["summary"]
@@ -252,8 +252,22 @@ def test_friction_that_begins_in_a_single_run(tmp_path: Path) -> None:
     assert set(content["added"]) == {name, "coulomb_friction"}
     (size,) = (p for key, p in content["parameters"].items() if key.startswith(name))
     assert abs(size["value"]) == pytest.approx(0.3, abs=0.02)
-    ((first, last),) = content["data"]["moments"].values()
+    (((first, last),),) = content["data"]["moments"].values()
     assert first - 0.1 <= 13.0 <= last + 0.1
+
+
+def test_a_gust_in_one_run_has_its_time_and_its_size(tmp_path: Path) -> None:
+    runs = [pushed_spring(r, 30.0, lambda t, v, u, r=r: 0.2 * (r == 1 and 11.0 < t < 18.0)) for r in range(3)]  # type: ignore[misc]
+    content = diagnosed_file(tmp_path / "gust", *runs)
+    assert content["added"] == ["run_force"]
+    ((begin, end),) = content["data"]["moments"].values()
+    assert begin[0] - 0.1 <= 11.0 <= begin[1] + 0.1
+    assert end[0] - 0.1 <= 18.0 <= end[1] + 0.1
+    text = f"between {begin[0]:.2f} and {begin[1]:.2f} s and between {end[0]:.2f} and {end[1]:.2f} s"
+    assert text in content["summary"]
+    sizes = {key: p["value"] for key, p in content["parameters"].items() if key.startswith("run_force")}
+    assert max(sizes.values()) == pytest.approx(0.2, abs=0.02)
+    assert sorted(map(abs, sizes.values()))[-2] < 0.02
 
 
 def test_one_run_is_not_held_against_others(tmp_path: Path) -> None:
@@ -300,9 +314,21 @@ def test_a_gain_that_falls_all_the_time_stays_a_drift(tmp_path: Path) -> None:
     assert content["data"]["moments"] == {}
 
 
+def test_a_run_is_cut_at_each_of_its_moments() -> None:
+    run = pushed_spring(1, 2.0, lambda t, v, u: 0.0)
+    parts = cut_at([run], {"run": ((0.5, 0.7), (1.2, 1.4))})
+    assert [part.name for part in parts] == [
+        "run before 0.50 s",
+        "run from 0.70 to 1.20 s",
+        "run from 1.40 s",
+    ]
+    assert [float(part.t[0]) for part in parts] == pytest.approx([0.0, 0.7, 1.4])
+    assert cut_at([run], {}) == (run,)
+
+
 def test_rows_between_the_two_times_are_in_neither_part() -> None:
     run = pushed_spring(1, 2.0, lambda t, v, u: 0.0)
-    before, after = cut_at([run], {"run": (0.5, 0.8)})
+    before, after = cut_at([run], {"run": ((0.5, 0.8),)})
     assert (before.name, after.name) == ("run before 0.50 s", "run from 0.80 s")
     assert (before.t[-1], after.t[0]) == (pytest.approx(0.49), pytest.approx(0.8))
     assert len(before) + len(after) == len(run) - 30

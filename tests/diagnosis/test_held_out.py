@@ -203,12 +203,15 @@ def test_no_change_at_a_moment_is_sure_where_the_residual_depends_on_time() -> N
     none = cast(Regression, None)
     outcome = Outcome("effect_found", none, none, found, None, structured=left)
 
-    def judged(moments: dict[str, tuple[float, float]], of: Outcome = outcome) -> list[str]:
+    def judged(moments: dict[str, tuple[tuple[float, float], ...]], of: Outcome = outcome) -> list[str]:
         log = cast(Log, SimpleNamespace(runs=[SimpleNamespace(inferred=())], moments=moments))
         return [f.provisional for f in not_sure(log, of).found]
 
-    assert judged({"run_0": (15.4, 17.6)}) == ["the residual still depends on time: it may change slowly", ""]
-    assert judged({"run_0": (15.4, 17.6)}, replace(outcome, structured=[])) == ["", ""]
+    assert judged({"run_0": ((15.4, 17.6),)}) == [
+        "the residual still depends on time: it may change slowly",
+        "",
+    ]
+    assert judged({"run_0": ((15.4, 17.6),)}, replace(outcome, structured=[])) == ["", ""]
     assert judged({}) == ["", ""], "a number of its own for a run, from its start to its end"
 
 

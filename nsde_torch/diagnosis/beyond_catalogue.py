@@ -116,7 +116,7 @@ class _LawSearch:
         """Laws beside some physics that functions of what was measured do not see."""
         names = frozenset(place.system.effect_names)
         if names not in self._unseen:
-            self._unseen[names] = [*self._waves(place), *self._drifts(place)]
+            self._unseen[names] = [*self._waves(place), *self._drifts(place), *self._couplings(place)]
         return self._unseen[names]
 
     def _waves(self, place: FittedPhysics) -> list[Term]:
@@ -155,6 +155,34 @@ class _LawSearch:
                 for part, column in columns.items()
                 if part or space.disturbances[k] not in constant
             }
+            best = max(nats, key=lambda part: nats[part])
+            if nats[best] > least:
+                found.append(law_on(system, place.at, k, (best,), {}))
+        return found
+
+    def _couplings(self, place: FittedPhysics) -> list[Term]:
+        """Products of two speeds with the sine or cosine of an angle, as of Coriolis forces: of three variables.
+
+        Of a gimbal whose yaw lacked one of 3 rad/s2, functions of two variables explained a tenth
+        (tests/diagnosis/test_laws_beyond.py).
+        """
+        system, space, found = place.system, place.at.of.space, list[Term]()
+        units = {name: unit for name, unit, _ in vocabulary(type(system)).variables}
+        values = dict(zip(system.state_names, space.steps.x0[:, : system.nx].numpy().T, strict=True))
+        angles = [name for name in values if units.get(name) == "rad"]
+        speeds = [name for name in values if units.get(name) in ("m/s", "rad/s")]
+        columns = {
+            f"{f}({turn}{a}) {b} {c}": wave((2.0 if turn else 1.0) * values[a]) * values[b] * values[c]
+            for a in angles
+            for turn in ("", "2 ")
+            for f, wave in (("sin", np.sin), ("cos", np.cos))
+            for b, c in combinations(speeds, 2)
+        }
+        ports = [k for k, (port, _) in enumerate(space.disturbances) if port in system.residual_ports]
+        least = log(max(len(columns) * len(ports), 1) / self._search.search.level("effects"))
+        for k in ports if columns else ():
+            scores = force_scores(place.at)
+            nats = {part: scores.of(column[:, None], k).nats for part, column in columns.items()}
             best = max(nats, key=lambda part: nats[part])
             if nats[best] > least:
                 found.append(law_on(system, place.at, k, (best,), {}))

@@ -3,7 +3,7 @@
     1, v^2, v^3, v^4, v^5, v, |v|, |v| v, sign v,   max(v - k, 0), min(v - k, 0) for zero and some k in the range of v,
     2 v k / (v^2 + k^2), which is largest at k,   exp(k v) - 1 of no speed,   sin n v, cos n v of an angle,
     a b, a^2 b, a b^2, |a| b, a |b|, max(a, 0) b, min(a, 0) b,
-    sin a b, cos a b, sin a b^2, cos a b^2 with an angle a,   and planes c1 a + c2 b
+    sin n a b, cos n a b, sin n a b^2, cos n a b^2 with an angle a and n = 1, 2,   and planes c1 a + c2 b
 
 Each is written in the grammar of `effects.expression_grammar`; k and the width of a sign are fitted with the size. As a
 column of the joint likelihood a term moves a step as its value times the slope of the step in a force on its row of a
@@ -63,7 +63,8 @@ def terms_of(
             out.append(LawTerm((first, second)))
             for a, b in ((first, second), (second, first)):
                 if a in angles:
-                    out += [LawTerm((f"{f}({a}) {p}",)) for f in ("sin", "cos") for p in (b, f"{b}^2")]
+                    waves = [f"{f}({turn}{a})" for f in ("sin", "cos") for turn in ("", "2 ")]
+                    out += [LawTerm((f"{wave} {p}",)) for wave in waves for p in (b, f"{b}^2")]
     return out
 
 

@@ -3,15 +3,12 @@
 import numpy as np
 import pytest
 
-from nsde_torch.diagnosis.cross_validation import Own, Scored, own
+from nsde_torch.diagnosis.cross_validation import Own
 from nsde_torch.diagnosis.decisions import Options, Wording
 from nsde_torch.diagnosis.effect_importance import BY_STEPS, Importance, effect_importance, shown_effects
 from nsde_torch.diagnosis.report import WITH, WITHOUT, effect_panels, page
-from nsde_torch.diagnosis.result import named
 from nsde_torch.diagnosis.text import in_order, lines, small, without_it
 from tests.helpers.diagnosed import Diagnosed, diagnosed
-
-WORDING = Wording()
 
 
 def brings(nats: float, **left: tuple[float, float]) -> Own:
@@ -32,25 +29,6 @@ def test_effects_are_ordered_by_the_log_likelihood_that_is_lost_without_them() -
     assert [b.share for b in found.values()] == pytest.approx([0.75, 0.25, 0.0])
 
 
-def test_where_inputs_know_the_future_the_residual_alone_orders_them() -> None:
-    brought = {"a": brings(20.0, v=(2.0, 1.0)), "b": brings(60.0, v=(1.1, 1.0), w=(0.9, 1.0))}
-    found = effect_importance(brought, inputs=False)
-    assert list(found) == ["a", "b"]
-    assert found["a"].gain == pytest.approx(2 * np.log(2.0))
-    assert found["b"].gain == 0.0  # what returns in one channel is gained in the other
-    assert found["b"].share == 0.0
-
-
-def test_the_error_that_is_told_is_that_of_the_channel_in_which_most_returns() -> None:
-    found = effect_importance({"a": brings(1.0, v=(1.2, 1.0), w=(0.3, 0.1))}, inputs=True)["a"]
-    assert (found.channel, found.unit, found.error_without, found.error_with) == ("w", "m/s2", 0.3, 0.1)
-    nothing = effect_importance({"a": brings(1.0)}, inputs=False)["a"]
-    assert nothing.as_dict() == {
-        **{"nats": 1.0, "share": 1.0, "channel": None, "unit": None},
-        **{"error_with": None, "error_without": None},
-    }
-
-
 @pytest.mark.parametrize(
     ("shares", "share", "few", "rest"),
     [
@@ -67,35 +45,6 @@ def test_the_few_are_the_first_that_together_reach_the_share(
     found = shown_effects(list(shares), importance, Wording(few_share=share))
     assert (found.few, found.rest) == (few, rest)
     assert found.share == pytest.approx(sum(shares[name] for name in rest))
-
-
-def test_an_effect_of_which_runs_left_out_say_nothing_is_told() -> None:
-    found = shown_effects(["a", "b"], {"b": Importance("b", 5.0, 1.0, 5.0)}, WORDING)
-    assert found.few == ("b", "a")
-
-
-def test_the_residual_of_an_effect_is_that_of_runs_left_out() -> None:
-    rng = np.random.default_rng(0)
-    n = 400
-    without, full = (
-        Scored(
-            names=("v", "w"),
-            units=("m/s2", "rad/s2"),
-            density=np.full((n, 2), -size),
-            run=np.repeat(np.arange(4), n // 4),
-            t=np.tile(np.arange(n // 4) * 0.1, 4),
-            squares=np.square(size * rng.standard_normal((n, 2))),
-            band_run=np.repeat(np.arange(4), n // 4),
-            band_t=np.tile(np.arange(n // 4) * 0.1, 4),
-        )
-        for size in (3.0, 1.0)
-    )
-    mine = own(without, full, ("w",), seed=0)
-    unit, before, after = mine.residual["w"]
-    assert unit == "rad/s2"
-    assert before == pytest.approx(3.0, rel=0.2)
-    assert after / before == pytest.approx(mine.residual_ratio["w"])
-    assert set(mine.residual) == {"w"}
 
 
 @pytest.fixture(scope="module")
@@ -134,16 +83,6 @@ def test_small_effects_are_gathered_in_one_line(found: Diagnosed) -> None:
     text = page(gathered, {}, width=0.25)
     assert f"<summary>And {line[4:]}" in text
     assert text.index("<code>coulomb_friction</code>") < text.index(f"<code>{rest[0]}</code>")
-
-
-def test_the_summary_counts_small_effects() -> None:
-    importance = {k: Importance(k, s, s, s) for k, s in {"a": 0.97, "b": 0.02, "c": 0.01}.items()}
-    assert (
-        named(["clock_scale", "a"], shown_effects(["a", "b", "c"], importance, WORDING))
-        == "clock_scale, a and two small ones"
-    )
-    assert small(1) == "one small one"
-    assert small(12) == "12 small ones"
 
 
 def test_each_effect_that_matters_has_a_picture(found: Diagnosed) -> None:

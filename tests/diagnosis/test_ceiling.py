@@ -8,13 +8,12 @@ from pathlib import Path
 import pytest
 
 from nsde_torch.diagnosis.ceiling import Ceiling, RowGain
-from nsde_torch.diagnosis.decision import abrupt_changes, judged_by_the_ceiling
+from nsde_torch.diagnosis.decision import judged_by_the_ceiling
 from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Options
 from nsde_torch.diagnosis.evidence import nats_by_channel
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.report import page, pictures
-from nsde_torch.diagnosis.residual_tests import Dependence
-from nsde_torch.diagnosis.result import ceiling_content, content, summary
+from nsde_torch.diagnosis.result import content, summary
 from nsde_torch.diagnosis.text import lines
 from tests.helpers.diagnosed import Diagnosed, diagnosed
 
@@ -40,16 +39,6 @@ def test_where_nothing_is_missing_functions_explain_nothing(nothing: Diagnosed) 
     assert "flexible" not in pictures(*nothing)
 
 
-def test_functions_that_explain_no_more_are_not_said_to_explain_all_where_structure_is_left(
-    nothing: Diagnosed,
-) -> None:
-    left = Dependence("q_dot", "q", 1e-6, 0.05, 0.5, 40.0, 4)
-    outcome = replace(nothing[0].outcome, structured=[left])
-    sentence = ceiling_content(nothing[0].explanation.ceiling, outcome)["sentence"]
-    assert sentence.startswith("Functions of what was measured explain no more of blocks of time left out,")
-    assert "still depends on q:" in sentence
-
-
 def test_what_is_left_far_above_white_noise_is_said_beside_that_nothing_is_missing(
     nothing: Diagnosed,
 ) -> None:
@@ -68,23 +57,6 @@ def test_what_is_left_far_above_white_noise_is_said_beside_that_nothing_is_missi
 def friction() -> Diagnosed:
     options = Options(candidates=("coulomb_friction",))
     return diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5}}, options=options)
-
-
-@pytest.mark.slow
-def test_beside_a_drift_that_leaves_much_nothing_is_sure(friction: Diagnosed) -> None:
-    outcome = friction[0].outcome
-    declared, final, (dry,) = outcome.declared, outcome.final, outcome.found
-    drift, strict = replace(dry, name="force = c1 time q_dot"), replace(DECISIONS, far_above_noise=4.0)
-    (why,) = abrupt_changes(declared, declared, [dry, drift], strict).values()
-    assert "4 times white noise is left: it may change at a moment" in why
-    assert not abrupt_changes(declared, declared, [dry, drift], DECISIONS)
-    assert not abrupt_changes(declared, declared, [dry], strict)
-    assert not abrupt_changes(declared, final, [dry, drift], strict)
-    assert not dry.provisional
-    channels = [replace(c, after=11.0 * c.floor) for c in friction[0].explanation.channels]
-    of = friction[0].explanation.ceiling, outcome
-    assert "times white noise" not in ceiling_content(*of, friction[0].explanation.channels)["sentence"]
-    assert "times white noise: a disturbance that lasts" in ceiling_content(*of, channels)["sentence"]
 
 
 @pytest.mark.slow
@@ -125,15 +97,6 @@ def test_an_effect_that_is_named_explains_all_that_functions_can(friction: Diagn
     assert evidence > 20.0
     assert own["effects_nats"] == pytest.approx(evidence, rel=0.3)
     assert "all that functions of what was measured can" in own["sentence"]
-
-
-def test_effects_that_win_nothing_on_blocks_left_out_are_no_share_of_what_can_be_won(
-    friction: Diagnosed,
-) -> None:
-    lost = Ceiling(effects=-4.0, explained=0.0)
-    sentence = ceiling_content(lost, friction[0].outcome)["sentence"]
-    assert "The effects bring no log-likelihood to blocks of time left out (-4.0 nats)" in sentence
-    assert "%" not in sentence
 
 
 def test_what_no_candidate_names_is_explained_by_functions(missed: Diagnosed) -> None:

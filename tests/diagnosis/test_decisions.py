@@ -1,13 +1,13 @@
 """Numbers that a diagnosis decides by stand in one place, each is used, and budgets change no verdict."""
 
 import re
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions, Options, Wording
+from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Budgets, Decisions, Wording
 from nsde_torch.errors import ConfigError
 from nsde_torch.inference.maximum import LONGEST_S
 from tests.helpers.diagnosed import diagnosed
@@ -49,11 +49,6 @@ def test_numbers_of_a_module_say_what_they_are(root: Path) -> None:
         if (m := _THRESHOLD.match(line)) and m["comment"] is None and not below.startswith('"""')
     ]
     assert bare == []
-
-
-def test_options_give_the_first_numbers() -> None:
-    assert Options().decisions == DECISIONS
-    assert Options(alpha=0.05, max_effects=2).decisions == replace(DECISIONS, alpha=0.05, most_effects=2)
 
 
 def test_noise_of_a_regression_remembers_as_long_as_a_disturbance_lasts() -> None:

@@ -1,10 +1,8 @@
 """Declared parameters are told with intervals; where the guard does not believe the physics, nothing is sure."""
 
-import re
 from collections.abc import Callable
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -13,19 +11,16 @@ from scipy.signal import butter, sosfiltfilt
 
 import nsde_torch
 from nsde_torch.data import RawRun, Run
-from nsde_torch.diagnosis import decision
 from nsde_torch.diagnosis.decision import doubted, sized
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.pipeline import diagnose
-from nsde_torch.diagnosis.reading import Log
 from nsde_torch.diagnosis.report import page, pictures
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.models.identified import SysidSpec
-from nsde_torch.sysid.guard import Compared, Guarded, Objection
+from nsde_torch.sysid.guard import Guarded, Objection
 from nsde_torch.systems import make_system
-from nsde_torch.systems.parameters import ParameterVector
 from tests.helpers.diagnosed import Diagnosed, diagnosed, recorded
 
 
@@ -100,18 +95,6 @@ def test_a_sound_log_has_no_warnings_and_its_parameters_are_told_with_intervals(
 
 
 @pytest.mark.slow
-def test_values_of_least_squares_stand_beside_those_of_the_fit_where_they_are_to_be_used() -> None:
-    found, content = told("mass_spring_damper", lambda run: run, seed=4)
-    assert "least squares" not in "\n".join(lines(content))
-    own = {"value": 14.125, "interval_90": [13.875, 14.375], "unit": "1/kg"}
-    content["guard"]["to_use"] = {"force_gain": own}
-    assert re.search(r"force_gain .* 14\.1\d* +13\.8\d to 14\.3\d", "\n".join(lines(content)))
-    html = html_of(found, content)
-    assert re.search(r"force_gain</td>.*<td>14\.1\d*</td><td>13\.8\d to 14\.3\d</td>", html)
-    assert html.count("least squares: nearer") == 1
-
-
-@pytest.mark.slow
 def test_a_machine_of_another_size_is_asked_about_only_where_the_physics_does_not_explain_it() -> None:
     def heavy(run: Run) -> Run:
         return replace(run, u=2e4 * np.asarray(run.u))
@@ -183,33 +166,3 @@ def test_an_effect_that_may_be_nothing_by_its_interval_is_a_lead(sure: Outcome) 
     assert sized(sure).found == sure.found
     wide = replace(sure, of_band=np.full(len(sure.final.vector), 10.0))
     assert [f.provisional for f in sized(wide).found] == ["its size may be nothing by its interval"]
-
-
-@pytest.mark.parametrize(("share", "believed"), [(-4.4, True), (-1.5, False)])
-def test_a_reading_is_believed_where_it_leaves_about_as_little_as_the_laws_in_its_place(
-    share: float, believed: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A cable on a pendulum: in degrees the declared physics leaves e^-1.5 of the rate, its law e^-4.6."""
-    reading = Objection("reading", "With the angle in degrees less is left", "convert it", share=share)
-    channel = Compared("theta_dot", "rad/s2", measured=10.0, fit=0.1, least_squares=0.1, first_values=9.0)
-    law = Guarded(channels=(channel,))
-
-    def guarded(regression: object, runs: object, **given: object) -> Guarded:
-        return law if regression is final else Guarded(objections=(reading,))
-
-    monkeypatch.setattr(decision, "guarded", guarded)
-    system = make_system("mass_spring_damper")
-    final, declared = (
-        SimpleNamespace(shown=SimpleNamespace(basis=np.eye(3)), vector=ParameterVector(system))
-        for _ in range(2)
-    )
-    outcome = SimpleNamespace(
-        final=final,
-        declared=declared,
-        spread=SimpleNamespace(covariance=np.eye(3)),
-        found=[SimpleNamespace(name="force = c1 q")],
-        inputs=True,
-    )
-    log = SimpleNamespace(system=system, runs=(), recorded=SimpleNamespace(clock=1.0))
-    found = decision.guard_of(cast(Log, log), cast(Outcome, outcome))
-    assert [o.kind for o in found.objections] == ["reading"] * believed

@@ -11,14 +11,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import ncf
 
-from nsde_torch.diagnosis.candidates import frequencies_in, starts_of
-from nsde_torch.diagnosis.decisions import DECISIONS
 from nsde_torch.diagnosis.evidence import bonferroni, by_blocks, chance, jackknife, left_out, not_shown
-from nsde_torch.diagnosis.gram_table import GramTable
 from nsde_torch.diagnosis.joint_selection import JointSelection, Round
 from nsde_torch.diagnosis.outcome import estimated
 from nsde_torch.diagnosis.result import outlier_warnings
-from nsde_torch.inference.sensitivity import Grams
 from nsde_torch.inference.spread import spread
 from nsde_torch.sysid.regression import Regression, shown
 
@@ -137,16 +133,6 @@ def test_an_alternative_is_found_as_often_as_the_noncentral_f_distribution_says(
     assert below(found, alpha) > 0.75
 
 
-def test_few_blocks_for_many_functions_say_nothing_by_themselves() -> None:
-    rng = np.random.default_rng(0)
-    z, grams = scores(rng, 30)
-    pulls = by_block(z, rng.normal(size=ROWS))
-    least = DECISIONS.blocks_per_function * 30 + DECISIONS.blocks_beyond
-    assert least > BLOCKS
-    assert jackknife(pulls, grams) == 0.0  # and the chi-squared test alone decides
-    assert chance(pulls, grams, FOLD) > 0.01
-
-
 # ---- intervals --------------------------------------------------------------------------------------------
 
 
@@ -174,31 +160,6 @@ def test_the_best_of_many_is_below_alpha_no_more_often_than_one_would_be() -> No
     assert bonferroni(0.5, 30) == 1.0
 
 
-def test_comparisons_count_starts_of_shapes_and_frequencies_of_the_spectrum() -> None:
-    assert frequencies_in(400) == 200.0
-    assert frequencies_in(1) == 1.0
-    assert starts_of("periodic_force", ["periodic_force.frequency"], 400) == 200.0
-    assert starts_of("constant_force", ["constant_force.acceleration"], 400) == 1.0
-
-
-def test_a_number_that_one_fold_alone_shows_stays_where_it_is_in_that_fold() -> None:
-    # of rounding in the other folds it would go anywhere, and take what is left of the fold along
-    rng = np.random.default_rng(0)
-    blocks = []
-    for block in range(8):
-        shared = rng.normal(size=40)
-        own = rng.normal(size=40) * (1.0 if block < 2 else 1e-12)
-        candidate = rng.normal(size=40)
-        error = rng.normal(size=40) + 2.0 * candidate
-        table = np.column_stack((error, shared, own, candidate))
-        blocks.append(table.T @ table)
-    table = GramTable(Grams(np.array(blocks), 320, 3), np.array([1, 2]), np.array([0, 0, 1, 1, 2, 2, 3, 3]))
-    nats, fitted, step = table.gain((0, 3))
-    assert np.isfinite(nats).all()
-    assert abs(step[0] - 2.0) < 0.2
-    assert 0.8 * fitted < nats.sum() < 1.05 * fitted
-
-
 def _selected(*errors: float, alone: float = np.inf) -> JointSelection:
     """A selection whose looks gave a constant force these standard errors, and `alone` if all else were known."""
     smallest = {"constant_force": {"constant_force.acceleration": (min(errors), alone)}}
@@ -212,28 +173,6 @@ def test_an_effect_is_listed_when_four_standard_errors_exceed_a_quarter_of_its_u
     assert (listed.effect, listed.smallest, listed.usual) == ("constant_force", pytest.approx(0.028), 0.1)
     assert listed.experiment
     assert not_shown(_selected(np.inf), found=(), alpha=0.01)[0].smallest is None
-
-
-def test_what_declared_parameters_do_as_well_is_told_from_what_moves_nothing() -> None:
-    (listed,) = not_shown(_selected(np.inf, alone=0.001), found=(), alpha=0.01)
-    assert listed.smallest is None
-    assert listed.declared
-    (listed,) = not_shown(_selected(np.inf, alone=1.0), found=(), alpha=0.01)
-    assert not listed.declared
-
-
-def test_a_stop_that_nothing_reached_is_not_listed_and_one_that_is_hardly_seen_is() -> None:
-    def stop(error: float) -> JointSelection:
-        errors = {"stop_above": {"stop_above.stiffness": (error, np.inf)}}
-        return JointSelection(cast(Any, None), cast(Any, None), {}, (Round((), ""),), errors)
-
-    assert not_shown(stop(np.inf), found=(), alpha=0.01) == []
-    assert not_shown(stop(0.5), found=(), alpha=0.01)[0].effect == "stop_above"
-
-
-def test_what_was_found_and_what_a_later_look_would_show_is_not_listed() -> None:
-    assert not_shown(_selected(1.0), found=("constant_force",), alpha=0.01) == []
-    assert not_shown(_selected(1.0, 0.001), found=(), alpha=0.01) == []
 
 
 def _with_outliers(times: dict[int, list[float]]) -> Any:

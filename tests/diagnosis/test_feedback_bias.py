@@ -1,13 +1,10 @@
 """What feedback may hide: which effects, which structure and which gains count, and what is sure behind smoothers."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any, cast
 
-import numpy as np
 import pytest
 
-from nsde_torch.diagnosis import decision
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.feedback_bias import (
     FeedbackBiased,
@@ -15,12 +12,9 @@ from nsde_torch.diagnosis.feedback_bias import (
     behind_smoothers,
     chance_beyond,
     lengths_of_parameters,
-    not_sure_behind_smoothers,
-    unmeasured_gains,
     with_suspects,
 )
 from nsde_torch.diagnosis.joint_selection import JointSearch
-from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.sysid.feedback_test import FACTOR, Answer, FeedbackTest, leaning
@@ -78,15 +72,6 @@ def test_what_inputs_predict_in_a_closed_loop_may_be_what_an_effect_explains() -
     assert played.not_from_the_log == ()  # no controller made it
 
 
-def test_inputs_that_predict_leave_open_whether_the_loop_is() -> None:
-    knowledge = (Answer("the input of w_x", "w_x", 0.002, 1e-6, upper=0.003),)
-    test = FeedbackTest((), knowledge, driven=DRIVEN, rows=10_000)
-    assert not test.closed
-    assert not test.open
-    assert test.as_dict()["closed_loop"] is None
-    assert "may be closed" in test.findings[0]
-
-
 def test_an_effect_counts_by_what_it_brings_beyond_what_may_be_hidden() -> None:
     allowed = {"w_x": 180.0}
     assert chance_beyond({"w_x": 150.0, "w_y": 0.0}, ["w_x"], allowed, 1) == pytest.approx(1.0)
@@ -120,112 +105,6 @@ def test_an_effect_is_bent_by_inputs_between_rows_as_far_as_it_leans_along_them(
     assert lengths_of_parameters(FeedbackTest(), fitted) == {}
 
 
-@pytest.mark.parametrize("moves", [("q_dot",), ()], ids=["a force", "a limit that is not reached"])
-def test_of_effects_that_all_may_be_feedback_the_one_that_brings_least_goes_first(
-    moves: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # beside a force that brings nothing a friction brings less than feedback may hide, and alone far more
-    brought = {("friction", "force"): (550.0, -140.0), ("friction",): (1140.0,), ("force",): (1000.0,)}
-    allowed = {("friction", "force"): (780.0, 2800.0), ("friction",): (200.0,), ("force",): (200.0,)}
-
-    def base(*names: str) -> Any:
-        vector = SimpleNamespace(**dict.fromkeys(("of", "sizes"), lambda name: [names.index(name)]))
-        return SimpleNamespace(names=names, vector=vector)
-
-    def joint(*names: str) -> Any:
-        return SimpleNamespace(
-            names=names,
-            candidates=1,
-            less=lambda name: joint(*(n for n in names if n != name)),
-            selected={name: SimpleNamespace(without=without(names, name)) for name in names},
-        )
-
-    def without(names: tuple[str, ...], name: str) -> Any:
-        out = base(*(n for n in names if n != name))
-        out.left_out = name
-        return out
-
-    def gained(before: Any, after: Any) -> dict[str, float]:
-        return {"q_dot": 0.5 * brought[after.names][after.names.index(before.left_out)]}
-
-    patches: dict[str, Any] = {
-        "nats_by_channel": gained,
-        "moved_channels": lambda regression, name: moves if name == "force" else ("q_dot",),
-        "lengths_of_parameters": lambda test, r: {"q_dot": np.sqrt(np.array(allowed[r.names]))},
-        "found_by": lambda search, of: [SimpleNamespace(name=n) for n in of.names],
-        "fitted_system": lambda regression: None,
-    }
-    for name, stub in patches.items():
-        monkeypatch.setattr(decision, name, stub)
-    log: Any = SimpleNamespace(
-        loop=lambda regression: FeedbackTest(), shown=lambda system, name: False, moments={}
-    )
-    both = joint("friction", "force")
-    search: Any = SimpleNamespace(level=lambda family: 0.01, at=lambda place: place)
-    chosen = Outcome("undecided", base(), base(*both.names), patches["found_by"](None, both), both)
-    kept = decision.set_aside(search, chosen, log)
-    assert [f.name for f in kept.found] == ["friction"]
-    assert [h.name for h in kept.hidden] == ["force"]
-
-
-@pytest.mark.parametrize(
-    ("name", "most"),
-    [("run_difference[roll_gain]", 256.0), ("run_force[q]", 256.0), ("flapping_moment", 36.0)],
-)
-def test_feedback_may_make_all_that_it_hides_of_a_channel_differ_between_runs(
-    name: str, most: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # gains that "differ" by 96 were named in closed-loop flights of which nothing is missing (2 log L)
-    monkeypatch.setattr(decision, "moved_channels", lambda regression, name: ("w_x",))
-    vector = SimpleNamespace(of=lambda name: [0, 1, 2], sizes=lambda name: [0, 1, 2])
-    test: Any = SimpleNamespace(hidden={"w_x": 16.0})
-    regression: Any = SimpleNamespace(vector=vector)
-    lengths = {"w_x": np.array([6.0, 5.0, 3.0])}
-    assert decision._hidden(test, lengths, regression, name) == (("w_x",), {"w_x": most}, 3)
-
-
-LABELS = ("thrust_gain", "roll_gain", "inertia_x", "motor_lag.time_constant", "linear_drag.drag[0]")
-
-
-def _outcome(roll_gain: float, *, closed_loop: bool) -> Any:
-    vector = SimpleNamespace(
-        labels=LABELS,
-        low=np.array([0.0, 0.0, 0.3, 0.0, 0.0]),
-        high=np.full(5, np.inf),
-        scale=np.array([4.5, 50.0, 0.7, 0.02, 0.1]),
-    )
-    final = SimpleNamespace(vector=vector, theta=np.array([4.0, roll_gain, 0.3, 0.0, 0.0]))
-    return SimpleNamespace(final=final, test=SimpleNamespace(closed_loop=closed_loop))
-
-
-@pytest.mark.parametrize(
-    ("roll_gain", "closed_loop", "unmeasured"),
-    [(30.0, True, set()), (5e-5, False, set()), (5e-5, True, {"roll_gain"})],
-)
-def test_in_a_loop_only_own_parameters_at_the_bound_of_nothing_were_not_measured(
-    roll_gain: float, closed_loop: bool, unmeasured: set[str]
-) -> None:
-    assert unmeasured_gains(_outcome(roll_gain, closed_loop=closed_loop)) == unmeasured
-
-
-def test_effects_with_memory_on_inputs_are_no_candidates() -> None:
-    system = make_system("mass_spring_damper")
-    search = Search(system, linear_runs(1, 4.0), 1.0, Options())
-    names = behind_smoothers(search, system).candidates
-    assert names is not None
-    assert not {"input_delay", "actuator_lag"} & set(names)
-    assert {"actuator_deadband", "coulomb_friction", "hysteresis"} <= set(names)
-    assert search.candidates is None
-
-
-def test_what_was_found_is_a_lead_where_what_was_no_candidate_would_explain_more() -> None:
-    joint = SimpleNamespace(suspected=())
-    outcome: Any = SimpleNamespace(joint=joint, provisional=lambda why: why(None))
-    assert not_sure_behind_smoothers(outcome) is outcome
-    joint.suspected = ("input_delay",)
-    assert "input_delay" in cast(Any, not_sure_behind_smoothers(outcome))
-
-
 def test_a_lag_is_suspected_beside_what_was_found_without_it() -> None:
     system = make_system("mass_spring_damper")
     runs = linear_runs(3, 8.0, seed=1, lag=0.08)
@@ -236,11 +115,3 @@ def test_a_lag_is_suspected_beside_what_was_found_without_it() -> None:
     assert with_suspects(replace(found, selected={}), search, system).suspected == ()
     found = replace(found, selected={"coulomb_friction": cast(Any, None)})
     assert set(with_suspects(found, search, system).suspected) & {"input_delay", "actuator_lag"}
-
-
-@pytest.mark.parametrize(
-    ("share", "said"), [(0.91, "91%"), (0.034, "3.4%"), (0.0003, "0.030%"), (1e-5, "0.0010%")]
-)
-def test_a_small_share_that_is_sure_is_not_said_to_be_nothing(share: float, said: str) -> None:
-    test = FeedbackTest(knowledge=(Answer("force", "q_dot", share, 1e-9),))
-    assert test.most_known == f"force predicts {said} of the innovation of q_dot"

@@ -10,15 +10,12 @@ import pytest
 
 from nsde_torch.diagnosis.cross_validation import (
     HeldOut,
-    Own,
     Scored,
-    band,
     by_likelihood,
     held_out,
     one_step,
-    own,
 )
-from nsde_torch.diagnosis.decision import _shared, judged_on_runs_left_out, provisional_reason, sized
+from nsde_torch.diagnosis.decision import _shared, judged_on_runs_left_out, sized
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import Evidence, fitted_at
 from nsde_torch.diagnosis.outcome import Estimate, Found, Outcome
@@ -104,26 +101,6 @@ def two(gain: Sequence[float], grown: Sequence[float], noise: float = 1.0) -> tu
     return scored(density, rates), scored(other, rates * np.array(grown))
 
 
-def test_an_effect_is_judged_by_the_channels_that_it_moves() -> None:
-    without, full = two((0.5, -0.5), (0.8, 1.2))
-    on_v, on_w = (cast(Own, own(without, full, [name], seed=0)) for name in ("v", "w"))
-    assert on_v.against == ""
-    assert list(on_v.channels) == ["v"]
-    assert "log-likelihood of w " in on_w.against
-    assert on_v.residual_ratio == {"v": pytest.approx(0.8)}
-    assert own(without, full, ["yaw"], seed=0) is None
-
-
-def test_what_is_left_in_the_band_decides_only_where_the_log_likelihood_does_not() -> None:
-    without, full = two((0.5, 0.0), (1.2, 1.0))
-    sure = cast(Own, own(without, full, ["v"], seed=0))
-    assert (sure.larger, sure.against) == (True, "")
-    without, full = two((0.02, 0.0), (1.2, 1.0))
-    doubtful = cast(Own, own(without, full, ["v", "w"], seed=0))
-    assert doubtful.nats > 0 > cast(float, doubtful.low)
-    assert doubtful.against == "the residual of v and w on runs left out is larger with it"
-
-
 def test_the_gain_of_the_log_likelihood_is_the_sum_over_steps_and_its_interval_holds() -> None:
     system, inside = make_system(SPRING), 0
     for seed in range(60):
@@ -140,30 +117,6 @@ def test_the_gain_of_the_log_likelihood_is_the_sum_over_steps_and_its_interval_h
         assert content["nats"] == pytest.approx(after.sum())
         inside += content["low_90"] <= 0.3 * 400 <= content["high_90"]
     assert 48 <= inside <= 60
-
-
-def test_runs_too_short_for_a_mean_rate_have_no_residual() -> None:
-    full = two((0.5, 0.5), (0.8, 0.8))[1]
-    nothing = replace(
-        full, squares=np.zeros((0, 2)), band_run=np.zeros(0, dtype=np.int64), band_t=np.zeros(0)
-    )
-    assert band(nothing, nothing, seed=0) == {}
-    assert not cast(Own, own(nothing, nothing, ["v"], seed=0)).larger
-
-
-def replay(*, gain: float = 5.0, inputs: bool = True) -> HeldOut:
-    """Predictions of positions are surely worse; the yaw, which the effect moves, gains."""
-    worse = {"difference": {"low_90": {"position": {"0.5": 0.1, "1": 0.2}, "rate": {"0.5": -0.1, "1": -0.1}}}}
-    cell: dict[str, float | None] = {"nats": gain, "low_90": gain - 1.0, "high_90": gain + 1.0}
-    mine = Own(gain, gain - 1.0, gain + 1.0, {"w_z": cell}, {"w_z": 0.6}, larger=False)
-    return HeldOut(worse, True, ("a", "b"), {"angular_damping": mine}, inputs)
-
-
-def test_single_steps_judge_an_effect_and_predictions_under_replayed_inputs_do_not() -> None:
-    assert replay().against("angular_damping") == ""
-    assert "w_z" in replay(gain=-2.0).against("angular_damping")
-    # inputs that were restored from an average know the future: the residual judges, and it is smaller
-    assert replay(gain=-2.0, inputs=False).against("angular_damping") == ""
 
 
 def test_a_residual_that_grows_on_one_channel_doubts_what_acts_there_though_it_explains_another() -> None:
@@ -246,17 +199,6 @@ def test_what_is_beside_physics_that_may_be_nothing_or_swings_at_any_frequency_i
     assert bool(sized(outcome).found[0].provisional) == bool(why)
 
 
-def test_structure_that_is_left_where_an_effect_does_not_act_does_not_make_it_a_lead() -> None:
-    def left(channel: str) -> list[Dependence]:
-        return [Dependence(channel, "time", 1e-9, 0.2, 0.5, gain=200.0, functions=3)]
-
-    drag = Found("linear_drag", Evidence(100.0, 5.0, 1e-9), (), moves=("v_x (body)", "v_y (body)"))
-    gained = {"v_x (body)": 100.0, "v_y (body)": 50.0, "w_z": 5000.0}
-    assert provisional_reason(drag, left("w_z"), gained) == ""
-    assert provisional_reason(drag, left("v_x (body)"), gained) == "something else is there too"
-    assert provisional_reason(drag, [], gained) == ""
-
-
 # ---- feedback -----------------------------------------------------------------------------------------
 
 
@@ -313,10 +255,3 @@ def test_drag_of_a_machine_in_a_loop_is_named_and_is_no_lead(flown: tuple[dict[s
     assert {"before", "after", "ratio", "difference", "one_step", "residual"} <= set(errors)
     # nothing that drag cannot move has moved
     assert errors["residual"]["w_z"]["ratio"] == pytest.approx(1.0, abs=0.02)
-
-
-@pytest.mark.slow
-def test_what_an_effect_moves_follows_from_its_slopes(flown: tuple[Any, dict[str, tuple[str, ...]]]) -> None:
-    _, moves = flown
-    assert moves["angular_damping"] == ("w_x", "w_y", "w_z")
-    assert "v_z (body)" in moves["thrust_curve"]

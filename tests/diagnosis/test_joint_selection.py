@@ -13,12 +13,11 @@ from nsde_torch.data import Run
 from nsde_torch.diagnosis import joint_selection, pipeline
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import FittedPhysics, Instead, JointSearch, JointSelection
-from nsde_torch.diagnosis.laws import terms_on
 from nsde_torch.diagnosis.search import Search
-from nsde_torch.inference import LogLikelihood, nearly_maximised
+from nsde_torch.inference import LogLikelihood
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import assert_interval, recorded
-from tests.inference.springs import linear_runs, rubbing, small_runs, spring
+from tests.inference.springs import linear_runs, rubbing, small_runs
 
 STRIBECK = {"k": 5.06, "b": 0.5, "g": 1.0}
 """Beside these values a Stribeck friction without a dry part explains dry and quadratic friction nearly as well."""
@@ -191,11 +190,6 @@ def test_a_law_that_is_likelier_than_an_effect_takes_its_place() -> None:
     assert found.final.best.theta[-1] == pytest.approx(0.04, abs=2.0 * found.final.best.standard_errors[-1])
 
 
-def test_a_dry_friction_is_no_law_of_one_term() -> None:
-    found = selected(small_runs(rubbing(0.2), 3, 8.0, seed=6))
-    assert found.selected["coulomb_friction"].law == ""
-
-
 FEW = {"variants": 2, "rounds": 1}
 """Pilots to choose a flight of: what it flies matters little here."""
 
@@ -218,12 +212,3 @@ def test_a_steady_push_is_no_gust_that_never_ends() -> None:
     first = found.rounds[0].look[0]
     assert first.name == "constant_force"
     assert first.nats > 10.0  # 1.2 beside a gust of 81 s
-
-
-def test_terms_of_laws_are_those_that_the_machine_does_not_have() -> None:
-    runs, law = linear_runs(1, 4.0), "force = c1 q_dot^5"
-    with_it = spring(law)
-    at = nearly_maximised(LogLikelihood(with_it, runs))[1]
-    names = [term.law for term in terms_on(with_it, at, 0, ["q_dot"])]
-    assert law not in names
-    assert "force = c1 q_dot^3" in names

@@ -1,8 +1,7 @@
 """Laws that no catalogue has: found, verified and written, or unexplained; silence where there are none."""
 
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,15 +10,12 @@ from scipy.integrate import solve_ivp
 import nsde_torch
 from nsde_torch.data import RawRun
 from nsde_torch.diagnosis.decisions import Budgets, Decisions, Options
-from nsde_torch.diagnosis.laws import terms_of, with_places
+from nsde_torch.diagnosis.laws import terms_of
 from nsde_torch.diagnosis.result import looks_like
-from nsde_torch.diagnosis.search import bent_shape
 from nsde_torch.effects.expression_grammar import parse
 from nsde_torch.sysid.feedback_test import FeedbackTest
-from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import make_system
 from nsde_torch.systems.options import system_options
-from nsde_torch.systems.parameters import ParameterVector
 from tests.helpers.diagnosed import assert_interval, diagnosed
 
 OUTSIDE = Path(__file__).parents[2] / "benchmarks" / "blind"
@@ -135,14 +131,6 @@ def test_laws_are_tried_neither_beside_named_candidates_nor_where_the_budget_has
     assert (content["verdict"], content["added"]) == ("unexplained", [])
     _, content = diagnosed("mass_spring_damper", truth, budgets=Budgets(laws=0), **SHORT)
     assert all(f["lead"] and f["kind"] != "formula" for f in content["findings"])
-
-
-def test_a_law_may_hang_on_the_place_where_only_the_speed_shows() -> None:
-    spring, cart = make_system("mass_spring_damper"), make_system("cartpole")
-    # of q^2 q_dot what is left is odd in q_dot, and nothing in q
-    assert with_places(spring, ["q_dot"]) == ["q_dot", "q"]
-    assert with_places(spring, ["force"]) == ["force"]  # an input has neither
-    assert with_places(cart, ["cos_theta", "x_dot"]) == ["cos_theta", "x_dot", "theta", "x", "theta_dot"]
 
 
 @pytest.mark.skipif(not OUTSIDE.is_dir(), reason="the benchmarks are not part of a wheel")
@@ -277,13 +265,6 @@ def test_a_law_is_sought_in_the_place_of_a_friction_that_is_none(runs: list[RawR
 
 
 @pytest.mark.slow
-def test_a_friction_that_is_dry_has_no_such_shape() -> None:
-    found, content = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5, "width": 0.01}})
-    assert content["added"] == ["coulomb_friction"]
-    assert bent_shape(found.outcome.final, "coulomb_friction") == ""
-
-
-@pytest.mark.slow
 def test_where_no_law_may_be_tried_it_is_provisional(runs: list[RawRun]) -> None:
     only = ("position_dependent_friction",)
     found = nsde_torch.diagnose(runs, system="mass_spring_damper", candidates=only).content()
@@ -291,24 +272,3 @@ def test_where_no_law_may_be_tried_it_is_provisional(runs: list[RawRun]) -> None
     assert finding["name"] == "position_dependent_friction"
     assert finding["lead"]
     assert "another law" in finding["lead_reason"]
-
-
-def test_a_force_that_repeats_less_than_once_a_turn_is_none_that_repeats() -> None:
-    system = make_system("cartpole", effects=["ripple[pole]"])
-    vector = ParameterVector(system)
-    at = vector.labels.index("ripple[pole].order")
-    ends, theta = [], vector.start.copy()
-    for order in (float(vector.low[at]), 3.0):
-        theta[at] = order
-        ends.append(bent_shape(cast(Regression, SimpleNamespace(vector=vector, theta=theta)), "ripple[pole]"))
-    assert ends == ["ripple[pole].order", ""]
-
-
-def test_what_hardly_resonates_is_no_hidden_mass() -> None:
-    vector = ParameterVector(make_system("mass_spring_damper", effects=["hidden_mass"]))
-    at = vector.labels.index("hidden_mass.damping")
-    ends, theta = [], vector.start.copy()
-    for damping in (float(vector.high[at]), 0.08, float(vector.low[at])):
-        theta[at] = damping
-        ends.append(bent_shape(cast(Regression, SimpleNamespace(vector=vector, theta=theta)), "hidden_mass"))
-    assert ends == ["hidden_mass.damping", "", ""]

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 from torch import Tensor
 
-from nsde_torch.data import Run
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.pipeline import diagnose
-from nsde_torch.diagnosis.reading import logged_channels
 from nsde_torch.effects import Effect, Parameter, Port
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.systems import make_system
@@ -51,13 +49,3 @@ def test_an_effect_that_reads_a_logged_column_is_named_and_finds_its_own_column(
     content = diagnose(system, spec, replace(data, runs=runs), runs, options).content()
     assert content["added"] == ["supply"]
     assert content["parameters"]["supply.sensitivity"]["value"] == pytest.approx(0.05, rel=0.2)
-
-
-def test_the_voltage_of_a_battery_is_among_the_channels_of_a_multirotor() -> None:
-    t = 0.01 * np.arange(50)
-    x = np.zeros((50, 13))
-    x[:, 6] = 1.0
-    run = Run("hovering", t, x, np.full((50, 6), 0.4))
-    have = replace(run, extra={"battery_voltage": np.full(len(run.t), 16.0), "motor_current": run.t})
-    assert logged_channels(make_system("hexacopter"), [have]) == ("battery_voltage",)
-    assert logged_channels(make_system("hexacopter"), [have, replace(run, extra={})]) == ()

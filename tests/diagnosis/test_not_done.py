@@ -14,11 +14,10 @@ import nsde_torch
 from nsde_torch.data import DataSet
 from nsde_torch.diagnosis import pipeline
 from nsde_torch.diagnosis.cross_validation import HeldOut
-from nsde_torch.diagnosis.decision import judged_on_runs_left_out
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.stages import NotDone, OptionalStages, needed
 from nsde_torch.diagnosis.text import lines
-from nsde_torch.errors import ConfigError, DataError
+from nsde_torch.errors import DataError
 
 OPTIONAL = ("undone", "without_standstill", "guard_of", "cross_validated", "ceiling")
 
@@ -94,14 +93,6 @@ def refuting(monkeypatch: pytest.MonkeyPatch, **interval: float) -> None:
     monkeypatch.setattr(pipeline, "cross_validated", errors)
 
 
-def test_what_runs_left_out_say_is_the_reason_before_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    refuting(monkeypatch, low=-50.0, high=10.0)
-    found = diagnosed_without(monkeypatch)
-    first = [replace(f, provisional="something else is there too") for f in found.outcome.found]
-    (judged,) = judged_on_runs_left_out(replace(found.outcome, found=first), found.errors).found
-    assert judged.provisional == "it does not raise the log-likelihood of q_dot on runs left out"
-
-
 def test_what_runs_left_out_surely_refute_is_not_named(monkeypatch: pytest.MonkeyPatch) -> None:
     refuting(monkeypatch, low=-30.0, high=-10.0, rest=-5.0)
     found = diagnosed_without(monkeypatch)
@@ -139,19 +130,7 @@ def test_what_fails_numerically_is_noted_once(error: Exception) -> None:
     assert stages.not_done == [NotDone("a stage", why)]
 
 
-def test_the_words_of_the_package_are_told_as_they_are() -> None:
-    stages = OptionalStages()
-    stages.attempt("a stage", raising(DataError("run 'a' is too short.")), None)
-    assert stages.not_done[0].why == "it could not be computed (run 'a' is too short)"
-
-
 def test_a_search_that_fails_numerically_is_an_error_with_a_remedy() -> None:
     words = r"the search .* \(LinAlgError: SVD did not converge\)\. Look at .* inspect"
     with pytest.raises(DataError, match=words):
         needed("the search for effects", raising(np.linalg.LinAlgError("SVD did not converge")))
-
-
-@pytest.mark.parametrize("error", [ConfigError("no such effect"), TypeError("a fault of the program")])
-def test_wrong_options_and_faults_of_the_program_end_the_run(error: Exception) -> None:
-    with pytest.raises(type(error)):
-        OptionalStages().attempt("a stage", raising(error), None)

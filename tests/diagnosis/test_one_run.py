@@ -4,7 +4,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import fitted_at
@@ -14,7 +13,6 @@ from nsde_torch.diagnosis.residual_tests import (
     PhysicsResiduals,
     dependences,
     in_one_run,
-    own_of_runs,
 )
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.text import short_lines
@@ -25,8 +23,6 @@ from nsde_torch.simulation import simulate
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
 from tests.helpers.residuals import MadeResiduals, Push
-
-Array = NDArray[np.float64]
 
 
 @cache
@@ -70,11 +66,6 @@ def test_of_two_runs_nobody_knows_which_is_the_odd_one() -> None:
     assert found(lambda q, v, t, run: np.where(run == 1, -0.1 * v, 0.0), 2) is None
 
 
-def test_a_push_that_is_constant_in_a_run_depends_on_nothing() -> None:
-    this = found(lambda q, v, t, run: np.where(run == 1, 0.01, 0.0), 4)
-    assert this.p > 0.01
-
-
 @pytest.mark.slow
 def test_noise_and_a_louder_run_give_chances_that_are_none_too_small() -> None:
     p = []
@@ -116,11 +107,3 @@ def test_a_friction_in_one_of_five_runs_is_named_with_its_size_in_each() -> None
     assert each.pop(name) == pytest.approx(0.3, rel=0.1)
     assert max(map(abs, each.values())) < 0.05
     assert any(f"{name} 0." in line for line in short_lines(content))
-
-
-def test_what_all_runs_explain_better_is_no_matter_of_the_run_that_shows_it_most() -> None:
-    def test(run: int | None, gain: float, channel: str = "v", moment: float | None = None) -> Dependence:
-        return Dependence(channel, "x", 1e-9, 0.1, 0.5, gain, functions=4, run=run, moment=moment)
-
-    tests = [test(None, 50.0), test(1, 40.0), test(2, 60.0), test(1, 40.0, "w"), test(1, 40.0, moment=3.0)]
-    assert [d.p for d in own_of_runs(tests)] == [1e-9, 1.0, 1e-9, 1e-9, 1e-9]

@@ -4,8 +4,9 @@ Their simulators share no code with the package.
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 import numpy as np
 import pytest
@@ -22,6 +23,8 @@ from tests.helpers.diagnosed import assert_interval
 from tests.helpers.two_joints import TwoJoints
 
 PENDULUM = "pendulum:Pendulum"
+Torque = Callable[[float, float], float]
+"""Of an angle and its speed."""
 
 
 @pytest.fixture(autouse=True)
@@ -138,9 +141,7 @@ def sailed(
     return runs
 
 
-def turned(
-    torque: Callable[[float, float], float], *, seconds: float, dt: float, size: float, rare: bool = False
-) -> list[RawRun]:
+def turned(torque: Torque, *, seconds: float, dt: float, size: float, rare: bool = False) -> list[RawRun]:
     """Three runs in which torques of 0.3 to 1.2 s turn the pendulum; `torque` of angle and speed acts on it, too.
 
     Where large torques are rare, it swings slowly or rests most of the time.
@@ -172,14 +173,51 @@ def turned(
     return runs
 
 
+def stop(q: float, v: float) -> float:
+    return -(60.0 + 8.0 * v) * (q - 0.3) if q > 0.3 else 0.0
+
+
+LONG, FREE = {"seconds": 15.0, "dt": 0.005}, {"seconds": 20.0, "dt": 0.01}
+ENDS = ["stop_above", "stop_below", "cubic_stiffness", "position_dependent_friction"]
+Interval = tuple[float, float, float]
+"""The truth, what the interval may miss it by, and how wide it may be."""
+
+
+def swung(run: RawRun, *, bias: float = 0.0, tired: float = 0.0) -> RawRun:
+    """A run whose angle reads too much, or on which a share less of the torque acts that grows with the time."""
+    return replace(run, x=run.x + np.array([bias, 0.0]), u=run.u / (1.0 - tired * run.t[:, None]))
+
+
+@pytest.mark.parametrize(
+    ("torque", "making", "log", "candidates", "effect", "intervals"),
+    [
+        (lambda q, v: np.sin(7.0 * q), {**LONG, "size": 1.5}, {}, ["ripple", "coulomb_friction"], "ripple",
+         {"order": (7.0, 0.001, np.inf), "sine": (1.0, 0.005, 0.05)}),
+        (lambda q, v: 0.8 * np.sin(31.0 * q), {**LONG, "size": 1.0}, {}, None, "ripple",
+         {"order": (31.0, 0.01, 0.1)}),
+        (stop, {**LONG, "size": 0.4}, {}, ENDS, "stop_above",
+         {"stiffness": (60.0, 0.3, np.inf), "end": (0.3, 0.002, np.inf)}),
+        (lambda q, v: 0.0, {**LONG, "size": 1.0}, {"bias": 0.04}, None, "position_bias",
+         {"bias": (0.04, 0.0003, 0.003)}),
+        (lambda q, v: 0.0, {**FREE, "size": 0.6}, {"tired": 0.01}, None, "actuator_gain_drift",
+         {"rate": (-0.01, 0.0002, np.inf)}),
+    ],
+    ids=["cogging over many turns", "teeth of any number", "a stop on one side", "an encoder off its zero", "it tires"],
+)  # fmt: skip
 @pytest.mark.slow
-def test_cogging_of_an_order_between_those_of_usual_machines_is_named_over_many_turns() -> None:
-    runs = turned(lambda q, v: np.sin(7.0 * q), seconds=15.0, dt=0.005, size=1.5)
-    assert np.ptp(np.concatenate([run.x[:, 0] for run in runs])) > 20.0 * np.pi
-    found = nsde_torch.diagnose(runs, system=PENDULUM, candidates=["ripple", "coulomb_friction"], say=False)
-    assert found.added == ["ripple"]
-    assert_interval(found.parameters, "ripple.order", 7.0, slack=0.001)
-    assert_interval(found.parameters, "ripple.sine", 1.0, slack=0.005, width=0.05)
+def test_what_turns_a_pendulum_beside_its_motor_is_named_with_its_size(
+    torque: Torque,
+    making: dict[str, Any],
+    log: dict[str, float],
+    candidates: list[str] | None,
+    effect: str,
+    intervals: dict[str, Interval],
+) -> None:
+    runs = [swung(run, **log) for run in turned(torque, **making)]
+    found = nsde_torch.diagnose(runs, system=PENDULUM, candidates=candidates, say=False)
+    assert found.added == [effect]
+    for name, (truth, slack, width) in intervals.items():
+        assert_interval(found.parameters, f"{effect}.{name}", truth, slack=slack, width=width)
 
 
 @pytest.mark.slow
@@ -241,46 +279,6 @@ def test_a_drag_that_grows_with_turns_to_both_sides_is_found() -> None:
     found = nsde_torch.diagnose(sailed((1.0, 1.0), 0.0, 0.3), system=Boat, say=False)
     assert found.added == ["force[surge] = c1 surge abs(turn)"]
     assert_interval(found.parameters, f"{found.added[0]}.c1", -0.3, slack=0.01, width=0.1)
-
-
-@pytest.mark.slow
-def test_teeth_of_any_number_have_a_name() -> None:
-    runs = turned(lambda q, v: 0.8 * np.sin(31.0 * q), seconds=15.0, dt=0.005, size=1.0)
-    found = nsde_torch.diagnose(runs, system=PENDULUM, say=False)
-    assert found.added == ["ripple"]
-    assert_interval(found.parameters, "ripple.order", 31.0, slack=0.01, width=0.1)
-
-
-@pytest.mark.slow
-def test_a_stop_on_one_side_is_found_with_its_place() -> None:
-    def stop(q: float, v: float) -> float:
-        return -(60.0 + 8.0 * v) * (q - 0.3) if q > 0.3 else 0.0
-
-    few = ["stop_above", "stop_below", "cubic_stiffness", "position_dependent_friction"]
-    runs = turned(stop, seconds=15.0, dt=0.005, size=0.4)
-    found = nsde_torch.diagnose(runs, system=PENDULUM, candidates=few, say=False)
-    assert found.added == ["stop_above"]
-    assert_interval(found.parameters, "stop_above.stiffness", 60.0, slack=0.3)
-    assert_interval(found.parameters, "stop_above.end", 0.3, slack=0.002)
-
-
-@pytest.mark.slow
-def test_an_encoder_whose_zero_is_off_is_named_and_no_ripple() -> None:
-    runs = turned(lambda q, v: 0.0, seconds=15.0, dt=0.005, size=1.0)
-    biased = [RawRun(run.name, run.t, run.x + np.array([0.04, 0.0]), run.u) for run in runs]
-    found = nsde_torch.diagnose(biased, system=PENDULUM, say=False)
-    assert found.added == ["position_bias"]
-    assert_interval(found.parameters, "position_bias.bias", 0.04, slack=0.0003, width=0.003)
-
-
-@pytest.mark.slow
-def test_what_tires_with_the_time_is_a_law_of_it() -> None:
-    runs = turned(lambda q, v: 0.0, seconds=20.0, dt=0.01, size=0.6)
-    # less torque acts than is logged, by a share that grows with the time
-    tired = [RawRun(run.name, run.t, run.x, run.u / (1.0 - 0.01 * run.t[:, None])) for run in runs]
-    found = nsde_torch.diagnose(tired, system=PENDULUM, say=False)
-    assert found.added == ["actuator_gain_drift"]
-    assert_interval(found.parameters, "actuator_gain_drift.rate", -0.01, slack=0.0002)
 
 
 def test_what_a_motor_that_turns_one_way_cannot_tell_is_a_tie() -> None:

@@ -1,15 +1,11 @@
 """Faults of the recording chain are found by kinematics and spectra alone, before physics is looked at."""
 
-from types import SimpleNamespace
-from typing import cast
-
 import numpy as np
 import pytest
 
 import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.diagnosis.reading import Log, not_sure
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.recording import Recording
 from nsde_torch.recording.smoothing import restored
@@ -96,17 +92,6 @@ def test_inputs_that_were_averaged_are_found_and_restored() -> None:
     assert "force" in here.outcome.variables.columns
 
 
-@pytest.mark.slow
-def test_inputs_are_not_restored_where_physics_does_worse_with_what_is_restored(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    # as rows that were lost at a regular distance make it look
-    monkeypatch.setattr("nsde_torch.recording.smoothing.smoothing_width", lambda runs, n: 0.3)
-    found, content = diagnosed("mass_spring_damper", options=ALONE)
-    assert content["added"] == []
-    assert "force" in found.outcome.variables.columns
-
-
 def test_restored_inputs_are_nearer_to_those_that_acted_than_their_average() -> None:
     rng = np.random.default_rng(0)
     u = np.cumsum(rng.normal(size=(600, 2)), 0)  # a command that wanders
@@ -178,15 +163,3 @@ def test_nothing_is_named_of_a_count_that_holds_nothing() -> None:
     runs = encoder_runs("savgol", runs=4, friction=0.0, noise=5e-4, counts=True)
     found = nsde_torch.diagnose(runs, system="mass_spring_damper").content()
     assert (found["verdict"], found["added"]) == ("no_effect", [])
-
-
-@pytest.mark.slow
-def test_what_is_found_with_inferred_rates_of_several_coordinates_is_provisional() -> None:
-    found, _ = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5, "width": 0.01}})
-    (one,) = found.outcome.found
-    for rates, reason in (({"q_dot": 0.01}, ""), ({"a_dot": 0.01, "b_dot": 0.01}, "several coordinates")):
-        log = cast(Log, SimpleNamespace(runs=[SimpleNamespace(inferred=rates)]))
-        (again,) = not_sure(log, found.outcome).found
-        assert again.name == one.name
-        assert reason in again.provisional
-        assert bool(reason) == bool(again.provisional)

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from nsde_torch.diagnosis import reading
-from nsde_torch.diagnosis.report import page, write_report
+from nsde_torch.diagnosis.report import write_report
 from nsde_torch.diagnosis.text import interval, lines, short_lines
 from nsde_torch.diagnosis.time_series import plotly_script
 from nsde_torch.evaluation.report import between_ends, number
@@ -162,22 +162,6 @@ def test_the_content_holds_what_the_schema_promises(found: Diagnosed) -> None:
     assert json.loads(json.dumps(content, allow_nan=False)) == json.loads(json.dumps(content))
 
 
-@pytest.mark.parametrize(
-    ("ends", "bound", "words"),
-    [
-        (None, None, "not shown by the data"),
-        (None, "rejected", "rejected"),
-        ((0.1, 0.2), None, "0.100 to 0.200"),
-        ((0.1, 0.2), "below", "below 0.2"),
-        ((0.1, 0.2), "above", "above 0.1"),
-    ],
-)
-def test_an_interval_that_ends_where_the_search_does_has_one_end(
-    ends: tuple[float, float] | None, bound: str | None, words: str
-) -> None:
-    assert interval(ends, bound) == words
-
-
 @pytest.mark.slow
 def test_no_interval_is_given_where_something_speaks_against_the_fit() -> None:
     found, before = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.3}})
@@ -207,15 +191,6 @@ def test_a_width_that_is_crossed_within_a_step_is_below_something(
     assert end in page
 
 
-@pytest.mark.slow
-def test_what_was_set_aside_stands_on_the_page_with_its_reason(nothing: Diagnosed) -> None:
-    aside = {"effect": "x", "sentence": "x would explain something.", "reason": "what <feedback> may hide"}
-    content = {**nothing[1], "aside": [aside]}
-    told = "x would explain something. This is what <feedback> may hide."
-    assert told in lines(content)
-    assert told.replace("<", "&lt;").replace(">", "&gt;") in page(content, {}, width=0.25)
-
-
 @pytest.fixture
 def content() -> dict[str, Any]:
     path = Path(__file__).parents[1] / "golden" / "diagnosis.json"
@@ -234,21 +209,6 @@ def test_the_short_text_fits_a_screen_and_has_every_finding_with_its_interval(
             if key.startswith(f"{name}.") and p["interval_90"] and not p["bound"]:
                 assert between_ends(p["interval_90"]) in own
     assert any(line.startswith("these data cannot show: ") for line in text) == bool(content["not_shown"])
-
-
-def test_warnings_are_in_the_short_text(content: dict[str, Any]) -> None:
-    content["warnings"] = [{"sentence": "The mass is negative", "remedy": "look at the sign of the input"}]
-    assert "warning: The mass is negative. Look at the sign of the input." in short_lines(content)
-
-
-def test_values_of_least_squares_are_in_the_short_text_where_they_are_to_be_used(
-    content: dict[str, Any],
-) -> None:
-    content["guard"]["to_use"] = {"gain": {"value": 1.23456, "interval_90": [1.1, 1.3], "unit": "1"}}
-    assert (
-        "values of least squares, nearer if nothing else is missing: gain 1.23 (1.10 to 1.30)"
-        in short_lines(content)
-    )
 
 
 @pytest.mark.parametrize(

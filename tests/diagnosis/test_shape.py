@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.joint_selection import fitted_at
-from nsde_torch.diagnosis.residual_tests import Dependence, PhysicsResiduals, beyond_chance, dependences
+from nsde_torch.diagnosis.residual_tests import PhysicsResiduals, beyond_chance, dependences
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.shape import Rates, Shape, bins, rates, shape
 from nsde_torch.inference import LogLikelihood
@@ -110,23 +110,6 @@ def test_bins_give_means_and_errors_that_hold_noise_which_lasts() -> None:
     assert inside.mean() == pytest.approx(0.92, abs=0.04)
 
 
-def test_mean_rates_are_those_of_the_push() -> None:
-    _, seen = pushed(lambda q, t, run: 4.0 * q)
-    own = seen.residual[:, seen.names.index("q_dot")]
-    slope = np.polyfit(seen.values["q"], own, 1)[0]
-    assert slope == pytest.approx(4.0, rel=0.1)
-    assert seen.units[seen.names.index("q_dot")] == "m/s2"
-    assert len(seen.run) == len(seen.block) == len(own)
-
-
-def test_a_single_moment_is_described_without_functions_of_anything() -> None:
-    left, seen = pushed(lambda q, t, run: 0.0 * q)
-    single = Dependence("q_dot", "time", 1e-6, 0.1, 0.0, gain=40.0, functions=1, run=1, moment=3.5)
-    words = shape(left, single, seen, RUNS)
-    assert (words.only_run, words.extent, words.symmetry) == (None, "local", "")
-    assert "3.5 s" in words.sentence
-
-
 @pytest.mark.parametrize(("effect", "variable"), [("hardening", "q"), ("quadratic", "q_dot")])
 def test_a_law_that_noise_levels_have_learned_is_seen_beside_them(effect: str, variable: str) -> None:
     runs = small_runs(replace(rubbing(0.0), effects={effect: {"size": 0.5}}), 4, 10.0, seed=5)
@@ -137,16 +120,6 @@ def test_a_law_that_noise_levels_have_learned_is_seen_beside_them(effect: str, v
     assert (first.channel, first.variable, first.run) == ("q_dot", variable, None)
     assert first.p < 1e-6
     assert first.excess > 20.0
-
-
-@pytest.mark.parametrize("side", ["even", "odd"])
-def test_a_strong_force_is_described_as_what_it_is(side: str) -> None:
-    def push(q: np.ndarray, t: np.ndarray, run: np.ndarray) -> np.ndarray:
-        return -20.0 * np.maximum(q - 0.15, 0.0) if side == "even" else -4.0 * np.tanh(9.0 * q)
-
-    words = described(push, "q")
-    assert (words.variable, words.symmetry) == ("q", side)
-    assert words.period is None
 
 
 def test_a_swing_whose_phase_differs_from_run_to_run_is_told_with_its_frequency() -> None:

@@ -2,14 +2,11 @@
 
 import io
 import json
-import os
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -17,15 +14,15 @@ import pytest
 import nsde_torch
 from nsde_torch import time_limit
 from nsde_torch.data import DataSet
-from nsde_torch.diagnosis import files, pipeline
-from nsde_torch.diagnosis.files import EFFECTS, REPORT, RESULT, DiagnosisFiles
+from nsde_torch.diagnosis import pipeline
+from nsde_torch.diagnosis.files import EFFECTS, REPORT, RESULT
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.stages import CEILING, ERRORS, NO_TIME, NOT_YET, SELECTION, STOPPED, TESTS
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.effects import files as effects_files
 from nsde_torch.errors import CheckpointError, ConfigError, DataError
-from nsde_torch.progress import Stages, no_bar
-from nsde_torch.whole_files import json_text, write_whole
+from nsde_torch.progress import Stages
+from nsde_torch.whole_files import write_whole
 
 SPRING, FRICTION = "mass_spring_damper", "coulomb_friction"
 
@@ -238,48 +235,6 @@ def test_a_line_says_what_was_found_and_roughly_how_long_is_left() -> None:
     ]
 
 
-def test_a_line_is_no_wider_than_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
-    monkeypatch.setattr("shutil.get_terminal_size", lambda fallback=(80, 24): os.terminal_size((60, 24)))
-    stream = Terminal()
-    stages = Stages(stream)
-    stages.known("motor_lag (+812 nats), linear_drag (+230 nats), wind (+40 nats)", None)
-    stages("round 4: trying 54 effects", 3, 54)
-    stages.close()
-    shown = [line for line in stream.getvalue().replace("\n", "\r").split("\r") if line]
-    assert len(shown) == 2
-    assert all(len(line) == 59 and line.endswith("...") for line in shown)
-
-
-def test_the_report_so_far_is_written_where_it_takes_little_of_the_time(
-    stopped: Stopped, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    found = stopped("round 1: trying 1 effect")
-    DiagnosisFiles(tmp_path, system=SPRING, note="found").write_so_far(found)
-    assert sorted(p.name for p in tmp_path.iterdir()) == [RESULT, EFFECTS]
-    monkeypatch.setattr(files, "_REPORT_S", 0.0)
-    kept = DiagnosisFiles(tmp_path, system=SPRING, note="found")
-    kept.write_so_far(found)
-    page = (tmp_path / REPORT).read_text()
-    assert "Not finished." in page
-    assert "The log over time" not in page  # 5 MB, which the last one has
-    (tmp_path / REPORT).unlink()
-    kept.write_so_far(found)  # the last one took more than its share
-    assert not (tmp_path / REPORT).exists()
-
-
-def test_bars_are_shown_in_notebooks_too_and_nowhere_where_it_is_to_be_quiet(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    assert no_bar() is None  # tqdm asks whether it is a terminal
-    monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))
-    assert no_bar() is False
-    assert no_bar(quiet=True) is True
-
-
 def test_an_interrupt_leaves_no_half_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / RESULT
     write_whole(path, "whole")
@@ -293,10 +248,3 @@ def test_an_interrupt_leaves_no_half_a_file(tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(KeyboardInterrupt):
         write_whole(path, "other")
     assert path.read_text() == "whole"
-
-
-def test_a_result_is_written_whatever_it_holds() -> None:
-    text = json_text(
-        {"errors": [0.1, float("inf"), float("nan")], "of": {"rate": (float("-inf"), True, None)}}
-    )
-    assert json.loads(text) == {"errors": [0.1, None, None], "of": {"rate": [None, True, None]}}

@@ -2,8 +2,6 @@
 
 import base64
 import json
-import subprocess
-import sys
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
@@ -102,13 +100,6 @@ def test_of_a_long_log_no_spike_is_lost() -> None:
     assert shown[:, 0].max() == 9.0
     assert shown[:, 1].min() == -7.0
     assert abs(few[shown[:, 0].argmax()] - 123.45) < 1.0
-
-
-@pytest.mark.slow
-def test_the_script_is_read_without_its_package() -> None:
-    code = "import sys; from nsde_torch.diagnosis.time_series import script; script(); print('plotly' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"
 
 
 @pytest.mark.slow

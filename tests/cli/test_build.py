@@ -2,25 +2,21 @@
 
 import dataclasses
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from hydra import compose, initialize_config_module
-from omegaconf import OmegaConf
 
 from nsde_torch.cli import build
-from nsde_torch.cli.jobs import set_threads
 from nsde_torch.cli.registry import hydra_command
-from nsde_torch.cli.schemas import CHOICES
 from nsde_torch.cli.store import store
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import MODELS, kind
 from nsde_torch.models.kind import Choice, model_kind, model_options
-from nsde_torch.systems import SYSTEMS, make_system
+from nsde_torch.systems import SYSTEMS
 from nsde_torch.training.options import LOSSES, TRAINERS, LossOptions, TrainerOptions, machine_losses
 
 
@@ -34,30 +30,6 @@ def test_an_unknown_device_is_refused(name: str) -> None:
 def test_cuda_without_a_device_says_so() -> None:
     with pytest.raises(ConfigError, match=r"sees no CUDA device\. Use device=cpu"):
         build.make_device("cuda")
-
-
-def test_a_job_of_a_sweep_has_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[int] = []
-    monkeypatch.setattr(torch, "set_num_threads", seen.append)
-    for sweep in (True, False):
-        set_threads(OmegaConf.create({"threads": 4}), sweep=sweep)
-        set_threads(OmegaConf.create({}), sweep=sweep)
-    assert seen == [1, 4]
-
-
-def test_runs_are_read_and_split_as_the_configuration_says(tmp_path: Path) -> None:
-    t, machine = 0.01 * np.arange(200), make_system("mass_spring_damper")
-    for k in range(3):
-        rows = np.column_stack([t, np.cos(t + k), -np.sin(t + k)])
-        np.savetxt(
-            tmp_path / f"run_{k}.csv", rows, delimiter=",", header="t,q,q_dot", comments="", fmt="%.9g"
-        )
-    config = OmegaConf.structured(CHOICES["data"]["csv"](path=str(tmp_path), test=["run_1"]))
-    parts = build.split(config, build.dataset(config, machine), machine)
-    assert [[run.name for run in part] for part in (parts.train, parts.test)] == [
-        ["run_0", "run_2"],
-        ["run_1"],
-    ]
 
 
 def _configuration(*words: str) -> Any:

@@ -75,15 +75,6 @@ def test_flights_before_and_after_are_compared_and_nothing_finished_is_done_agai
     assert "holds a closed loop with other settings" in refused("close-loop", *SHORT, "seed=1")
 
 
-@pytest.mark.slow
-def test_where_nothing_is_found_nothing_changes(told: list[Any], shown: Said) -> None:
-    _diagnosed({})
-    assert "Nothing is missing" in shown("close-loop", *SHORT)
-    content = json.loads(Path("out/close_loop.json").read_text())
-    assert content["ratio"] == 1.0
-    assert not Path("out/after").exists()
-
-
 TIED = (
     *(*SHORT, "candidates=[linear_drag,quadratic_drag]", "experiments=1", "experiment.duration=4"),
     *("experiment.samples=1", "experiment.proposals=4", "experiment.generations=0"),

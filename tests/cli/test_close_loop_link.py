@@ -205,19 +205,6 @@ def test_what_trips_a_limit_counts_as_an_experiment_and_is_flown_again_where_it_
 
 
 @pytest.mark.slow
-def test_an_experiment_of_which_little_was_flown_does_not_count(
-    flights: Flights, capsys: pytest.CaptureFixture[str]
-) -> None:
-    _plan()
-    flights.harm[2] = lambda flight, vehicle: setattr(vehicle.body, "v", (0.0, 9.0, 0.0))
-    assert main(LINKED) == 3
-    said = capsys.readouterr().err
-    assert "experiment 1: 0.5" in said
-    assert "s of 4.01 s were flown; the velocity jumped" in said
-    assert [p.name for p in Path("out/log").glob("*.csv")] == ["flight_0.csv"]
-
-
-@pytest.mark.slow
 def test_a_plan_that_leans_further_than_a_flight_may_is_not_begun(flights: Flights, refused: Said) -> None:
     _plan()
     said = refused(*LINKED, "limits.tilt=5")
@@ -226,20 +213,6 @@ def test_a_plan_that_leans_further_than_a_flight_may_is_not_begun(flights: Fligh
     # the limit may be another at the next start
     assert main(LINKED) == 0
     assert flights.paths == ["hover", "plan", "hover", "hover"]
-
-
-@pytest.mark.slow
-def test_planning_that_is_interrupted_says_how_to_go_on(
-    flights: Flights, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def stopped(*given: Any, **more: Any) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(experiments, "design", stopped)
-    assert main(LINKED) == 130
-    assert f"start the same command again with out_dir={Path('out').resolve()}" in capsys.readouterr().err
-    assert main(LINKED) == 130
-    assert flights.paths == ["hover"]
 
 
 @pytest.mark.parametrize(
@@ -256,18 +229,3 @@ def test_experiments_stay_within_what_a_flight_is_ended_by(
 ) -> None:
     assert said in refused(*LINKED, word)
     assert not flights.paths
-
-
-def test_no_turn_is_planned_that_is_faster_than_what_is_sent() -> None:
-    from omegaconf import OmegaConf
-
-    from nsde_torch.cli.closed_loop.limits import limit_key, plan_limits
-    from nsde_torch.cli.commands.close_loop import CloseLoopConfig
-
-    config = OmegaConf.structured(CloseLoopConfig(by="link", out_dir="out"))
-    assert plan_limits(config)["w_z"] == [-2.5, 2.5]
-    assert plan_limits(config)["w_x"] == [-4.0, 4.0]
-    assert limit_key("w_z", config) == "limits.yaw_rate"  # what is said to be in the way
-    assert limit_key("w_x", config) == "experiment.rate"
-    config.by = "plant"  # whose motors are commanded directly
-    assert plan_limits(config)["w_z"] == [-4.0, 4.0]

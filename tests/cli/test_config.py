@@ -3,7 +3,7 @@
 import dataclasses
 import inspect
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +15,13 @@ import nsde_torch
 from nsde_torch import conf, simulation
 from nsde_torch.cli import groups, jobs
 from nsde_torch.cli.commands.train import TrainConfig
-from nsde_torch.cli.keys import check, key, mirrors, of, walk
+from nsde_torch.cli.keys import check, key, walk
 from nsde_torch.cli.main import main
 from nsde_torch.cli.registry import hydra_command, hydra_commands
 from nsde_torch.cli.schemas import CHOICES
 from nsde_torch.cli.store import store
 from nsde_torch.errors import ConfigError
-from nsde_torch.sde.options import TorchDiffEqOptions
 from nsde_torch.sde.registry import STEPS
-from nsde_torch.sde.torchdiffeq_step import TorchDiffEq
 from nsde_torch.systems import SYSTEMS
 from tests.helpers.commands import Said
 
@@ -131,10 +129,6 @@ def test_traceback_is_shown_on_request(
     assert "Traceback" in capsys.readouterr().err
 
 
-def test_open_dicts_take_new_keys_without_a_plus(shown: Said) -> None:
-    assert "mass: 2.5" in shown("train", "--cfg", "job", "system.parameters.mass=2.5")
-
-
 def test_own_config_folder_adds_choices_that_are_checked_like_the_others(
     tmp_path: Path, refused: Said, shown: Said
 ) -> None:
@@ -159,13 +153,6 @@ def test_own_config_folder_adds_choices_that_are_checked_like_the_others(
         "system=loop": "includes itself (`defaults`)",
     }.items():
         assert said in refused("train", *own, word)
-
-
-def test_search_path_reaches_a_folder_given_by_hydra(tmp_path: Path, shown: Said) -> None:
-    (tmp_path / "trainer").mkdir()
-    (tmp_path / "trainer" / "long.yaml").write_text("steps: 123456\n")
-    words = ["--cfg", "job", f"hydra.searchpath=[file://{tmp_path}]", "trainer=long"]
-    assert "steps: 123456" in shown("train", *words)
 
 
 SCHEMAS = {name: command.schema for name, command in hydra_commands().items()}
@@ -193,15 +180,6 @@ def test_no_plain_key_bears_the_name_of_a_group(command: str) -> None:
     assert not plain & names
 
 
-def test_a_key_without_help_is_refused() -> None:
-    @dataclasses.dataclass
-    class Bare:
-        size: int = 1
-
-    with pytest.raises(AssertionError, match=r"Bare\.size has no help"):
-        list(walk(Bare))
-
-
 @dataclasses.dataclass
 class _Sample:
     size: int = key(3, "size", low=1, high=9)
@@ -225,34 +203,6 @@ def test_a_value_out_of_range_is_named_with_the_range(name: str, value: Any, wor
     with pytest.raises(ConfigError) as caught:
         check(_Sample, {name: value}, "a.")
     assert words in str(caught.value)
-
-
-def test_null_and_allowed_values_pass() -> None:
-    check(_Sample, {"size": 9, "rate": None, "widths": [], "way": "down"})
-
-
-@dataclasses.dataclass(frozen=True)
-class _Library:
-    size: int = key(3, "size", low=1, high=9)
-    widths: tuple[int, ...] | None = key((4, 5), "widths", low=1)
-    biases: Mapping[str, float] = key({}, "biases")
-    hidden: float = key(0.5, "not for the command line")
-
-
-def test_keys_are_made_of_options_with_lists_for_tuples_and_dicts_for_mappings() -> None:
-    @mirrors(_Library, without=("hidden",))
-    class Mirror:
-        size: int = of(_Library, "size", default=4, help="another size")
-        more: float = key(1.0, "more")
-
-    made: Any = Mirror()
-    assert dataclasses.asdict(made) == {"size": 4, "widths": [4, 5], "biases": {}, "more": 1.0}
-    entries = {entry.path: entry for entry in walk(Mirror)}
-    assert list(entries) == ["size", "widths", "biases", "more"]
-    assert (entries["size"].help, entries["size"].high) == ("another size", 9)
-    assert entries["widths"].annotation == "list[int] | None"
-    made.widths.append(6)
-    assert Mirror().widths == [4, 5]  # type: ignore[attr-defined]
 
 
 # Keys whose home is the signature of a function: command, key -> function, argument.
@@ -279,8 +229,3 @@ def test_a_key_has_the_default_of_the_function_that_it_is_for(
     chosen = {**groups.defaults(command)}
     (entry,) = [entry for entry in groups.keys(command, chosen) if entry.path == name]
     assert inspect.signature(function).parameters[argument].default == entry.default
-
-
-def test_a_method_of_torchdiffeq_has_the_defaults_of_its_options() -> None:
-    taken = inspect.signature(TorchDiffEq.__init__).parameters
-    assert TorchDiffEqOptions().settings == {k: taken[k].default for k in TorchDiffEqOptions().settings}

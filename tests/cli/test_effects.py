@@ -27,15 +27,6 @@ def test_every_effect_is_listed_with_what_a_user_needs(shown: Said) -> None:
     assert max(map(len, printed.splitlines())) <= 120
 
 
-def test_the_columns_of_the_table_line_up() -> None:
-    lines = effects.table(effects.catalogue("cartpole"), 100, systems=False).splitlines()
-    starts = [k for k in range(1, len(lines[1])) if lines[1][k] == "-" and lines[1][k - 1] == " "]
-    assert len(starts) == 3
-    for line in lines[2:]:
-        if not line.startswith(" "):
-            assert all(len(line) <= k or line[k - 1] == " " for k in starts)
-
-
 def test_a_system_lists_what_it_can_have(shown: Said) -> None:
     rows = {
         row["name"]: row for row in json.loads(shown("effects", "system=quadrotor", "format=json"))["effects"]

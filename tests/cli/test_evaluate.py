@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 import yaml
 
-from nsde_torch.cli.evaluated import short_names
 from nsde_torch.cli.main import main
 from tests.cli.test_train_end_to_end import FAST, folder_of_runs
 from tests.cli.test_train_end_to_end import SPRING as RUNS_OF_A_SPRING
@@ -213,8 +212,3 @@ def test_an_evaluation_is_not_written_over_and_a_sweep_is_refused(here: Path, re
     evaluate(f"run={here / 'nsde'}")
     assert "holds an evaluation already" in refused(f"run={here / 'nsde'}", "out_dir=out")
     assert "has no sweeps" in refused("-m", f"run={here / 'nsde'},{here / 'node'}")
-
-
-def test_names_are_as_much_of_the_folders_as_tells_them_apart() -> None:
-    assert short_names([Path("/a/x"), Path("/b/y")]) == ["x", "y"]
-    assert short_names([Path("/r/a/x"), Path("/r/b/x")]) == ["a/x", "b/x"]

@@ -9,17 +9,16 @@ from typing import Any
 import pytest
 
 from nsde_torch.cli import fly_build, track_build
-from nsde_torch.cli.exit_status import FLIGHT_ENDED, INTERRUPTED, NOT_LANDED, EndedError
+from nsde_torch.cli.exit_status import INTERRUPTED, EndedError
 from nsde_torch.cli.fly_build import check_end
 from nsde_torch.cli.main import main
 from nsde_torch.effects import files
 from nsde_torch.errors import ConfigError
 from nsde_torch.px4.flight import flying
-from nsde_torch.px4.flight.safety import Action, FlightOutcome, Phase, Trouble
+from nsde_torch.px4.flight.safety import Phase
 from nsde_torch.px4.link import connection as links
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.codec import Codec, signing_key
-from nsde_torch.px4.link.transport import LinkError
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.simulated import VirtualLink
@@ -208,33 +207,6 @@ def test_a_vehicle_in_the_air_is_landed_and_one_on_the_ground_is_refused(
     monkeypatch.setattr(links, "open_link", lambda url, **more: link)
     assert "landed and disarmed" in shown("land")
     assert body.on_ground
-
-
-def _ended(kind: str | None, *, landed: bool = True) -> FlightOutcome:
-    trouble = None if kind is None else Trouble(kind, "so it was", Action.LAND)
-    return FlightOutcome(tracked=kind is None, landed=landed, trouble=trouble, actions=[(3.0, "arm", "")])
-
-
-@pytest.mark.parametrize(
-    "kind", [None, "fence", "speed", "tilt", "tracking", "tipped", "solver", "battery", "estimate"]
-)
-def test_a_flight_of_ours_that_stands_may_be_followed_by_another(kind: str | None) -> None:
-    check_end(_ended(kind))
-    with pytest.raises(EndedError, match="NOT seen to land") as error:
-        check_end(_ended(kind, landed=False))
-    assert error.value.status == NOT_LANDED
-
-
-@pytest.mark.parametrize("kind", ["mode", "setpoints", "disarmed", "link", "late"])
-def test_a_vehicle_that_was_taken_from_us_is_looked_at_first(kind: str) -> None:
-    with pytest.raises(EndedError, match="went wrong, and landed: so it was") as error:
-        check_end(_ended(kind))
-    assert error.value.status == FLIGHT_ENDED
-
-
-def test_a_refusal_is_the_users_to_mend() -> None:
-    with pytest.raises(LinkError, match="so it was"):
-        check_end(_ended("refused", landed=False))
 
 
 _GROUND, _AIR = "stopped before it began", "was stopped, and landed"

@@ -186,21 +186,6 @@ def test_a_folder_of_ones_own_machines_stays_in_the_command_that_comes_next(
     assert "no such folder" in refused("inspect", str(logs), "--config-dir", str(tmp_path / "nowhere"))
 
 
-def test_commands_are_inputs_and_what_was_measured_is_the_state(springs: Path, tmp_path: Path) -> None:
-    made = nsde_torch.read(springs, system="mass_spring_damper", kind="table").runs[0]
-    q, f = made.x[:, 0], made.u[:, 0]
-    columns = {"t": made.t, "q_cmd": 1.1 * q, "q_meas": q, "force_cmd": f, "other": f}
-    log_writers.write_table(tmp_path / "a.csv", columns)
-    found = nsde_torch.inspect(tmp_path, system="mass_spring_damper", physics=False)
-    assert found.mapping is not None
-    sources = {name: entry.source for name, entry in found.mapping.columns.items()}
-    assert sources == {"q": ("q_meas",), "force": ("force_cmd",)}
-    del columns["force_cmd"]
-    log_writers.write_table(tmp_path / "a.csv", columns)
-    found = nsde_torch.inspect(tmp_path, system="mass_spring_damper", physics=False)
-    assert "force is taken to be 0 throughout: none of q_cmd, other has such a name" in found.notes
-
-
 def test_options_of_the_machine_are_those_of_training(tmp_path: Path, refused: Said, shown: Said) -> None:
     run = leaning_flight(12.0)
     columns = {f"x{k}": v for k, v in enumerate(np.column_stack([run.x, run.u]).T)}

@@ -63,13 +63,6 @@ def test_help_follows_the_choices_on_the_command_line() -> None:
     assert f"trainer.steps={fast} " in _help("trainer=fast")
 
 
-def test_help_shows_the_values_of_a_command_that_are_composed() -> None:
-    assert "plant.effects=[{'linear_drag': " in describe("close-loop", ["plant=hexacopter"])
-    assert "data.kind=trained " in describe("evaluate", [])
-    assert "data.kind=csv " in describe("evaluate", ["data=csv"])
-    assert "data.kind=(required) " in describe("evaluate", ["data=own"])
-
-
 def test_help_shows_choices_of_the_users_own_folder(tmp_path: Path) -> None:
     own_machine(tmp_path, "name: my_module:Pendulum\ndt: 0.02\n")
     text = _help("--config-dir", str(tmp_path), "system=mine")

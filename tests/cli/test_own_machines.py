@@ -8,9 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from omegaconf import OmegaConf
 
-from nsde_torch.cli import build, own_modules
 from nsde_torch.cli.main import main
 from nsde_torch.cli.quoted import coordinates_named
 from tests.helpers.commands import Said
@@ -155,20 +153,6 @@ def test_the_command_that_a_diagnosis_advises_trains(
 )
 def test_a_coordinate_in_brackets_is_written_as_hydra_wants_it(word: str, expected: str) -> None:
     assert coordinates_named(word) == expected
-
-
-def test_values_of_a_file_give_way_to_those_of_the_command_line() -> None:
-    system = OmegaConf.create({"parameters": {"coulomb_friction": {"q2": {"size": 0.7}}}})
-    build.add_value(system, "coulomb_friction[q2]", "size", 0.1)
-    build.add_value(system, "coulomb_friction[q1]", "size", 0.2)
-    both = {"coulomb_friction": {"q2": {"size": 0.7}}, "coulomb_friction[q1]": {"size": 0.2}}
-    assert OmegaConf.to_container(system.parameters) == both
-
-
-def test_only_folders_of_the_command_line_hold_modules_of_ones_own() -> None:
-    kinds = [("main", "pkg"), ("command-line", "file"), ("command-line", "pkg"), ("main", "file")]
-    sources = [{"provider": who, "schema": kind, "path": f"{who} {kind}"} for who, kind in kinds]
-    assert own_modules.config_folders(sources) == ["command-line file"]
 
 
 @pytest.fixture

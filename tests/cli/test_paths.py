@@ -57,15 +57,6 @@ def test_any_text_is_quoted_so_that_hydra_reads_it_back() -> None:
         assert typed_path(typed.removeprefix("data.path=")).removeprefix("./") == text.removeprefix("./")
 
 
-def test_every_key_of_files_is_marked_in_its_schema() -> None:
-    for name in COMMANDS:
-        known = groups.files(name)
-        for key in ("out_dir", "run_dir", "run", "out"):
-            assert key in known or not groups.has(name, key), f"{name} {key}"
-    of_train = {"data.path", "data.test_path", "data.mapping", "system.effects", "resume"}
-    assert of_train <= set(groups.files("train"))
-
-
 @pytest.mark.parametrize(
     ("word", "sweep", "expected"),
     [

@@ -220,12 +220,6 @@ def test_a_failed_job_does_not_take_the_others_along(launcher: str, probe: Probe
     assert "nsde sweep-report sweep" in done.stdout
 
 
-def test_a_value_with_slashes_and_brackets_makes_a_plain_folder(probe: Probe, tmp_path: Path) -> None:
-    done = probe("-m", "sweep_dir=sweep", "data=csv", "data.path=/some/where", "data.test=[0],[1]")
-    assert done.returncode == 0, done.stderr
-    assert all((job / "metrics.json").is_file() for job in _jobs(tmp_path / "sweep"))
-
-
 @pytest.mark.slow
 def test_optuna_minimises_the_score_and_outlives_failed_trials(own_process: Probe, tmp_path: Path) -> None:
     _needs("hydra_optuna_sweeper")
@@ -237,15 +231,6 @@ def test_optuna_minimises_the_score_and_outlives_failed_trials(own_process: Prob
     jobs = _jobs(tmp_path / "sweep")
     assert len(jobs) == 6
     assert done.returncode == (1 if any((job / "failed.json").is_file() for job in jobs) else 0)
-
-
-@pytest.mark.slow
-def test_optuna_with_nothing_but_failures_says_so(own_process: Probe) -> None:
-    _needs("hydra_optuna_sweeper")
-    words = ["hydra/sweeper=optuna", "sweep_dir=s", "hydra.sweeper.n_trials=2", "seed=choice(13,14)"]
-    done = own_process("-m", *words)
-    assert done.returncode != 0
-    assert "nsde sweep-report s" in done.stderr
 
 
 def _job(folder: Path, number: int, overrides: list[str], metrics: Any = None, failed: Any = None) -> None:
@@ -314,33 +299,6 @@ def test_any_number_of_the_metrics_can_rank_or_be_shown(tmp_path: Path, refused:
     ]
     assert ["1", "1", "1", "8", "loss=b"] in rows
     assert "there are: speed, test.size" in refused("sweep-report", str(tmp_path), "--by", "sped")
-
-
-def test_a_score_that_is_not_finite_ranks_last(tmp_path: Path) -> None:
-    _job(tmp_path, 0, ["loss=a"], '{"score": NaN}')
-    _job(tmp_path, 1, ["loss=b"], {"score": 9.0})
-    assert main(["sweep-report", str(tmp_path)]) == 0
-    content = json.loads((tmp_path / "sweep_report.json").read_text())
-    assert [row["label"] for row in content["ranking"]] == ["loss=b", "loss=a"]
-    assert content["ranking"][1]["mean"]["score"] is None
-
-
-def test_a_model_without_intervals_has_none_and_not_some_that_hold_nothing(
-    tmp_path: Path, shown: Said
-) -> None:
-    test = {"spread": {"position": {"1": 0.0}}, "coverage": {"0.9": {"position": {"1": 0.0}}}}
-    _job(tmp_path, 0, ["model=sysid"], {**_metrics(1.0), "test": test})
-    assert "90 % holds" not in shown("sweep-report", str(tmp_path))
-    test["spread"]["position"]["1"] = 0.1
-    _job(tmp_path, 1, ["model=nsde"], {**_metrics(1.0), "test": test})
-    assert "90 % holds position 1 s" in shown("sweep-report", str(tmp_path))
-
-
-def test_jobs_that_differ_in_the_seed_alone_are_one_group(tmp_path: Path, shown: Said) -> None:
-    for seed in (0, 1):
-        _job(tmp_path, seed, [f"seed={seed}"], _metrics(1.0 + seed))
-    rows = [line.split() for line in shown("sweep-report", str(tmp_path)).splitlines()]
-    assert ["1", "2", "1.5", "+-", "0.71", "all", "alike"] in rows
 
 
 def test_a_folder_without_jobs_is_refused(tmp_path: Path, refused: Said) -> None:

@@ -1,6 +1,5 @@
 """The vehicle's estimate: what its estimator says of itself (ESTIMATOR_STATUS), and its resets, one in every flight."""
 
-from dataclasses import replace
 from itertools import pairwise
 from math import degrees, inf, nan, radians
 from pathlib import Path
@@ -14,10 +13,10 @@ from nsde_torch.px4.flight.cascade import PathPoints
 from nsde_torch.px4.flight.flight_log import FlightLog
 from nsde_torch.px4.flight.flying import Recorder
 from nsde_torch.px4.flight.options import FlightOptions, Limits
-from nsde_torch.px4.flight.safety import Phase, contradicted, step_between
+from nsde_torch.px4.flight.safety import Phase, contradicted
 from nsde_torch.px4.link.dialect import mavlink
-from nsde_torch.px4.link.telemetry import EstimateQuality, Telemetry, VehicleState
-from nsde_torch.px4.link.vectors import from_rotation_vector, yaw_of
+from nsde_torch.px4.link.telemetry import EstimateQuality
+from nsde_torch.px4.link.vectors import yaw_of
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.estimate import SimulatedEstimator
 from nsde_torch.px4.simulator.sensor_errors import SensorErrors
@@ -56,12 +55,6 @@ def test_what_an_estimator_says_against_itself_is_put_in_words(
     assert bool(said) == bool(found)
 
 
-def test_the_message_is_read_by_px4s_names() -> None:
-    telemetry = Telemetry()
-    telemetry.take(mavlink.MAVLink_estimator_status_message(0, 0, *range(1, 9)), 5.0)
-    assert telemetry.status.quality == EstimateQuality(5.0, 1, 2, 3, 4, 7, 8)
-
-
 @pytest.mark.parametrize(("lasts", "flown_on"), [(0.6, True), (9.0, False)])
 def test_a_flight_lands_where_the_estimator_rejects_its_sensors_for_longer_than_a_second(
     lasts: float, flown_on: bool
@@ -94,21 +87,6 @@ def test_a_version_that_does_not_say_is_flown_with_a_note() -> None:
     world = World(path=HOVER, down=silent).run()
     assert world.flight.outcome.tracked
     assert any("note: ESTIMATOR_STATUS is not sent" in line for line in world.says)
-
-
-def test_the_worst_in_flight_is_in_the_report() -> None:
-    world = World(path=HOVER)
-    recorder = Recorder(world.flight, None)
-
-    def doubt(world: World) -> None:
-        recorder.look(world.now)
-        world.vehicle.estimator.contradicted = 0.8 if world.phase is Phase.TRACK else 0.02
-
-    world.run(doubt)
-    worst = recorder.finish().as_dict()["estimator_worst"]
-    assert worst["height_ratio"] == pytest.approx(0.8)
-    assert (worst["horizontal_m"], worst["vertical_m"]) == pytest.approx((0.2, 0.2))
-    assert "time" not in worst
 
 
 @pytest.mark.parametrize(("heading", "flown_on"), [(20.0, True), (90.0, False)])
@@ -160,27 +138,6 @@ def test_on_an_estimate_as_poor_as_of_sih_a_flight_goes_to_its_end() -> None:
 HIGH = PathPoints(shapes.hover(duration=2.5, height=1.5))
 
 
-def _state(stamp: float, *, yaw: float = 0.0, resets: int = 0, **more: tuple[float, ...]) -> VehicleState:
-    moving = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.5)
-    still = VehicleState(stamp, stamp, stamp, *moving)
-    return replace(still, q=from_rotation_vector((0.0, 0.0, yaw)), resets=resets, **more)  # type: ignore[arg-type]
-
-
-def test_the_step_is_what_motion_does_not_explain() -> None:
-    first = _state(5.0)
-    moved = step_between(first, _state(5.1, yaw=0.05, p=(0.1, 0.0, 1.0), v=(1.3, 0.0, 0.0)))
-    assert moved.position == pytest.approx(0.0, abs=1e-9)
-    assert moved.velocity == 0.0  # three metres a second squared is flying
-    assert moved.heading == pytest.approx(0.0, abs=1e-9)
-    assert not moved.announced
-    reset = step_between(first, _state(5.01, yaw=0.205, p=(0.31, 0.0, 1.0), v=(4.0, 0.0, 0.0), resets=1))
-    assert (reset.position, reset.velocity) == pytest.approx((0.3, 2.7))
-    assert reset.heading == pytest.approx(0.2)
-    assert reset.announced
-    assert step_between(first, _state(6.0)) is None  # too far apart to tell
-    assert step_between(first, first) is None
-
-
 def test_the_simulated_heading_is_wrong_below_a_metre_and_a_half_and_reset_there_once_a_flight() -> None:
     body = Body("quadrotor", seed=0, process_noise=0.0)
     estimator = SimulatedEstimator(std=(0.0, 0.0, 0.0, 0.0), seed=3)
@@ -215,19 +172,6 @@ def test_a_flight_at_default_height_goes_on_over_the_reset_of_the_heading() -> N
     held = [yaw for z, yaw in yaws if z > 1.0]
     before = next(yaw for z, yaw in yaws if z > 1.4)
     assert max(abs(yaw - before) for yaw in held[:300]) < 2.0
-
-
-def test_the_height_of_the_reset_is_climbed_past_before_the_reference() -> None:
-    world = World(path=HIGH, options=FlightOptions()).until(Phase.TRACK)
-    assert world.highest > 1.7
-    assert len(world.flight.outcome.steps) == 1
-    low = World(
-        path=PathPoints(shapes.hover(duration=1.0, height=1.0)),
-        options=FlightOptions(height=1.0),
-        limits=Limits(fence=((-6.0, 6.0), (-6.0, 6.0), (-0.5, 1.6))),
-    ).until(Phase.TRACK)
-    assert low.highest < 1.6  # there is no room, and the fence was kept
-    assert low.flight.outcome.trouble is None
 
 
 @pytest.mark.parametrize(("kind", "by"), [("position", 0.2), ("velocity", 0.8)])

@@ -102,17 +102,6 @@ def test_what_px4_does_by_itself_is_told_where_it_may_end_badly(
     _only(said, failsafe.warnings(known, speed=3.0, top=3.0, reach=8.5))
 
 
-@pytest.mark.parametrize(
-    ("receiver", "sticks", "told"),
-    [(False, 1.0, True), (True, 1.0, False), (None, 1.0, False), (False, 4.0, False)],
-)
-def test_a_transmitter_that_is_not_heard_is_told_unless_there_are_to_be_no_sticks(
-    receiver: bool | None, sticks: float, told: bool
-) -> None:
-    found = failsafe.warnings({"COM_RC_IN_MODE": sticks}, 1.0, receiver=receiver)
-    assert ["no transmitter is heard" in line for line in found] == [True] * told
-
-
 @pytest.mark.parametrize("action", [4.0, 7.0])
 def test_a_check_lists_everything_a_line_each_and_sends_no_setpoint(action: float) -> None:
     world = World(

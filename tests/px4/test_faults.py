@@ -6,11 +6,10 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from nsde_torch.control import shapes
-from nsde_torch.px4.flight.cascade import CascadeController, PathPoints, Point
+from nsde_torch.px4.flight.cascade import CascadeController, PathPoints
 from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan, Inline, Runner
 from nsde_torch.px4.flight.flight_log import FlightLog
 from nsde_torch.px4.flight.flying import FlightReport, Recorder
@@ -268,18 +267,6 @@ def test_a_reference_that_is_not_followed_ends_the_flight_if_that_lasts(
         assert max(world.errors) < 1.0
 
 
-@pytest.mark.parametrize(
-    "demand",
-    [Demand((50.0, -50.0, 50.0), 500.0), Demand((20.0, 0.0, 0.0), 9.81), Demand((0.0, 0.0, 0.0), 0.0)],
-    ids=["full thrust and wild rates", "rolls over", "motors off"],
-)
-def test_a_mad_controller_is_bounded_then_stopped_by_the_limits(demand: Demand) -> None:
-    mad = Inline(_Broken(SHORT, lambda p: DemandPlan(p.time, p.dt, (demand,))))
-    path = PathPoints(shapes.hover(duration=3.0, height=4.0))
-    world = World(path=path, runner=mad, limits=Limits(tilt=50.0, speed=4.0)).run()
-    assert world.safe, world.says
-
-
 class _Dead(Runner):
     """A process that is killed, or hangs for a while."""
 
@@ -428,22 +415,6 @@ def test_a_dead_link_is_called_dead_after_ten_seconds_and_no_longer_waited_on(ph
     assert world.safe
 
 
-@pytest.mark.slow
-def test_what_is_flown_in_an_operators_mode_counts_in_no_error_and_is_not_logged(tmp_path: Path) -> None:
-    world = World(path=LONG)
-    recorder, log = _recorded(world, tmp_path / "flight.csv", Phase.TRACK, 2.0)
-    chosen = world.now
-    world.vehicle.set_mode(d.HOLD)
-    world.vehicle._point = Point((30.0, 0.0, 1.0))  # the operator goes elsewhere
-    report = _ended(world, recorder, log)
-    assert report.outcome.trouble.kind == "mode"
-    assert max(report.errors) < 0.25
-    assert max(world.setpoints) < chosen + 0.25
-    rows = np.loadtxt(tmp_path / "flight.csv", delimiter=",", skiprows=1)
-    assert np.abs(rows[rows[:, 0] > (chosen - START) * world.speed - 2.0, 4]).max() < 0.3  # v_x
-    assert len(report.errors) > 150
-
-
 def test_a_stop_of_four_seconds_is_a_gap_and_does_not_bring_px4_back_to_our_setpoints(tmp_path: Path) -> None:
     world = World(path=LONG)
     recorder, log = _recorded(world, tmp_path / "flight.csv", Phase.TRACK, 1.0)
@@ -491,15 +462,3 @@ def test_a_flight_goes_on_through_hostile_bytes_as_if_there_were_none() -> None:
     assert world.rmse == calm.rmse
     counts = world.endpoint.codec.counts
     assert min(counts[k] for k in ("rubbish", "cut", "foreign", "unwanted")) > 0
-
-
-def test_the_vehicle_takes_hostile_bytes_as_calmly() -> None:
-    world, source = World(path=SHORT), hostile(seed=2, system=9)
-
-    def attack(w: World) -> None:
-        if w.phase is Phase.TRACK and w.flight._elapsed < 1.0:
-            for _ in range(30):
-                w.vehicle.receive(next(source))
-
-    world.run(attack)
-    assert world.safe

@@ -97,19 +97,6 @@ def test_a_machine_that_has_come_down_is_level_and_at_rest_for_who_integrates_wh
     assert v == pytest.approx(REST, abs=1e-3)
 
 
-@pytest.mark.parametrize("speed", [1.3, 5.0, 400.0])
-def test_a_hard_touch_down_can_be_told_to_px4(speed: float) -> None:
-    plant = _plant()
-    for k in range(12):  # the true state goes out with one sample in five
-        plant.body.v = (0.0, 0.0, -speed if k % 2 else 0.0)
-        assert plant.sample()
-
-
-def test_rates_are_frd() -> None:
-    imu = _of(_shown(w=(0.1, 0.2, 0.3)))
-    assert (imu.xgyro, imu.ygyro, imu.zgyro) == pytest.approx((0.1, -0.2, -0.3))
-
-
 def test_the_field_points_north_and_down_and_turns_with_the_nose() -> None:
     north, east = _of(_shown()), _of(_shown(q=EAST))
     assert (north.xmag, north.ymag, north.zmag) == pytest.approx(FIELD_NED)

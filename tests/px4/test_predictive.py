@@ -77,16 +77,6 @@ def test_behind_the_reference_it_pitches_forward_and_below_it_climbs(controller:
     assert below.at(10.0).thrust > 10.5
 
 
-def test_a_state_is_carried_forward_over_the_delay_by_what_was_asked_for() -> None:
-    # free fall was asked for, and turning to the left at half a turn in a second; the last acts later
-    asked = ((9.85, Demand((0.0, 0.0, pi), 0.0)), (10.0, Demand((9.0, 9.0, 9.0), 99.0)))
-    row = carried(_row(), 10.0, 0.1, asked, delay=0.1)
-    assert row[2] == pytest.approx(1.5 - 0.5 * 9.81 * 0.1**2)
-    assert row[5] == pytest.approx(-0.981)
-    assert row[6:10] == pytest.approx((cos(0.05 * pi), 0.0, 0.0, sin(0.05 * pi)))
-    assert row[12] == pytest.approx(pi)
-
-
 def test_a_state_that_is_carried_forward_is_braked_as_the_model_says() -> None:
     effects = [{"linear_drag": {"drag": [1.0, 0.5, 0.2]}}]
     drag = braking(Controller(make_plant_system("quadrotor", effects=effects, declared_only=True), **SHORT))
@@ -161,12 +151,6 @@ def test_where_all_plans_lead_over_the_top_the_last_one_goes_on_for_a_moment_and
     statuses = [made(_row(), 10.0 + 0.05 * k, 1.0 + 0.05 * k).status for k in range(1, 7)]
     assert statuses[0] == "tipped:kept"
     assert statuses[-1] == "tipped: failed"
-
-
-def test_a_plan_that_begins_tilted_and_comes_back_is_flown(controller: Controller) -> None:
-    made = PredictiveController(controller, Reference(shapes.hover()), tilt=radians(30.0))
-    row = (0.0, 0.0, 1.5, 0.0, 0.0, 0.0, cos(radians(20.0)), sin(radians(20.0)), 0.0, 0.0, -2.0, 0.0, 0.0)
-    assert "tipped" not in made(row, 10.0, 1.0).status
 
 
 @pytest.mark.parametrize(("slow", "refused"), [(0, False), (2, False), (6, True)])
@@ -245,40 +229,3 @@ def test_braking_that_no_model_knows_is_told_from_a_steady_push(drag: float, win
     assert estimate.slopes[0] == pytest.approx(drag, abs=0.12)
     fast = estimate.at(_row(v=(3.0, 0.0, 0.0)))
     assert fast[0] == pytest.approx(wind - 3.0 * drag, abs=0.35)
-
-
-def test_what_a_model_says_of_drag_is_no_push() -> None:
-    drag = ((0.5, 0.0, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, 0.5))
-    estimate = PushEstimate(0.08, drag)
-    v = 2.0
-    for k in range(100):
-        estimate.take(_row(v=(v, 0.0, 0.0)), k * PERIOD, HOVERING)
-        v -= 0.5 * v * PERIOD
-    assert estimate.at(_row(v=(v, 0.0, 0.0))) == pytest.approx((0.0, 0.0, 0.0), abs=0.02)
-
-
-def test_a_push_is_bounded_and_not_learned_across_a_silence() -> None:
-    estimate = PushEstimate(0.08, NO_DRAG)
-    assert _learned(estimate, (9.0, 0.0, 0.0)) == pytest.approx((4.0, 0.0, 0.0))
-    away = _row(v=(-20.0, 0.0, 0.0))
-    before = estimate.at(away)
-    estimate.take(away, 3.0, HOVERING)
-    assert estimate.at(away) == before
-
-
-def test_a_state_carried_over_a_delay_knows_the_push() -> None:
-    after = carried(_row(v=(0.0, 0.0, 0.0)), 0.0, 0.1, HOVERING, delay=0.1, push=(1.0, 0.0, 0.5))
-    assert after[3] == pytest.approx(0.1)
-    assert after[5] == pytest.approx(0.05)
-    assert after[0] == pytest.approx(0.005)
-
-
-@pytest.mark.slow
-def test_a_machine_that_is_pushed_forward_is_asked_to_lean_back(controller: Controller) -> None:
-    asked = []
-    for seen in (1, 15):  # from one state nothing is learned
-        made = PredictiveController(controller, Reference(shapes.hover()))
-        for k in range(15 - seen, 15):
-            plan = made(_row(v=(0.02 * k, 0.0, 0.0)), k * PERIOD, k * PERIOD, HOVERING)
-        asked.append(plan.at(plan.time).w[1])
-    assert asked[1] < asked[0] - 0.1

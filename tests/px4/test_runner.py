@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import pytest
 
 from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan, FlightController, Maker, Process
-from nsde_torch.px4.link.connection import PLANS, STREAM, urgent
+from nsde_torch.px4.link.connection import STREAM, urgent
 
 ROW = (0.0,) * 6 + (1.0,) + (0.0,) * 6
 
@@ -87,28 +87,3 @@ def test_stream_and_plans_go_before_other_processes_where_the_system_allows_it()
         alone = len(os.sched_getaffinity(0)) == 1
         kind = os.SCHED_RR if allowed and not alone else os.SCHED_OTHER
         assert int(runner.plan.demands[0].thrust) & 0xFF == kind
-
-
-@pytest.mark.parametrize("cores", [1, 2])
-def test_without_permission_or_on_one_core_plans_are_not_urgent(
-    cores: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked = []
-
-    def refuse(*given: object) -> None:
-        asked.append(given)
-        raise PermissionError
-
-    monkeypatch.setattr(os, "sched_setscheduler", refuse, raising=False)
-    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(cores)), raising=False)
-    with urgent(PLANS) as allowed:
-        assert not allowed
-    assert len(asked) == cores - 1
-
-
-@pytest.mark.parametrize("t", [0.0, 0.025, 1.0])
-def test_between_demands_both_are_mixed_and_the_last_holds(t: float) -> None:
-    plan = DemandPlan(10.0, 0.05, (Demand((0.0, 0.0, 0.0), 8.0), Demand((1.0, 0.0, 0.0), 10.0)))
-    share = min(t / 0.05, 1.0)
-    assert plan.at(10.0 + t).thrust == pytest.approx(8.0 + 2.0 * share)
-    assert plan.at(10.0 + t).w[0] == pytest.approx(share)

@@ -75,14 +75,6 @@ def test_what_pushes_all_the_time_is_learned_on_the_ports_of_the_machine() -> No
     assert off[1] < 0.2 * off[0]
 
 
-def test_a_plan_that_stays_beside_its_optimum_is_left() -> None:
-    """A cart that balances its pole 0.9 m from where it should be, each plan putting the way there off."""
-    still = setpoint(make_system("cartpole"), UP, duration=3.0)
-    late = {"theta": 0.3}
-    flight = followed(still, start=late, low=-25.0, latency=0.02)
-    assert flight.x[-1, 0, 0].abs() < 0.02
-
-
 def test_machine_code_does_what_torch_does() -> None:
     still = setpoint(make_system("cartpole"), {"x": 0.5}, duration=0.2)
     ends = [followed(still, start={"theta": 0.3}, compiled=way).x[-1] for way in ("on", "off")]
@@ -190,38 +182,6 @@ def test_machine_code_and_batches_keep_to_the_limits_as_torch_does(name: str) ->
         assert LOW[i] <= float(fast.u[..., i].min()) <= float(fast.u[..., i].max()) <= HIGH[i]
 
 
-def test_equal_numbers_for_each_input_are_one_for_all() -> None:
-    one, each = (planned("off", low=low, high=high)[0] for low, high in ((-2, 2), ([-2, -2], [2, 2])))
-    assert torch.equal(one.u, each.u)
-
-
-def test_weights_and_centres_follow_the_limits_of_each_input() -> None:
-    made = problem_of(limited(((-4, 4), (-0.5, 1.0))))
-    assert (made.low, made.high) == (LOW, HIGH)
-    assert made.input_centre == (0.0, 0.25)
-    assert made.input_weight == pytest.approx((0.1 / 16.0, 0.1 / 0.75**2))
-    mixed = problem_of(TwoJoints(), low=-1.0, high=[4.0, 0.5])
-    assert (mixed.low, mixed.input_centre) == (-1.0, (1.5, -0.25))
-    plain = problem_of(limited((-2.0, 2.0)))
-    assert (plain.low, plain.high, plain.input_weight, plain.input_centre) == (-2.0, 2.0, 0.025, 0.0)
-
-
-def test_a_plant_clips_each_command_at_its_own_limits() -> None:
-    made: dict[str, Any] = {"dt": 0.1, "generator": torch.Generator(), "step": 0.1}
-    for limits, sent in ((((-4, 4), (-1, 0.5)), [4.0, 0.5]), ((-2.0, 2.0), [2.0, 2.0])):
-        plant = Plant(TwoJoints(), **made, limits=limits)
-        plant.reset(torch.zeros(1, 4), torch.zeros(1, 2))
-        w2, w1 = plant.step(torch.full((1, 2), 9.0))[0, :2].tolist()
-        assert [w1, w2] == pytest.approx([0.1 * sent[0] / 0.5, 0.1 * sent[1] / 0.2], rel=1e-6)
-
-
-@pytest.mark.parametrize("name", ["low", "high", "input_weight", "input_centre"])
-def test_numbers_for_more_inputs_than_there_are_are_refused(name: str) -> None:
-    given = {"low": -1.0, "high": 1.0, name: (0.5, 0.6, 0.7)}
-    with pytest.raises(ConfigError, match=rf"`{name}` takes .* 2 \(tau1, tau2\); got 3"):
-        planned("off", **given)
-
-
 @pytest.mark.parametrize("limits", [((-4, 4),), ((-4, 4), (-1, 1), (-1, 1)), ((-4, 4), 1.0), (1.0,)])
 def test_limits_of_a_machine_are_one_pair_or_one_for_each_input(limits: Any) -> None:
     for made in (
@@ -256,16 +216,3 @@ def test_a_path_is_held_against_the_limits_of_each_motor(declared: System) -> No
         feasible.check(path, known, ProblemOptions(high=(1.0, 1.0, 0.4, 1.0, 1.0, 1.0)))
     with pytest.raises(ConfigError, match=r"\(u_2\) .* the least is 0\.38"):
         feasible.check(path, known, ProblemOptions(low=(0.0, 0.38, 0.0, 0.0, 0.0, 0.0)))
-
-
-@pytest.mark.parametrize("compiled", ["off", pytest.param("on", marks=needs_compiler)])
-def test_a_plan_whose_active_set_was_not_found_has_not_converged(compiled: str) -> None:
-    """From rest, an iteration of two joints found half of its active set and said that it had converged: 701 of 305."""
-    arm = TwoJoints()
-    problem = problem_of(arm, low=-3.0, high=5.0)
-    controller = Controller(
-        arm, problem=problem, solver=SolverOptions(compile=compiled), batch=1, dtype=torch.float64
-    )
-    wanted = torch.tensor([0.0, 0.0, 1.0, 2.0], dtype=torch.float64).expand(1, problem.steps, 4)
-    plan = controller.plan(torch.zeros(1, 4, dtype=torch.float64), wanted)
-    assert float(plan.cost[0]) == pytest.approx(305.30, rel=0.005)

@@ -21,7 +21,6 @@ from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import Horizon, ProblemOptions
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.solve import Problem, Solution, Solver, SolverOptions
-from nsde_torch.effects import Effect
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import NeuralSDE
 from nsde_torch.sde import CompilationWarning
@@ -104,36 +103,6 @@ def test_networks_memory_and_pushes_are_in_them(model: NeuralSDE, path: Referenc
         p = problem_of(h, path, rows=1)
         pushed = p._replace(d=torch.linspace(-1.0, 1.0, h.nd, dtype=torch.float64)[None])
         _both(h, pushed, 1e-8, iterations=4, tolerance=1e-3)
-
-
-@needs_compiler
-@pytest.mark.slow
-def test_a_solver_of_single_precision_gets_and_gives_it(model: NeuralSDE, path: Reference) -> None:
-    given = ProblemOptions(**SMALL)  # type: ignore[arg-type]
-    h = Horizon(Predictor(model, dt=given.dt), given)
-    p = problem_of(h, path, rows=1)
-    fast, plain = (_solved(h, p, compile=how, iterations=3, tolerance=0.0) for how in ("on", "off"))
-    for ours, theirs in ((fast.u, plain.u), (fast.z, plain.z), (fast.cost, plain.cost)):
-        assert _near(ours, theirs, 5e-3)
-    exact = horizon_of(model, **SMALL)
-    double = _solved(exact, Problem(*(t.double() for t in p)), compile="off", iterations=3, tolerance=0.0)
-    assert torch.allclose(fast.u.double(), double.u, atol=1e-5)
-
-
-@needs_compiler
-def test_a_problem_that_is_no_number_leaves_none_in_the_next(declared: System, path: Reference) -> None:
-    h = horizon_of(declared, **SMALL)
-    p = problem_of(h, path, rows=1)
-    u = p.last[:, None].repeat(1, h.steps, 1)
-    z = h.rollout(p.z0, u, p.d)
-    solver = Solver(h, SolverOptions(compile="on"))
-    first = solver.solve(p, u, z)
-    for bad in (p._replace(z0=p.z0 * torch.nan), p._replace(ref=p.ref * torch.inf)):
-        found = solver.solve(bad, u, z)
-        assert not bool(torch.isfinite(found.cost).any())
-        assert not bool(found.converged.any())
-    again = solver.solve(p, u, z)
-    assert torch.equal(again.u, first.u)
 
 
 @needs_compiler
@@ -233,17 +202,6 @@ def test_a_library_is_made_once_for_a_problem_and_anew_for_another_or_a_damaged_
     environment = {**os.environ, "PYTHONHASHSEED": "2"}
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=True, env=environment, cwd=root)
     assert {file.name for file in tmp_path.iterdir()} == made
-
-
-class _OfAUser(Effect):
-    """Of a module that is none of the package's."""
-
-
-@needs_compiler
-def test_what_a_user_wrote_is_known_by_the_source_that_it_makes(tmp_path: Path) -> None:
-    assert len(_library(ONE, _OfAUser, tmp_path, [])) == 1
-    assert len(_library(ONE, _OfAUser, tmp_path, [])) == 1
-    assert len(_library(TWO, _OfAUser, tmp_path, [])) == 2
 
 
 def test_without_a_compiler_the_solver_says_so_and_runs(

@@ -83,12 +83,6 @@ def test_minimum_snap_passes_its_points_at_their_times_and_no_other_path_has_les
     assert snap(other) > snap(best)
 
 
-def test_times_that_are_not_given_keep_speed_and_tilt() -> None:
-    path = waypoints(POINTS, speed=1.5, tilt=20.0)
-    assert np.linalg.norm(path.v, axis=1).max() <= 1.501
-    assert np.linalg.norm(path.a, axis=1).max() <= 9.81 * np.tan(np.deg2rad(20.0)) * 1.001
-
-
 def test_a_file_of_waypoints_is_read_with_its_times(tmp_path: Path) -> None:
     file = tmp_path / "way.csv"
     file.write_text("t,p_x,p_y,p_z,yaw\n5,0,0,1,0\n7,1,0,1,0.5\n9,1,1,1,1.0\n")
@@ -125,14 +119,6 @@ def test_points_that_make_no_path_are_refused(
 ) -> None:
     with pytest.raises(ConfigError, match=words):
         waypoints(points, **options)  # type: ignore[arg-type]
-
-
-def test_flights_shorter_than_their_ramps_and_free_fall_are_refused() -> None:
-    with pytest.raises(ConfigError, match="shorter than two ramps"):
-        circle(duration=5.0)
-    zero = np.zeros((10, 3))
-    with pytest.raises(ConfigError, match="falls freely"):
-        Reference(FlightPath("drop", 0.01, zero, zero, zero - np.array([0, 0, 9.81]), np.zeros(10)))
 
 
 def test_the_envelope_of_hovering_is_the_hover_command(declared: System) -> None:

@@ -9,7 +9,6 @@ from nsde_torch.control.gauss_newton import AcceleratedGradient, GaussNewton
 from nsde_torch.control.problem import Horizon
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.solve import Problem, Solution, Solver, SolverOptions
-from nsde_torch.errors import ConfigError
 from nsde_torch.models import NeuralSDE
 from nsde_torch.systems import System
 from tests.helpers.control_problems import horizon_of, problem_of
@@ -119,16 +118,6 @@ def test_a_batch_is_solved_as_each_of_its_rows_is(model: NeuralSDE, path: Refere
         assert float(alone.cost[0]) == pytest.approx(float(together.cost[row]), rel=1e-6)
 
 
-def test_states_that_do_not_fit_the_inputs_are_a_start_too(model: NeuralSDE, path: Reference) -> None:
-    h = horizon_of(model)
-    p = problem_of(h, path, rows=2, off=0.3)
-    u, z = _start(h, p)
-    off = z.clone()
-    off[:, :, :, :3] += 0.05  # as the states of a plan that was made for another first state
-    solver = Solver(h, SolverOptions(compile="off", iterations=6, tolerance=0.0), batch=2)
-    assert torch.allclose(solver.solve(p, u, off).cost, solver.solve(p, u, z).cost, rtol=1e-5)
-
-
 def test_at_the_deadline_the_best_plan_so_far_is_returned(model: NeuralSDE, path: Reference) -> None:
     h = horizon_of(model)
     p = problem_of(h, path, rows=1)
@@ -139,11 +128,3 @@ def test_at_the_deadline_the_best_plan_so_far_is_returned(model: NeuralSDE, path
     assert 2 <= len(found.costs) < 10
     assert found.in_time
     assert float(found.cost[0]) < float(found.costs[0][0])
-
-
-def test_solvers_and_settings_that_there_are_not_are_refused(model: NeuralSDE) -> None:
-    with pytest.raises(ConfigError, match=r"gauss_newton \| apg"):
-        Solver(horizon_of(model), SolverOptions(name="sqp"))
-    for wrong in ({"iterations": 0}, {"compile": "maybe"}, {"deadline": 0.0}, {"tolerance": -1.0}):
-        with pytest.raises(ConfigError):
-            SolverOptions(**wrong)  # type: ignore[arg-type]

@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nsde_torch.data import Run
 from nsde_torch.design import diagnosis_rehearsal
-from nsde_torch.design.diagnosis_rehearsal import Rehearsal, _raw, following, rehearse
+from nsde_torch.design.diagnosis_rehearsal import Rehearsal, following, rehearse
 from nsde_torch.design.members import Rollouts, open_loop
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.pipeline import diagnose
@@ -129,29 +128,6 @@ def test_positions_alone_are_simulated_without_a_rate() -> None:
     assert own.why_not == ""
     assert own.content()["effects"] == {"coulomb_friction": {"sure": 1, "lead": 0, "tied": 0}}
     assert own.again[0]["data"]["system"] == "mass_spring_damper"
-
-
-def test_what_reads_time_begins_where_its_stretch_does() -> None:
-    push = {f"periodic_force.{k}": v for k, v in (("sine", 1.0), ("cosine", 0.0), ("frequency", 0.5))}
-    system = make_system("mass_spring_damper", effects=["periodic_force"], values=push)
-    rollouts = Rollouts(system, dt=0.01)
-    theta, start = np.tile(rollouts.vector.start, (2, 1)), np.zeros((2, 2))
-    states, _, _ = rollouts.run(theta, start, open_loop(np.zeros((2, 1, 1))), 1, times=np.array([0.5, 1.5]))
-    # a quarter and three quarters of a period
-    np.testing.assert_allclose(states[:, 1, 1], [0.01, -0.01], rtol=0.02)
-
-
-def test_channels_that_the_physics_reads_are_no_inputs_of_the_log() -> None:
-    system = make_system("hexacopter", effects=["battery_voltage"])
-    nu, names = system.nu, list(system.exogenous)
-    assert names
-    rng = np.random.default_rng(0)
-    u = rng.uniform(0.4, 0.6, (6, nu + len(names)))
-    run = Run("r", 0.01 * np.arange(6), np.zeros((6, system.nx)), u, inferred={"v_x": 0.1})
-    raw = _raw(system, run, 0, [(0, 0, 6)], [(np.zeros((6, system.nx)), u[:5])])
-    assert raw.u.shape == (6, nu)
-    np.testing.assert_array_equal(raw.extra[names[0]][:5], u[:5, nu])
-    assert np.isnan(raw.x[:, system.state_names.index("v_x")]).all()
 
 
 def test_no_log_is_no_rehearsal(found: Diagnosis) -> None:

@@ -14,7 +14,6 @@ from nsde_torch.design.members import Member, members_of
 from nsde_torch.design.rehearsal import against, fit_all
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.search import Search
-from nsde_torch.inference.posterior import LogWithPrior
 from nsde_torch.systems import System
 from nsde_torch.systems.options import system_options
 
@@ -65,19 +64,6 @@ def test_gains_of_a_gentle_flight_are_near_the_truth_for_what_is_said_of_them(
     flat = base.slopes.reshape(-1, len(base.vector))
     errors = np.sqrt(np.diag(np.linalg.pinv(flat.T @ flat)))
     assert away(base.vector.labels, base.theta, errors) > 4.0
-
-
-def test_no_parameters_are_likelier_than_those_of_a_member(members: list[Member]) -> None:
-    """Neither the true ones nor those of the other member: the likelihood decides between members."""
-    for member, other in (members, members[::-1]):
-        true = {**GAINS, "thrust_offset": -0.8, "yaw_gain": 2.8, "inertia_x": 0.53, "inertia_y": 0.53}
-        theirs = dict(zip(other.vector.labels, other.theta, strict=True))
-        none = np.zeros_like(member.known)
-        for values in (true, theirs):
-            own = zip(member.vector.labels, member.theta, strict=True)
-            theta = np.array([values.get(label, mine) for label, mine in own])
-            (there,) = member.posteriors.at_centres([LogWithPrior(member.log.runs, theta, none)])
-            assert there.nats < member.nats + 0.5
 
 
 def test_one_weak_motor_is_found_and_not_spoken_against(members: list[Member]) -> None:

@@ -17,7 +17,6 @@ from nsde_torch.design.experiment import write_plan
 from nsde_torch.design.limits import ExperimentLimits
 from nsde_torch.design.members import Rollouts, members_of
 from nsde_torch.design.paths import SIDE, STEP, UP, Paths, flown_paths, flyable, point_times
-from nsde_torch.design.proposals import Signals
 from nsde_torch.systems import Multirotor, make_system
 from nsde_torch.systems.options import system_options
 
@@ -101,34 +100,3 @@ def test_no_parameters_are_drawn_with_which_the_machine_is_lost() -> None:
     assert kept.shape == (3, len(member.theta))
     np.testing.assert_array_equal(kept[0], member.theta)
     assert left(kept).max() < 0.5
-
-
-@pytest.fixture
-def signals() -> Signals:
-    """A force from -10 to 30 N: rest is not in the middle."""
-    none = np.array([-np.inf]), np.array([np.inf])
-    limits = ExperimentLimits(("force",), np.array([-10.0]), np.array([30.0]), ("x",), *none)
-    return Signals(limits, 0.02, 200, (0.2, 5.0))
-
-
-def test_proposals_are_of_all_sizes_about_rest_and_stay_within_the_range(signals: Signals) -> None:
-    u = signals.inputs(signals.random(400, np.random.default_rng(0)))
-    assert u.shape == (400, 200, 1)
-    assert u.min() >= -10.0
-    assert u.max() <= 30.0
-    largest = np.abs(u).max((1, 2))
-    for low, high in ((0.0, 1.0), (1.0, 5.0), (5.0, 30.1)):
-        assert ((largest >= low) & (largest < high)).mean() > 0.1
-
-
-def test_gentle_inputs_are_nearly_nothing(signals: Signals) -> None:
-    u = signals.inputs(signals.gentle(8, np.random.default_rng(0)))
-    assert np.abs(u[0]).max() < 0.2
-    assert np.abs(u).max() < 4.0
-
-
-@pytest.mark.parametrize("share", [0.3, 1.0])
-def test_a_smaller_experiment_is_the_same_wave_in_proportion(signals: Signals, share: float) -> None:
-    genes = signals.gentle(8, np.random.default_rng(1))  # not clipped at the ends of the range
-    smaller = signals.shrunk(genes, np.full(8, share))
-    np.testing.assert_allclose(signals.inputs(smaller), share * signals.inputs(genes), atol=1e-9)

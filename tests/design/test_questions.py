@@ -46,12 +46,6 @@ def test_what_feedback_may_hide_is_told_and_not_asked() -> None:
     assert standing_of(_content(parameters={"linear_drag.drag[2]": clipped})).wide == ("linear_drag.drag[2]",)
 
 
-def test_motors_that_are_held_at_nothing_beside_a_weak_one_are_not_open() -> None:
-    held = {f"motor_efficiency_loss.loss[{i}]": _value(0.0, None) for i in range(1, 6)}
-    parameters = {"motor_efficiency_loss.loss[0]": _value(0.12, 0.01), **held}
-    assert standing_of(_content(found=["motor_efficiency_loss"], parameters=parameters)).settled
-
-
 def test_a_tie_is_asked_before_what_is_wide_and_that_before_what_is_suspected() -> None:
     content = _content(
         ties=[{"effects": ["linear_drag", "quadratic_drag"]}],

@@ -240,6 +240,7 @@ def test_a_gain_that_falls_at_moments_of_two_runs_is_no_drift(tmp_path: Path) ->
     assert values == pytest.approx([0.75, 0.75, 1.0, 1.0], abs=0.02)
 
 
+@pytest.mark.slow
 def test_friction_that_begins_in_a_single_run(tmp_path: Path) -> None:
     run = pushed_spring(5, 30.0, lambda t, v, u, q: -0.3 * np.tanh(v / 0.01) * (t > 13.0))
     content = diagnosed_file(tmp_path / "friction", run)

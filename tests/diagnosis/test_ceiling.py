@@ -15,12 +15,12 @@ from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.report import page, pictures
 from nsde_torch.diagnosis.result import content, summary
 from nsde_torch.diagnosis.text import lines
-from tests.helpers.diagnosed import Diagnosed, diagnosed
+from tests.helpers.diagnosed import Diagnosed, diagnosed, sound_spring
 
 
 @pytest.fixture(scope="module")
 def nothing() -> Diagnosed:
-    return diagnosed("mass_spring_damper")
+    return sound_spring()
 
 
 @pytest.fixture(scope="module")

@@ -105,6 +105,7 @@ def test_an_effect_is_bent_by_inputs_between_rows_as_far_as_it_leans_along_them(
     assert lengths_of_parameters(FeedbackTest(), fitted) == {}
 
 
+@pytest.mark.slow
 def test_a_lag_is_suspected_beside_what_was_found_without_it() -> None:
     system = make_system("mass_spring_damper")
     runs = linear_runs(3, 8.0, seed=1, lag=0.08)

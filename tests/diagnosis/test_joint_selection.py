@@ -53,6 +53,7 @@ def test_two_frictions_of_one_speed_are_both_selected_with_their_sizes() -> None
         assert error < 0.2 * true
 
 
+@pytest.mark.slow
 def test_a_candidate_whose_slopes_are_no_numbers_costs_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     fit = joint_selection.fitted_at
 
@@ -76,6 +77,7 @@ def test_a_delay_is_selected_whose_lack_hides_the_gain_of_the_input() -> None:
     assert known["force_gain"] == pytest.approx(1.3, rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_time_shorter_than_half_a_step_joins_what_is_declared() -> None:
     found = selected(linear_runs(4, 8.0, seed=1, lag=0.006))  # steps of 0.02 s
     assert not found.selected
@@ -206,6 +208,7 @@ def test_a_flight_with_drag_is_selected_by_the_likelihood() -> None:
     assert values["linear_drag.drag[0]"] == pytest.approx(0.35, abs=0.06)
 
 
+@pytest.mark.slow
 def test_a_steady_push_is_no_gust_that_never_ends() -> None:
     found = selected(linear_runs(1, 30.0, gust=0.05, lasts=1e9, white=0.005, seed=2))
     assert set(found.selected) == {"constant_force"}

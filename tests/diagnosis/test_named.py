@@ -55,7 +55,7 @@ def test_an_effect_alone_is_named_first_and_its_size_lies_near_the_interval(
     [
         ("mass_spring_damper", 1),
         pytest.param("mass_spring_damper", 2, marks=pytest.mark.slow),
-        ("cartpole", 3),
+        pytest.param("cartpole", 3, marks=pytest.mark.slow),
     ],
 )
 def test_nothing_is_found_where_nothing_is_missing(system: str, seed: int) -> None:

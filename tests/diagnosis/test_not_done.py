@@ -103,6 +103,7 @@ def test_what_runs_left_out_surely_refute_is_not_named(monkeypatch: pytest.Monke
     assert aside["reason"] == "runs that it was not fitted to are likelier without it, by 20 nats"
 
 
+@pytest.mark.slow
 def test_one_run_alone_refutes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     refuting(monkeypatch, low=-30.0, high=-10.0, rest=1.0)
     found = diagnosed_without(monkeypatch)

@@ -16,7 +16,7 @@ from nsde_torch.diagnosis.text import interval, lines, short_lines
 from nsde_torch.diagnosis.time_series import plotly_script
 from nsde_torch.evaluation.report import between_ends, number
 from nsde_torch.sysid.guard import Guarded, Objection
-from tests.helpers.diagnosed import Diagnosed, diagnosed
+from tests.helpers.diagnosed import Diagnosed, diagnosed, pushed_spring, sound_spring
 
 _VOID = {"meta", "br", "img"}
 
@@ -40,7 +40,7 @@ class _Balanced(HTMLParser):
 
 @pytest.fixture(scope="module")
 def found() -> Diagnosed:
-    return diagnosed("mass_spring_damper", {"constant_force": {"acceleration": 0.2}})
+    return pushed_spring()
 
 
 def _with_a_blind_spot(case: Diagnosed) -> Diagnosed:
@@ -54,7 +54,7 @@ def _with_a_blind_spot(case: Diagnosed) -> Diagnosed:
 
 @pytest.fixture(scope="module")
 def nothing() -> Diagnosed:
-    return diagnosed("mass_spring_damper")
+    return sound_spring()
 
 
 def written(folder: Path, case: Diagnosed) -> tuple[str, int]:

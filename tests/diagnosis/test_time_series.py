@@ -15,7 +15,7 @@ from nsde_torch.diagnosis import Diagnosis
 from nsde_torch.diagnosis.report import page
 from nsde_torch.diagnosis.time_series import thinned, time_series
 from tests.helpers.browser import chromium
-from tests.helpers.diagnosed import diagnosed
+from tests.helpers.diagnosed import diagnosed, pushed_spring
 
 pytestmark = pytest.mark.drawn
 
@@ -30,7 +30,7 @@ RUN = "const r = document.getElementById('run'); r.value = 2; r.dispatchEvent(ne
 
 @pytest.fixture(scope="module")
 def found() -> Diagnosis:
-    return diagnosed("mass_spring_damper", {"constant_force": {"acceleration": 0.2}})[0]
+    return pushed_spring()[0]
 
 
 def values(encoded: list[Any]) -> np.ndarray[Any, Any]:

@@ -8,7 +8,6 @@ from torch import Tensor
 
 from nsde_torch.effects import Effect, Parameter, Port, effect_class, effects_of, key_of
 from nsde_torch.effects.by_run import BY_RUN, MASS, RUN, ByRun, difference_name
-from nsde_torch.errors import ConfigError
 from nsde_torch.systems import Defaults, System, make_system
 from nsde_torch.systems.in_run import difference_on, may_differ
 from nsde_torch.systems.parameters import ParameterVector
@@ -149,16 +148,6 @@ def test_what_effects_read_of_the_machine_is_that_of_the_run(target: str) -> Non
         assert torch.allclose(found[row : row + 1], there, rtol=1e-6)
 
 
-def test_a_formula_that_needs_plain_numbers_is_found_out() -> None:
-    class Plain(Flat):
-        def dynamics(self, t: Any, x: Tensor, u: Tensor, forces: Any) -> Tensor:
-            return -float(self.value("own")) * x
-
-    system = Plain().double()
-    x, u, _ = rows(system)
-    assert not may_differ(system, "own", x, u)
-
-
 def test_an_effect_that_is_gone_takes_what_differs_in_it_along() -> None:
     system = differing(machine("mass_spring_damper"), "viscous_friction/damping", 0.1, 0.2)
     left = system.without_effects("viscous_friction")
@@ -172,8 +161,3 @@ def test_names_lead_to_classes_and_back_and_none_is_a_candidate() -> None:
         assert key_of(type(system.make_effect(name, None))) == name
     able = effects_of(system.name, system.ports, system.bound_coordinates())
     assert not any(name.partition("[")[0] in BY_RUN or name.startswith("run_difference") for name in able)
-
-
-def test_a_parameter_that_is_not_there_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"run_difference\[wheel_base\].*does not have"):
-        machine("cartpole").make_effect("run_difference[wheel_base]", {"change": [0.1]})

@@ -8,7 +8,7 @@ import yaml
 from torch import Tensor
 
 import nsde_torch
-from nsde_torch.effects import Effect, Parameter, Port, effect_class, files, key_of
+from nsde_torch.effects import Effect, Parameter, Port, files
 from nsde_torch.effects.expression_grammar import in_text, is_law, latex, parse, sympy_text, valued
 from nsde_torch.errors import ConfigError
 from nsde_torch.export.graph import graph_of
@@ -79,16 +79,6 @@ def test_a_law_reads_states_inputs_and_columns_of_the_log_and_has_derivatives() 
     assert all(p.grad is not None and bool(p.grad.abs() > 0) for p in effect.parameters())
 
 
-def test_the_name_says_it_all_in_any_process() -> None:
-    cls = make_system("mass_spring_damper").effect_class("force=c1*q*q_dot - c2*max(q-k1,0)")
-    assert cls.name == key_of(cls) == STOP
-    assert effect_class(STOP).name == STOP
-    assert (cls.amplitudes, cls.null) == (("c1", "c2"), {"c1": 0.0, "c2": 0.0})
-    assert make_system("mass_spring_damper").effect_class(STOP) is cls
-    with pytest.raises(ConfigError, match="is of no machine"):
-        effect_class(STOP)()(0.0, torch.ones(2, 2), torch.ones(2, 1), torch.ones(2, 0))
-
-
 def test_a_file_holds_laws_and_gives_them_back(tmp_path: Path) -> None:
     path = tmp_path / "effects.yaml"
     files.write(path, "mass_spring_damper", {STOP: {"c1": 0.3, "c2": 1.5, "k1": 0.4}}, "a test")
@@ -100,14 +90,6 @@ def test_a_file_holds_laws_and_gives_them_back(tmp_path: Path) -> None:
     path.write_text(yaml.safe_dump(hostile), encoding="utf-8")
     with pytest.raises(ConfigError, match="is not of the grammar"):
         system_options("mass_spring_damper", effects=path).make()
-
-
-def test_values_outlive_another_first_value() -> None:
-    saved = make_system("mass_spring_damper", effects=[STOP], values={f"{STOP}.c1": 7.0, f"{STOP}.c2": 1e-3})
-    fresh = make_system("mass_spring_damper", effects=[STOP])
-    fresh.load_state_dict(saved.state_dict())
-    for name, (value, _) in saved.all_declared().items():
-        assert torch.allclose(fresh.all_declared()[name][0], value), name
 
 
 @pytest.mark.slow

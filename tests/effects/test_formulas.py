@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from nsde_torch.diagnosis.candidates import why_not
-from nsde_torch.effects import EFFECTS
 from nsde_torch.systems import make_system
 from tests.helpers.effect_contract import contract
 from tests.helpers.effect_rows import flying, term
@@ -51,12 +50,6 @@ def test_what_acts_of_a_command(name: str, values: Mapping[str, float], acts: li
     u = torch.tensor(COMMANDS)[:, None]
     effect = make_system(SPRING, declared=[]).make_effect(name, values)
     torch.testing.assert_close(u + term(effect, torch.zeros(4, 2), u, t=20.0), torch.tensor(acts)[:, None])
-
-
-def test_each_input_has_a_loss_of_its_own() -> None:
-    effect = EFFECTS["actuator_efficiency_loss"]({"loss": [0.1, 0.4]}, n_inputs=2)
-    u = torch.tensor([[2.0, -1.0]])
-    torch.testing.assert_close(u + term(effect, torch.zeros(1, 4), u), torch.tensor([[1.8, -0.6]]))
 
 
 def test_a_loss_is_no_candidate_where_nothing_can_be_compared() -> None:

@@ -8,7 +8,6 @@ import torch
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from nsde_torch.effects import make_effect
 from nsde_torch.effects.forces import HiddenMass
 from nsde_torch.effects.friction import Hysteresis, InputPlay
 from nsde_torch.effects.multirotor_forces import SlungLoad
@@ -265,13 +264,6 @@ def test_memory_along_states_is_that_of_the_differential_equation(reach: float) 
     assert np.abs(z).max() <= 1.0
 
 
-def test_the_rate_of_the_memory_is_that_of_bouc_and_wen() -> None:
-    effect = Hysteresis({"reach": 0.1})
-    x, z = torch.tensor([[0.0, 0.5], [0.0, -0.5]]).double(), torch.tensor([[0.4], [0.4]]).double()
-    rate = effect.double().memory_rate(0.0, x, x[:, :1], z)[:, 0]
-    assert rate.tolist() == pytest.approx([(0.5 - 0.5 * 0.4) / 0.1, -0.5 / 0.1])
-
-
 def test_play_is_its_own_definition() -> None:
     u = torch.tensor([0.0, 0.5, 1.0, 0.8, 0.3, -0.5, 0.0]).double()[:, None]
     effect = InputPlay({"gap": 0.25})
@@ -279,10 +271,3 @@ def test_play_is_its_own_definition() -> None:
     assert acts.tolist() == pytest.approx([0.0, 0.25, 0.75, 0.75, 0.55, -0.25, -0.25])
     x = u.new_zeros(len(u), 2)
     torch.testing.assert_close(u + effect.double()(0.0, x, u, acts[:, None]), acts[:, None])
-
-
-def test_both_are_made_by_name_with_units_and_say_that_they_remember() -> None:
-    play = make_effect("input_play", system="cartpole", ports={"force", "input"}, n_inputs=1)
-    assert play.n_memory == 1
-    assert all("remembers" in effect.sentence for effect in (Hysteresis, InputPlay))
-    assert [Hysteresis.PARAMETERS[name].unit for name in ("reach", "size")] == ["m", "m/s2"]

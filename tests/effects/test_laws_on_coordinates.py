@@ -9,8 +9,6 @@ import torch
 from torch import Tensor
 
 from nsde_torch.diagnosis.candidates import candidate_names, on_coordinates
-from nsde_torch.diagnosis.outcome import Estimate
-from nsde_torch.diagnosis.result import meaning
 from nsde_torch.effects import (
     Coordinate,
     Effect,
@@ -20,10 +18,8 @@ from nsde_torch.effects import (
     effect_class,
     effects_of,
     key_of,
-    register,
     units,
 )
-from nsde_torch.effects.friction import CoulombFriction
 from nsde_torch.errors import ConfigError
 from nsde_torch.systems import ResidualPort, System, make_system
 from nsde_torch.systems.coordinates import check_pushes
@@ -53,11 +49,6 @@ class Narrow(Effect):  # of width 1 on a port of width 2
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         return x[:, :1]
-
-
-class Wide(Narrow):  # says no sentence
-    name, formula = "wide", "size for all"
-    PARAMETERS = {"size": Parameter(0.1, "N m")}
 
 
 class Far(Narrow):  # reads columns that are not there
@@ -260,11 +251,6 @@ def test_what_does_not_fit_is_refused_in_one_sentence(system: str, effect: str, 
     assert [word for word in words if word not in str(caught.value)] == []
 
 
-def test_a_law_that_was_made_for_other_columns_is_refused() -> None:
-    with pytest.raises(ConfigError, match="no coordinate of system 'two_joints'"):
-        make_system(HOME, effects=[CoulombFriction()])
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -310,10 +296,3 @@ def test_pushing_a_coordinate_of_the_package_speeds_up_its_own_velocity() -> Non
             pushed[0, at.row] = 1.0
             change = system.drift(0.0, x, u, {at.port: pushed}) - system.drift(0.0, x, u)
             assert float(change[0, at.velocity].detach()) > 0
-
-
-def test_an_effect_that_says_no_sentence_is_reported_by_its_formula(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nsde_torch.effects.registry._OWN", {})
-    register(f"{__name__}:Wide")
-    estimate = Estimate("wide.size", 0.25, None, None, "N m")
-    assert meaning(TwoJoints(), "wide", [estimate]) == "What is added is size for all, size = 0.25 N m."

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from nsde_torch.data import DataSet, RawRun, Run
-from nsde_torch.errors import ConfigError, DataError, NonFiniteError, ShapeError
+from nsde_torch.errors import ConfigError, DataError, NonFiniteError
 from nsde_torch.evaluation import evaluate
 from nsde_torch.evaluation.bootstrap import (
     Blocks,
@@ -213,14 +213,6 @@ def test_given_horizons_are_taken_and_blocks_grow_with_them(data: DataSet) -> No
     assert done.content["differences"]["unit"] == "blocks of 6 s"
 
 
-def test_starts_of_another_clock_take_steps_of_the_models_clock(data: DataSet) -> None:
-    model = good()
-    model.clock_scale.fill_(1.25)
-    done = compare([candidate("slow", model)], data, data.runs, seed=0, particles=9)
-    assert done.grids[0].dt == pytest.approx(DT / 1.25)
-    assert any("holds 1 s in these data and 1.25 s" in n["text"] for n in done.content["notes"])
-
-
 def test_a_model_that_knows_no_other_step_keeps_its_own_and_that_is_red(data: DataSet) -> None:
     class Stubborn(NeuralSDE):
         def sample(self, x0: torch.Tensor, u: torch.Tensor, *, dt: float, **more: Any) -> torch.Tensor:
@@ -346,17 +338,6 @@ def test_intervals_hold_the_true_difference_of_errors_correlated_in_time(
     assert 0.89 <= held(tau, runs=runs, seconds=seconds) <= 0.98
 
 
-def test_resampling_single_starts_would_not() -> None:
-    assert held(1.0, runs=3, seconds=60.0, single=True) < 0.8
-
-
-def test_equal_errors_show_no_difference() -> None:
-    errors = torch.rand(200, 7, generator=generator())
-    made = paired_bootstrap(errors, errors.clone(), one_run(200), generator=generator())
-    assert not torch.stack((made.value, made.low, made.high)).any()
-    assert words(made) == ["no difference"] * 7
-
-
 def test_the_difference_is_that_of_the_root_mean_squares_in_its_sign() -> None:
     first = torch.rand(400, 2, generator=generator(), dtype=torch.float64) + 1
     other = first * torch.tensor([4.0, 0.25])
@@ -368,53 +349,12 @@ def test_the_difference_is_that_of_the_root_mean_squares_in_its_sign() -> None:
     assert bool(((made.low < made.value) & (made.value < made.high)).all())
 
 
-def test_it_repeats_with_the_generator() -> None:
-    first, other = torch.rand(2, 100, 3, generator=generator())
-    blocks = one_run(100)
-    a, b, c = (paired_bootstrap(first, other, blocks, generator=generator(s)).low for s in (0, 0, 1))
-    assert torch.equal(a, b)
-    assert not torch.equal(a, c)
-
-
-def test_blocks_are_stretches_of_one_run_and_of_about_the_length() -> None:
-    run = np.repeat([0, 1], [100, 30])
-    t = np.concatenate([QUARTER * np.arange(100), 50 + QUARTER * np.arange(30)])
-    blocks = make_blocks(run, t, length=4.0)
-    assert blocks.unit == "blocks of 4 s"
-    assert blocks.count == 8  # 25 s and 7.5 s
-    assert len(np.unique(blocks.of_start)) == 8
-    for k in range(8):
-        rows = np.flatnonzero(blocks.of_start == k)
-        assert len(np.unique(run[rows])) == 1
-        assert np.ptp(rows) == len(rows) - 1
-        assert 3.0 <= QUARTER * len(rows) <= 5.0
-
-
-def test_with_ten_runs_whole_runs_are_resampled() -> None:
-    run = np.repeat(np.arange(10), 40)
-    blocks = make_blocks(run, np.tile(QUARTER * np.arange(40), 10), length=4.0)
-    assert (blocks.unit, blocks.count) == ("runs", 10)
-    assert np.array_equal(blocks.of_start, run)
-
-
-def test_a_gap_leaves_no_empty_block() -> None:
-    t = QUARTER * np.concatenate([np.arange(20), 400 + np.arange(20)])
-    blocks = make_blocks(np.zeros(40, dtype=np.int64), t, length=4.0)
-    assert set(blocks.of_start) == set(range(blocks.count))
-
-
 def test_too_few_blocks_are_said_to_be_so() -> None:
     first, other = torch.rand(2, 48, 1, generator=generator())
     made = paired_bootstrap(first, other, one_run(48), generator=generator())
     assert one_run(48).count == 3
     assert words(made) == ["too few blocks"]
     assert bool(made.value.isfinite())
-
-
-def test_starts_that_do_not_agree_are_refused() -> None:
-    blocks = one_run(8)
-    with pytest.raises(ShapeError, match="8 starts"):
-        paired_bootstrap(torch.rand(9, 1), torch.rand(9, 1), blocks, generator=generator())
 
 
 def test_intervals_of_a_mean_hold_what_they_say_on_rows_correlated_in_time() -> None:
@@ -425,12 +365,3 @@ def test_intervals_of_a_mean_hold_what_they_say_on_rows_correlated_in_time() -> 
     inside = ((made.low < 0.2) & (made.high > 0.2)).double().mean()
     assert 0.85 < float(inside) < 0.95
     np.testing.assert_allclose(made.value.numpy(), values.numpy().mean(0))
-
-
-def test_a_mean_of_few_blocks_has_no_interval_and_rows_must_agree() -> None:
-    few = Blocks(np.arange(8) % 2, 2, "runs")
-    made = mean_bootstrap(torch.ones(8, 1), few, generator=generator())
-    assert float(made.value) == 1.0
-    assert math.isnan(float(made.low))
-    with pytest.raises(ShapeError, match="rows"):
-        mean_bootstrap(torch.ones(7, 1), few, generator=generator())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nsde_torch.data import Run
-from nsde_torch.evaluation.seen import SeenRuns, record, row_sketch, trained_on
+from nsde_torch.evaluation.seen import SeenRuns, record, trained_on
 
 
 def noisy(name: str, seed: int, rows: int = 2000) -> Run:
@@ -56,8 +56,3 @@ def test_without_hashes_the_names_decide() -> None:
     assert old.match(noisy("a", 9)) == "by name"
     assert old.match(noisy("c", 0)) == ""
     assert [trained_on(m) for m in ("whole", "part", "by name", "same name", "")] == [True] * 3 + [False] * 2
-
-
-def test_the_sketch_grows_with_the_run_within_bounds() -> None:
-    lengths = [len(row_sketch(noisy("x", 0, n)).split()) for n in (30, 2000, 6400, 100_000)]
-    assert lengths == [30, 64, 100, 512]

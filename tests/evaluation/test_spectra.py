@@ -52,8 +52,3 @@ def test_a_sensor_alone_is_not_taken_for_a_diffusion() -> None:
         law = fit([spectrum(r, series, H)], lasting=False, shortest=0.1)
         assert law.sensor == pytest.approx(0.01, rel=0.1)
         assert law.diffusion < 0.1 * 0.01 / H**0.5 * 0.3
-
-
-def test_nothing_is_nothing() -> None:
-    law = fit([spectrum(np.zeros((100, 1)), Series(((0, 100),)), H)], lasting=True, shortest=0.1)
-    assert law.std == law.diffusion == law.sensor == 0.0

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any
 
 from nsde_torch.data import DataSet
@@ -57,6 +58,18 @@ def diagnosed(
     how: dict[str, Any] = {"decisions": decisions, "budgets": budgets}
     found = diagnose(declared, spec, data, data.runs, options or Options(), **how)
     return found, found.content()
+
+
+@cache
+def sound_spring() -> Diagnosed:
+    """Of a spring of which nothing is missing."""
+    return diagnosed("mass_spring_damper")
+
+
+@cache
+def pushed_spring() -> Diagnosed:
+    """Of a spring that a steady force pushes."""
+    return diagnosed("mass_spring_damper", {"constant_force": {"acceleration": 0.2}})
 
 
 def assert_interval(

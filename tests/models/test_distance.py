@@ -80,53 +80,6 @@ def test_convexity_loss_is_zero_exactly_up_to_the_convexity_of_the_energy(mu: fl
     assert float(reward) == pytest.approx(1 / mu)
 
 
-class Recorder(Quadratic):
-    """Keeps the points that the losses look at."""
-
-    def energy(self, y: Tensor) -> Tensor:
-        self.seen = y
-        return super().energy(y)
-
-    @staticmethod
-    def link(energy: Tensor) -> Tensor:
-        return energy
-
-    @staticmethod
-    def link_slope(energy: Tensor) -> Tensor:
-        return torch.ones_like(energy)
-
-
-def radii(kind: str, near: float, far: float, n: int = 3) -> Tensor:
-    recorder = Recorder(1.0)
-    y = torch.zeros(500, n)
-    directions, share = draw_ball(500, 20, n, generator(1), y)
-    distance_losses(recorder, y, directions, share, kind=kind, near=near, far=far)  # type: ignore[arg-type]
-    return recorder.seen.norm(dim=1)
-
-
-def test_paper_points_fill_the_supplements_ball_evenly() -> None:
-    r = radii("paper", 0.1, 16.0)
-    assert float(r.max()) <= 0.1 * (1 + 1e-5)
-    for share in (0.25, 0.5, 0.75):  # volume inside a radius goes as its cube
-        assert float((r < 0.1 * share ** (1 / 3)).float().mean()) == pytest.approx(share, abs=0.02)
-
-
-def test_default_points_lie_log_uniformly_between_near_and_far() -> None:
-    r = radii("replay", 0.1, 10.0)
-    assert float(r.min()) >= 0.1 * (1 - 1e-5)
-    assert float(r.max()) <= 10 * (1 + 1e-5)
-    assert float((r < 1.0).float().mean()) == pytest.approx(0.5, abs=0.02)
-
-
-def test_directions_are_unit_vectors_that_favour_no_side() -> None:
-    directions, share = draw_ball(400, 25, 4, generator(), torch.zeros(1))
-    torch.testing.assert_close(directions.norm(dim=-1), torch.ones(400, 25))
-    assert float(directions.mean((0, 1)).abs().max()) < 0.02
-    torch.testing.assert_close(directions.square().mean((0, 1)), torch.full((4,), 0.25), atol=0.01, rtol=0)
-    assert float(share.min()) >= 0
-    assert float(share.max()) < 1
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_eta_lies_between_zero_and_one_for_any_weights(seed: int) -> None:
     eta = make_distance(seed=seed, dtype=torch.float32)
@@ -166,20 +119,3 @@ def test_first_h_is_a_quarter_on_the_data_and_nearly_all_far_away() -> None:
     torch.testing.assert_close(share, torch.tensor([[START_SHARE] * 2, [FAR_SHARE] * 2]))
     torch.testing.assert_close(h(torch.tensor([1.0])), FAR_SHARE * torch.tensor([[0.1, 2.0]]))
     assert not h.log_sigma_max.requires_grad
-
-
-def test_channels_of_h_have_slopes_of_their_own() -> None:
-    h = Diffusion(torch.ones(2), learned=False)
-    (h.share(torch.tensor([0.5]))[0, 0]).backward()
-    assert float(h.slope.grad[0]) != 0.0
-    assert float(h.slope.grad[1]) == 0.0
-
-
-def test_standardise_leaves_a_constant_channel_alone() -> None:
-    s = Standardise(2)
-    rows = torch.stack((torch.full((100,), 3.0), torch.randn(100, generator=generator())), 1)
-    s.fit(rows)
-    out = s(rows)
-    assert float(out[:, 0].abs().max()) < 1e-6
-    assert float(s.scale[0]) == 1.0
-    assert float(out[:, 1].std()) == pytest.approx(1.0, abs=1e-5)

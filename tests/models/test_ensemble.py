@@ -71,11 +71,6 @@ def test_batched_members_equal_members_one_by_one() -> None:
             torch.testing.assert_close(together[m], y, rtol=1e-5, atol=1e-6)
 
 
-def test_members_start_from_different_weights() -> None:
-    mean, _ = make(rough=False).change(*rows(make()))
-    assert float(mean.std(0).min()) > 1e-3
-
-
 @pytest.mark.parametrize("system", ["cartpole", "hexacopter"])
 def test_every_row_is_moved_by_its_own_member(system: str) -> None:
     model = make(system)
@@ -87,15 +82,6 @@ def test_every_row_is_moved_by_its_own_member(system: str) -> None:
     own = torch.arange(40)
     moved = mean[members, own] + std[members, own] * noise
     torch.testing.assert_close(after, model.project(model.chart.moved(x, moved)))
-
-
-def test_a_single_row_and_members_without_rows_are_no_special_case() -> None:
-    model = make()
-    x, u = rows(model, 1)
-    mean, _ = model.change(x, u)
-    for m in range(5):
-        after = model.advance(x, u, torch.tensor([m]), torch.zeros(1, 4))
-        torch.testing.assert_close(after, x + mean[m])
 
 
 @pytest.mark.parametrize("system", ["cartpole", "hexacopter"])
@@ -117,14 +103,6 @@ def test_the_variance_stays_between_its_bounds_however_far_the_input(size: float
     top = model.low + torch.nn.functional.softplus(model.width())
     assert bool(((v >= model.low) & (v <= top + 1e-5)).all())
     assert bool((model.width() > 0).all())
-
-
-def test_the_output_does_not_see_a_full_turn_of_the_pole() -> None:
-    model = make()
-    x, u = rows(model)
-    turned = x + 2 * math.pi * torch.tensor([0.0, 0, 1, 0])
-    for a, b in zip(model.change(x, u), model.change(turned, u), strict=True):
-        torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-5)
 
 
 # ---- paths ----------------------------------------------------------------------------------------------
@@ -173,16 +151,6 @@ def test_the_spread_between_members_grows_with_the_steps_if_fixed_and_with_their
         assert float(path[:, 0, k, 0].mean()) == pytest.approx(k * float(MEANS.mean()), abs=0.02 * k + 0.02)
 
 
-def test_the_noise_of_the_steps_adds_up() -> None:
-    model = steady(torch.zeros(5), std=0.1)
-    _, v = model.standard(torch.zeros(5, 1, 2))
-    path = rolled(model, 9, 40_000)
-    std = float(torch.exp(0.5 * v).mean())
-    assert std == pytest.approx(0.1, rel=0.02)
-    for k in (1, 4, 9):
-        assert float(path[:, 0, k, 0].std()) == pytest.approx(std * k**0.5, rel=0.02)
-
-
 @pytest.mark.parametrize("propagation", ["fixed", "redrawn"])
 def test_mean_and_variance_of_a_sampled_step_are_those_of_the_mixture(propagation: str) -> None:
     model = make(propagation=propagation).double()
@@ -197,17 +165,6 @@ def test_mean_and_variance_of_a_sampled_step_are_those_of_the_mixture(propagatio
     error = (variance / count).sqrt()
     assert bool(((change.mean(0) - expected).abs() < 4.5 * error).all())
     torch.testing.assert_close(change.var(0), variance, rtol=0.04, atol=0.0)
-
-
-def test_what_does_not_apply_to_an_ensemble_changes_nothing() -> None:
-    model = make()
-    x, u = rows(model)
-    given = {"dt": 0.02, "particles": 4}
-    first, again = (
-        model.sample(x, u[:, None].expand(-1, 3, -1), generator=generator(), **given, **more)  # type: ignore[arg-type]
-        for more in ({}, {"measurement": False, "applied": True, "compile": True, "t0": torch.ones(9)})
-    )
-    assert torch.equal(first, again)
 
 
 # ---- refusals -------------------------------------------------------------------------------------------
@@ -236,12 +193,6 @@ def test_a_path_that_leaves_the_finite_numbers_says_when_and_where() -> None:
     with pytest.raises(NonFiniteError, match=r"at step 1 of 3.*training data") as error:
         model.sample(x, u[:, None].expand(-1, 3, -1), dt=0.02, particles=2, generator=generator())
     assert "Shorten dt" not in str(error.value)
-
-
-def test_nothing_is_clipped_on_the_way_there() -> None:
-    model = steady(torch.full((5,), 1e30))
-    path = rolled(model, 3, 2)
-    torch.testing.assert_close(path[0, 0, :, 0], 1e30 * torch.arange(4.0))
 
 
 def test_effects_are_refused() -> None:

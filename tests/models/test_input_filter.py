@@ -33,21 +33,6 @@ def test_inside_a_window_it_is_the_stated_sum() -> None:
         torch.testing.assert_close(made(u, 0.05)[0, k], expected)
 
 
-def test_ends_are_held() -> None:
-    made, u = make_filter(2), inputs(1, 12)
-    padded = torch.cat((u[:, :1].expand(1, 5, 2), u, u[:, -1:].expand(1, 5, 2)), 1)
-    torch.testing.assert_close(made(u, 0.05), made(padded, 0.05)[:, 5:-5])
-
-
-def test_taps_stay_at_their_times_when_the_step_is_another() -> None:
-    """On a grid twice as fine, a signal that is linear between the taps gives the same at the shared times."""
-    made, u = make_filter(3, dt=0.1), inputs(1, 20)
-    fine = torch.empty(1, 39, 2, dtype=torch.float64)
-    fine[:, ::2] = u
-    fine[:, 1::2] = 0.5 * (u[:, 1:] + u[:, :-1])
-    torch.testing.assert_close(made(fine, 0.05)[:, ::2], made(u, 0.1))
-
-
 def test_weights_exist_that_undo_a_moving_average() -> None:
     """A smooth signal averaged over 0.4 s is restored to a few per cent; least squares finds the weights."""
     dt, n = 0.05, 2001

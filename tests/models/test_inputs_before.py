@@ -8,8 +8,6 @@ from torch import Tensor
 
 from nsde_torch.errors import NonFiniteError, ShapeError
 from nsde_torch.models import (
-    EnsembleSpec,
-    GaussianEnsemble,
     IdentifiedModel,
     Model,
     NeuralSDE,
@@ -56,11 +54,6 @@ def neural(effect: str) -> Model:
     return made.requires_grad_(False)
 
 
-def ensemble(effect: str = "") -> Model:
-    spec = EnsembleSpec("hexacopter", dt=DT, horizon=AHEAD)
-    return GaussianEnsemble(spec, generator=torch.Generator().manual_seed(0)).double().requires_grad_(False)
-
-
 def sample(model: Model, x0: Tensor, u: Tensor, **more: object) -> Tensor:
     g = torch.Generator().manual_seed(1)
     return model.sample(x0, u, dt=DT, particles=2, generator=g, measurement=False, **more)  # type: ignore[arg-type]
@@ -97,15 +90,6 @@ def test_every_particle_begins_with_the_same_memory() -> None:
     torch.testing.assert_close(paths, plain.expand_as(paths))
 
 
-def test_the_clock_of_the_log_scales_what_is_remembered() -> None:
-    x, u = flight("motor_lag")
-    model = identified("motor_lag")
-    model.clock_scale.fill_(1.25)
-    given = {"dt": DT / 1.25, "particles": 1, "generator": torch.Generator(), "u_before": u[None, :BEFORE]}
-    path = model.sample(x[BEFORE : BEFORE + 1], u[None, BEFORE : BEFORE + 5], **given)
-    torch.testing.assert_close(path[0, 0], x[BEFORE : BEFORE + 6], rtol=0, atol=1e-3)
-
-
 def test_inputs_before_are_restored_with_those_that_follow() -> None:
     spec = SDESpec("hexacopter", dt=DT, horizon=10, step="milstein", filter_reach=2, effects=("motor_lag",))
     model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0)).double().requires_grad_(False)
@@ -118,15 +102,6 @@ def test_inputs_before_are_restored_with_those_that_follow() -> None:
     assert not torch.allclose(expected, sample(model, x0, logged, u_before=before, applied=True))
     # the first input is restored from what was before it, and not from itself held
     assert not torch.allclose(restored[:, 10], model.applied_inputs(logged, DT)[:, 0])
-
-
-def test_a_model_without_memory_predicts_the_same() -> None:
-    x, u = flight("motor_lag")
-    spec = SysidSpec("hexacopter", dt=DT, horizon=AHEAD)
-    plain = IdentifiedModel(spec, generator=torch.Generator()).double().requires_grad_(False)
-    for model in (ensemble(), plain):
-        given = (x[BEFORE : BEFORE + 1], u[None, BEFORE : BEFORE + 3])
-        assert torch.equal(sample(model, *given, u_before=u[None, :BEFORE]), sample(model, *given))
 
 
 @pytest.mark.parametrize(

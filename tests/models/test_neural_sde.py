@@ -71,15 +71,6 @@ def test_samples_have_the_stated_axes_and_start_at_x0(system: str, full: bool) -
         torch.testing.assert_close(norm, torch.ones_like(norm), rtol=0, atol=1e-5)
 
 
-def test_rows_of_a_batch_do_not_see_each_other() -> None:
-    model = make("hexacopter", dtype=torch.float64)
-    x, u = states(model, 3, dtype=torch.float64)
-    noise = brownian(2, 3, 10, model.nz, dt=0.05, generator=generator(), dtype=torch.float64)
-    together = model.paths(x, u, dt=0.05, noise=noise)
-    alone = model.paths(x[1:2], u[1:2], dt=0.05, noise=noise[:, 1:2])
-    torch.testing.assert_close(together[:, 1:2], alone)
-
-
 def test_spread_of_the_samples_of_a_disturbed_model_does_not_depend_on_the_step() -> None:
     """The authors' code scales noise without sqrt(dt); halving the step must not change the spread here."""
     model = fix_sigma(make_model(Gusty, disturbance=True), torch.tensor([1e-9, 0.5]))
@@ -120,15 +111,6 @@ def test_position_advances_by_clock_scale_times_velocity_in_a_logged_second(scal
     torch.testing.assert_close(travelled, scale * 0.1 * mean_velocity, rtol=1e-5, atol=1e-7)
 
 
-def test_distance_takes_any_leading_axes_and_lies_in_the_unit_interval() -> None:
-    model = make("hexacopter")
-    x, _ = states(model, 6)
-    eta = model.distance(x)
-    assert eta.shape == (6,)
-    torch.testing.assert_close(model.distance(x.reshape(2, 3, 13)), eta.reshape(2, 3))
-    assert 0.0 <= float(eta.min()) <= float(eta.max()) <= 1.0
-
-
 def test_default_loss_moves_the_state_but_not_eta_and_the_papers_does() -> None:
     for loss, moves in (("replay", False), ("paper", True)):
         model = make_model(Decay, loss=loss)
@@ -138,27 +120,6 @@ def test_default_loss_moves_the_state_but_not_eta_and_the_papers_does() -> None:
         assert bool(gradients) is moves
         assert model.h.slope.grad is not None
         assert float(x.grad.abs().max()) > 0
-
-
-def test_float64_samples_are_float64_and_agree_with_float32() -> None:
-    a, b = make("hexacopter"), make("hexacopter", dtype=torch.float64)
-    b.load_state_dict(a.state_dict())
-    x, u = states(a, 3, dtype=torch.float64)
-    pa = a.paths(x.float(), u.float(), dt=0.05, noise=None)
-    pb = b.paths(x, u, dt=0.05, noise=None)
-    assert pb.dtype == torch.float64
-    torch.testing.assert_close(pa.double(), pb, rtol=1e-4, atol=1e-5)
-    assert b.sample(x.float(), u.float(), dt=0.05, particles=2, generator=generator()).dtype == torch.float64
-
-
-def test_sampling_leaves_the_given_tensors_and_the_global_generator_alone() -> None:
-    model = make("hexacopter", measurement=True, disturbance=True, filter_reach=3)
-    x, u = states(model, 3)
-    before = (x.clone(), u.clone(), torch.random.get_rng_state())
-    model.sample(x, u, dt=0.05, particles=2, generator=generator())
-    assert torch.equal(x, before[0])
-    assert torch.equal(u, before[1])
-    assert torch.equal(torch.random.get_rng_state(), before[2])
 
 
 def put(table: Tensor, at: Any, value: Any) -> Tensor:
@@ -201,24 +162,6 @@ def test_a_step_that_is_not_positive_and_noise_of_sensors_that_it_has_not_are_re
     x, u = states(model, 3)
     with pytest.raises(NsdeError, match=next(iter(wrong))):
         model.sample(x, u, **{"dt": 0.05, **wrong}, particles=2, generator=generator())
-
-
-def test_sigma_max_of_another_length_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"sigma_max.*\(13\); got 2"):
-        make("hexacopter", sigma_max=(0.1, 0.1))
-
-
-def test_fixed_sigma_max_is_kept_and_not_learned() -> None:
-    spec = SDESpec("mass_spring_damper", dt=0.01, horizon=5, step="euler_maruyama", sigma_max=(0.001, 0.02))
-    model = NeuralSDE(spec, generator=generator())
-    torch.testing.assert_close(model.h.log_sigma_max.exp().detach(), torch.tensor([0.001, 0.02]))
-    assert not model.h.log_sigma_max.requires_grad
-
-
-def test_a_specification_with_unknown_keys_is_refused() -> None:
-    spec = SDESpec("hexacopter", dt=0.05, horizon=20, step="milstein")
-    with pytest.raises(ConfigError, match="colour"):
-        SDESpec.from_dict({**spec.as_dict(), "colour": 1})
 
 
 @pytest.mark.parametrize("step", ["rk4", "midpoint"])
@@ -297,17 +240,6 @@ def test_no_physics_is_left_in_the_drift() -> None:
     assert not any(p.requires_grad for p in model.system.parameters())
 
 
-def test_the_rate_depends_on_the_input_and_has_the_size_of_the_data() -> None:
-    model = black_box()
-    g = torch.Generator().manual_seed(2)
-    x = torch.cumsum(torch.tensor([0.1, 1.0, 10.0, 100.0]) * torch.randn(200, 11, 4, generator=g), 1)
-    u = torch.randn(200, 10, 1, generator=g)
-    model.black_box.fit(x, u, 0.02)
-    sizes = torch.tensor([5.0, 50.0, 500.0, 5000.0])
-    torch.testing.assert_close(model.black_box.scale, sizes, rtol=0.1, atol=0.0)
-    assert not torch.equal(model.drift(0.0, x[:, 0], u[:, 0]), model.drift(0.0, x[:, 0], u[:, 1]))
-
-
 def test_effects_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"system\.effects"):
         black_box(replace(BLACK, effects=("constant_force",)))
@@ -343,11 +275,6 @@ def test_the_angle_of_the_cartpole_is_found_and_a_full_turn_is_not_seen() -> Non
     torch.testing.assert_close(chart.inputs(turned), chart.inputs(x))
     torch.testing.assert_close(chart.change(turned, turned_after), chart.change(x, after))
     assert bool((chart.change(x, after)[:, 2].abs() <= math.pi).all())
-
-
-@pytest.mark.parametrize("name", ["mass_spring_damper", "hexacopter"])
-def test_no_angle_is_seen_where_there_is_none(name: str) -> None:
-    assert Chart(make_system(name)).angles == []
 
 
 def test_the_sign_of_a_quaternion_is_not_seen_and_its_change_is_a_rotation_vector() -> None:
@@ -413,21 +340,6 @@ def test_predicted_measurements_carry_sensor_noise_at_the_start_and_at_every_lat
     late = out[:, 0, 19:, 0] - out[:, 0, 19:, 0].mean(0)
     shared = 0.2**2 * (1 - DT) ** 39  # only the start's noise is shared by neighbours
     assert float((late[:, 0] * late[:, 1]).mean()) == pytest.approx(shared, abs=0.002)
-
-
-def test_without_measurement_paths_start_exactly_at_x0_and_have_no_sensor_noise() -> None:
-    model = sensing(0.2)
-    x0, u = torch.ones(1, 1), torch.zeros(1, 20, 1)
-    out = model.sample(x0, u, dt=DT, particles=50, generator=generator(), measurement=False)
-    assert bool((out[:, :, 0] == 1.0).all())
-    assert float(out.std(0).max()) < 1e-6
-
-
-def test_other_sensors_noise_replaces_that_of_the_training_data() -> None:
-    model = sensing(0.2)
-    given = {"dt": DT, "particles": 20_000, "generator": generator(), "measurement_std": torch.tensor([0.05])}
-    out = model.sample(torch.ones(1, 1), torch.zeros(1, 20, 1), **given)
-    assert float(out[:, 0, 20].std()) == pytest.approx(0.05 * math.sqrt(1 + (1 - DT) ** 40), rel=0.03)
 
 
 EFFECTS = ("linear_drag", "angular_damping", "motor_lag")

@@ -57,10 +57,6 @@ def test_errors_stand_at_their_horizons_with_the_interval_of_the_difference() ->
     assert segments == [pytest.approx([0.08, 0.12]), pytest.approx([0.05, 0.15])]
 
 
-def test_a_prediction_that_did_not_stay_finite_leaves_a_hole() -> None:
-    assert np.isnan(errors(None).axes[0].lines[0].get_ydata()).tolist() == [False, True]
-
-
 def test_ratios_and_gains_of_runs_left_out_stand_beside_each_other_with_their_intervals() -> None:
     figure = before_after(
         {"v_x": (0.8, 0.7, 0.9), "w_z": (1.0, None, None)},

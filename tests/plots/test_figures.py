@@ -15,20 +15,18 @@ from numpy.typing import NDArray
 from nsde_torch import plots
 from nsde_torch.plots import (
     DistanceSlice,
-    PredictionBand,
     calibration_curve,
     data_summary,
     distance_map,
-    evolution,
     horizon_errors,
     learning_curves,
     rollout_bands,
     save,
     slice_grid,
 )
-from nsde_torch.plots.data_figure import roll_pitch_yaw, turns_nearest
+from nsde_torch.plots.data_figure import roll_pitch_yaw
 from nsde_torch.plots.policy_rewards import policy_rewards
-from nsde_torch.plots.style import RED, model_look, thin
+from nsde_torch.plots.style import RED
 from nsde_torch.systems import SYSTEMS
 from tests.helpers.flights import flight
 
@@ -71,21 +69,6 @@ def test_learning_curves_show_terms_and_mark_the_best_validation(tmp_path: Path)
     assert left.get_yscale() == right.get_yscale() == "log"
     assert "kept: step 140" in [line.get_label() for line in left.lines]
     assert [line.get_label() for line in right.lines][:3] == ["data", "gradient", "−mu"]
-
-
-def test_learning_curves_take_the_kept_step_and_a_loss_below_zero(tmp_path: Path) -> None:
-    rows = [{"step": k, "loss": 1.0 - 0.1 * k} for k in range(30)]
-    figure = learning_curves(rows, kept=7)
-    assert_sound(figure, tmp_path / "a.png")
-    (only,) = panels(figure)
-    assert only.get_yscale() == "linear"
-    assert "kept: step 7" in [line.get_label() for line in only.lines]
-
-
-def test_learning_curves_survive_one_row_and_values_that_are_not_finite(tmp_path: Path) -> None:
-    assert_sound(learning_curves([{"step": 0, "loss": 1.0, "data": 1.0}]), tmp_path / "a.png")
-    rows = [*history(30), {"step": 30, "loss": float("nan"), "data": float("inf")}]
-    assert_sound(learning_curves(rows), tmp_path / "b.png")
 
 
 # ---- rollouts -----------------------------------------------------------------------------------------
@@ -134,12 +117,6 @@ def test_angles_agree_with_another_library_and_do_not_jump() -> None:
     np.testing.assert_allclose(angles[:, 0], np.degrees(0.5 * np.cos(yaw)), atol=1e-9)
 
 
-def test_sampled_angles_start_on_the_turn_of_the_measured_ones() -> None:
-    measured = np.full((5, 3), 179.0)
-    moved = turns_nearest(np.full((2, 5, 3), -179.0), measured)
-    np.testing.assert_allclose(moved, 181.0)
-
-
 # ---- calibration and errors ---------------------------------------------------------------------------
 
 
@@ -153,15 +130,6 @@ def test_calibration_has_the_diagonal_the_target_and_a_curve_a_group(tmp_path: P
     assert set(curves) == {"ideal", "position", "rate"}
     low, high = ax.collections[0].get_paths()[0].vertices[:, 1].min(), 0.95
     assert (low, high) == (0.85, 0.95)
-
-
-def test_calibration_per_horizon_has_a_second_panel(tmp_path: Path) -> None:
-    figure = calibration_curve(
-        [0.5, 0.9], {"position": [0.5, 0.9]}, horizons=[0.1, 1.0], per_horizon={"position": [0.9, 0.8]}
-    )
-    assert_sound(figure, tmp_path / "a.png")
-    assert len(panels(figure)) == 2
-    assert panels(figure)[1].get_xscale() == "log"
 
 
 def test_errors_have_a_panel_a_group_and_name_the_baselines(tmp_path: Path) -> None:
@@ -183,22 +151,7 @@ def test_errors_have_a_panel_a_group_and_name_the_baselines(tmp_path: Path) -> N
     assert [tick.get_text() for tick in first.get_xticklabels()] == ["0.1", "0.5", "1"]
 
 
-def test_errors_that_are_zero_or_missing_still_have_an_axis(tmp_path: Path) -> None:
-    figure = horizon_errors([0.1, 1.0], {"m": {"position": [0.0, float("nan")]}}, {"position": "m"})
-    assert_sound(figure, tmp_path / "a.png")
-
-
 # ---- distance -----------------------------------------------------------------------------------------
-
-
-def test_the_grid_of_a_slice_keeps_the_other_features_at_their_median() -> None:
-    features = np.random.default_rng(0).normal(size=(500, 4))
-    points, x, y = slice_grid(features, (3, 1), size=20, margin=1.0)
-    assert points.shape == (400, 4)
-    np.testing.assert_allclose(points[:, [0, 2]], np.tile(np.median(features[:, [0, 2]], 0), (400, 1)))
-    assert x[-1] - x[0] == pytest.approx(3 * np.ptp(features[:, 3]))
-    np.testing.assert_allclose(points[:, 3].reshape(20, 20), np.tile(x, (20, 1)))
-    np.testing.assert_allclose(points[:, 1].reshape(20, 20), np.tile(y[:, None], (1, 20)))
 
 
 def test_a_distance_map_shows_both_kinds_of_data(tmp_path: Path) -> None:
@@ -215,13 +168,6 @@ def test_a_distance_map_shows_both_kinds_of_data(tmp_path: Path) -> None:
     assert len(panels(figure)) == 2
     assert {"training", "held out"} <= {c.get_label() for c in panels(figure)[0].collections}
     assert any("η" in ax.get_ylabel() for ax in figure.axes if ax.get_label() == "<colorbar>")
-
-
-def test_a_constant_feature_and_a_flat_eta_still_make_a_map(tmp_path: Path) -> None:
-    features = np.zeros((10, 2))
-    _, x, y = slice_grid(features, (0, 1), size=5)
-    part = DistanceSlice(x, y, np.full((5, 5), 0.3), "a [m]", "b [m]", features)
-    assert_sound(distance_map([part]), tmp_path / "a.png")
 
 
 # ---- data ---------------------------------------------------------------------------------------------
@@ -261,16 +207,6 @@ def test_flights_show_speed_and_angles_with_their_95_percent_and_maximum(tmp_pat
     assert "3 runs, 15.0 s" in figure.get_suptitle()
 
 
-def test_many_flights_are_cut_to_four_columns_and_the_title_says_so(tmp_path: Path) -> None:
-    system = SYSTEMS["quadrotor"]
-    t, x, u = flight(1.0, motors=4)
-    runs = [Recording(f"{k}", t, x, u, ((0, len(t)),)) for k in range(9)]
-    figure = data_summary(dataset(*runs, inputs=system.input_names), system)  # type: ignore[arg-type]
-    assert len(panels(figure)) == 16
-    assert "the first 4 drawn" in figure.get_suptitle()
-    assert_sound(figure, tmp_path / "a.png")
-
-
 @pytest.mark.parametrize("n_runs", [1, 3, 40])
 def test_other_systems_show_states_inputs_and_a_phase_portrait_a_position(
     n_runs: int, tmp_path: Path
@@ -288,25 +224,7 @@ def test_other_systems_show_states_inputs_and_a_phase_portrait_a_position(
     assert gaps(figure) == (5 * n_runs if n_runs <= 4 else 0)
 
 
-def test_columns_without_a_declared_unit_are_still_drawn(tmp_path: Path) -> None:
-    system = SYSTEMS["mass_spring_damper"]
-    t = 0.01 * np.arange(50)
-    run = Recording("a", t, np.zeros((50, 2)), np.zeros((50, 2)), ((0, 50),))
-    figure = data_summary(dataset(run, inputs=("force", "battery_voltage")), system)  # type: ignore[arg-type]
-    assert_sound(figure, tmp_path / "a.png")
-
-
 # ---- all ----------------------------------------------------------------------------------------------
-
-
-def test_thinning_keeps_ends_and_peaks() -> None:
-    t = np.arange(100_000.0)
-    y = np.zeros(100_000)
-    y[51_234], y[7] = 5.0, -3.0
-    thin_t, thin_y = thin(t, y)
-    assert len(thin_t) < 3200
-    assert (thin_y.max(), thin_y.min()) == (5.0, -3.0)
-    assert (thin_t[0], thin_t[-1]) == (0.0, 99_999.0)
 
 
 def test_a_figure_leaves_the_settings_of_matplotlib_alone(tmp_path: Path) -> None:
@@ -356,20 +274,6 @@ def rollouts(steps: dict[str, int], scale: float = 1.0) -> object:
     )
 
 
-def test_rollouts_of_models_of_different_steps_share_the_axis_of_a_channel(tmp_path: Path) -> None:
-    figure = rollouts({"fine": 40, "coarse": 8})
-    axes = np.array(figure.axes).reshape(2, 2)
-    assert [ax.get_title() for ax in axes[0]] == ["fine", "coarse"]
-    assert axes[0, 0].get_ylim() == axes[0, 1].get_ylim()
-    assert [len(ax.lines[0].get_xdata()) for ax in axes[0]] == [41, 9]
-    assert plots.save(figure, tmp_path / "r.png").stat().st_size > 5000
-
-
-def test_a_band_that_runs_away_does_not_flatten_what_was_measured() -> None:
-    low, high = rollouts({"a": 40}, scale=1e6).axes[0].get_ylim()
-    assert high - low < 20
-
-
 def test_a_warning_and_the_names_it_is_about_are_red() -> None:
     figure = calibration(["a", "b"])
     plots.warn(figure, "No test: b", ["b"])
@@ -377,25 +281,6 @@ def test_a_warning_and_the_names_it_is_about_are_red() -> None:
     colours = {t.get_text(): t.get_color() for t in figure.legends[0].get_texts()}
     assert colours["b"] == RED
     assert colours["a"] != RED
-
-
-def test_twelve_models_have_looks_of_their_own() -> None:
-    looks = [tuple(map(str, model_look(k).values())) for k in range(12)]
-    assert len(set(looks)) == 12
-
-
-T = np.linspace(0.0, 2.0, 21)
-
-
-def test_channels_of_one_unit_share_their_scale_so_that_a_still_one_looks_still() -> None:
-    truth = np.stack((T, 0.01 * T, 3 * T), axis=1)
-    lost = PredictionBand("a model", np.where(T[:, None] > 1, np.nan, 1e6 * truth))
-    figure = evolution(T, truth, [lost], names="abc", units=("m", "m", "rad"), title="evolution")
-    spans = [np.ptp(ax.get_ylim()) for ax in figure.axes]
-    assert spans[0] == pytest.approx(spans[1])
-    assert spans[2] == pytest.approx(3 * spans[0])
-    for ax, channel in zip(figure.axes, truth.T, strict=True):
-        assert ax.get_ylim()[0] < channel.min() <= channel.max() < ax.get_ylim()[1]
 
 
 def curve(offset: float, every: int = 10) -> list[dict[str, float]]:
@@ -415,10 +300,3 @@ def test_lines_are_means_over_seeds_and_the_spread_is_shown() -> None:
     np.testing.assert_allclose(imagined.get_ydata(), 2.0 * np.arange(0, 101, 20) + 5.0)
     assert len(left.collections) == 2
     assert not right.collections
-
-
-def test_references_are_named_in_the_legend() -> None:
-    figure = policy_rewards({"SDE": [curve(0.0)]}, random=-5.0, truth=90.0, limited=10.0)
-    words = [text.get_text() for text in figure.legends[0].get_texts()]
-    limited = "trained on as much of the truth as the models"
-    assert words[2:] == ["trained on the truth", limited, "random actions"]

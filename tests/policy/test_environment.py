@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from nsde_torch.errors import ConfigError, ShapeError
-from nsde_torch.policy import BatchEnvironment, Box, Dynamics, make_task, make_truth
+from nsde_torch.policy import BatchEnvironment, Dynamics, make_task, make_truth
 from nsde_torch.policy.learned import PUBLISHED_VARIANCES, PlantDynamics
 from nsde_torch.recording import read
 from nsde_torch.simulation import make_plant
@@ -24,32 +24,11 @@ def test_reward_is_its_formula() -> None:
     assert float(reward) == pytest.approx(0.5 - 0.02 - 0.5 - 0.4 - 0.3, abs=1e-6)
 
 
-def test_reward_takes_the_clipped_action_and_has_a_floor() -> None:
-    still = torch.zeros(1, 4)
-    assert float(TASK.reward(still, torch.tensor([[7.0]]))) == pytest.approx(0.0)
-    absurd = torch.tensor([[0.0, 1e9, 0.0, 0.0], [torch.nan, 0.0, 0.0, 0.0], [0.0, 0.0, torch.inf, 0.0]])
-    assert TASK.reward(absurd, torch.zeros(3, 1)).tolist() == [TASK.lowest] * 3
-
-
-def test_full_action_is_the_force_of_the_published_data() -> None:
-    assert TASK.command(torch.tensor([[-2.0], [0.5]])).tolist() == [[-25.0], [12.5]]
-
-
 def test_policy_sees_direction_and_not_turns() -> None:
     x = torch.tensor([[0.1, 0.2, 0.3, 0.4], [0.1, 0.2, 0.3 + 2 * pi, 0.4]])
     seen = TASK.observe(x)
     torch.testing.assert_close(seen[0], seen[1])
     assert seen.shape[1] == len(TASK.observation_names) == len(TASK.observation_scale)
-
-
-@pytest.mark.parametrize("box", [TASK.training, TASK.evaluation])
-def test_first_states_fill_their_box(box: Box) -> None:
-    drawn = box.draw(2000, torch.Generator().manual_seed(0)).numpy()
-    low, high = np.array(box.low), np.array(box.high)
-    assert (drawn >= low).all()
-    assert (drawn <= high).all()
-    np.testing.assert_allclose(drawn.min(0), low, atol=0.01 * (high - low).max())
-    np.testing.assert_allclose(drawn.max(0), high, atol=0.01 * (high - low).max())
 
 
 def test_system_without_a_task_is_refused_with_those_that_have_one() -> None:
@@ -162,13 +141,6 @@ def test_published_truth_leaves_of_the_published_data_its_sensor_noise(published
     np.testing.assert_allclose(std, np.sqrt(PUBLISHED_VARIANCES), rtol=0.06)
 
 
-def test_sensor_noise_has_the_standard_deviation_it_should() -> None:
-    truth = make_truth("published", system="cartpole", dt=TASK.dt, sensor_noise=2.0, generator=generator())
-    x0 = torch.zeros(20000, 4, dtype=torch.float64)
-    std = (truth.reset(x0) - x0).std(0).numpy()
-    np.testing.assert_allclose(std, 2.0 * np.sqrt(PUBLISHED_VARIANCES), rtol=0.03)
-
-
 def test_reward_is_that_of_the_state_and_not_of_the_measurement() -> None:
     true = noisy()
     true.reset()
@@ -215,17 +187,6 @@ def test_machine_that_leaves_the_finite_numbers_ends_its_episode_alone() -> None
         assert bool(torch.isfinite(made.last).all())
         assert bool(torch.isfinite(made.reward).all())
     assert ended == [[False] * 3, [False] * 3, [True, False, False], [False] * 3, [False] * 3]
-
-
-def test_staggered_machines_end_their_first_episodes_at_different_times() -> None:
-    machines = noisy(64, stagger=True)
-    machines.reset()
-    ends = torch.zeros(64, dtype=torch.long)
-    for k in range(TASK.steps):
-        made = machines.step(torch.zeros(64, 1))
-        ends = torch.where((ends == 0) & made.truncated, k + 1, ends)
-    assert bool((ends > 0).all())
-    assert len(ends.unique()) > 40
 
 
 def test_what_does_not_fit_is_refused() -> None:

@@ -88,19 +88,6 @@ def test_disturbance_of_a_path_lasts_and_is_its_own() -> None:
     assert float(machines._x[5, own.system.nz]) != pytest.approx(float(later[5]))
 
 
-def test_sensor_noise_is_learned_noise_and_does_not_move_the_state() -> None:
-    own = model(measurement=True)
-    with torch.no_grad():
-        own.log_measurement_std.fill_(-2.0)
-    x0, _ = start(4000)
-    clean = learned(own, 0.0)
-    noisy = learned(own, 2.0)
-    assert torch.equal(clean.reset(x0), x0)
-    error = noisy.reset(x0) - x0
-    torch.testing.assert_close(error.std(0), torch.full((4,), 2 * 0.1353), rtol=0.05, atol=0)
-    assert torch.equal(noisy.state, x0)
-
-
 @pytest.mark.parametrize(("kind", "within"), [("nsde", 0.06), ("ensemble", 0.08)])
 def test_paths_of_machines_spread_as_those_that_a_model_samples(kind: str, within: float) -> None:
     own: Model = GaussianEnsemble(EnsembleSpec("cartpole", dt=0.02, horizon=10), generator=generator()).eval()
@@ -136,19 +123,6 @@ def test_machine_of_an_ensemble_keeps_its_member_until_its_episode_ends() -> Non
     machines.step(u[:, 0])
     assert torch.equal(machines.members[20:], members[20:])
     assert not torch.equal(machines.members[:20], members[:20])
-
-
-@pytest.mark.parametrize(("trained", "asked"), [("redrawn", None), ("fixed", "redrawn")])
-def test_redrawn_members_change_at_every_step(trained: str, asked: str | None) -> None:
-    machines = learned(ensemble(trained), propagation=asked)
-    x0, u = start(40)
-    machines.reset(x0)
-    seen = []
-    for k in range(3):
-        machines.step(u[:, k])
-        seen.append(machines.members.clone())
-    assert not torch.equal(seen[0], seen[1])
-    assert not torch.equal(seen[1], seen[2])
 
 
 def test_what_a_model_cannot_do_is_refused() -> None:

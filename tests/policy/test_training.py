@@ -19,9 +19,7 @@ from nsde_torch.policy import (
     PolicyTraining,
     episode_rewards,
     load_policy,
-    make_task,
     make_truth,
-    random_policy,
     score,
 )
 
@@ -142,17 +140,3 @@ def test_score_is_relative_to_policies_of_the_same_truth(tmp_path: Path) -> None
         training(tmp_path / "x", about={**ABOUT, "truth": "plant"}, scored_against=[tmp_path / "reference"])
     with pytest.raises(CheckpointError, match="no finished policy"):
         training(tmp_path / "x", scored_against=[tmp_path / "nowhere"])
-
-
-def test_random_actions_earn_what_the_published_ones_did() -> None:
-    generator, task = torch.Generator().manual_seed(0), make_task("cartpole")
-    environment = BatchEnvironment(task, truth(generator), n=400, generator=generator, start=task.training)
-    rewards = episode_rewards(random_policy(environment, torch.Generator().manual_seed(1)), environment)
-    # of the 100 published episodes of random actions: -320 with a standard error of 4.4
-    assert rewards.mean == pytest.approx(-320.2, abs=12)
-    assert rewards.left == 0
-
-
-def test_update_that_cannot_be_split_into_batches_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"ppo\.batch"):
-        PolicyOptions(n_envs=4, rollout=10, batch=7)

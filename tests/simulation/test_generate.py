@@ -72,11 +72,6 @@ def test_files_hold_columns_and_nothing_that_tells(tmp_path: Path) -> None:
     np.testing.assert_array_equal(data.runs[0].x, made.runs[0].x)
 
 
-def test_the_spring_is_excited_unless_told() -> None:
-    assert first(short("mass_spring_damper", durations=[10.0])).std() > 0.1
-    assert not short("mass_spring_damper", options={"force": "zero"}).runs[0].u.any()
-
-
 def test_equal_seeds_make_equal_data_and_others_other() -> None:
     a, b, c = (first(short("cartpole", seed=s)) for s in (1, 1, 2))
     np.testing.assert_array_equal(a, b)
@@ -94,15 +89,6 @@ def test_a_wind_blows_against_the_drag_that_the_machine_has() -> None:
     system = make_plant_system("hexacopter", effects=[{"constant_wind": {"wind": [2.0, 0.0]}}])
     assert set(system.effect_names) == {"motor_lag", "constant_wind"}
     assert system.all_declared()["constant_wind.drag"][0].tolist() == pytest.approx([0.15, 0.15, 0.05])
-
-
-def test_a_loss_of_single_motors_may_be_written_with_zeros() -> None:
-    loss = [0.1, 0, 0, 0, 0, 0]
-    made = short("hexacopter", effects=[{"motor_efficiency_loss": {"loss": loss}}])
-    held = made.truth["effects"]["motor_efficiency_loss"]["parameters"]["loss"]
-    assert held == pytest.approx(loss, abs=1e-5)
-    with pytest.raises(ConfigError, match=r"above -0\.3 and below 1"):
-        short("hexacopter", effects=[{"motor_efficiency_loss": {"loss": [-0.4, 0, 0, 0, 0, 0]}}])
 
 
 def test_an_input_delay_is_a_pure_one() -> None:

@@ -149,15 +149,6 @@ def test_gusts_have_the_variance_and_the_correlation_time_of_their_process() -> 
     assert (first * later).mean().item() / 0.49 == pytest.approx(exp(-1.0), abs=0.03)
 
 
-@pytest.mark.parametrize("dt", [0.02, 0.005])
-def test_white_gusts_give_the_same_spread_of_velocity_at_any_sample(dt: float) -> None:
-    spring, gusts = make_system("mass_spring_damper", declared=[]), {Port.FORCE: Gust(white=(0.3,))}
-    plant = Plant(spring, dt=dt, generator=generator(5), gusts=gusts)
-    plant.reset(torch.zeros(20000, 2), torch.zeros(20000, 1))
-    x = after(plant, torch.zeros(20000, 1), round(0.4 / dt))
-    assert x[:, 1].std().item() == pytest.approx(0.3 * sqrt(0.4), rel=0.03)
-
-
 def test_sensor_noise_has_its_standard_deviation_on_every_channel_and_keeps_the_quaternion_unit() -> None:
     plant = make_plant("hexacopter", generator=generator(2), process_noise=0.0)
     tilted = turned(level(20000)[:, 6:10], torch.tensor([[0.3, -0.2, 1.0]], dtype=torch.float64))
@@ -169,33 +160,6 @@ def test_sensor_noise_has_its_standard_deviation_on_every_channel_and_keeps_the_
     assert x[:, 10:].std(0).tolist() == pytest.approx([2e-2] * 3, rel=0.03)
     angle = rotation_between(start[:, 6:10], x[:, 6:10])
     assert (angle.std(0) * 180 / pi).tolist() == pytest.approx([0.2] * 3, rel=0.03)
-
-
-def test_the_true_state_is_free_of_sensor_noise() -> None:
-    noisy = make_plant("hexacopter", generator=generator(2), process_noise=0.0)
-    clean = quiet()
-    for plant in (noisy, clean):
-        plant.reset(level(3), hover(3))
-        plant.step(hover(3) + 0.02)
-    torch.testing.assert_close(noisy.state, clean.state)
-
-
-def test_commands_beyond_the_limits_are_clipped() -> None:
-    ends = []
-    for command in (1.0, 7.0):
-        plant = quiet()
-        plant.reset(level(), hover())
-        ends.append(plant.step(torch.full((1, 6), command)))
-    assert torch.equal(*ends)
-
-
-def test_the_plant_leaves_the_system_of_the_caller_alone() -> None:
-    system = make_plant_system("hexacopter")
-    before = {k: v.clone() for k, v in system.state_dict().items()}
-    Plant(system, dt=0.01, generator=generator())
-    after = system.state_dict()
-    assert before.keys() == after.keys()
-    assert all(p.requires_grad and torch.equal(after[k], before[k]) for k, p in system.named_parameters())
 
 
 def test_an_effect_with_parameters_replaces_those_that_the_plant_has_and_a_new_one_is_added() -> None:
@@ -235,12 +199,6 @@ def test_faults_of_the_caller_are_named(settings: dict[str, Any], said: str) -> 
         make_plant(**{"name": "hexacopter", "generator": generator(), **settings})
 
 
-def test_gusts_on_a_port_that_the_system_lacks_are_refused() -> None:
-    gusts = {Port.BODY_FORCE: Gust(white=(1.0,))}
-    with pytest.raises(ConfigError, match="the system lacks"):
-        Plant(make_system("cartpole"), dt=0.02, generator=generator(), gusts=gusts)
-
-
 def test_a_state_that_leaves_the_finite_numbers_is_reported_with_its_rows() -> None:
     plant = quiet()
     start = level(3)
@@ -268,14 +226,3 @@ def test_restarted_machine_forgets_its_memory_and_the_others_go_on() -> None:
         plant.step(hover(3))
         fresh.step(hover())
     torch.testing.assert_close(plant.state[1], fresh.state[0], rtol=0, atol=1e-12)
-
-
-def test_restarted_machine_draws_gusts_of_its_own() -> None:
-    gusts = Gusts({Port.FORCE: Gust(std=(2.0,))}, {Port.FORCE: 1}, dt=0.01, scale=1.0, generator=generator())
-    gusts.reset(4000)
-    before = gusts._state[0].clone()
-    gusts.restart(torch.arange(2000))
-    assert torch.equal(gusts._state[0][2000:], before[2000:])
-    fresh = gusts._state[0][:2000, 0]
-    assert float(fresh.std()) == pytest.approx(2.0, rel=0.06)
-    assert abs(float(torch.corrcoef(torch.stack((fresh, before[:2000, 0])))[0, 1])) < 0.07

@@ -1,7 +1,6 @@
 """The built-in data sets: flights, episodes, springs, the checks that files pass, and the cache that keeps them."""
 
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -109,14 +108,6 @@ def test_episodes_start_where_the_supplement_starts_them_and_push_within_25_newt
     assert (start >= low).all()
     assert (start <= high).all()
     assert max(np.abs(run.u).max() for run in data.runs) <= 25.0
-
-
-def test_sensor_noise_of_the_cartpole_grows_with_its_factor() -> None:
-    quiet = simulated("cartpole", use_cache=False, sensor_noise=0.0, process_noise=0.0, policy="random")
-    noisy = simulated("cartpole", use_cache=False, sensor_noise=10.0, process_noise=0.0, policy="random")
-    # random pushes do not see the measurement: the true paths are equal
-    difference = np.concatenate([a.x - b.x for a, b in zip(quiet.runs, noisy.runs, strict=True)])
-    assert difference.std(0).tolist() == pytest.approx([0.071, 0.1, 0.3, 0.412], rel=0.05)
 
 
 def test_springs_start_in_the_region_and_carry_the_noise_of_the_supplement() -> None:
@@ -243,31 +234,3 @@ def test_a_damaged_entry_is_made_anew(tmp_path: Path, calls: list[int], damage: 
     third = simulated("mass_spring_damper", durations=[2.0], cache=tmp_path)
     assert len(calls) == 2
     assert first.fingerprint == second.fingerprint == third.fingerprint
-
-
-def test_writers_at_the_same_time_leave_one_whole_entry(tmp_path: Path) -> None:
-    runs = spring_runs(seed=0)
-    with ThreadPoolExecutor(8) as pool:
-        list(pool.map(lambda _: cache.store("k", runs, tmp_path), range(32)))
-    assert [p.name for p in tmp_path.iterdir()] == ["simulated-k.npz"]
-    loaded = cache.load("k", tmp_path)
-    assert loaded is not None
-    assert all(np.array_equal(a.x, b.x) for a, b in zip(runs, loaded, strict=True))
-
-
-def test_a_folder_that_cannot_be_written_is_no_fault(tmp_path: Path, calls: list[int]) -> None:
-    blocked = tmp_path / "file"
-    blocked.write_text("no folder")
-    assert len(simulated("mass_spring_damper", cache=blocked)) == 5
-    assert len(calls) == 1
-
-
-def test_the_folder_comes_from_the_argument_then_the_environment(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("NSDE_CACHE", raising=False)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
-    assert cache.cache_folder() == tmp_path / "xdg" / "nsde_torch"
-    monkeypatch.setenv("NSDE_CACHE", str(tmp_path / "own"))
-    assert cache.cache_folder() == tmp_path / "own"
-    assert cache.cache_folder(tmp_path / "said") == tmp_path / "said"

@@ -12,7 +12,6 @@ from nsde_torch.effects.multirotor_forces import LinearDrag
 from nsde_torch.errors import ConfigError, ShapeError
 from nsde_torch.systems import SYSTEMS, make_system, system_class
 from nsde_torch.systems.parameters import ParameterVector
-from tests.helpers.toy_systems import Decay
 
 
 def test_the_four_machines_are_known_by_their_names() -> None:
@@ -154,17 +153,6 @@ def test_names_units_and_values_are_those_of_the_system_and_then_of_its_effects(
     assert vector.moves_memory.tolist() == [False] * 10 + [True]
 
 
-def test_the_copy_takes_theta_and_the_system_itself_stays_as_it_is() -> None:
-    system = make_system("mass_spring_damper")
-    vector = ParameterVector(system)
-    x = torch.tensor([[0.3, -0.2]], dtype=torch.float64)
-    u = torch.tensor([[0.5]], dtype=torch.float64)
-    before = system.drift(0.0, x.float(), u.float())
-    vector.use(torch.tensor([2.0, 3.0, 0.25], dtype=torch.float64))
-    assert float(vector.system.drift(0.0, x, u)[0, 1]) == pytest.approx(2.0 * 0.5 - 3.0 * 0.3 + 0.25 * 0.2)
-    assert torch.equal(system.drift(0.0, x.float(), u.float()), before)
-
-
 def test_the_drift_is_linear_in_theta_where_the_physics_is() -> None:
     vector = ParameterVector(make_system("mass_spring_damper"))
     x = torch.randn(5, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
@@ -196,81 +184,3 @@ def test_values_are_moved_strictly_inside_the_bounds_and_written_those_of_effect
     vector.write(system, theta)
     drag = system.all_declared()["linear_drag.drag"][0]
     np.testing.assert_allclose(drag, [0.2, 0.3, 0.4], rtol=1e-5)
-
-
-def test_a_system_without_parameters_is_refused() -> None:
-    class Bare(Decay):
-        name = "bare"
-        PARAMETERS = {}
-
-    with pytest.raises(ConfigError, match="declares no parameter"):
-        ParameterVector(Bare())
-
-
-def test_times_of_a_memory_are_kept_as_long_as_steps_can_follow() -> None:
-    vector = ParameterVector(make_system("hexacopter", effects=["motor_lag"]))
-    at = {label: k for k, label in enumerate(vector.labels)}
-    vector.follow(0.01)
-    vector.follow(0.001)  # a finer step asks for less than is asked already
-    low = vector.inside(np.full(len(vector), 1e-4))
-    assert low[at["motor_lag.time_constant"]] == pytest.approx(0.005, rel=1e-3)
-    assert low[at["thrust_gain"]] == pytest.approx(1e-4)
-
-
-CART = {
-    "stribeck_friction[cart].speed": (2.0 * 0.1 / 4, 2.0 * 0.3 * 4),
-    "stribeck_friction[cart].width": (2.0 * 0.02 / 4, None),
-}
-HEXA = {"ground_effect.height": (0.1 / 4, 0.3 * 4)}
-
-
-@pytest.mark.parametrize(
-    ("system", "effects", "sizes", "near", "others"),
-    [
-        ("cartpole", "stribeck_friction actuator_deadband input_delay", {"speed[cart]": 2.0, "input": 25.0}, CART,
-         "actuator_deadband.width input_delay.delay stribeck_friction[cart].size half_length"),
-        ("hexacopter", "ground_effect constant_wind motor_lag", {"input": 0.5}, HEXA,
-         "constant_wind.wind[0] motor_lag.time_constant ground_effect.area"),
-    ],
-)  # fmt: skip
-def test_shapes_stay_where_they_matter_in_the_data_and_near_what_the_effect_is_for(
-    system: str, effects: str, sizes: Any, near: Any, others: str
-) -> None:
-    vector = ParameterVector(make_system(system, effects=effects.split()))
-    at = {label: k for k, label in enumerate(vector.labels)}
-    before = vector.low.copy(), vector.high.copy()
-    vector.limit(sizes)
-    for name, (low, high) in near.items():
-        assert vector.low[at[name]] == pytest.approx(low)
-        assert high is None or vector.high[at[name]] == pytest.approx(high)
-    for k in (at[name] for name in others.split()):
-        assert (vector.low[k], vector.high[k]) == (before[0][k], before[1][k])
-
-
-def test_values_lie_inside_bounds_that_are_closer_than_the_usual_margin() -> None:
-    system = make_system("mass_spring_damper", effects=["stribeck_friction"])
-    vector = ParameterVector(system)
-    vector.limit({"speed": 2e-9})
-    width = vector.labels.index("stribeck_friction.width")
-    assert vector.high[width] < 1e-6 * vector.scale[width]
-    theta = vector.inside(np.full(len(vector), 1.0))
-    assert vector.low[width] < theta[width] < vector.high[width]
-
-
-def test_the_copy_knows_of_no_coarse_steps() -> None:
-    system = make_system("cartpole", effects=["actuator_lag"])
-    system.set_step(0.1)
-    assert [e.step for e in ParameterVector(system).system.effects] == [0.0]
-    assert [e.step for e in system.effects] == [0.1]
-
-
-def test_of_losses_that_gains_can_stand_in_for_the_median_is_the_reference() -> None:
-    vector = ParameterVector(make_system("quadrotor", effects=["motor_efficiency_loss", "linear_drag"]))
-    theta, known = vector.start.copy(), np.ones(len(vector), dtype=np.bool_)
-    losses = vector.of("motor_efficiency_loss")
-    theta[losses] = [0.02, 0.1, 0.01, 0.03]
-    assert vector.references(theta, known) == []
-    known[losses] = False
-    assert vector.references(theta, known) == [losses[0]]
-    known[losses[0]] = True
-    assert vector.references(theta, known) == []

@@ -176,18 +176,6 @@ def test_every_step_gives_the_roll_rate_of_a_lagging_motor_at_steps_of_50_ms(nam
     torch.testing.assert_close(path[-1, 10:], z[0, 10:], rtol=1e-4, atol=2e-6)
 
 
-def test_memory_that_knows_no_whole_steps_moves_within_a_step_and_the_other_does_not() -> None:
-    s = hexacopter("motor_lag", Slow())
-    z = torch.arange(20.0).double()[None]
-    y = -z
-    assert torch.equal(s.inner(z, y), y)
-    s.set_step(0.05)
-    inner = s.inner(z, y)
-    assert torch.equal(inner[:, 13:19], z[:, 13:19])
-    assert torch.equal(inner[:, :13], y[:, :13])
-    assert torch.equal(inner[:, 19:], y[:, 19:])
-
-
 def test_what_is_remembered_has_derivatives_and_leaves_the_step_as_it_was() -> None:
     values = {"input_delay.delay": 0.035}
     s = make_system("hexacopter", effects=["input_delay", "motor_lag"], values=values).double()

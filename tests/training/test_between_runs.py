@@ -126,13 +126,6 @@ def test_a_path_with_a_number_is_that_of_the_machine_with_this_parameter() -> No
         torch.testing.assert_close(own, plain.paths(x0, u, dt=H, noise=torch.zeros(1, 3, 25, 2).double())[0])
 
 
-def test_a_path_with_a_steady_force_ends_where_it_holds_the_spring() -> None:
-    model = spring_of({"run_force": [0.4]})
-    x0, u = torch.zeros(1, 2, dtype=torch.float64), torch.zeros(1, 1600, 1, dtype=torch.float64)
-    ends = path(model, x0, u, [-1.0, 0.5])[:, 0, -1, 0]
-    torch.testing.assert_close(ends, torch.tensor([-0.1, 0.05], dtype=torch.float64), rtol=1e-3, atol=1e-6)
-
-
 def test_a_path_with_another_zero_is_that_of_the_true_angles_read_wrong() -> None:
     x0, u = rows(4)
     wrong, plain = model_of("cartpole", {"run_zero[pole]": [0.05]}), model_of("cartpole", {})
@@ -140,13 +133,6 @@ def test_a_path_with_another_zero_is_that_of_the_true_angles_read_wrong() -> Non
     (own,) = path(wrong, x0, u, [1.0])
     true = plain.paths(x0 - shift, u, dt=H, noise=torch.zeros(1, 3, 25, 4).double())[0]
     torch.testing.assert_close(own, true + shift)
-
-
-def test_no_number_takes_a_parameter_beyond_its_bounds() -> None:
-    x0, u = rows(2)
-    model = spring_of({"linear_spring/stiffness": [4.0]})
-    low, least = path(model, x0, u, [-3.0, -0.95])
-    torch.testing.assert_close(low, least)
 
 
 def test_paths_of_a_run_that_was_seen_have_its_own_numbers() -> None:

@@ -1,9 +1,7 @@
 """Fitting an ensemble: its likelihood, what it recovers, members that do not see each other, exact resume."""
 
-import sys
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -90,27 +88,6 @@ def test_pairs_are_consecutive_states_with_the_mean_input_of_the_step() -> None:
     np.testing.assert_allclose(change[:, 0], x[2:] - x[:-2], atol=1e-5)
 
 
-def test_training_pairs_are_standardised_and_held_out_pairs_with_the_same_numbers() -> None:
-    loop = make_loop()
-    for table in (loop.train.inputs, loop.train.changes):
-        torch.testing.assert_close(table.mean(0), torch.zeros(table.shape[1]), atol=1e-5, rtol=0)
-        torch.testing.assert_close(table.std(0), torch.ones(table.shape[1]))
-    assert float(loop.validation.inputs.mean(0).abs().max()) > 1e-4
-
-
-def test_each_member_has_a_bootstrap_of_its_own() -> None:
-    loop = make_loop()
-    count = len(loop.train.inputs)
-    assert loop.bootstrap.shape == (3, count)
-    for row in loop.bootstrap:
-        assert len(row.unique()) / count == pytest.approx(0.632, abs=0.05)
-    assert not torch.equal(loop.bootstrap[0], loop.bootstrap[1])
-    at = loop.draw()
-    assert at.shape == (3, 8)
-    for m in range(3):
-        assert set(at[m].tolist()) <= set(loop.bootstrap[m].tolist())
-
-
 # ---- what is learned ------------------------------------------------------------------------------------
 
 
@@ -134,20 +111,6 @@ def test_mean_and_variance_of_a_known_heteroscedastic_system_are_recovered(tmp_p
     with torch.no_grad():
         density = fit.model.log_density(x, u, after).mean()
     assert float(density) > float(truth) - 0.2
-
-
-def test_the_fit_says_what_its_members_reached(tmp_path: Path) -> None:
-    fit = fit_ensemble(make_task(tmp_path, steps=9, members=2, hidden=(8,)))
-    assert fit.progress.step == 9
-    assert len(fit.facts["members"]["validation"]) == 2
-    assert fit.facts["validation"]["score"] == pytest.approx(np.mean(fit.facts["members"]["validation"]))
-    assert "nats" in fit.facts["validation"]["unit"]
-    assert fit.parameters() == {}
-    assert float(fit.model.clock_scale) == 1.25
-
-
-def test_without_a_number_of_its_own_it_takes_ten_times_the_trainers_steps(tmp_path: Path) -> None:
-    assert fit_ensemble(make_task(tmp_path, members=2, hidden=(8,))).progress.step == 120
 
 
 # ---- members do not see each other ------------------------------------------------------------------------
@@ -186,19 +149,6 @@ def test_every_member_keeps_its_own_best_weights_and_all_stop_together() -> None
             assert torch.equal(p[m], averages[step][i][m])
 
 
-def test_weights_decay_and_bounds_do_not() -> None:
-    groups = make_loop().optimiser.param_groups
-    assert [g["weight_decay"] for g in groups] == [1e-4, 0.0]
-    assert len(groups[1]["params"]) == 2
-
-
-def test_the_history_starts_before_the_first_step_and_has_a_row_per_validation() -> None:
-    loop = make_loop()
-    history = loop.run(title="t", quiet=True).history
-    assert [row["step"] for row in history] == [0, 3, 6, 9, 12]
-    assert {"loss", "data", "bounds", "validation"} <= set(history[-1])
-
-
 # ---- resume -----------------------------------------------------------------------------------------------
 
 
@@ -230,13 +180,3 @@ def test_a_validation_score_that_is_not_finite_stops_with_the_remedy() -> None:
     loop.validation = Pairs(loop.validation.inputs, loop.validation.changes * float("nan"))
     with pytest.raises(NonFiniteError, match=r"validation score is not finite at step 0.*trainer\.lr"):
         loop.run(title="t", quiet=True)
-
-
-def test_a_bar_is_shown_in_a_notebook_and_not_where_it_is_to_be_quiet(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))
-    fit_ensemble(make_task(tmp_path, members=2, hidden=(4,)))
-    assert "t:" in capsys.readouterr().err
-    fit_ensemble(replace(make_task(tmp_path / "quiet", members=2, hidden=(4,)), quiet=True))
-    assert capsys.readouterr() == ("", "")

@@ -84,33 +84,12 @@ def test_the_last_steps_start_from_the_kept_weights_and_see_all_windows() -> Non
     assert seen == [fit.train] * 9 + [fit.everything] * 4
 
 
-def test_a_score_that_keeps_falling_never_stops_early() -> None:
-    fit = make_fit(options=replace(OPTIONS, patience=1, polish=0))
-    scripted(fit, lambda step: -step)
-    progress = fit.run(title="t", quiet=True)
-    assert not progress.stopped
-    assert (progress.step, progress.best_step) == (12, 12)
-
-
 def test_validation_repeats_and_leaves_the_training_noise_alone() -> None:
     fit = make_fit()
     before = fit.noise.get_state(), fit.batches.get_state()
     assert fit.validate() == fit.validate()
     assert torch.equal(before[0], fit.noise.get_state())
     assert torch.equal(before[1], fit.batches.get_state())
-
-
-def test_learning_rate_falls_linearly_and_then_stays() -> None:
-    options = TrainerOptions(lr=0.01, lr_end=0.001, decay_steps=10_000)
-    rates = [options.rate(step) for step in (0, 5_000, 10_000, 50_000)]
-    assert rates == pytest.approx([0.01, 0.0055, 0.001, 0.001])
-    assert TrainerOptions(steps=100).rate(50) == pytest.approx(0.0055)
-
-
-def test_the_loss_falls() -> None:
-    fit = make_fit(options=replace(OPTIONS, steps=60, batch=64, validate_every=20))
-    history = fit.run(title="t", quiet=True).history
-    assert history[-1]["validation"] < history[0]["validation"]
 
 
 def test_gradients_are_clipped_to_the_limit() -> None:
@@ -195,10 +174,3 @@ def test_default_loss_moves_eta_by_the_distance_losses_alone() -> None:
     assert all(g is None for g in got)
     got = torch.autograd.grad(losses["convexity"] + losses["gradient"], weights, allow_unused=True)
     assert any(g is not None and float(g.abs().max()) > 0 for g in got)
-
-
-def test_weights_multiply_their_losses() -> None:
-    one = make_fit(loss=LossOptions(data=1, gradient=1, convexity=1, mu=1, residual_decay=1, **FEW)).terms()
-    two = make_fit(loss=LossOptions(data=2, gradient=3, convexity=4, mu=5, residual_decay=6, **FEW)).terms()
-    for name, factor in {"data": 2, "gradient": 3, "convexity": 4, "mu": 5, "decay": 6}.items():
-        torch.testing.assert_close(two[name], factor * one[name])

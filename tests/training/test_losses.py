@@ -93,13 +93,6 @@ def test_paper_loss_is_smallest_without_any_spread() -> None:
     assert scores[3] > 1.5 * scores[0]
 
 
-def test_paper_loss_is_the_mean_square_of_errors_in_units_of_their_scale() -> None:
-    e = torch.randn(2, 5, 3, 2, generator=generator())
-    scale = torch.tensor([0.5, 4.0])
-    expected = ((e[..., 0] / 0.5).square().mean() + (e[..., 1] / 4.0).square().mean()) / 2
-    torch.testing.assert_close(data_loss(e, scale, kind="paper", early=0.5, paired=False), expected)
-
-
 @pytest.mark.parametrize("early", [0.0, 0.5, 2.0])
 def test_weights_of_the_steps_fall_as_a_power_and_average_one(early: float) -> None:
     horizon = 6

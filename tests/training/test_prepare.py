@@ -6,9 +6,8 @@ import torch
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.models import NeuralSDE, SDESpec
-from nsde_torch.models.networks import InputFilter
 from nsde_torch.simulation import simulated
-from nsde_torch.training.prepare import error_scale, fit_filter, prepare, sensor_std
+from nsde_torch.training.prepare import prepare, sensor_std
 from tests.helpers.toy_systems import DT, Decay, decay_runs, make_model
 
 
@@ -35,11 +34,6 @@ def test_first_largest_sigma_is_four_times_the_roughness_of_the_data() -> None:
     assert float(model.h.log_sigma_max.detach().exp()) == pytest.approx(4 * 0.5 * 0.5 * 2**0.5, rel=0.1)
 
 
-def test_a_fixed_sigma_is_not_touched() -> None:
-    model, _ = prepared(sigma_max=(0.3,))
-    assert float(model.h.log_sigma_max.detach().exp()) == pytest.approx(0.3)
-
-
 @pytest.mark.parametrize("horizon", [1, 2])
 def test_the_shortest_horizons_have_a_finite_first_sigma(horizon: int) -> None:
     model, _ = prepared(horizon)
@@ -56,34 +50,6 @@ def test_sensor_noise_of_smooth_motion_is_found_from_its_roughness() -> None:
     np.testing.assert_allclose(sensor_std([run]), noise, rtol=0.06)
     clean = Run("clean", t, smooth, np.zeros((4000, 1)))
     assert float(sensor_std([clean]).max()) < 1e-6
-
-
-def test_sensor_noise_does_not_look_across_a_gap() -> None:
-    t = 0.01 * np.arange(2000)
-    x = np.sin(t)[:, None]
-    x[1000:] += 100.0
-    run = Run("jump", t, x, np.zeros((2000, 1)), ((0, 1000), (1000, 2000)))
-    assert float(sensor_std([run]).max()) < 1e-6
-
-
-def test_first_sensor_noise_of_a_model_is_that_of_the_data() -> None:
-    spec = SDESpec("mass_spring_damper", dt=0.01, horizon=10, step="euler_maruyama", measurement=True)
-    model = NeuralSDE(spec, generator=torch.Generator().manual_seed(0))
-    t = 0.01 * np.arange(4000)
-    x = np.stack((np.sin(t), np.cos(t)), 1) + 0.01 * np.random.default_rng(0).standard_normal((4000, 2))
-    runs = [Run("swing", t, x, np.zeros((4000, 1)))]
-    prepare(model, runs, Windows(runs, 0.01, 10), clock_scale=1.0, given=())
-    torch.testing.assert_close(model.measurement_std.detach(), torch.full((2,), 0.01), rtol=0.06, atol=0)
-
-
-def test_error_scale_is_a_share_of_the_error_of_holding_one_per_group() -> None:
-    t = 0.01 * np.arange(6284)
-    runs = [Run("sine", t, np.stack((np.sin(t), 5 * np.cos(t)), 1), np.zeros((len(t), 1)))]
-    spec = SDESpec("mass_spring_damper", dt=0.01, horizon=50, step="euler_maruyama")
-    scale = error_scale(NeuralSDE(spec, generator=torch.Generator().manual_seed(0)), Windows(runs, 0.01, 50))
-    h = 0.01 * np.arange(1, 51)
-    held = np.sqrt(np.mean((2 * np.sin(h / 2)) ** 2) / 2)
-    np.testing.assert_allclose(scale, 0.35 * held * np.array([1.0, 5.0]), rtol=0.02)
 
 
 @pytest.mark.slow
@@ -110,19 +76,3 @@ def test_declared_parameters_that_the_user_gave_keep_their_values() -> None:
     runs = [Run("shaken", 0.05 * np.arange(200), x, rng.uniform(size=(200, 6)))]
     prepare(model, runs, Windows(runs, 0.05, 20), clock_scale=1.0, given=["roll_gain"])
     assert float(model.system.value("roll_gain").detach()) == pytest.approx(33.0)
-
-
-def test_segments_shorter_than_a_step_of_the_model_teach_the_input_filter_nothing() -> None:
-    rng, dt = np.random.default_rng(0), 0.01
-    u = rng.normal(size=(400, 1))
-    averaged = np.convolve(u[:, 0], np.ones(9) / 9.0, mode="same")[:, None]
-    whole, pieces = [(0, 300)], [(0, 300), *((a, a + 4) for a in range(300, 400, 4))]
-    weights = []
-    for segments in (whole, pieces):
-        t, x = dt * np.arange(400), np.zeros((400, 2))
-        logged, restored = ([Run("a", t, x, v, segments=segments)] for v in (averaged, u))
-        target = InputFilter(2, 5 * dt)
-        fit_filter(target, logged, restored, 1)
-        weights.append(target.weights.detach().clone())
-    assert weights[0].abs().max() > 0.1
-    torch.testing.assert_close(weights[0], weights[1])

@@ -12,7 +12,6 @@ from scipy.stats import binom, norm
 import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.inference import LogLikelihood, estimate, fit, log_likelihood
-from nsde_torch.inference.estimate import maximised, nearly_maximised
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.maximum import likeliest
 from nsde_torch.inference.posterior import LogWithPrior, Posteriors
@@ -20,7 +19,6 @@ from nsde_torch.inference.states import filtered_at
 from nsde_torch.recording import assemble
 from nsde_torch.simulation import simulate
 from nsde_torch.systems import make_system
-from tests.helpers.diagnosed import recorded
 from tests.helpers.encoders import TRUTH as ENCODED
 from tests.helpers.encoders import encoder_runs
 from tests.inference.springs import (
@@ -92,14 +90,6 @@ def test_noise_levels_and_parameters_are_found(inferred: bool) -> None:
     assert_near(found, share=0.2)
 
 
-def test_the_machine_that_is_given_keeps_its_values() -> None:
-    system = spring(values=FAR)
-    fit(system, linear_runs(1, 3.0))
-    kept = spring(values=FAR)
-    for own, other in zip(system.parameters(), kept.parameters(), strict=True):
-        assert own.equal(other)
-
-
 @pytest.mark.parametrize("lag", [0.05, 0.2])
 def test_the_lag_of_an_actuator_is_found(lag: float) -> None:
     runs = linear_runs(2, 12.0, seed=2, lag=lag, gust=0.1)
@@ -128,25 +118,6 @@ def test_levels_are_held_where_the_log_has_no_gusts() -> None:
     assert_near(found)
 
 
-@pytest.mark.parametrize(
-    ("machine", "law", "values", "durations", "seed"),
-    [
-        ("mass_spring_damper", "coulomb_friction", {"size": 0.04, "width": 0.03}, (10.0,) * 4, 2),
-        ("cartpole", "actuator_lag", {"time_constant": 0.04}, (4.0,) * 8, 3),
-    ],
-)
-def test_levels_from_beside_the_declared_physics_end_where_those_from_the_first_guess_do(
-    machine: str, law: str, values: dict[str, float], durations: tuple[float, ...], seed: int
-) -> None:
-    """Steps to the other side of a hill, and information from elsewhere, ended them 3.7 and 47 nats below."""
-    data = recorded(machine, {law: values}, durations=durations, dt=0.02, seed=seed)
-    system = make_system(machine)
-    near = nearly_maximised(LogLikelihood(system, data.runs, run_in=True))[1]
-    there = system.with_effects(system.make_effect(law, values))
-    one = nearly_maximised(near.of.of(there), near)[0].likelihood
-    assert one > nearly_maximised(LogLikelihood(there, data.runs, run_in=True))[0].likelihood - 2.0
-
-
 @pytest.mark.slow
 def test_levels_end_at_once_where_they_end_when_begun_with_again() -> None:
     """A level that nothing shows made the whole step as short as it wanted its own: 30 nats below after twelve."""
@@ -160,30 +131,6 @@ def test_levels_end_at_once_where_they_end_when_begun_with_again() -> None:
         levels, _, _ = likeliest(problem.space, levels, first, about)
         totals.append(problem.filtered(levels, about).total)
     assert totals[-1] - totals[0] < 1.0
-
-
-def test_levels_that_learned_a_law_let_go_of_it() -> None:
-    """Gusts at which the physics without a force is likeliest are no levels that it stays at with the force."""
-    law = "force = c1 q_dot^3"
-    data = recorded("mass_spring_damper", {law: {"c1": -0.2}}, durations=(8.0,) * 4, dt=0.02)
-    system = make_system("mass_spring_damper")
-    problem = LogLikelihood(system, data.runs, run_in=True)
-    learned = [[0.004947153901, 0.010222282298], [0.003344666159], [0.029051988557], [0.068296968634]]
-    levels = Levels(*(torch.tensor(values, dtype=torch.float64).log() for values in learned))
-    there = system.with_effects(system.make_effect(law, {"c1": -0.2}))
-    best, at = maximised(problem.of(there))
-    found, _, _ = likeliest(at.of.space, levels, levels, at.about)
-    assert at.of.filtered(found, at.about).total > best.likelihood - 1.5
-
-
-def test_a_disturbance_lasts_a_step_at_least() -> None:
-    """Of a log with white disturbances alone: what lasts less is white noise twice, from which there is no way back."""
-    runs = linear_runs(2, 10.0, gust=0.0, white=0.1, seed=4)
-    problem = LogLikelihood(spring(), runs)
-    first, about = problem.first(problem.vector.start)
-    short = replace(first, lasts=torch.full_like(first.lasts, -7.0))
-    found, _, _ = likeliest(problem.space, short, first, about)
-    assert float(found.lasts.exp().min()) >= problem.space.h * (1.0 - 1e-9)
 
 
 def test_a_sensor_beside_a_far_better_one_says_little_of_the_physics() -> None:

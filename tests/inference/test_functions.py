@@ -10,7 +10,6 @@ from nsde_torch.data import Run
 from nsde_torch.inference import LogLikelihood, maximised
 from nsde_torch.inference.force_scores import DRAWS, FunctionScores
 from nsde_torch.inference.functions import BasisGroup, Functions, learned, log_chance, seen_by_networks
-from nsde_torch.inference.smooth import Scale
 from nsde_torch.systems import make_system
 from tests.inference.springs import SENSOR, TRUTH, B, G, K, rubbing, run, small_runs, spring
 
@@ -54,15 +53,6 @@ def test_where_a_damping_is_at_its_bound_functions_do_what_it_would() -> None:
 
 def spring_labels() -> list[str]:
     return list(LogLikelihood(spring(), small_runs(rubbing(0.0), 1, 3.0, seed=0)).vector.labels)
-
-
-def test_among_given_groups_only_those_that_explain_something_are_taken() -> None:
-    runs = small_runs(replace(rubbing(0.0), effects={"quadratic": {"size": 0.1}}), 4, 10.0, seed=3)
-    _, at = maximised(LogLikelihood(spring(), runs), nuisances=False)
-    of_place, of_speed = BasisGroup(0, ("q",), "smooth"), BasisGroup(0, ("q_dot",), "signed")
-    out = learned(at, seen_by_networks(spring()), [0], among=[of_place, of_speed])
-    assert out.groups == (of_speed,)
-    assert learned(at, seen_by_networks(spring()), [0], among=[]).groups == ()
 
 
 def test_nothing_is_found_where_nothing_is_missing() -> None:
@@ -133,30 +123,6 @@ def test_chances_of_a_variance_are_right_where_weights_have_none(sizes: tuple[fl
     for level in (0.05, 0.2, 0.5):
         error = (level * (1.0 - level) / len(chances)) ** 0.5
         assert np.mean(np.array(chances) < level) == pytest.approx(level, abs=4.0 * error + 0.15 * level)
-
-
-def test_a_force_that_is_there_has_next_to_no_chance() -> None:
-    rng = np.random.default_rng(0)
-    drawn = rng.normal(size=(1, 6, DRAWS))
-    own = np.zeros((1, 6))
-    own[0, 2] = 8.0
-    assert log_chance(FunctionScores(own, drawn, np.zeros(6), DRAWS)) < np.log(1e-6)
-
-
-def test_beyond_the_data_polynomials_go_on_unless_waves_of_the_variable_are_beside_them() -> None:
-    v, scaled = np.array([1.0, 2.0, 4.0]), {"v": Scale(0.0, 2.0, 1.0)}
-    edge = {"v": np.clip(v, -2.0, 2.0)}
-    signed, waves = BasisGroup(0, ("v",), "signed"), BasisGroup(0, ("v",), "fine")
-    quadratic, none = np.array([0.0, 0.0, -0.5]), np.zeros(16)
-    alone = Functions((signed,), (quadratic,), np.zeros((3, 3)), scaled, np.zeros(0))
-    assert np.allclose(alone.force({"v": v}, 0, edge)[0], -0.5 * v * abs(v))
-    beside = Functions((signed, waves), (quadratic, none), np.zeros((19, 19)), scaled, np.zeros(0))
-    assert np.allclose(beside.force({"v": v}, 0, edge)[0], [-0.5, -2.0, -2.0])
-    other = BasisGroup(0, ("w",), "fine")
-    scaled["w"] = Scale(0.0, 1.0, 1.0)
-    apart = Functions((signed, other), (quadratic, none), np.zeros((19, 19)), scaled, np.zeros(0))
-    values = {"v": v, "w": np.zeros(3)}
-    assert np.allclose(apart.force(values, 0, {**edge, "w": np.zeros(3)})[0], -0.5 * v * abs(v))
 
 
 def test_a_law_that_one_run_alone_shows_is_found() -> None:

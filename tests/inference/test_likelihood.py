@@ -6,18 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-import nsde_torch
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run
-from nsde_torch.errors import DataError
 from nsde_torch.inference import LogLikelihood, chunks, kernels, log_likelihood
 from nsde_torch.inference.chunks import Chunks
-from nsde_torch.inference.estimate import maximised, nearly_maximised
-from nsde_torch.inference.filtering import linearised_about
-from nsde_torch.inference.lanes import WIDTH, lanes, load, root, store
-from nsde_torch.inference.low_pass import low_passed, rows_apart
+from nsde_torch.inference.estimate import maximised
+from nsde_torch.inference.lanes import WIDTH
+from nsde_torch.inference.low_pass import low_passed
 from nsde_torch.inference.steps import steps_of
-from nsde_torch.jit import compiled
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
 from tests.inference.springs import (
@@ -131,37 +127,6 @@ def test_cutting_a_long_run_into_chunks_changes_little(
     assert told_cut == pytest.approx(told_whole, abs=0.1)
 
 
-def test_physics_that_are_compared_are_disturbed_on_the_same_ports() -> None:
-    # a force on the cart does not turn a pole that lies; then it is what a tilt does, of a tilted pole it is not
-    still = []
-    for run in nsde_torch.simulate("cartpole", durations=[3.0, 3.0], seed=1).runs:
-        noise = 1e-4 * np.random.default_rng(1).standard_normal(run.x.shape)
-        x = run.x * (1.0, 1.0, 0.0, 0.0) + (0.0, 0.0, 0.5 * np.pi, 0.0) + noise
-        still.append(Run(run.name, run.t, x, 0.0 * run.u))
-    system = make_system("cartpole")
-    bias = {"position_bias[pole].bias": -0.7}
-    biased = make_system("cartpole", effects=["position_bias[pole]"], values=bias)
-    problem = LogLikelihood(system, still)
-    other = LogLikelihood(biased, still)
-    assert other.space.nd > problem.space.nd
-    _, at = nearly_maximised(problem)
-    best, _ = nearly_maximised(problem.of(biased), at)
-    assert best.disturbances == problem.space.disturbances
-    with pytest.raises(DataError, match="noise levels of"):
-        maximised(other, held=at.levels)
-
-
-def test_a_fit_ends_where_it_has_no_way_to_what_is_wanted() -> None:
-    problem, far = LogLikelihood(spring(), linear_runs(2, 10.0, seed=5)), moved({K: -2.0})
-    best, at = nearly_maximised(problem)
-    whole, _ = nearly_maximised(problem.of(far), at)
-    cut, _ = nearly_maximised(problem.of(far), at, wanted=best.likelihood + 1e6)
-    same, _ = nearly_maximised(problem.of(far), at, wanted=best.likelihood - 10.0)
-    assert cut.likelihood < whole.likelihood - 50.0
-    assert same.likelihood == pytest.approx(whole.likelihood, abs=1.0)
-    assert whole.likelihood == pytest.approx(best.likelihood, abs=1.0)
-
-
 Stretches = tuple[tuple[int, int], ...]
 
 
@@ -195,35 +160,6 @@ def test_each_row_after_the_first_ones_of_a_stretch_counts_once(case: str, late:
     expected = np.concatenate([run.x[a + 1 + late : b, 0] for run in runs for a, b in run.segments])
     counted = chunks.y[chunks.counted][:, 0].numpy()
     np.testing.assert_array_equal(np.sort(counted), expected)
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_the_blocks_of_time_hold_each_counted_row_once(case: str) -> None:
-    runs = numbered(*CASES[case], 0.02)
-    chunks = Chunks(steps_of(spring(), runs, clock=1.0, smooth=False))
-    edges = [a for a, _ in chunks.parts] + [chunks.parts[-1][1]]
-    assert (edges[0], edges[-1]) == (0, chunks.size)
-    assert edges == sorted(set(edges))
-    assert [b for _, b in chunks.parts] == edges[1:]
-
-
-@compiled
-def _worked_out(a: Array, b: Array, number: float, out: Array) -> None:
-    total = lanes(0.0)
-    for k in range(len(a)):
-        total += load(a[k]) * load(b[k])
-        total -= number * load(a[k]) / load(b[k])
-    store(out[0], root(total) - 1.0)
-    store(out[1], number)
-
-
-def test_lanes_are_numbers_of_their_own() -> None:
-    random = np.random.default_rng(0)
-    a, b = random.uniform(1.0, 2.0, (2, 5, WIDTH))
-    out = np.zeros((2, WIDTH))
-    _worked_out(a, b, 0.25, out)
-    np.testing.assert_allclose(out[0], np.sqrt((a * b - 0.25 * a / b).sum(0)) - 1.0, rtol=1e-13)
-    np.testing.assert_array_equal(out[1], 0.25)
 
 
 @pytest.mark.parametrize("count", [1, WIDTH, WIDTH + 3])
@@ -325,33 +261,3 @@ def test_increments_of_states_without_what_is_above_are_increments_without_it() 
     inner = slice(100, -100)
     error = (states[1:] - states[:-1] - steps)[inner].std()
     assert float(error) < 0.01 * float(steps[inner].std())
-
-
-@pytest.mark.parametrize(("hz", "rows"), [(50.0, 1), (5.0, 10), (7.0, 7), (1000.0, 1)])
-def test_a_band_is_measured_as_often_as_it_says_something_new(hz: float, rows: int) -> None:
-    assert rows_apart([], {"q": hz}, DT) == {"q": rows}
-
-
-def test_a_state_is_measured_as_far_apart_as_its_noise_in_any_run_and_its_band_ask_for() -> None:
-    still, undone = (
-        replace(run, apart=apart) for run, apart in zip(linear_runs(2, 4.0), ({}, {"q": 4}), strict=True)
-    )
-    assert rows_apart([undone, still], {"q_dot": 5.0}, DT) == {"q": 4, "q_dot": 10}
-    assert rows_apart([still, undone], {"q": 5.0}, DT) == {"q": 10}
-    assert LogLikelihood(spring(), [still, undone]).space.every == [4, 1]
-
-
-def test_a_row_that_measures_nothing_changes_nothing() -> None:
-    runs = linear_runs(2, 4.0)
-    whole = LogLikelihood(spring(), runs, apart=0.1)
-    first, about = whole.first(whole.vector.start)
-    at = whole.filtered(first, about)
-    assert whole.space.every == [5, 5]
-    measured = whole.space.measured
-    assert bool((at.rows[~measured.all(-1)] == 0.0).all())
-    # other values there do not matter
-    moved = [replace(run, x=run.x + 0.5 * (np.arange(len(run.x)) % 5 != 0)[:, None]) for run in runs]
-    other = LogLikelihood(spring(), moved, apart=0.1)
-    other.space.use(other.vector.start)
-    same = linearised_about(other.space, whole.space.chunks.y, other.start)
-    assert other.filtered(first, same).total == pytest.approx(at.total, rel=1e-9)

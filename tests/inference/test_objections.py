@@ -35,14 +35,6 @@ def test_a_stretch_of_which_no_row_counts_is_refused() -> None:
         fit(spring(), [replace(run.slice(0, 32), inferred={"q_dot": 0.4})])
 
 
-def test_a_search_that_fails_has_not_settled(monkeypatch: pytest.MonkeyPatch) -> None:
-    step = Grams.step
-    monkeypatch.setattr(Grams, "step", lambda *given: -step(*given))
-    found = fit(spring(values={G: 1.0, K: 3.0, B: 0.5}), linear_runs(1, 6.0))
-    assert value(found, K)[0] == pytest.approx(3.0)
-    assert not found.settled
-
-
 def test_a_cart_with_a_pole_whose_ports_push_alike_is_fitted() -> None:
     values, noise = {"g": 1.2, "s": 0.09, "l": 0.6}, (0.004, 0.01, 0.01, 0.03)
     cart = replace(rubbing(0.0), system="cartpole", values=values, noise=noise)

@@ -9,7 +9,6 @@ import torch
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.inference import (
     LogLikelihood,
@@ -20,10 +19,9 @@ from nsde_torch.inference import (
     nearly_maximised,
 )
 from nsde_torch.inference.filtering import Linearisation, Pass, filtered, with_gains
-from nsde_torch.inference.force_scores import directions, force_scores
+from nsde_torch.inference.force_scores import force_scores
 from nsde_torch.inference.level_slopes import level_slopes, score
 from nsde_torch.inference.levels import Levels
-from nsde_torch.inference.maximum import _curved
 from nsde_torch.inference.sensitivity import Grams, grams, inverted
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
@@ -160,29 +158,6 @@ def test_the_information_of_draws_is_that_of_columns(fitted: Fitted) -> None:
     assert len(found.blocks) == len(scores.blocks)
 
 
-def test_directions_are_of_unit_information_in_order() -> None:
-    rng = np.random.default_rng(2)
-    x = rng.normal(size=(50, 4))
-    x[:, 2] = x[:, 0] + x[:, 1]
-    information = x.T @ x
-    turn, kept = directions(information, np.zeros(4))
-    assert kept.tolist() == [0, 1, 3]
-    np.testing.assert_allclose(turn @ information @ turn.T, np.eye(3), atol=1e-9)
-    assert not np.triu(turn, 1)[:, :2].any()
-
-
-def test_scores_are_of_the_chunks_whose_filter_has_not_diverged(fitted: Fitted) -> None:
-    _, at = fitted
-    x = at.x.clone()
-    x[:, 0] = torch.nan
-    lost = Optimum(with_own_pass(at.of), at.levels, replace(at.about, x=x), at.at, at.free)
-    found = force_scores(lost)
-    assert np.isfinite(found.forces).all()
-    assert np.isfinite(found.drawn).all()
-    assert len(found.runs) == at.of.space.chunks.count - 1
-    assert force_scores(lost) is found
-
-
 SMALL = 1e-5
 
 
@@ -280,31 +255,6 @@ def test_the_score_holds_over_long_chunks_of_precise_sensors(precise: float) -> 
         assert white[j] * of_white[j] == pytest.approx((up - down) / 2e-3, rel=1e-2, abs=1e-2)
     up, down = (passed(sensor * (1.0 + way * 1e-3 * np.eye(3)[2]), white)[0] for way in (1.0, -1.0))
     assert sensor[2] * of_sensors[2] == pytest.approx((up - down) / 2e-3, rel=1e-2, abs=1e-2)
-
-
-def test_the_information_takes_on_the_curvature_of_a_step_and_stays_positive() -> None:
-    rng = torch.Generator().manual_seed(2)
-    half = torch.randn(4, 4, generator=rng, dtype=torch.float64)
-    known, moved = half @ half.T + torch.eye(4), torch.randn(4, generator=rng, dtype=torch.float64)
-    bent = 0.3 * known @ moved + 0.1 * moved
-    found = _curved(known, moved, bent)
-    torch.testing.assert_close(found @ moved, bent)
-    assert torch.linalg.eigvalsh(found).min() > 0.0
-    # of a step along which the likelihood bends upwards nothing is learned
-    assert _curved(known, moved, -bent) is known
-
-
-@pytest.mark.slow
-def test_levels_do_not_stop_by_information_from_elsewhere() -> None:
-    drag = {"linear_drag": {"drag": [0.35, 0.3, 0.15]}}
-    made = nsde_torch.simulate("hexacopter", effects=[drag], durations=[15.0], seed=106)
-    system = make_system("hexacopter", effects=["linear_drag"])
-    runs = nsde_torch.read(made, system=system).runs
-    best, at = nearly_maximised(LogLikelihood(system, runs, run_in=True))
-    best.vector.write(system, best.theta)
-    # what is not there brings what the levels had stopped below, 6.4 nats
-    more = system.with_effects(system.make_effect("gyroscopic_moment", {}))
-    assert nearly_maximised(at.of.of(more), at)[0].likelihood - best.likelihood < 2.0
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nsde_torch.data import DataSet, RawRun
-from nsde_torch.data.kinematics import Slope, clock_slopes
-from nsde_torch.data.quaternion import conjugate, rotate, rotation_vector, slerp
+from nsde_torch.data.quaternion import conjugate, rotate
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import Recording, assemble
 from nsde_torch.recording.faults import FAULTS
@@ -108,15 +107,6 @@ def test_dropped_samples_are_interpolated_back_and_inputs_are_held() -> None:
     np.testing.assert_array_equal(data[0].u[301], u[301])
 
 
-def test_alternating_steps_are_resampled_to_one_step_without_cuts() -> None:
-    fine = flight(20.0, dt=0.001)
-    index = np.cumsum(np.tile([8, 16], 800))
-    data = one(*(a[index] for a in fine))
-    assert data.dt in (pytest.approx(0.008), pytest.approx(0.016), pytest.approx(0.012))
-    assert len(data[0].segments) == 1
-    np.testing.assert_allclose(np.diff(data[0].t), data.dt, rtol=1e-9)
-
-
 @pytest.mark.parametrize(("rate", "digits"), [(60, 3), (104, 6)])
 def test_times_that_were_rounded_are_those_of_the_clock_that_was_rounded(rate: int, digits: int) -> None:
     t, x, u = flight(30.0, dt=1.0 / rate)
@@ -163,13 +153,6 @@ def test_rows_that_came_faster_than_their_clock_ticks_are_all_kept() -> None:
     assert kinds(data)[0] == "rounded_time"
     assert sum(b - a for a, b in data[0].segments) > 0.99 * len(keep)
     assert data.dt == pytest.approx(0.01, rel=1e-2)
-
-
-def test_rows_that_repeat_a_time_with_the_same_values_are_no_faster_rows() -> None:
-    t, x, u = flight(5.0)
-    data = one(np.repeat(t, 3), np.repeat(x, 3, axis=0), np.repeat(u, 3, axis=0))
-    assert kinds(data) == ["duplicate_time"]
-    np.testing.assert_allclose(data[0].x, x, atol=1e-12)
 
 
 def test_a_clock_that_starts_again_is_refused() -> None:
@@ -243,19 +226,6 @@ def test_a_wrong_clock_is_measured_within_its_error(scale: float) -> None:
     assert data.dt == pytest.approx(0.01)
 
 
-def test_noise_in_the_velocity_does_not_pull_the_clock() -> None:
-    raw, t = [], 0.02 * np.arange(201)
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        a, b = rng.uniform(1, 2, 2)
-        clean = np.stack([a * np.sin(2 * t), 2 * a * np.cos(2 * t), np.cos(b * t), -b * np.sin(b * t)], 1)
-        x = clean + 0.3 * rng.standard_normal(clean.shape)
-        raw.append(RawRun(f"{seed}", t, x, rng.uniform(-1, 1, (201, 1))))
-    data = assemble(raw, CARTPOLE, kind="test", clock="refuse")
-    assert data.clock_scale == 1.0
-    assert len(data.summary.slopes) == 2
-
-
 def test_a_velocity_that_alone_disagrees_is_reported_and_not_scaled() -> None:
     t, x, u = flight(60.0)
     x[:, 3:6] *= 1.06
@@ -263,18 +233,6 @@ def test_a_velocity_that_alone_disagrees_is_reported_and_not_scaled() -> None:
     assert kinds(data) == ["kinematic_mismatch"]
     assert "read 6.0% too much (multiply them by 0.943" in data.summary.findings[0].message
     assert data.clock_scale == 1.0
-
-
-def test_a_velocity_of_another_scale_in_one_run_is_named_and_sound_runs_are_not() -> None:
-    for scale in (1.0, 1.05):
-        made = [(t, noisy(x, 0.005, k), u) for k in range(3) for t, x, u in [flight(30.0, seed=k)]]
-        made[1][1][:, 4] *= scale
-        raw = [RawRun(f"run_{k}", *arrays) for k, arrays in enumerate(made)]
-        data = assemble(raw, HEXACOPTER, kind="test")
-        odd = [f for f in data.summary.findings if f.kind == "odd_scale"]
-        assert [f.run for f in odd] == (["run_1"] if scale > 1.0 else [])
-    assert odd[0].message.startswith("p_y changes 0.95")
-    assert "v_y" in odd[0].message
 
 
 def test_motor_commands_outside_zero_to_one_are_refused_with_a_guess() -> None:
@@ -310,33 +268,6 @@ def test_runs_on_other_steps_are_brought_to_one() -> None:
     assert [run.dt for run in data] == pytest.approx([0.01] * 3)
     half = assemble([RawRun("a", *flight(6.0))], HEXACOPTER, kind="test", dt=0.02)
     assert half[0].dt == pytest.approx(0.02)
-
-
-def long_enough(v: list[float]) -> bool:
-    return bool(min(np.linalg.norm(v[:4]), np.linalg.norm(v[4:])) > 0.1)
-
-
-@settings(max_examples=50, deadline=None)
-@given(st.lists(st.floats(-1, 1), min_size=8, max_size=8).filter(long_enough), st.floats(0, 1))
-def test_slerp_stays_on_the_sphere_and_halves_the_way(values: list[float], share: float) -> None:
-    a, b = (np.array([v]) / np.linalg.norm(v) for v in (values[:4], values[4:]))
-    q = slerp(a, b, np.array([share]))
-    assert np.linalg.norm(q) == pytest.approx(1.0)
-    assert abs(np.sum(slerp(a, b, np.array([1.0])) * b)) == pytest.approx(1.0)
-    assert np.isfinite(rotation_vector(q)).all()
-
-
-def test_an_angle_in_degrees_is_not_taken_for_a_wrapped_one() -> None:
-    t = np.arange(0.0, 30.0, 0.02)
-    theta, speed = 4.0 * np.sin(2.0 * t), 8.0 * np.cos(2.0 * t)
-    wrapped, degrees = (
-        np.stack([0.0 * t, 0.0 * t, angle, speed], 1)
-        for angle in (np.mod(theta + np.pi, 2 * np.pi) - np.pi, np.degrees(theta))
-    )
-    u = np.zeros((len(t), 1))
-    assert "angle_wrap" in kinds(assemble([RawRun("a", t, wrapped, u.copy())], CARTPOLE, kind="test"))
-    with pytest.raises(DataError, match="if theta is in deg"):
-        assemble([RawRun("a", t, degrees, u)], CARTPOLE, kind="test")
 
 
 def test_a_velocity_of_another_run_is_refused_by_name() -> None:
@@ -431,23 +362,3 @@ def test_a_sound_flight_passes_whatever_its_noise_and_one_too_short_to_judge_doe
 
 
 # ---- the clock, where rows are few for the motion ----------------------------------------------------------
-
-
-def slope(hertz: float, *, noise: float = 0.0, clock: float = 1.0) -> Slope:
-    """Of a wave, 60 s at 20 Hz by the log's clock."""
-    turn, t = 2.0 * np.pi * hertz, clock * 0.05 * np.arange(1200)
-    x = np.stack([np.sin(turn * t), turn * np.cos(turn * t)], 1)
-    x = x + noise * np.random.default_rng(1).standard_normal(x.shape) * [1.0, turn]
-    (found,) = clock_slopes(make_system("mass_spring_damper"), "a", [x], dt=0.05)
-    return found
-
-
-def test_a_clock_is_measured_within_its_error_however_few_rows_a_wave_has() -> None:
-    for hertz, within in ((0.5, 1e-3), (1.1, 2e-3), (2.1, 0.015)):
-        assert slope(hertz).value == pytest.approx(1.0, abs=within)
-    for hertz in (1.1, 2.1, 3.1, 4.1):
-        found = slope(hertz, noise=0.02)
-        assert abs(found.value - 1.0) < 3.0 * found.error  # what quadrature leaves is in it
-    found = slope(0.9, noise=0.05, clock=1.05)
-    assert found.value == pytest.approx(1.05, abs=3.0 * found.error)
-    assert found.error < 0.02

@@ -7,7 +7,6 @@ import pytest
 
 import nsde_torch
 from nsde_torch.data.csv_folder import read_csv
-from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import Recording, assemble
 from nsde_torch.recording.unmeasured_rates import derived_rates
@@ -43,14 +42,6 @@ def test_the_true_rate_of_a_simulation_is_none() -> None:
     assert not derived_rates(SPRING, made.runs)
     for gust in (0.0, 0.02, 0.3):
         assert not derived_rates(SPRING, encoder_runs("truth", gust=gust, runs=2))
-
-
-def test_a_sensor_is_none_beside_a_run_in_which_the_machine_runs_away() -> None:
-    runs, rng = encoder_runs("sensor", runs=2), np.random.default_rng(3)
-    t = runs[0].t[0] + 0.01 * np.arange(200)
-    away = 0.01 * np.exp(5.0 * (t - t[0]))
-    x = np.stack((away, 5.0 * away), 1) + 1e-3 * rng.standard_normal((200, 2))
-    assert not derived_rates(SPRING, [*runs, RawRun("away", t, x, np.zeros((200, 1)))])
 
 
 def test_the_data_set_says_so_infers_the_rate_and_keeps_the_position() -> None:

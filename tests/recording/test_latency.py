@@ -1,7 +1,6 @@
 """Which of two channels comes late, and by how much, shows in kinematics alone; what is late can be put right."""
 
-import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -9,12 +8,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from nsde_torch.data import DataSet, RawRun, Run
-from nsde_torch.data.kinematics import Uncertain
-from nsde_torch.data.system_info import channel_columns
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.recording import Recorded, Recording, assemble
-from nsde_torch.recording.chain import instead_of_effects
-from nsde_torch.recording.latency import differing, filtered, late_channels, latencies, on_one_clock, on_time
+from nsde_torch.recording import Recording, assemble
+from nsde_torch.recording.latency import filtered, late_channels, latencies, on_one_clock, on_time
 from nsde_torch.systems import make_system
 from tests.helpers.data_systems import HEXACOPTER
 from tests.helpers.flights import flight
@@ -78,11 +74,6 @@ def test_sensors_that_are_on_time_are_hardly_ever_called_late() -> None:
     assert all(late.low < 0.5 * DT for late in found)
 
 
-def test_a_channel_that_does_not_move_as_its_rate_says_shows_nothing() -> None:
-    stuck = run(0)
-    assert late_channels(SPRING, [Run("stuck", stuck.t, stuck.x * [0.0, 1.0] + 0.3, stuck.u)]) == []
-
-
 def test_an_attitude_is_compared_with_body_rates() -> None:
     hexacopter = make_system("hexacopter")
     t = DT * np.arange(4000)
@@ -129,30 +120,6 @@ def test_noise_of_an_undone_channel_is_white_again_over_the_rows_that_the_run_sa
     assert all(abs(correlation(apart * k)) < 0.12 for k in (1, 2, 3))
     if apart > 1:
         assert max(abs(correlation(k)) for k in (1, 2, 3)) > 0.09
-
-
-def test_names_of_channels_are_states_or_what_several_share() -> None:
-    hexacopter = make_system("hexacopter")
-    assert channel_columns(hexacopter, "v") == [3, 4, 5]
-    assert channel_columns(hexacopter, "q") == [6, 7, 8, 9]
-    assert channel_columns(SPRING, "q") == [0]
-    with pytest.raises(ConfigError, match="name it whole: 'q'"):
-        channel_columns(hexacopter, "q_w")
-    with pytest.raises(ConfigError, match=r"states: q, q_dot\."):
-        channel_columns(SPRING, "v")
-    with pytest.raises(ConfigError, match="finite time"):
-        on_time(run(0), SPRING, {"q": float("nan")})
-
-
-def test_no_sensor_is_late_by_a_step_of_half_a_second() -> None:
-    t, cart = 0.5 * np.arange(60), make_system("cartpole")
-    run = Run("slow", t, np.sin(t[:, None] * np.arange(1, 5)), np.zeros((60, 1)))
-    better = itertools.count(1)
-
-    def misfits(runs: Sequence[Run]) -> np.ndarray:
-        return np.array([-float(next(better)), 0.0])
-
-    assert instead_of_effects(Recorded((run,), 1.0, ()), cart, misfits, rows=60, other=100.0) is None
 
 
 NOISE = np.array([0.002] * 3 + [0.015] * 3 + [0.001] * 4 + [0.015] * 3)
@@ -208,29 +175,3 @@ def test_a_user_may_keep_them() -> None:
     assert on_one_clock(data, HEXACOPTER, policy="keep") is data
     with pytest.raises(ConfigError, match="`stream_offsets` must be one of undo, keep; got 'no'"):
         on_one_clock(data, HEXACOPTER, policy="no")
-
-
-def test_an_unsure_run_is_drawn_to_the_others() -> None:
-    sure = {f"run_{k}": Uncertain(d, 0.0005, 40) for k, d in enumerate((0.0, 0.010, 0.004, 0.012))}
-    found = differing({**sure, "unsure": Uncertain(0.060, 0.050, 10)}, step=0.01)
-    assert found["run_1"] == pytest.approx(0.010, abs=1e-4)
-    assert found["unsure"] == pytest.approx(0.007, abs=0.003)
-
-
-def test_one_run_that_is_far_surer_than_the_others_does_not_hide_what_differs() -> None:
-    late = ((0.0188, 7e-5), (0.0036, 2e-4), (0.0019, 8e-4), (0.0111, 5e-5))
-    offsets = {str(k): Uncertain(d, e, 19) for k, (d, e) in enumerate(late)}
-    found = differing(offsets, step=0.01)
-    assert found["0"] == pytest.approx(0.0188, abs=1e-4)
-    assert found["2"] == pytest.approx(0.0019, abs=3e-4)
-
-
-def test_chance_differences_are_told_once_in_ten_thousand() -> None:
-    rng = np.random.default_rng(0)
-    told = 0
-    for _ in range(2000):
-        errors = rng.uniform(0.0005, 0.004, 6)
-        drawn = zip(errors, rng.standard_t(19, 6), strict=True)
-        offsets = {str(k): Uncertain(e * t, e, 19) for k, (e, t) in enumerate(drawn)}
-        told += differing(offsets, step=0.01) is not None
-    assert told <= 2

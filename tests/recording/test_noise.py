@@ -9,7 +9,7 @@ from nsde_torch.data import DataSet, Finding, RawRun
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import assemble
 from nsde_torch.recording.faults import FAULTS
-from nsde_torch.recording.noise import check_interpolated, grains, quantum, rotor_glitches, shares
+from nsde_torch.recording.noise import check_interpolated, rotor_glitches, shares
 from nsde_torch.systems import make_system
 from tests.helpers.data_systems import CARTPOLE, HEXACOPTER, MSD, Stub
 from tests.helpers.flights import flight
@@ -65,14 +65,6 @@ def test_what_moves_suddenly_is_kept() -> None:
         assert [f.kind for f in read(x)[1] if f.kind in ("glitch", "frozen_rows", "sensor_end")] == [], name
 
 
-def test_heavy_tails_are_no_lost_time_and_lost_rows_are_still_a_hidden_gap() -> None:
-    tails = np.array([0.002, 0.02]) * np.random.default_rng(1).standard_t(2.0, (len(T), 2))
-    data, findings = read(swing(0.0) + tails)
-    assert {f.kind for f in findings} == {"glitch"}
-    assert len(data.runs[0].segments) == 1
-    assert [f.kind for f in read(np.delete(swing(0.002), slice(700, 740), axis=0))[1]] == ["hidden_gap"]
-
-
 def test_a_glitch_of_a_quaternion_and_of_an_angle_leave_unit_norm_and_wraps_in_order() -> None:
     t, x, u = flight(12.0)
     spoilt = x.copy()
@@ -118,14 +110,6 @@ def test_glitches_of_a_rotor_are_found_and_nothing_else_is(seed: int) -> None:
     np.testing.assert_allclose(np.delete(share, rows), np.square(np.delete(clean, rows) / MOST))
 
 
-def test_glitches_that_are_held_for_two_rows_are_found_and_a_rotor_that_stops_is_none() -> None:
-    bad, stopped = speeds(7), speeds(8)
-    bad[1000:1002], bad[2000:2002], bad[2002:2004] = 9 * MOST, 0.0, 4 * MOST
-    assert np.flatnonzero(rotor_glitches(bad, MOST)).tolist() == [1000, 1001, *range(2000, 2004)]
-    stopped[3000:] = 0.0
-    assert not rotor_glitches(stopped, MOST).any()
-
-
 def test_speeds_in_another_unit_are_refused() -> None:
     for factor, words in (
         (7, r"run 'a': rotor speed 'u_1' is at most .* in nine rows of ten"),
@@ -153,21 +137,6 @@ def test_speeds_come_back_as_the_commands_they_were_made_of() -> None:
 
 
 # ---- steps that values come in -----------------------------------------------------------------------------
-
-VALUES = np.random.default_rng(0).normal(size=5000)
-
-
-def test_decimals_encoders_and_significant_digits_have_steps_and_floats_next_to_none() -> None:
-    assert quantum(np.round(VALUES, 3)) == pytest.approx(1e-3)
-    step = 2.0 * np.pi / 4096.0
-    assert grains(step * np.round(VALUES / step)) == pytest.approx(np.full(5000, step))
-    written = np.array([float(f"{v:.4g}") for v in VALUES])
-    expected = 10.0 ** (np.floor(np.log10(np.abs(written))) - 3)
-    large = np.abs(written) > 0.01  # smaller ones are further apart than their last digit
-    assert grains(written)[large] == pytest.approx(expected[large])
-    assert quantum(written) == pytest.approx(1e-4)
-    assert quantum(VALUES) < 1e-5
-    assert quantum(np.zeros(10)) == quantum(np.empty(0)) == 0.0
 
 
 # ---- lines between every few rows --------------------------------------------------------------------------
@@ -220,35 +189,3 @@ def test_wraps_of_an_angle_are_no_knots(noise: float) -> None:
     assert not told([run], system="cartpole")
     run.x[5::50, 2] = np.nan
     assert not told([run], system="cartpole")
-
-
-def test_a_wrapped_angle_that_was_interpolated_is_told() -> None:
-    run = swinging(0.01)
-    k, angle = np.arange(len(run.t)), np.unwrap(run.x[:, 2])
-    angle = np.interp(k, k[::4], angle[::4])
-    run.x[:, 2] = np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi
-    assert told([run], system="cartpole")[0].values["states"] == ["theta"]
-
-
-def test_the_kinks_that_held_forces_make_in_a_motion_without_noise_are_no_knots() -> None:
-    rng = np.random.default_rng(3)
-    dt, n = 0.05, 600
-    force = np.repeat(rng.choice((-1.2, 1.2), n // 4 + 1), 4)[:n]
-    x = np.zeros((n, 2))
-    for row in range(1, n):
-        q, v = x[row - 1]
-        for _ in range(50):
-            v += 0.001 * (force[row - 1] - 0.7 * q - 0.4 * v)
-            q += 0.001 * v
-        x[row] = q, v
-    bends = np.abs(np.diff(x[:, 1], 2))
-    assert (bends < 0.05 * np.quantile(bends, 0.95)).mean() > 0.4  # as flat as they look
-    assert not told([RawRun("a", dt * np.arange(n), x, force[:, None])])
-
-
-def test_values_of_some_significant_digits_are_straight_only_to_the_last_of_them() -> None:
-    t = 0.002 * np.arange(8000)
-    q = 1.5 * np.sin(1.3 * t) + 0.2 * np.sin(7.0 * t)
-    rate = np.gradient(q, t) + 1e-3 * np.random.default_rng(4).standard_normal(len(t))
-    written = np.array([[float(f"{v:.4g}") for v in row] for row in np.stack([q, rate], 1)])
-    assert not told([RawRun("a", t, written, np.zeros((len(t), 1)))])

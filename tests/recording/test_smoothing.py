@@ -99,14 +99,6 @@ def test_constant_held_short_and_exogenous_columns_show_no_average(u: Array, inp
     assert smoothing_width([run(u)], inputs) == 0.0
 
 
-def test_runs_and_segments_of_unequal_length_are_pooled() -> None:
-    u = averaged(commands("red", 3), 40)
-    n = len(u)
-    cut = Run("cut", DT * np.arange(n), np.zeros((n, 1)), u, ((0, 700), (700, 3000), (3000, n)))
-    short = run(averaged(commands("red", 4, 900), 40), "short")
-    assert smoothing_width([short, cut], 4) == pytest.approx(0.4, abs=1.01 * DT)
-
-
 @pytest.mark.slow
 def test_simulated_flights_were_not_averaged() -> None:
     from nsde_torch.simulation import simulated
@@ -118,23 +110,6 @@ def test_simulated_flights_were_not_averaged() -> None:
 def test_published_flights_were_averaged_over_four_tenths_of_a_second(published: Path) -> None:
     data = read("published", make_system("hexacopter"), path=str(published / "hexacopter" / "trajs.pkl"))
     assert smoothing_width(list(data.runs), 6) == pytest.approx(0.4, abs=1.01 * DT)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_short_episodes_show_their_average_together_and_raw_ones_none(kind: str) -> None:
-    episodes = [run(averaged(commands(kind, seed, 240), 12)[20:220], str(seed)) for seed in range(20)]
-    assert smoothing_width(episodes, 1) == pytest.approx(12 * DT, abs=1.01 * DT)
-    for first in range(0, 200, 20):
-        episodes = [run(commands(kind, first + seed, 200), str(seed)) for seed in range(20)]
-        assert smoothing_width(episodes, 1) == 0.0
-
-
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("kind", ["white", "red"])
-def test_the_width_is_right_to_the_sample(kind: str, seed: int) -> None:
-    u = averaged(commands(kind, seed), 47)
-    u = u + 1e-4 * np.random.default_rng(seed).standard_normal(u.shape)
-    assert smoothing_width([run(u)], 4) == pytest.approx(47 * DT)
 
 
 @pytest.mark.parametrize("seed", range(3, 8))
@@ -218,7 +193,3 @@ def test_a_rate_made_of_positions_by_a_polynomial_is_told_from_a_smoothed_one() 
 def test_a_raw_sensor_has_the_form_that_is_assumed() -> None:
     for seed in range(6):
         assert fit(seen_in(sensor(seed)), None).deviance < 0.8
-
-
-def test_short_stretches_have_no_spectrum() -> None:
-    assert spectra_of([np.zeros((60, 1)) for _ in range(20)], DT) is None

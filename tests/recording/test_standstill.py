@@ -1,7 +1,5 @@
 """What stands still: frozen logs and sensors at their end are cut out, so is time on the ground; rest is kept."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -9,7 +7,6 @@ from numpy.typing import NDArray
 from nsde_torch.data import DataSet, Finding, RawRun
 from nsde_torch.errors import DataError
 from nsde_torch.recording import assemble
-from nsde_torch.recording.standstill import CLEAR
 from tests.helpers.data_systems import CARTPOLE, HEXACOPTER, MSD
 from tests.helpers.flights import flight
 
@@ -88,12 +85,6 @@ def test_rest_coarse_sensors_and_slow_ones_are_kept() -> None:
     cases |= {"stop": stop, "slow": slow, "tooth": tooth}
     for name, x in cases.items():
         assert read(x)[1] == [], name
-
-
-def test_a_log_in_which_nothing_moves_has_no_clock_of_nothing() -> None:
-    x = np.stack((np.zeros(len(T)), 1e-7 * np.sin(np.arange(len(T)))), 1)
-    x[700, 0] = 1e-9
-    assert read(x)[0].clock_scale == 1.0
 
 
 # ---- columns of one value ----------------------------------------------------------------------------------
@@ -198,26 +189,3 @@ def test_a_log_that_never_leaves_the_ground_beside_one_that_flies_is_refused_by_
     parked = RawRun("parked", t[:STAND].copy(), x[:STAND].copy(), u[:STAND].copy())
     with pytest.raises(DataError, match=r"'parked': the machine stands on the ground throughout\. Leave"):
         assemble([RawRun("log", t, x, u), parked], HEXACOPTER, kind="test", clock="trust")
-
-
-def test_a_machine_without_rotors_may_stand_still_on_nothing() -> None:
-    boat = replace(HEXACOPTER, name="boat", input_names=tuple(f"thruster_{k}" for k in range(6)))
-    assert not on_ground(*log(0.1), system=boat)[1]
-
-
-def test_a_machine_that_bounces_on_the_ground_is_on_it_until_it_is_clear_of_it() -> None:
-    t, x, u = log(0.1)
-    bounces = np.abs(np.sin(np.linspace(0, 3 * np.pi, 90)))  # three times 12 cm up and down before it climbs
-    x[STAND : STAND + 90, 2] = x[0, 2] + 0.12 * bounces
-    data, (finding,) = on_ground(t, x, u)
-    assert STAND + 88 <= finding.count <= STAND + 130
-    assert not (data.runs[0].x[:100, 2] < x[0, 2] + CLEAR).any()
-
-
-def test_what_flies_low_long_after_it_stood_is_kept() -> None:
-    t, x, u = log(0.1, noise=0.0)
-    # from a table, and no higher
-    x[STAND:, 5] = 0.02 * np.cos(t[STAND:] - 2.0)
-    x[STAND:, 2] = x[0, 2] + 0.01 * np.cumsum(x[STAND:, 5])
-    _, (finding,) = on_ground(t, x, u)
-    assert finding.count <= STAND + 330

@@ -1,20 +1,16 @@
 """Values of largest likelihood, from all sensors, from positions alone, and where no sensor measured a rate."""
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.signal import butter, filtfilt
 
 from nsde_torch.data import DataSet, RawRun, Run
-from nsde_torch.errors import DataError, NonFiniteError
+from nsde_torch.errors import DataError
 from nsde_torch.recording import assemble
-from nsde_torch.sysid import regression
-from nsde_torch.sysid.guard import Guarded, Objection
-from nsde_torch.sysid.identify import by_likelihood, identify_in_loop, with_rates
+from nsde_torch.sysid.identify import identify_in_loop, with_rates
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import System, make_system
 from tests.helpers.encoders import DT, SPRING, TRUTH, encoder_runs
@@ -58,28 +54,6 @@ def test_of_two_joints_the_likelihood_is_nearer_than_physics_at_inferred_rates()
     j = found.vector.labels.index("quadratic_damping[q2].damping")
     assert found.likelihood.theta[j] == pytest.approx(damping, rel=1e-3)
     assert found.values[j] == pytest.approx(damping, rel=5e-3)
-
-
-def test_a_fit_that_simple_ones_speak_against_stays_as_it_is() -> None:
-    system, data = spring("sensor", runs=1)
-    found = identify_in_loop(system, data.runs, likelihood=False)
-    assert found.likelihood is None
-    objection = Objection("worse", "it leaves more", "look at the columns")
-    doubted = replace(found, guard=replace(Guarded(), objections=(objection,)))
-    assert by_likelihood(doubted, system, data.runs) is doubted
-
-
-def test_innovations_that_are_not_white_leave_the_values_of_the_regression_and_say_why() -> None:
-    system, data = spring("sensor", runs=2)
-    b, a = butter(2, 3.0, fs=1.0 / DT)
-    slow = [replace(run, x=np.column_stack([run.x[:, 0], filtfilt(b, a, run.x[:, 1])])) for run in data.runs]
-    found = identify_in_loop(system, slow, likelihood=False)
-    kept = by_likelihood(replace(found, guard=None), system, slow)
-    assert not kept.likelihood_used
-    assert kept.values is found.values
-    said = kept.as_dict()["likelihood"]
-    assert not said["used"]
-    assert any("q_dot" in sentence for sentence in said["objections"])
 
 
 def _lagging(tau: float) -> list[RawRun]:
@@ -163,21 +137,9 @@ def test_rates_with_physics_are_nearer_than_those_without() -> None:
     assert np.std(after - true) < 0.7 * np.std(before - true)
 
 
-def test_a_log_with_a_sensor_is_left_alone() -> None:
-    system = make_system("mass_spring_damper")
-    data = assemble(encoder_runs("sensor", runs=1), system, kind="test")
-    assert with_rates(system, data.runs)[0] is data.runs[0]
-
-
 def test_rates_that_diverge_between_rows_are_refused_with_what_to_record() -> None:
     stiff = make_system("mass_spring_damper", values={"linear_spring.stiffness": 400.0})
     t = 0.5 * np.arange(60)
     run = Run("r", t, np.stack([np.sin(t), np.cos(t)], 1), np.zeros((60, 1)), inferred={"q_dot": 0.1})
     with pytest.raises(DataError, match=r"q_dot cannot be inferred from q: over steps of 0\.5 s .* diverges"):
         with_rates(stiff, [run])
-
-
-def test_slopes_that_cannot_be_squared_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(regression, "_UNBOUNDED", 1e-6)
-    with pytest.raises(NonFiniteError, match="grows without bound"):
-        _identified("sensor")

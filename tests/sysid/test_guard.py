@@ -11,10 +11,10 @@ import pytest
 
 import nsde_torch
 from nsde_torch.data import DataSet, RawRun
-from nsde_torch.sysid.guard import Compared, Guarded, _disagreement, _gone
+from nsde_torch.sysid.guard import Guarded
 from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.sysid.readings import better_readings
-from nsde_torch.sysid.rough import left_at, rough_fit
+from nsde_torch.sysid.rough import rough_fit
 from nsde_torch.sysid.timing import Shifted, shifted_stream
 from nsde_torch.systems import make_system
 
@@ -234,45 +234,3 @@ def rough() -> Any:
     """A rough fit of flights."""
     data = nsde_torch.read(log_of("quadrotor"), system="quadrotor", state_smoothing="keep")
     return rough_fit(make_system("quadrotor"), data.runs)
-
-
-@pytest.mark.parametrize(
-    ("share", "error", "explained", "told"),
-    [
-        (1e-3, 0.0, 0.0, True),
-        (1e-3, 0.2, 0.0, False),  # not sure
-        (0.5, 0.0, 0.0, False),  # half as strong as expected
-        (1e-3, 0.0, 0.5, False),  # something else explains the channel
-    ],
-)
-def test_a_gain_that_has_surely_gone_and_with_it_all_that_was_explained_is_told(
-    share: float, error: float, explained: float, told: bool, rough: Any
-) -> None:
-    first, theta = rough.vector.start, rough.theta.copy()
-    j = rough.vector.labels.index("roll_gain")
-    theta[j] = share * first[j]
-    covariance = np.diag(np.square(error * first))
-    left = [replace(a, left=a.measured * (1.0 - explained) ** 0.5) for a in left_at(rough, theta)]
-    gone = _gone(rough, theta, covariance, left)
-    assert (gone is not None) == told
-    assert gone is None or ("nothing of w_x and" in gone.sentence and "roll_gain" in gone.sentence)
-
-
-def test_steady_pushes_count_for_nothing_in_what_is_left() -> None:
-    data = nsde_torch.read(log_of("mass_spring_damper"), system="mass_spring_damper")
-    system = make_system("mass_spring_damper")
-    rough = rough_fit(system, data.runs)
-    pushed = [replace(run, x=run.x + np.outer(run.t - run.t[0], [0.0, 5.0])) for run in data.runs]
-    again = rough_fit(system, pushed)
-    assert again is not None
-    before, after = (left_at(one, rough.theta)[0].left for one in (rough, again))
-    assert after < 1.2 * before + 5.0 * 10.0 * 0.5  # 0.5 1/s of damping answers the speed, nothing the push
-
-
-@pytest.mark.parametrize(("measured", "speaks"), [(10.6, False), (2.0, True)])
-def test_first_values_that_leave_less_speak_against_a_fit_where_that_matters(
-    measured: float, speaks: bool
-) -> None:
-    one = Compared("q_dot", "rad/s2", measured, fit=0.405, least_squares=0.377, first_values=0.258)
-    found = _disagreement((one,), 1e-5)
-    assert (found and found.kind) == ("first_values" if speaks else None)

@@ -1,6 +1,5 @@
 """Fits of frictions: over longer boxes where a noise model learned it, without standstill, and of any width."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,14 +9,10 @@ from scipy.signal import butter, filtfilt
 import nsde_torch
 from nsde_benchmarks.public.emps import PositioningDrive
 from nsde_torch.data import DataSet, RawRun, Run
-from nsde_torch.errors import DataError
 from nsde_torch.recording import assemble
 from nsde_torch.sysid import Identification, identify, identify_in_loop
-from nsde_torch.sysid import regression as regressions
-from nsde_torch.sysid.guard import Guarded, Objection, asks_for_longer_boxes
-from nsde_torch.sysid.identify import in_longer_boxes
 from nsde_torch.sysid.regression import Regression, narrower, regression_of
-from nsde_torch.sysid.standstill import moving, slowest
+from nsde_torch.sysid.standstill import moving
 from nsde_torch.systems import System, make_system
 from tests.helpers.sticking import STICKING, sticking_runs
 
@@ -74,35 +69,6 @@ def test_a_friction_that_the_noise_model_learned_comes_out_of_longer_boxes() -> 
 
 def test_a_friction_that_is_as_declared_needs_none() -> None:
     assert identified(axis(8.0, slip=1e-5, seed=4)).finer is None
-
-
-def _objecting(*kinds: str) -> Guarded:
-    return Guarded(tuple(Objection(kind, "this is so", "do that") for kind in kinds))
-
-
-@pytest.mark.parametrize(
-    ("kinds", "asks"),
-    [((), False), (("least_squares",), True), (("gone",), True), (("reading",), False), (("worse",), False)],
-)
-def test_what_is_wrong_with_the_log_is_not_mended_by_longer_boxes(kinds: tuple[str, ...], asks: bool) -> None:
-    assert asks_for_longer_boxes(_objecting(*kinds)) is asks
-
-
-def test_longer_boxes_are_refused_where_they_are_not_believed_either_or_do_not_fit() -> None:
-    sound = identified(axis(8.0, slip=1e-5, seed=4))
-    doubted = replace(sound, guard=_objecting("least_squares"))
-    assert in_longer_boxes(doubted, lambda box_s: doubted) is doubted
-
-    def too_short(box_s: float) -> Identification:
-        raise DataError("no stretch is long enough")
-
-    assert in_longer_boxes(doubted, too_short) is doubted
-    taken = in_longer_boxes(doubted, lambda box_s: replace(sound, values=sound.values * (1.0 + box_s)))
-    assert taken.finer is doubted
-    assert taken.doubt is not None
-    assert taken.doubt == pytest.approx(
-        0.15 * np.abs(sound.values) + (0.0 if sound.doubt is None else sound.doubt)
-    )
 
 
 @pytest.mark.slow
@@ -172,24 +138,6 @@ def test_rows_within_noise_of_a_standstill_and_of_a_turn_are_left_out() -> None:
     assert not set(turns) & set(kept)
 
 
-def test_a_run_that_stands_throughout_stays() -> None:
-    still = Run("still", 0.01 * np.arange(50), np.zeros((50, 2)), np.zeros((50, 1)))
-    (kept,), share = moving([still], {1: 0.1})
-    assert kept.segments == still.segments
-    assert share == 0.0
-
-
-def test_no_speed_is_slow_without_dry_friction_or_of_inferred_rates(data: DataSet) -> None:
-    std = np.array([0.005, 0.005])
-    dry = make_system("mass_spring_damper", effects=["coulomb_friction"])
-    assert slowest(dry, std, data.runs) == {1: pytest.approx(0.015)}
-    wet = make_system("mass_spring_damper", effects=["quadratic_damping"])
-    assert slowest(wet, std, data.runs) == {}
-    run = data.runs[0]
-    inferred = Run(run.name, run.t, run.x, run.u, inferred={"q_dot": 0.01})
-    assert slowest(dry, std, [inferred]) == {}
-
-
 FORCE, DRY_SIZE, WIDTH = 1.0, 0.6, 0.004
 
 
@@ -235,21 +183,3 @@ def test_a_width_goes_on_below_the_bound_of_the_search_and_the_size_is_right(
     assert _value(found, "coulomb_friction.width") < 0.75 * bound
     assert _off(within) > 2.5
     assert _off(found) < 1.5
-
-
-def test_a_width_that_the_search_finds_stays(system: System) -> None:
-    wide = assemble([_run(k, 0.1) for k in range(2)], system, kind="test")
-    found = regression_of(system, wide.runs)
-    found.run(20)
-    assert narrower(found, 20) is found
-
-
-def test_bounds_are_back_where_going_on_leads_nowhere(
-    system: System, fast: DataSet, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    found = regression_of(system, fast.runs)
-    found.run(20)
-    low = found.vector.low.copy()
-    monkeypatch.setattr(regressions, "MOVED", np.inf)
-    assert narrower(found, 20) is found
-    assert found.vector.low.tolist() == low.tolist()

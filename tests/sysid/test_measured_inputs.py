@@ -2,15 +2,12 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from nsde_torch.api.reading import read
 from nsde_torch.data import DataSet
 from nsde_torch.data.raw import RawRun
-from nsde_torch.sysid.measured_inputs import around_levels
 from nsde_torch.systems import make_system
 
-Array = NDArray[np.float64]
 DT, STIFFNESS, DAMPING = 0.01, 2.0, 0.4
 SPRING = make_system("mass_spring_damper")
 
@@ -59,19 +56,6 @@ def test_a_wobble_that_moves_the_machine_stays() -> None:
 def test_noise_stays_where_the_log_is_kept_as_it_is() -> None:
     data = read(thrown(1, levels=(-0.6, 0.6), noise=0.03), system=SPRING, state_smoothing="keep")
     assert "input_noise" not in {f.kind for f in data.summary.findings}
-
-
-@pytest.mark.parametrize("wave", ["sine", "noise", "levels without noise"])
-def test_other_inputs_hold_no_levels(wave: str) -> None:
-    t, rng = DT * np.arange(3000), np.random.default_rng(0)
-    forms = {
-        "sine": np.sin(3.0 * t) + 0.002 * rng.standard_normal(3000),
-        "noise": rng.standard_normal(3000),
-        "levels without noise": np.sign(np.sin(3.0 * t)),
-    }
-    runs = [RawRun("a", t, np.outer(np.sin(t), [1.0, 1.0]), forms[wave][:, None])]
-    data = read(runs, system=SPRING, state_smoothing="keep")
-    assert around_levels(data.runs, 0) is None
 
 
 def driven(seed: int, *, lag_s: float = 0.0, noise: float = 0.0, gap: float = 0.0) -> list[RawRun]:

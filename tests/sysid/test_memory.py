@@ -3,30 +3,16 @@
 from typing import Any
 
 import numpy as np
-import pytest
 import torch
 
 from nsde_torch.data import Run
-from nsde_torch.effects.actuators import ActuatorLag
 from nsde_torch.inference.memory import memory_along
 from nsde_torch.inference.steps import Steps, steps_of
-from nsde_torch.sysid.physics import Physics
 from nsde_torch.systems import System, make_system
-from nsde_torch.systems.parameters import ParameterVector
-from tests.helpers.diagnosed import recorded
 
 DT, TAU = 0.01, 0.05
 TIMES = {"input_delay": "delay", "actuator_deadband": "width"}
 TIMES |= dict.fromkeys(("motor_lag", "actuator_lag"), "time_constant")
-
-
-class Unknowing(ActuatorLag):
-    """A lag that does not say what it makes of held inputs."""
-
-    name = "drift"
-
-    def held(self, u: torch.Tensor, dt: float) -> None:  # type: ignore[override]
-        return None
 
 
 def made(machine: str, *effects: Any, **values: float) -> System:
@@ -69,16 +55,6 @@ def test_it_is_the_exact_mean_response_of_each_segment_from_rest_at_its_first_in
     np.testing.assert_array_equal(before, after)
 
 
-def test_a_wrong_first_memory_is_forgotten_when_equations_begin() -> None:
-    """What the motors did before the recording is unknown; 0.4 s later it no longer matters."""
-    run = run_with_gap()
-    system = made("hexacopter", "motor_lag", motor_lag=TAU)
-    other = np.array(run.u)
-    other[0] += 0.5  # the first input alone, at which the memory starts
-    first, second = (along(system, Run("r", run.t, run.x, u))[1] for u in (run.u, other))
-    assert float((first - second).abs().max()) < 0.5 * 1.2 * np.exp(-0.39 / TAU)
-
-
 def test_a_delay_of_held_inputs_is_exact_at_every_length() -> None:
     """The mean over each step of what arrives, whatever share of a step the delay is."""
     rng = np.random.default_rng(3)
@@ -106,38 +82,3 @@ def test_a_lag_follows_what_a_delay_lets_through() -> None:
     alone = made("hexacopter", "motor_lag", motor_lag=TAU)
     first, second = (along(s, Run("r", DT * np.arange(500), x, w))[1] for s, w in ((both, u), (alone, late)))
     torch.testing.assert_close(first[:, :6], second)
-
-
-@pytest.mark.parametrize("names", [["drift", "actuator_lag"], ["actuator_lag", "drift"]])
-def test_memory_that_nobody_knows_exactly_is_integrated_with_what_is_known_held(names: list[str]) -> None:
-    """A lag that says nothing of held inputs, before or after one that does."""
-    rng = np.random.default_rng(5)
-    u, x = rng.normal(size=(300, 1)), rng.normal(size=(300, 4))
-    own = Unknowing({"time_constant": 0.3}, n_inputs=1)
-    own.stage = {"drift": 1, "actuator_lag": 3}[names[0]]  # type: ignore[misc]
-    system = made("cartpole", "actuator_lag", own, actuator_lag=0.3)
-    steps, before, _ = along(system, Run("r", DT * np.arange(300), x, u))
-    # both orders of two equal lags give the same in the end, to the accuracy of a mean over a step
-    last = before[:, 1] if names[0] == "actuator_lag" else before[:, 0]
-    m = np.zeros((300, 2))
-    fade = np.exp(-DT / 0.3)
-    m[0] = u[0, 0]
-    for k in range(299):
-        m[k + 1, 0] = u[k, 0] + (m[k, 0] - u[k, 0]) * fade
-        m[k + 1, 1] = m[k, 0] + (m[k, 1] - m[k, 0]) * fade
-    np.testing.assert_allclose(last, m[-1 - len(steps) : -1, 1], atol=0.02)
-
-
-def test_what_a_lag_follows_moves_its_memory_too() -> None:
-    """The width of a dead band before a lag shows in the slopes as it shows in the residual."""
-    data = recorded("mass_spring_damper", durations=(4.0,) * 2, sensor_noise=0.1)
-    effects = ("actuator_lag", "actuator_deadband")
-    system = made("mass_spring_damper", *effects, actuator_lag=0.05, actuator_deadband=0.1)
-    vector = ParameterVector(system)
-    physics = Physics(vector, steps_of(system, data.runs, clock=1.0, smooth=False))
-    j, small = vector.labels.index("actuator_deadband.width"), 1e-4
-    up, down = vector.start.copy(), vector.start.copy()
-    up[j], down[j] = up[j] + small, down[j] - small
-    expected = (physics.residual(down) - physics.residual(up))[:, 1] / (2 * small)
-    slope = physics.slopes(vector.start)[:, 1, j]
-    assert np.linalg.norm(slope - expected) < 0.05 * np.linalg.norm(expected)

@@ -64,19 +64,6 @@ def test_whitened_stretches_know_nothing_of_each_other() -> None:
     assert extended(Series(((0, 200), (200, 500)))).edges == ((0, 201), (201, 502))
 
 
-def test_a_law_for_other_residuals_keeps_its_order_and_its_c() -> None:
-    law = estimate(drawn(4, carry=0.5, ar=(-0.8,)), ONE, limit=0.9, orders=10)
-    other = noise.again(law, drawn(5, carry=0.5, ar=(-0.8,)), ONE)
-    assert (other.carry, len(other.reflection)) == (law.carry, len(law.reflection))
-    assert abs(other.std - law.std) < 0.1
-
-
-def test_white_noise_only_scales() -> None:
-    r = drawn(6)
-    law = noise.first_guess(r, ONE, 0.0)
-    np.testing.assert_allclose(law.whiten(r[:, None], ONE)[1:, 0], r / law.std)
-
-
 def test_the_limit_of_c_is_one_for_a_sensor_alone_and_falls_with_what_else_is_noisy() -> None:
     assert noise.carry_limit(0.0, 0.0, 1.0, 0.01) > 0.999
     quiet, loud = (noise.carry_limit(0.0, known, 1.0, 0.01) for known in (0.1, 1.0))
@@ -104,13 +91,6 @@ def test_a_row_near_the_start_of_a_stretch_is_predicted_from_as_many_as_there_ar
             np.testing.assert_allclose(found[first + n], scale * expected, atol=1e-12)
 
 
-def test_what_the_past_gives_to_the_last_digit_has_no_law_and_warns_of_nothing() -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert not np.isfinite(noise.forgetting(np.array([0.5, 1.0]), np.inf)).all()
-        np.testing.assert_allclose(noise.forgetting(np.array([0.5, 0.9]), np.inf), [0.5, 0.9])
-
-
 def test_a_series_that_is_known_from_its_past_warns_of_nothing() -> None:
     n = np.arange(300)
     for memory in (np.inf, 1e6):
@@ -121,26 +101,6 @@ def test_a_series_that_is_known_from_its_past_warns_of_nothing() -> None:
                 law = estimate(r, series, limit=0.9, orders=20, memory=memory)
                 law.whiten(r[:, None], series)
             assert not (np.abs(law.reflection) >= 1.0).any()
-
-
-def test_boxes_sum_inside_a_stretch_and_drop_what_is_left_over() -> None:
-    values = np.arange(12.0)
-    np.testing.assert_array_equal(SHORT.summed(values, 3), [3, 12, 24])
-    assert SHORT.boxes(3).edges == ((0, 2), (2, 3))
-    np.testing.assert_array_equal(SHORT.summed(values, 1), values)
-
-
-def test_lags_do_not_reach_over_the_start_of_a_stretch() -> None:
-    lagged = SHORT.lagged(np.arange(1.0, 13.0)[:, None], (1, 2))
-    np.testing.assert_array_equal(lagged[:3], [[0, 0], [1, 0], [2, 1]])
-    np.testing.assert_array_equal(lagged[7:10], [[0, 0], [8, 0], [9, 8]])
-
-
-def test_blocks_are_of_one_stretch_and_about_as_long_as_asked() -> None:
-    blocks = SHORT.blocks(3)
-    assert blocks[6] != blocks[7]
-    assert set(np.bincount(blocks)) <= {2, 3, 4}
-    np.testing.assert_array_equal(np.unique(blocks), np.arange(blocks.max() + 1))
 
 
 def test_columns_are_orthonormal_and_blind_to_the_present_the_future_and_other_stretches() -> None:
@@ -155,21 +115,3 @@ def test_columns_are_orthonormal_and_blind_to_the_present_the_future_and_other_s
     left = early - other @ np.linalg.lstsq(other, early, rcond=None)[0]
     assert np.abs(left).max() < 1e-9
     np.testing.assert_allclose(basis[[0, 1, 501, 502]], 0.0, atol=1e-12)
-
-
-def test_few_rows_give_no_columns_that_they_could_not_bear() -> None:
-    s = np.random.default_rng(0).normal(size=(900, 1))
-    assert past(s, Series(((0, 900),))).shape == (901, 0)
-
-
-def test_with_all_channels_short_data_bear_what_they_need_and_it_is_past() -> None:
-    s = np.random.default_rng(0).normal(size=(900, 4))
-    one = Series(((0, 900),))
-    assert past(s, one).shape == (901, 0)
-    basis = past(s, one, channels=True)
-    assert basis.shape == (901, 12)
-    changed = s.copy()
-    changed[500:] += 3.0  # whitened row 502 is the first that knows of it
-    before, after = (noise.faded(v, one, channels=True) for v in (s, changed))
-    np.testing.assert_array_equal(before[:502], after[:502])
-    assert np.abs(before[502] - after[502]).max() > 1.0

@@ -13,13 +13,12 @@ from scipy.optimize import lsq_linear
 
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError
-from nsde_torch.inference.spread import spread
 from nsde_torch.simulation import Making, simulated
 from nsde_torch.simulation.flights import fly
 from nsde_torch.simulation.pilot import Pilot, Sticks
 from nsde_torch.sysid.guard import Guarded, Objection
 from nsde_torch.sysid.identify import identify, identify_in_loop
-from nsde_torch.sysid.regression import bounded_step, sentences, shown
+from nsde_torch.sysid.regression import bounded_step, shown
 from nsde_torch.sysid.result import Identification
 from nsde_torch.systems import MACHINES, System, make_plant_system, make_system
 from nsde_torch.systems.parameters import ParameterVector
@@ -153,12 +152,6 @@ def test_a_clock_that_runs_wrong_is_taken_into_account() -> None:
     np.testing.assert_allclose(found.values, truth("cartpole"), rtol=1e-3)
 
 
-def test_longer_boxes_find_the_same() -> None:
-    found = identify(declared("cartpole"), runs_of("cartpole", 1.0), width=0.1)
-    assert found.box_s == pytest.approx(0.1)
-    assert (np.abs(found.values - truth("cartpole")) < 4.5 * found.standard_errors).all()
-
-
 @pytest.mark.parametrize("name", ["mass_spring_damper", "cartpole"])
 def test_finite_differences_come_near_without_noise_and_have_no_law_of_noise(name: str) -> None:
     found = identify(declared(name), runs_of(name, 0.0), method="differences")
@@ -255,45 +248,6 @@ def test_no_interval_is_given_for_a_fit_that_the_guard_speaks_against(found: Ide
 
 
 LABELS, UNITS = ["a", "b", "c"], ["1/s", "m", "1"]
-SCALE = np.array([1.0, 2.0, 0.5])
-
-
-def columns(seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).normal(size=(400, 3))
-
-
-def test_of_independent_columns_everything_is_shown() -> None:
-    found = shown(columns(), SCALE)
-    assert (found.rank, found.lost.shape) == (3, (3, 0))
-    assert found.known.all()
-    assert 1.0 <= found.condition < 1.5
-    assert sentences(found, LABELS, UNITS, SCALE) == []
-
-
-def test_a_column_of_zeros_is_named_alone() -> None:
-    slopes = columns()
-    slopes[:, 1] = 0.0
-    found = shown(slopes, SCALE)
-    assert found.known.tolist() == [True, False, True]
-    assert sentences(found, LABELS, UNITS, SCALE) == ["b: nothing in the data depends on it"]
-
-
-def test_proportional_columns_are_named_together_with_the_change_that_nothing_shows() -> None:
-    slopes = columns()
-    slopes[:, 2] = -4.0 * slopes[:, 0]
-    found = shown(slopes, SCALE)
-    assert found.known.tolist() == [False, True, False]
-    np.testing.assert_allclose(slopes @ found.lost, 0.0, atol=1e-9)
-    (said,) = sentences(found, LABELS, UNITS, SCALE)
-    assert said.startswith("a and c: only together; the data look the same with a by ")
-    assert "1/s, c by " in said
-
-
-def test_nothing_at_all_is_shown_by_zeros() -> None:
-    found = shown(np.zeros((50, 3)), SCALE)
-    assert found.rank == 0
-    assert not found.known.any()
-    assert len(sentences(found, LABELS, UNITS, SCALE)) == 3
 
 
 # ---- steps ------------------------------------------------------------------------------------------------
@@ -342,20 +296,3 @@ def test_along_a_direction_that_is_not_shown_the_step_is_finite_and_within_the_b
 
 
 ROWS, BLOCKS = 600, 60
-
-
-def test_degrees_of_freedom_are_few_where_one_block_decides() -> None:
-    rng = np.random.default_rng(0)
-    x = rng.normal(size=(1, ROWS, 2))
-    x[0, ROWS // BLOCKS :, 1] *= 0.01  # the second parameter acts in the first block alone
-    blocks = np.arange(ROWS) // (ROWS // BLOCKS)
-    degrees = spread(x, rng.normal(size=(1, ROWS)), blocks, 0).degrees(np.eye(2))
-    assert degrees[0] > 30
-    assert degrees[1] < 1.5
-
-
-def test_nothing_is_known_of_no_parameters() -> None:
-    sure = spread(np.zeros((2, 30, 0)), np.ones((2, 30)), np.arange(30) // 10, 0)
-    assert sure.covariance.shape == (0, 0)
-    assert sure.parts.shape == (3, 0)
-    np.testing.assert_array_equal(sure.degrees(np.zeros((4, 0))), np.zeros(4))

@@ -12,8 +12,7 @@ from nsde_torch.api.reading import read
 from nsde_torch.data import DataSet
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import ConfigError
-from nsde_torch.sysid.identify import dependence_on_band, identify
-from nsde_torch.sysid.smoothed_states import smoothers_of
+from nsde_torch.sysid.identify import identify
 from nsde_torch.systems import make_system
 
 Array = NDArray[np.float64]
@@ -160,18 +159,6 @@ def test_an_estimators_smooth_noise_on_a_machine_that_lags_is_no_smoother_of_its
     assert [v["states"] for v in told(data)] == ([["q", "q_dot"]] if smoothed else [])
 
 
-@pytest.mark.slow
-def test_the_same_log_is_restored_in_the_same_way() -> None:
-    made = swings(4, smooth=FILTERS["butterworth 10 Hz"])
-    assert read(made, system=SPRING).fingerprint == read(made, system=SPRING).fingerprint
-
-
-@pytest.mark.slow
-def test_what_was_restored_is_not_restored_again() -> None:
-    data = read(swings(5, smooth=FILTERS["butterworth 10 Hz"]), system=SPRING)
-    assert not smoothers_of(data, SPRING)[1]
-
-
 def test_an_unknown_policy_is_refused() -> None:
     with pytest.raises(ConfigError, match="`state_smoothing` must be restore or keep; got 'off'"):
         read(swings(0), system=SPRING, state_smoothing="off")
@@ -246,19 +233,3 @@ def test_runs_of_a_few_seconds_show_their_smoother_together() -> None:
     assert relative.max() < 0.1  # 0.8 where a window is taken to see one frequency
     assert widths.max() < 2.0
     assert told(read(in_pieces(swings(4), 200), system=SPRING)) == []
-
-
-@pytest.mark.slow
-def test_values_depend_on_the_band_of_a_smoother_only_where_there_was_one() -> None:
-    raw, smoothed = (
-        read(swings(1, smooth=smooth), system=SPRING) for smooth in (None, FILTERS["butterworth 10 Hz"])
-    )
-    found = identify(SPRING, smoothed.runs)
-    machine = make_system("mass_spring_damper")
-    found.vector.write(machine, found.values)
-    assert not dependence_on_band(machine, found.values, raw.runs).any()
-    doubt = dependence_on_band(machine, found.values, smoothed.runs)
-    # half of the band says the same within some percent, and not the same to the last digit
-    assert (doubt > 0.0).all()
-    assert (doubt < 0.2 * np.abs(found.values)).all()
-    assert np.isnan(dependence_on_band(machine, found.values, [smoothed.runs[0].slice(0, 20)])).all()

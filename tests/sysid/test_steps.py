@@ -5,7 +5,6 @@ import pytest
 
 from nsde_torch.data import Run
 from nsde_torch.errors import DataError
-from nsde_torch.inference import steps as module
 from nsde_torch.inference.steps import steps_of
 from nsde_torch.systems import make_system
 
@@ -50,27 +49,3 @@ def test_the_first_steps_of_a_segment_only_bring_up_memory() -> None:
     assert (len(steps.run_in), len(steps)) == (40, 859)
     assert steps.run_in.u[-1, 0] == 39
     assert steps.u[0, 0] == 40
-
-
-def test_very_long_data_are_looked_at_in_stretches_spread_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "MOST", 1000)
-    monkeypatch.setattr(module, "_STRETCH", 100)
-    steps = steps_of(SPRING, [run(10_000, gap_after=None)], clock=1.0, smooth=False)
-    assert 900 <= len(steps) <= 1000
-    assert steps.x0[0, 0] == 0
-    assert steps.x0[-1, 0] > 9800
-
-
-def test_memory_is_brought_up_by_rows_that_were_left_out_before_a_stretch() -> None:
-    system = make_system("mass_spring_damper", effects=["actuator_lag"])
-    t = 0.01 * np.arange(300)
-    x = np.stack((np.sin(t), np.cos(t)), 1)
-    run = Run("run", t, x, np.sin(5.0 * t)[:, None], segments=((0, 100), (150, 300)), unbroken=((0, 300),))
-    steps = steps_of(system, [run], clock=1.0, smooth=False)
-    starts = [float(steps.t[a]) for a, _ in steps.segments]
-    begun = [float(steps.run_in.t[a]) for a, _ in steps.run_in.segments]
-    assert starts == pytest.approx(
-        [0.09, 1.5]
-    )  # the first rows of the run itself, none of the second stretch
-    assert begun == pytest.approx([0.0, 1.1])
-    assert [b - a for a, b in steps.run_in.segments] == [9, 40]

@@ -71,12 +71,3 @@ def test_the_corpus_tells_a_changed_answer_from_the_same_one(monkeypatch: pytest
     assert len(corpus.changes(before, corpus.summary({**answer, "parameters": moved}))) == 1
     other = corpus.summary({**answer, "added": ["stribeck_friction"], "parameters": {}})
     assert [line.split(":")[0] for line in corpus.changes(before, other)] == ["added"]
-
-
-def test_the_corpus_counts_a_null_as_right_where_it_is_silent(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(FOLDER)
-    corpus = importlib.import_module("corpus")
-    judged = {"kind": "null", "exact": True, "in_tie": True, "inside": 0, "intervals": 0}
-    for said, right in (("no_effect", True), ("unexplained", False)):
-        counted = corpus.verdict({"verdict": said}, judged)
-        assert (counted["right"], bool(counted["null"])) == (right, True)

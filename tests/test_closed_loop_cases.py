@@ -94,29 +94,6 @@ def test_lag_and_delay_are_as_in_closed_form(body: ModuleType) -> None:
     np.testing.assert_allclose(rise, [0.03 - 0.05 * (1 - np.exp(-0.03 / 0.05)), 0.01], rtol=1e-6)
 
 
-def test_gusts_have_the_spread_that_is_asked_for(body: ModuleType) -> None:
-    flight = importlib.import_module("loop_flight")
-    windy = replace(machine(body), gust=(0.2, 0.3, 0.1, 0.5, 1.0, 0.2), gust_time=(0.05, 0.02))
-    n = 200
-    made = body.Bodies([windy] * n, np.zeros(n), flight._Noise([[k] for k in range(n)], 6))
-    drawn = np.concatenate([made.gust() for _ in range(1200)][::100])
-    np.testing.assert_allclose(drawn.std(0), windy.gust, rtol=0.06)
-
-
-def test_equal_seeds_make_equal_cases_and_regimes_and_systems_take_turns(body: ModuleType) -> None:
-    cases = importlib.import_module("closed_loop")
-    made = cases.cases(3)
-    assert made[:7] == cases.cases(3, 7)
-    assert cases.cases(4) != made
-    assert sum(not c.machine.effects for c in made) == 12
-    nulls = {(c.regime, c.sticks) for c in made if not c.machine.effects}
-    assert nulls == {(r, s) for r in "abcd" for s in (True, False)}
-    for name in cases.EFFECTS:
-        assert len({c.regime for c in made if name in c.machine.effects}) == 3
-    for system in cases.SYSTEMS:
-        assert {c.regime for c in made if c.machine.system == system} == set("abcd")
-
-
 @pytest.mark.parametrize("regime", ["a", "c"])
 def test_a_flight_is_flown_and_does_not_depend_on_its_batch(
     body: ModuleType, regime: str, tmp_path: Path

@@ -147,25 +147,6 @@ def test_a_block_made_anew_keeps_seconds_and_dates_and_takes_every_other_change(
     assert text == page.read_text().replace("0.07", "0.06")
 
 
-def test_a_command_that_fails_leaves_its_block_and_is_named_and_slow_ones_wait(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    block = "```text\nold\n```\n"
-    page.write_text(f"<!-- run: echo new; false -->\n{block}\n<!-- run slow: echo new -->\n{block}")
-    text, failed = blocks.renewed(page)
-    assert [entry.partition(":")[0] for entry in failed] == ["line 1"]
-    assert "status 1" in failed[0]
-    assert text.count("old") == text.count("\nnew") == 1
-    assert blocks.renewed(page, slow=False)[0] == page.read_text()
-
-
-def test_a_command_on_the_published_data_waits_for_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    text = "<!-- run: ls $PUBLISHED -->\n<!-- run: ls -->\n"
-    monkeypatch.delenv("PUBLISHED", raising=False)
-    assert [mark["command"] for mark in blocks.marks(text)] == ["ls"]
-    monkeypatch.setenv("PUBLISHED", "/data")
-    assert [mark["command"] for mark in blocks.marks(text)] == ["ls $PUBLISHED", "ls"]
-
-
 def test_files_of_the_checkout_that_commands_name_are_in_their_scratch_folder(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("<!-- run: ls -d examples/pendulum benchmarks/blind -->\n```text\nold\n```\n")

@@ -15,12 +15,10 @@ from torch import Tensor
 import nsde_torch
 from nsde_torch.cli.commands.completion import query
 from nsde_torch.cli.main import main
-from nsde_torch.cli.registry import hydra_commands
 from nsde_torch.data import DataSet, SystemInfo
 from nsde_torch.effects import Effect, Port
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import Model
-from nsde_torch.models.kind import model_options
 from nsde_torch.sde import make_step, rollout
 from nsde_torch.simulation import Simulation
 from nsde_torch.systems import System, make_system
@@ -238,20 +236,6 @@ class TestLinearModel(ModelContract):
         assert [m["name"] for m in scores.content["models"]] == ["linear", "physics"]
 
 
-def test_options_of_a_kind_of_model_are_checked() -> None:
-    from linear_model import Linear, LinearOptions
-
-    assert model_options(Linear) == LinearOptions("linear_model:Linear")
-    assert model_options("linear_model:Linear", ridge=0.5) == LinearOptions("linear_model:Linear", ridge=0.5)
-    for kind, options, words in (
-        (Linear, {"rigde": 1.0}, "has no option rigde; it has: ridge"),
-        (Linear, {"ridge": -1.0}, "`ridge` must be at least 0"),
-        ("linear_model:LinearModel", {}, r"must be a subclass of nsde_torch\.models\.ModelKind"),
-    ):
-        with pytest.raises(ConfigError, match=words):
-            model_options(kind, **options)
-
-
 def test_no_part_of_the_package_asks_for_the_class_of_a_model(root: Path) -> None:
     asked = re.compile(r"isinstance\([^()]*\b(NeuralSDE|GaussianEnsemble|IdentifiedModel)\b")
     files = [*(root / "nsde_torch").rglob("*.py"), *(root / "cli").rglob("*.py")]
@@ -317,19 +301,6 @@ def test_a_command_of_another_package_is_listed_and_runs(
     assert "leave out runs with fewer rows" in capsys.readouterr().out
     assert main(["rows", "system=mass_spring_damper", "data.durations=[2,3]", "least=250"]) == 0
     assert capsys.readouterr().out == "run_1: 301 rows, 3.0 s\n"
-
-
-def test_a_command_whose_package_does_not_load_is_a_sentence(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    install(tmp_path, "package_that_moved.rows", monkeypatch)
-    assert main(["--help"]) == 0
-    assert "rows          A command of the package my_package" in capsys.readouterr().out
-    assert main(["rows"]) == 2
-    told = capsys.readouterr().err
-    assert "the package my_package does not load (No module named 'package_that_moved')" in told
-    assert "Install that package again" in told
-    assert "rows" not in hydra_commands()
 
 
 # ---- the pages -------------------------------------------------------------------------------------------------------

@@ -28,14 +28,6 @@ def test_what_is_recalled_was_made_once_and_is_a_copy() -> None:
     assert len(made) == 5
 
 
-def test_an_error_is_not_kept() -> None:
-    with remembering():
-        for _ in range(2):
-            with pytest.raises(ZeroDivisionError):
-                recall("key", lambda: 1 // 0)
-        assert recall("key", lambda: 2) == 2
-
-
 @pytest.mark.slow
 def test_a_training_after_another_seed_gives_the_same_numbers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

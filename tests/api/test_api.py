@@ -7,7 +7,7 @@ import runpy
 import sys
 from importlib import import_module
 from pathlib import Path
-from types import FunctionType, ModuleType, SimpleNamespace
+from types import FunctionType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,8 +20,8 @@ from nsde_torch.data import DataSet, RawRun
 from nsde_torch.effects import Effect
 from nsde_torch.errors import ConfigError, DataError, ShapeError
 from nsde_torch.evaluation.comparison import Comparison
-from nsde_torch.models import Model, NsdeOptions, SDESpec, make_model
-from nsde_torch.systems import MassSpringDamper, SystemOptions
+from nsde_torch.models import Model, SDESpec, make_model
+from nsde_torch.systems import MassSpringDamper
 from nsde_torch.training import TrainerOptions, options
 from tests.helpers.leaning import leaning_flight
 
@@ -128,15 +128,6 @@ def test_a_training_and_an_evaluation_say_nothing_where_they_are_asked_to(
 
 
 @pytest.mark.slow
-def test_a_calibration_shows_a_bar_in_a_notebook(
-    runs: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))
-    nsde_torch.train(runs, system=SYSTEM, trainer="fast", say=silent)
-    assert "calibrating" in capsys.readouterr().err
-
-
-@pytest.mark.slow
 def test_evaluation_compares_models_by_their_names(runs: Path, tmp_path: Path) -> None:
     plain = nsde_torch.train(runs, system=SYSTEM, model="sysid", say=silent)
     better = nsde_torch.train(runs, system=SYSTEM, model="sysid", effects="coulomb_friction", say=silent)
@@ -167,16 +158,6 @@ def test_data_come_from_folders_simulations_and_arrays(runs: Path) -> None:
         nsde_torch.read(arrays, system=SYSTEM, sensor_bias={"q": 0.5})
     with pytest.raises(DataError, match="nowhere"):
         nsde_torch.read("nowhere", system=SYSTEM)
-
-
-@pytest.mark.slow
-def test_structure_follows_the_options_that_were_given(runs: Path) -> None:
-    system = SystemOptions(SYSTEM, dt=0.05, horizon=8, sigma_max=(0.1, 0.2))
-    model = NsdeOptions(residual_hidden=(4,), measurement=False)
-    given: dict[str, Any] = {"solver": "heun", "trainer": TrainerOptions(**QUICK), "loss": "replay"}
-    spec: Any = nsde_torch.train(runs, system=system, model=model, say=silent, **given).spec
-    assert (spec.dt, spec.horizon, spec.sigma_max) == (0.05, 8, (0.1, 0.2))
-    assert (spec.residual_hidden, spec.measurement, spec.step, spec.loss) == ((4,), False, "heun", "replay")
 
 
 @pytest.mark.parametrize(
@@ -312,11 +293,6 @@ def test_type_checkers_are_told_the_names_that_are_resolved(package: str) -> Non
         assert not public & {path.stem for path in folder.iterdir()}
 
 
-def test_a_name_that_is_not_public_is_none() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'trian'"):
-        import_module("nsde_torch").trian  # noqa: B018
-
-
 @pytest.fixture(scope="module")
 def data() -> DataSet:
     made = nsde_torch.simulate("mass_spring_damper", durations=[5.0] * 3, seed=1)
@@ -376,12 +352,6 @@ def test_tables_hold_what_was_found(data: DataSet, model: Model, scores: Compari
     assert list(found) == ["name", "value", "low", "high", "unit"]
     predicted = list(model.predict(data[0], horizon=0.5).to_frame())
     assert predicted[:6] == ["t", "ahead", "q", "q_low", "q_median", "q_high"]
-
-
-def test_without_pandas_a_table_says_what_to_install(data: DataSet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pandas", None)  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match="needs pandas, which is not installed: pip install pandas"):
-        data.to_frame()
 
 
 def test_a_prediction_begins_at_what_was_measured_and_its_intervals_hold_their_share(data: DataSet) -> None:

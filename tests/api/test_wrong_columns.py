@@ -112,14 +112,6 @@ def test_times_in_ms_or_us_are_named_as_that_and_not_as_a_unit_of_the_rate(
     assert proposed.mapping.time.unit == unit
 
 
-def test_a_table_whose_clock_is_called_seconds_and_is_not_names_the_unit(tmp_path: Path) -> None:
-    sound = spring()
-    columns = {"time_s": 1e3 * sound["t"], "pos": sound["q"], "vel": sound["q_dot"], "force": sound["force"]}
-    found, said = asked(tmp_path, columns, SPRING)
-    for words in (found.checks[0].text, said):
-        assert "`time: {from: time_s, unit: ms}`" in words
-
-
 @pytest.mark.parametrize("system", [SPRING, CART, QUAD])
 def test_times_that_count_rows_are_no_unit_of_a_rate(tmp_path: Path, system: str) -> None:
     sound = SOUND[system]()
@@ -251,23 +243,6 @@ def test_what_is_sound_is_not_suspected(tmp_path: Path, what: str) -> None:
     assert ("wraps of the angle" in said) == ("wrapped" in what)
 
 
-def test_a_single_value_that_is_off_by_far_is_no_doubt_of_its_column(tmp_path: Path) -> None:
-    q = spring()["q"].copy()
-    q[700] = 1e6
-    found, _ = asked(tmp_path, {**spring(), "q": q}, SPRING)
-    assert not found.doubts, found.doubts
-    assert "single samples of 'q' off by far" in " ".join(found.notes)
-
-
-def test_exchanged_motors_are_said_by_diagnose_too(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_table(tmp_path / "run_0.csv", order(flight(), "u_1", "u_3"))
-    words = [f"system={QUAD}", f"data.path={tmp_path}", "data.test=[9]", f"out_dir={tmp_path / 'd'}"]
-    assert main(["diagnose", *words]) == 2  # there is no run 9, which is said after the summary
-    assert "u_1 and u_3 exchanged" in capsys.readouterr().out
-
-
 def test_frames_and_exchanged_motors_are_said_by_read_as_by_inspect(tmp_path: Path) -> None:
     sound = flight()
     assert asked(tmp_path, sound, QUAD, physics=True)[0].doubts == []
@@ -378,19 +353,6 @@ def test_speeds_of_rotors_are_no_pulses_and_the_proposal_is_read(
     assert len(data.runs) == 2
 
 
-def test_speeds_that_pass_for_pulses_in_the_first_of_two_runs_are_speeds(tmp_path: Path) -> None:
-    sound, rng = flight(), np.random.default_rng(3)
-    rest = {key: v for key, v in sound.items() if not key.startswith("u_")}
-    for k, (low, high) in enumerate([(1010.0, 1630.0), (592.0, 1357.0)]):
-        motors = {f"motor_{j + 1}": rng.uniform(low, high, len(sound["t"])) for j in range(4)}
-        write_table(tmp_path / f"run_{k}.csv", {**rest, **motors})
-    found = nsde_torch.inspect(tmp_path, system=QUAD, physics=False)
-    assert found.mapping is not None
-    entry = found.mapping.columns["u"]
-    assert (entry.unit, entry.low, entry.full) == (None, None, 1700.0)
-    assert not [note for note in found.notes if "cannot be read" in note]
-
-
 def test_the_next_line_never_recommends_training_after_a_doubt(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -407,17 +369,6 @@ def test_the_next_line_never_recommends_training_after_a_doubt(
     out = capsys.readouterr().out
     assert "nsde train" not in out
     assert "next: mend this first" in out
-
-
-def test_the_unit_of_times_is_named_beside_a_noisy_sensor_too(tmp_path: Path) -> None:
-    """A spring whose position is noisier than what it moves from row to row, its times in ns."""
-    made = dict(spring(size=0.1))
-    made["q"] = made["q"] + 0.006 * np.random.default_rng(5).standard_normal(len(made["t"]))
-    found, said = asked(tmp_path, {**made, "t": 1e9 * made["t"]}, SPRING)
-    assert not found.usable
-    assert "in ns they agree" in found.checks[0].text
-    assert "in ns they agree" in said
-    assert asked(tmp_path, made, SPRING)[0].usable
 
 
 def test_rows_that_repeat_a_time_are_inspected(tmp_path: Path) -> None:

@@ -34,12 +34,6 @@ def test_what_is_left_of_the_noise_is_as_small_as_it_says(noise: float) -> None:
     assert (left > 0.6 * share * noise).all()
 
 
-def test_a_motion_without_noise_is_left_as_it_is() -> None:
-    run, truth = swing(0, 600, 0.0)
-    (smooth,), _ = denoised([run])
-    np.testing.assert_allclose(smooth, truth, atol=2e-4)
-
-
 def test_a_jump_between_segments_is_not_smoothed_over() -> None:
     run, _ = swing(0, 600, 0.01, gap=True)
     x = np.array(run.x)
@@ -47,25 +41,6 @@ def test_a_jump_between_segments_is_not_smoothed_over() -> None:
     jumped = Run("jumped", run.t, x, run.u, segments=run.segments)
     (smooth,), _ = denoised([jumped])
     assert abs(np.diff(smooth[:, 0])[299] - 5.0) < 0.1
-
-
-def test_pieces_of_a_long_run_join_without_a_step() -> None:
-    run, truth = swing(1, 2500, 0.02)
-    (smooth,), share = denoised([run])
-    step = np.abs(np.diff(smooth - truth, axis=0))
-    for joint in (1000, 2000):
-        assert (step[joint - 1] < 0.2 * 0.02 * share).all()
-
-
-def test_short_segments_and_constant_channels_stay_as_measured() -> None:
-    x = np.random.default_rng(0).standard_normal((8, 2))
-    short = Run("short", DT * np.arange(8), x, np.zeros((8, 1)))
-    (smooth,), share = denoised([short])
-    np.testing.assert_array_equal(smooth, x)
-    assert share.tolist() == [1.0, 1.0]
-    constant = Run("constant", DT * np.arange(100), np.ones((100, 2)), np.zeros((100, 1)))
-    (smooth,), _ = denoised([constant])
-    np.testing.assert_array_equal(smooth, np.ones((100, 2)))
 
 
 def test_windows_start_from_denoised_states_and_compare_with_measured_ones() -> None:

@@ -7,7 +7,6 @@ import torch
 from nsde_torch.data import DataSet, RawRun, Run, Windows
 from nsde_torch.data.interventions import COLUMN, longest_stretch, stretches
 from nsde_torch.errors import DataError
-from nsde_torch.evaluation.metrics import horizons_of
 from nsde_torch.recording import assemble
 from tests.helpers.data_systems import MSD
 
@@ -41,20 +40,6 @@ def test_windows_are_evaluated_from_interventions_and_nowhere_else() -> None:
     for part in (train, held):
         rows = part.batch(part.starts(0.05))[0][:, 0, 0].tolist() if len(part.starts(0.05)) else []
         assert set(rows) <= {10, 70, 40}
-
-
-def test_horizons_are_those_that_fit_behind_the_starts() -> None:
-    assert horizons_of([run([(20, 71)])], 0.05) == (0.1, 0.25, 0.5)
-    assert horizons_of([run([(20, 70)])], 0.05) == (0.1, 0.25, 0.5)
-    assert horizons_of([run([(20, 69)])], 0.05) == (0.1, 0.25)
-
-
-def test_a_column_of_zeros_is_a_log_without_interventions() -> None:
-    plain = run([])
-    assert Windows([plain], 0.01, 5).starts(0.25).tolist() == [0, 25, 50, 75, 100]
-    assert longest_stretch([plain]) == pytest.approx(1.19)
-    assert Windows([plain, run([(40, 60)])], 0.01, 5).locate([0])[0] == ("a", 0)
-    assert longest_stretch([plain, run([(40, 60)])]) == pytest.approx(0.2)
 
 
 def raw(column: np.ndarray | None, name: str = "a") -> RawRun:

@@ -10,7 +10,7 @@ import yaml
 from nsde_torch.data.mapping.mapping import mapping_of
 from nsde_torch.data.mapping.reader import format_of, log_files, read_log, read_mapped
 from nsde_torch.data.raw import RawRun
-from nsde_torch.errors import ConfigError, DataError, NsdeError
+from nsde_torch.errors import DataError, NsdeError
 from nsde_torch.systems import System, make_system
 from tests.helpers import log_writers
 from tests.helpers.leaning import leaning_flight, same_flight
@@ -127,25 +127,6 @@ def test_a_table_without_a_clock_says_what_to_write(tmp_path: Path) -> None:
     (tmp_path / "mapping.yaml").write_text("time: {rate: 50}\ncolumns: {q: q, force: force}\n")
     (run,) = read_log(system, path=tmp_path)
     assert np.allclose(np.diff(run.t), 0.02)
-
-
-def test_empty_cells_words_and_gaps_in_text(tmp_path: Path) -> None:
-    rows = [f"{k / 100},{'' if k == 7 else np.sin(k / 9)},idle,{0.1 * k}" for k in range(200)]
-    (tmp_path / "run.csv").write_text("\n".join(["time [s],position,mode,force", *rows]) + "\n")
-    (run,) = read_log(make_system("mass_spring_damper"), path=tmp_path)
-    assert np.isnan(run.x[7, 0])
-    assert np.isfinite(np.delete(run.x[:, 0], 7)).all()
-    assert run.u[10, 0] == pytest.approx(1.0)
-
-
-def test_groups_of_other_rates_in_one_file(tmp_path: Path) -> None:
-    h5py = pytest.importorskip("h5py")
-    with h5py.File(tmp_path / "run.h5", "w") as file:
-        file["encoder/t"], file["encoder/q"] = np.arange(0, 5, 0.01), np.sin(np.arange(0, 5, 0.01))
-        file["drive/t"], file["drive/force"] = np.arange(0, 5, 0.002), np.full(2500, 2.0)
-    (run,) = read_log(make_system("mass_spring_damper"), path=tmp_path)
-    assert len(run.t) == 500
-    assert (run.u == 2.0).all()
 
 
 # ---- damaged and hostile files -----------------------------------------------------------------------------
@@ -274,12 +255,6 @@ def test_a_damaged_betaflight_log_is_one_sentence_or_its_sound_part(tmp_path: Pa
     (tmp_path / "run.bbl").write_bytes(np.random.default_rng(0).bytes(4000))
     with pytest.raises(DataError, match=r"run\.bbl"):
         log_files("betaflight", tmp_path)[0].open()
-
-
-def test_a_mapping_for_what_needs_none(tmp_path: Path) -> None:
-    (tmp_path / "run.ulg").write_bytes(b"")
-    with pytest.raises(ConfigError, match="read without one"):
-        read_log(make_system("quadrotor"), path=tmp_path, mapping="m.yaml")
 
 
 def test_json_and_px4_messages_in_mcap(tmp_path: Path, flight: RawRun, quadrotor: System) -> None:

@@ -8,12 +8,11 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from nsde_torch.data.mapping.apply import apply, order
-from nsde_torch.data.mapping.checks import checks, lean
-from nsde_torch.data.mapping.mapping import LogMapping, mapping_of, read_mapping, text
-from nsde_torch.data.mapping.names import factor
+from nsde_torch.data.mapping.apply import apply
+from nsde_torch.data.mapping.checks import checks
+from nsde_torch.data.mapping.mapping import LogMapping, mapping_of, read_mapping
 from nsde_torch.data.raw import RawRun
-from nsde_torch.data.streams import Stream, StreamLog, commands
+from nsde_torch.data.streams import Stream, StreamLog
 from nsde_torch.data.system_info import changed
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.systems import make_system
@@ -44,11 +43,6 @@ def test_a_log_in_other_axes_units_and_orders_gives_the_run_back(flight: RawRun)
     assert np.abs(run.t - flight.t).max() < 1e-5
     assert same_flight(run, flight, 1e-12)
     assert np.abs(run.u - flight.u).max() < 1e-12
-
-
-def test_a_mapping_survives_its_yaml() -> None:
-    mapping = _mapping()
-    assert mapping_of(yaml.safe_load(text(mapping))) == mapping
 
 
 @pytest.mark.parametrize("world", ["ENU", "NED"])
@@ -136,19 +130,6 @@ def test_a_file_that_is_no_mapping(tmp_path: Path) -> None:
         read_mapping(tmp_path / "none.yaml")
 
 
-def test_units() -> None:
-    pairs = [("deg/s", "rad/s"), ("rpm", "rad/s"), ("g", "m/s2"), ("mm", "m"), ("km/h", "m/s")]
-    found = [factor(*pair, what="w") for pair in pairs]
-    assert found == pytest.approx([np.pi / 180, 2 * np.pi / 60, 9.80665, 1e-3, 1 / 3.6])
-
-
-def test_betaflights_rear_right_is_px4s_fourth() -> None:
-    assert order("betaflight", 4) == (1, 2, 3, 0)  # front right, rear left, front left, rear right
-    assert order("crazyflie", 4) == (0, 2, 3, 1)
-    with pytest.raises(ConfigError, match="4 motors; got 6"):
-        order("crazyflie", 6)
-
-
 def test_streams_of_other_rates_come_onto_one_grid(flight: RawRun) -> None:
     """The gyroscope at 400 Hz, motors at 300 Hz, attitude at 100 Hz; commands are means over the step."""
     fine, motor = np.arange(0, 20, 1 / 400), np.arange(0, 20, 1 / 300)
@@ -169,13 +150,6 @@ def test_streams_of_other_rates_come_onto_one_grid(flight: RawRun) -> None:
     mean = 0.5 + 0.2 * (np.cos(at) - np.cos(at + 0.4)) / 0.4
     held = 0.2 * 40 / 300  # what holding over a third of a step can be off
     assert np.abs(run.u[100:-100] - mean).max() < held
-
-
-def test_a_faster_command_is_averaged_exactly() -> None:
-    stream = Stream("u", np.arange(0, 1, 0.001), {})
-    values = np.arange(1000.0)[:, None]
-    out = commands(stream, values, np.arange(0.1, 0.9, 0.01))
-    assert np.allclose(out[:-1, 0], 100 + 10 * np.arange(79) + 4.5)
 
 
 def test_slow_motors_are_refused_and_can_be_let_in(flight: RawRun) -> None:
@@ -224,17 +198,3 @@ def test_inputs_that_their_range_does_not_hold_are_refused() -> None:
         read(1000.0 + 200.0 * np.cos(t * np.pi / 4.99))
     armed = read(np.where(t < 2.0, 900.0, 1500.0))
     assert armed.u[:, 0].tolist() == np.where(t < 2.0, 0.0, 0.5).tolist()
-
-
-def test_a_channel_that_one_log_lacks_is_told_and_left_out(flight: RawRun) -> None:
-    content = NED_MAPPING + "  battery_voltage: {from: vbat, unit: V}\n"
-    run = apply(_log(ned_columns(flight)), _mapping(content), QUADROTOR)
-    assert "battery_voltage" not in run.extra
-    assert [note.message for note in run.notes] == ["no column vbat for the channel 'battery_voltage'"]
-
-
-def test_times_that_no_clock_tells_say_nothing_of_the_lean(flight: RawRun) -> None:
-    t = flight.t.copy()
-    t[-1] = 1e45  # a flipped bit
-    assert lean(t, flight.x[:, 6:10], flight.x[:, :3]) is None
-    assert lean(flight.t, flight.x[:, 6:10], flight.x[:, :3]) is not None

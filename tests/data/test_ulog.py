@@ -101,17 +101,6 @@ def test_attitudes_that_the_logger_left_out_take_no_position_with_them(tmp_path:
     np.testing.assert_allclose(run.x[:, 6:10], x[::5][: len(run.x), 6:10], atol=5e-3)
 
 
-def test_pauses_of_a_topic_cut_the_run(tmp_path: Path) -> None:
-    *_, topics = logged()
-    topics = three_topics(topics)
-    rates = topics["vehicle_angular_velocity"]
-    keep = np.r_[0:200, 300 : len(rates["timestamp"])]
-    topics["vehicle_angular_velocity"] = {k: v[keep] for k, v in rates.items()}
-    data = logged_as(tmp_path, topics)
-    assert len(data[0].segments) == 2
-    assert "time_gap" in [f.kind for f in data.summary.findings]
-
-
 def test_time_on_the_ground_is_left_out_unless_asked_for(tmp_path: Path) -> None:
     t, _, _, topics = logged()
     topics["vehicle_land_detected"] = {"timestamp": [50.0, 52.0, 61.0], "landed": [1, 0, 1]}
@@ -205,12 +194,6 @@ def test_missing_topics_are_named_with_the_remedy(tmp_path: Path) -> None:
         logged_as(tmp_path, topics)
     with pytest.raises(DataError, match=r"lacks the topics \['vehicle_odometry'\]"):
         read("ulog", QUADROTOR, path=str(tmp_path / "log.ulg"), state="odometry")
-
-
-def test_a_topic_without_its_fields_is_named(tmp_path: Path) -> None:
-    t = np.arange(0.0, 4.0, 0.01)
-    with pytest.raises(DataError, match="'vehicle_odometry' has no field 'x'"):
-        logged_as(tmp_path, {"vehicle_odometry": {"timestamp": t, "q": np.tile([1, 0, 0, 0], (len(t), 1))}})
 
 
 def test_topics_too_slow_to_interpolate_are_refused(tmp_path: Path) -> None:

@@ -86,13 +86,6 @@ def test_held_out_blocks_share_no_row_with_training(seed: int, fraction: float, 
     assert train.batch([0])[0].shape == (1, 6, 2)
 
 
-def test_the_share_held_out_is_close_to_the_wish() -> None:
-    windows = Windows([run(20000)], 0.05, 4)
-    for seed in range(5):
-        train, held = windows.held_out(0.15, 4.0, torch.Generator().manual_seed(seed))
-        assert 0.1 < len(held) / (len(held) + len(train)) < 0.2
-
-
 def test_a_single_short_run_still_gives_validation_and_a_shorter_one_says_why_not() -> None:
     train, held = Windows([run(51)], 0.01, 20).held_out(0.15, 5.0, torch.Generator().manual_seed(0))
     assert (len(train), len(held)) == (10, 1)
@@ -100,27 +93,6 @@ def test_a_single_short_run_still_gives_validation_and_a_shorter_one_says_why_no
         Windows([run(41)], 0.01, 20).held_out(0.15, 5.0, torch.Generator().manual_seed(0))
     with pytest.raises(ConfigError, match="`fraction`"):
         Windows([run(51)], 0.01, 20).held_out(0.0, 5.0, torch.Generator().manual_seed(0))
-
-
-def test_evaluation_starts_lie_on_the_grid_of_the_run_and_in_one_segment() -> None:
-    runs = [run(700, ((0, 333), (333, 700))), run(226, name="b")]
-    windows = Windows(runs, 0.05, 40)
-    expected = [("a", s) for s in range(0, 500, 25) if s + 200 < 333 or s >= 333]
-    assert windows.locate(windows.starts(0.25)) == [*expected, ("b", 0), ("b", 25)]
-    with pytest.raises(ConfigError, match="`every_s`"):
-        windows.starts(0.013)
-
-
-def test_shortened_windows_are_of_the_same_rows() -> None:
-    windows = Windows([run(50)], 0.02, 5)
-    short = windows.shortened(2)
-    assert (short.horizon, windows.horizon) == (2, 5)
-    assert len(short) == len(windows) + 3 * windows.stride
-    x, u, t0 = short.batch(range(len(windows)))
-    whole, inputs, times = windows.batch(range(len(windows)))
-    assert torch.equal(x, whole[:, :3])
-    assert torch.equal(u, inputs[:, :2])
-    assert torch.equal(t0, times)
 
 
 def test_inputs_before_are_means_over_model_steps_of_the_same_segment() -> None:
@@ -147,28 +119,9 @@ def test_inputs_before_a_held_out_block_are_read_from_the_block_before() -> None
         torch.testing.assert_close(part.before(indices, 1)[:, 0, 0], expected)
 
 
-def test_windows_are_not_lengthened_and_inputs_before_need_a_step() -> None:
-    windows = Windows([run(50)], 0.02, 5)
-    for horizon in (0, 6):
-        with pytest.raises(ConfigError, match=r"1\.\.5"):
-            windows.shortened(horizon)
-    for steps in (0, -1, 1.5, True):
-        with pytest.raises(ConfigError, match="`steps`"):
-            windows.before([0], steps)  # type: ignore[arg-type]
-
-
 def make(name: str = "a", n: int = 20, **changes: object) -> Run:
     parts = {"t": 0.1 * np.arange(n), "x": np.arange(2.0 * n).reshape(n, 2), "u": np.ones((n, 1))} | changes
     return Run(name, **parts)  # type: ignore[arg-type]
-
-
-def test_arrays_are_float64_and_read_only_without_freezing_the_callers() -> None:
-    x = np.zeros((20, 2))
-    run = make(x=x, u=np.ones((20, 1), dtype=np.float32))
-    assert run.u.dtype == np.float64
-    with pytest.raises(ValueError, match="read-only"):
-        run.x[0] = 1
-    x[0] = 1
 
 
 @pytest.mark.parametrize(
@@ -187,30 +140,6 @@ def test_arrays_are_float64_and_read_only_without_freezing_the_callers() -> None
 def test_what_does_not_fit_is_refused_by_name(change: dict, error: type[Exception], text: str) -> None:
     with pytest.raises(error, match=text):
         make(**change)
-
-
-def test_duration_and_step_leave_gaps_out() -> None:
-    t = np.concatenate([0.1 * np.arange(10), 5 + 0.1 * np.arange(10)])
-    run = make(t=t, segments=((0, 10), (10, 20)))
-    assert run.dt == pytest.approx(0.1)
-    assert run.duration == pytest.approx(1.8)
-
-
-def test_slice_cuts_segments_to_fit_and_drops_single_rows() -> None:
-    run = make(segments=((0, 10), (10, 20)))
-    part = run.slice(9, 15)
-    assert part.segments == ((1, 6),)
-    np.testing.assert_array_equal(part.x, run.x[9:15])
-    assert run.slice(-5, 20).segments == ((0, 5),)
-    with pytest.raises(DataError, match="no segment of two rows"):
-        run.slice(9, 11)
-
-
-def test_content_hash_sees_values_and_shape_but_not_name_or_clock() -> None:
-    assert make("a").content_hash == make("b", t=7 + 0.2 * np.arange(20)).content_hash
-    changed = np.arange(40.0).reshape(20, 2)
-    changed[3, 1] += 1e-12
-    assert make(x=changed).content_hash != make().content_hash
 
 
 def data(count: int, twins: bool = False) -> DataSet:
@@ -249,9 +178,3 @@ def test_faulty_splits_are_refused(test: list, train: list | None, text: str) ->
 def test_equal_content_on_both_sides_is_refused_under_any_name() -> None:
     with pytest.raises(DataError, match="'run_1' has the same content as the training run 'run_0'"):
         split(data(2, twins=True), [1])
-
-
-def test_a_single_run_cannot_be_on_both_sides() -> None:
-    with pytest.raises(DataError, match=r"holds one run .* set `test` to \[\]"):
-        split(data(1))
-    assert len(split(data(1), []).train) == 1

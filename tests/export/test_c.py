@@ -22,7 +22,7 @@ from nsde_torch.control.problem import ProblemOptions
 from nsde_torch.control.reference import Reference
 from nsde_torch.control.solve import SolverOptions
 from nsde_torch.effects.registry import effects_of
-from nsde_torch.errors import ConfigError, ExportError
+from nsde_torch.errors import ExportError
 from nsde_torch.export import c_file, verify
 from nsde_torch.export.exported import ExportedController
 from nsde_torch.export.layout import STATUS
@@ -136,11 +136,6 @@ def test_a_step_and_its_slopes_are_those_of_torch_whatever_the_effect(effect: st
     assert sum(map(len, rows)) < 0.9 * slopes.numel()
 
 
-def test_an_operation_that_c_does_not_have_is_named() -> None:
-    with pytest.raises(ExportError, match="special_bessel_j0"):
-        scalar.run(lambda x: (torch.special.bessel_j0(x),), [scalar.inputs("x", 1, 2)])
-
-
 def test_a_model_with_such_an_operation_is_refused_with_the_form_that_takes_it(
     declared: System, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -169,20 +164,6 @@ def test_branches_have_the_slopes_that_torch_gives_them(row: list[float]) -> Non
         assert [values.get(k, 0.0) for k in range(3)] == pytest.approx(wanted)
 
 
-def test_networks_side_by_side_are_taken_apart_and_what_learned_nothing_is_left_out() -> None:
-    g = torch.Generator().manual_seed(2)
-    first = torch.randn(40, 3, generator=g, dtype=torch.float64)
-    last = torch.zeros(5, 40, dtype=torch.float64)
-    last[:2, :20], last[2, 20:] = 1.0, 2.0
-    (made,) = scalar.run(
-        lambda x: (torch.tanh(x @ first.T) @ last.T + torch.arange(5.0, dtype=torch.float64),),
-        [scalar.inputs("x", 1, 3)],
-    )
-    assert made[0, 3:].tolist() == [3.0, 4.0]
-    layer = made[0, 0].data[0]
-    assert [[len(units) for units in part] for part in layer.parts()] == [[20, 2], [20, 1]]
-
-
 # ---- files ----------------------------------------------------------------------------------------------
 
 
@@ -197,21 +178,6 @@ def test_a_file_compiles_without_a_warning_and_calls_nothing_but_libm(
         used = {line.split()[-1].partition("@")[0] for line in _run("nm", "-u", str(made)).splitlines()}
         numbers = {name + end for name in ("sqrt", "acos", "exp", "sin", "cos") for end in ("", "f")}
         assert used <= numbers | {"_GLOBAL_OFFSET_TABLE_", "memcpy", "memmove", "memset", "__stack_chk_fail"}
-
-
-@needs_compiler
-def test_the_header_is_for_cpp_too(file: Path, tmp_path: Path) -> None:
-    compiler = shutil.which("g++") or shutil.which("clang++")
-    if compiler is None:
-        pytest.skip("needs a C++ compiler")
-    (tmp_path / "node.cpp").write_text(
-        f'#include "{file.with_suffix(".h")}"\n'
-        "static nsde_pilot pilot{};\nstatic nsde_command command{};\n"
-        "static nsde_real state[NSDE_NX], reference[NSDE_STEPS][NSDE_NX];\n"
-        "int main() { nsde_reset(&pilot, state);\n"
-        "  return nsde_command_of(&pilot, state, true, reference, &command); }\n"
-    )
-    _run(compiler, "-std=c++17", "-Wall", "-Werror", "-fsyntax-only", str(tmp_path / "node.cpp"))
 
 
 def test_a_file_compiles_for_a_cortex_m7(file: Path, tmp_path: Path) -> None:
@@ -275,16 +241,6 @@ def test_without_a_compiler_a_file_says_what_it_needs(file: Path, monkeypatch: p
     monkeypatch.setenv("CC", "no_such_compiler")
     with pytest.raises(ExportError, match=r"needs a C compiler.*apt install gcc"):
         ExportedController(file)
-
-
-def test_what_c_cannot_hold_is_refused(declared: System, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"particles=2\. Take mpc\.particles=1"):
-        _written(declared, tmp_path / "c.c", particles=2)
-    with pytest.raises(ConfigError, match=r"ends in \.c"):
-        _written(declared, tmp_path / "controller.ts")
-    with pytest.raises(ConfigError, match="named by letters"):
-        _written(declared, tmp_path / "my controller.c")
-    assert not list(tmp_path.iterdir())
 
 
 # ---- plans ----------------------------------------------------------------------------------------------

@@ -154,18 +154,6 @@ def test_files_that_were_changed_or_are_of_another_version_are_refused(file: Pat
     _refused(bad, "no exported controller")
 
 
-def test_a_record_cannot_be_changed_but_for_the_time_of_writing(file: Path, tmp_path: Path) -> None:
-    members, bad = container.members_of(file.read_bytes()), tmp_path / "bad.ts"
-    about = json.loads(members[container.RECORD])
-    for change in ({"latency_s": 0.0}, {"safety": {**about["safety"], "keep": 60.0}}, {"period_s": 0.2}):
-        text = json.dumps({**about, **change}, indent=1).encode()
-        bad.write_bytes(container.archive_of({**members, container.RECORD: text}))
-        _refused(bad, "was changed after it was written")
-    later = json.dumps({**about, "written": "2000-01-01T00:00:00Z"}, indent=1).encode()
-    bad.write_bytes(container.archive_of({**members, container.RECORD: later}))
-    assert ExportedController(bad).record["written"].startswith("2000")
-
-
 def test_what_a_file_cannot_hold_is_refused(model: NeuralSDE, run_dir: Path, tmp_path: Path) -> None:
     out = tmp_path / "c.ts"
     with pytest.raises(ConfigError, match="needs a clock"):

@@ -1,11 +1,8 @@
 """A job from drop to report, stopped, taken up again, and after a restart."""
 
 import json
-import shlex
 from pathlib import Path
 
-from nsde_torch.cli import groups
-from nsde_torch.cli.quoted import path_word
 from nsde_torch.cli.serving.job import diagnose_words, inspect_words, machines
 from tests.serving.conftest import INSPECTION, Page, Played, make_page
 
@@ -52,17 +49,6 @@ def test_the_command_that_repeats_it_is_the_one_that_ran(page: Page, played: Pla
     assert words[-1] == f"out_dir={page.folder / job['id'] / 'result'}"
     assert done["repeat"] == f"nsde {' '.join(words[:-1])}"
     assert f"data.path={page.folder / job['id'] / 'logs'}" in words
-
-
-def test_a_folder_with_odd_letters_is_quoted_for_the_shell_and_for_hydra(
-    tmp_path: Path, played: Played
-) -> None:
-    page = make_page(tmp_path / "it's a=b, c", played)
-    job = page.drop(CSV)
-    page.runner.close()
-    word = next(w for w in shlex.split(job["repeat"]) if w.startswith("data.path="))
-    assert word == f"data.path={page.folder / job['id'] / 'logs'}"
-    assert path_word(word, groups.files("diagnose")).startswith("data.path='")
 
 
 def test_stopping_keeps_the_logs_and_starting_again_works(page: Page, played: Played) -> None:
@@ -131,16 +117,6 @@ def test_a_restart_lists_what_was_finished_and_what_was_at_work(page: Page, play
     assert "closed while it was at work" in left["sentence"]
     assert _finish(again, played, broken)["summary"]
     again.runner.close()
-
-
-def test_a_diagnosis_that_fails_says_why(page: Page, played: Played) -> None:
-    job = page.drop(CSV)
-    (page.folder / job["id"] / "result").write_text("in the way")
-    page.ask("POST", f"/api/jobs/{job['id']}/diagnose", {})
-    played.go.set()
-    failed = page.until(job["id"], lambda j: j["state"] == "failed")
-    assert failed["sentence"].startswith("A fault of the page")
-    assert page.drop(CSV)["state"] == "ready"  # the page goes on
 
 
 def test_machines_of_ones_own_are_offered(tmp_path: Path) -> None:

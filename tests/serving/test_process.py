@@ -13,10 +13,9 @@ from pathlib import Path
 import pytest
 
 from nsde_torch.cli.serving.job import ServeLimits
-from nsde_torch.cli.serving.process import CommandProcess, why_ended
+from nsde_torch.cli.serving.process import CommandProcess
 from nsde_torch.progress import PROGRESS, Stages
 
-LIMITS = ServeLimits()
 ENDLESS = ["serve", "port=0"]
 
 
@@ -73,13 +72,6 @@ def test_a_stopped_command_leaves_no_process(tmp_path: Path) -> None:
     work.stop()  # once more does nothing
 
 
-def test_a_command_that_was_stopped_before_it_began_never_runs(tmp_path: Path) -> None:
-    work = _process(tmp_path, ENDLESS)
-    work.stop()
-    assert work.run().stopped == "cancelled"
-    assert not (tmp_path / "log.txt").exists()
-
-
 def test_a_command_that_takes_too_long_is_stopped(tmp_path: Path) -> None:
     end = _process(tmp_path, ENDLESS, seconds=1.5).run()
     assert end.stopped == "time"
@@ -113,24 +105,3 @@ def test_a_command_ends_with_the_page_however_that_ends(tmp_path: Path) -> None:
         assert time.monotonic() < end
         time.sleep(0.02)
     assert os.getpid() != child
-
-
-@pytest.mark.parametrize(
-    ("status", "tail", "said"),
-    [
-        (0, [], ""),
-        (1, [], ""),
-        (2, ["nsde inspect: a.csv is empty,", "which no log is."], "a.csv is empty, which no log is."),
-        (2, ["nothing of ours"], "fault of the program"),
-        (1, ["Traceback (most recent call last):", "KeyError: 'x'"], "fault of the program"),
-        (127, ["cannot allocate memory for thread-local data: ABORT"], "more memory"),
-        (70, ["Traceback", "ValueError: x"], "see log.txt"),
-        (70, ["numpy._core._exceptions._ArrayMemoryError: ..."], "more memory"),
-        (-11, [], "exit status -11"),
-    ],
-)
-def test_every_end_is_one_sentence(status: int, tail: list[str], said: str) -> None:
-    sentence = why_ended("inspect", status, tail, stopped="", limits=LIMITS)
-    assert said in sentence
-    assert bool(said) == bool(sentence)
-    assert "Traceback" not in sentence

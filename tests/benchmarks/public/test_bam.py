@@ -9,13 +9,10 @@ import numpy as np
 import pytest
 
 from nsde_benchmarks.public import bam, run_benchmark
-from nsde_benchmarks.public.servo import budget, swing
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import DataError
 
 pytestmark = pytest.mark.drawn
-
-FRICTION = {"friction_base": 0.1, "friction_viscous": 0.05}
 
 
 @pytest.fixture
@@ -81,30 +78,3 @@ def test_folders_and_files_of_something_else_are_refused(servo_folder: Path, tmp
     (folder / bam.HOME / "friction_params" / "m3.json").write_text('{"kt": 1.0}')
     with pytest.raises(DataError, match=r"m3\.json lacks R, armature"):
         bam._parameters(folder / bam.HOME / "friction_params" / "m3.json")
-
-
-def test_friction_holds_what_the_weight_cannot_move_and_no_more() -> None:
-    p = {"kt": 1.0, "R": 1.0, "armature": 0.001, "q_offset": 0.0, **FRICTION}
-    u = np.zeros((2, 200, 5))
-    u[..., 3:] = 0.5, 0.1
-    x = np.array([[0.1, 0.0], [1.0, 0.0]])  # weights of 0.05 and 0.41 N m, against 0.1 N m
-    path = swing(p, x, u, 12.0)
-    assert np.ptp(path[0]) == 0.0
-    assert path[1].min() < 0.3
-
-
-def test_the_six_budgets_grow_by_what_their_names_say() -> None:
-    motor, weight, speed = np.array([0.6, 0.6]), np.array([-0.5, -0.5]), np.array([0.0, 2.0])
-    coulomb = budget(FRICTION, motor, weight, speed)
-    assert np.allclose(coulomb, [0.1, 0.2])
-    stribeck = {**FRICTION, "friction_stribeck": 0.04, "dtheta_stribeck": 0.2, "alpha": 1.0}
-    assert np.allclose(budget(stribeck, motor, weight, speed) - coulomb, [0.04, 0.0], atol=1e-5)
-    loaded = {**FRICTION, "load_friction_base": 0.1}
-    assert np.allclose(budget(loaded, motor, weight, speed) - coulomb, 0.11)
-    sides = {"load_friction_motor": 0.1, "load_friction_external": 0.2}
-    none = {"load_friction_motor_stribeck": 0.0, "load_friction_external_stribeck": 0.0}
-    directional = {**stribeck, **sides, **none}
-    assert np.allclose(budget(directional, motor, weight, speed) - coulomb, [0.2, 0.16], atol=1e-5)
-    quadratic = {**directional, "load_friction_external_quad": 0.08, "load_friction_motor_quad": 0.5}
-    grown = budget(quadratic, motor, weight, speed) - budget(directional, motor, weight, speed)
-    assert np.allclose(grown, [0.02, 0.0], atol=1e-5)

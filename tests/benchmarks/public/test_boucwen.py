@@ -82,13 +82,6 @@ def test_the_weights_of_a_hysteresis_are_found(folder: Path, tmp_path: Path) -> 
     assert (tmp_path / "benchmark.png").stat().st_size > 10_000
 
 
-def test_a_periodic_input_is_exact_between_its_samples() -> None:
-    fine = multisine(5, 256)
-    middles = boucwen._finer(fine[::FINE])
-    assert middles.shape == (256, 2)
-    assert np.allclose(np.interp([2.5, 7.5], np.arange(len(fine)), fine), middles[0], rtol=0.02)
-
-
 def test_a_short_test_is_refused(folder: Path, tmp_path: Path) -> None:
     for path in folder.iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes())

@@ -8,7 +8,7 @@ from scipy.io import savemat
 
 from nsde_benchmarks.public import BENCHMARKS
 from nsde_benchmarks.public.command import COMMAND
-from nsde_benchmarks.public.files import Work, found, key_of, matrices, table
+from nsde_benchmarks.public.files import Work, matrices, table
 from nsde_benchmarks.public.output_error import silent
 from nsde_torch.errors import CheckpointError, DataError
 
@@ -47,24 +47,6 @@ def test_a_wrong_folder_names_the_repository_and_the_file(name: str, tmp_path: P
         benchmark.paths(tmp_path / "nowhere")
     with pytest.raises(DataError, match=r"holds no .* Name a checkout of"):
         benchmark.paths(tmp_path)
-
-
-def test_a_file_is_found_by_its_name_where_it_is_alone(tmp_path: Path) -> None:
-    (tmp_path / "there").mkdir()
-    (tmp_path / "there" / "a.mat").write_bytes(b"x")
-    assert found(tmp_path, ["data/a.mat"], repository="o/r") == [tmp_path / "there" / "a.mat"]
-    (tmp_path / "a.mat").write_bytes(b"x")
-    with pytest.raises(DataError, match=r"holds a.mat 2 times"):
-        found(tmp_path, ["data/a.mat"], repository="o/r")
-
-
-def test_a_pointer_of_large_file_storage_is_told_with_its_remedy(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 3\n")
-    with pytest.raises(DataError, match="git lfs pull"):
-        found(tmp_path, ["a.csv"], repository="o/r")
-    (tmp_path / "a.csv").write_text("")
-    with pytest.raises(DataError, match="is empty"):
-        found(tmp_path, ["a.csv"], repository="o/r")
 
 
 def test_cut_and_foreign_tables_are_refused(tmp_path: Path) -> None:
@@ -116,11 +98,3 @@ def test_stages_of_other_files_and_damaged_ones_are_refused(tmp_path: Path) -> N
     (tmp_path / "stages" / "a.json").write_text('{"key": "key"')
     with pytest.raises(CheckpointError, match="is damaged"):
         Work(tmp_path, "key", say=silent, tell=print).stage("a", lambda: {"made": 3})
-
-
-def test_the_key_follows_the_content_of_the_files(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    path.write_text("1")
-    first = key_of("set", [path], {})
-    path.write_text("2")
-    assert first != key_of("set", [path], {}) != key_of("set", [path], {"version": 2})

@@ -10,13 +10,11 @@ import pytest
 from nsde_benchmarks.public import nanobench, run_benchmark
 from nsde_benchmarks.public.nanobench import (
     FLIGHTS,
-    GRAVITY,
     THRUST_MODELS,
     NanoBench,
     VerticalRecord,
     read_flight,
 )
-from nsde_benchmarks.public.output_error import machine
 from nsde_torch.data.raw import RawRun
 from nsde_torch.errors import DataError
 
@@ -60,15 +58,6 @@ def test_rows_on_which_the_motors_stand_are_left_out_and_motors_are_in_order(
     assert flight.u == pytest.approx(rows[100:, [14, 16, 17, 15]] / 65535.0)
     assert flight.split == int(0.7 * len(flight.t))
     assert (flight.training().x[:, 2] > nanobench.AIRBORNE).all()
-
-
-def test_a_machine_at_rest_under_gravity_is_predicted(nanobench_folder: Path) -> None:
-    flight = read_flight(nanobench_folder / f"{FLIGHTS[0]}.csv")
-    system = machine("quadrotor", ["motor_lag"], {"thrust_gain": 3.0})
-    predicted = nanobench.predicted_acceleration(system, flight)
-    # level, in a steady state of its motors
-    assert predicted[0] == pytest.approx(3.0 * flight.u[0].sum(), rel=1e-6)
-    assert abs(float((predicted - 3.0 * flight.u.sum(1)).mean())) < 0.1 * GRAVITY
 
 
 def test_the_voltage_explains_what_the_rigid_body_does_not(

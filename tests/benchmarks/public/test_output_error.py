@@ -46,13 +46,6 @@ def test_the_cost_never_rises_and_what_is_fixed_stays() -> None:
     assert made.cost[-1] < made.cost[0]
 
 
-def test_a_finer_grid_of_inputs_is_the_same_where_the_input_is_held() -> None:
-    x, u = _measured()
-    truth = _spring({**TRUTH, "cubic_stiffness.stiffness": 5.0}, "cubic_stiffness")
-    fine = simulated(truth, x[:1], np.repeat(u, 4, 0)[None], dt=0.02, finer=4)[0]
-    assert np.abs(fine - x).max() < 1e-5
-
-
 def test_windows_longer_than_every_run_are_refused() -> None:
     x, u = _measured()
     with pytest.raises(DataError, match=r"the longest has 201"):

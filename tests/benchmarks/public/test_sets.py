@@ -107,19 +107,6 @@ def test_the_nano_drone_is_read_and_scored_as_its_protocol_says(
     assert set(content["ratio_to_best_published"]) == set(content["units"])
 
 
-def test_a_perfect_prediction_scores_nothing() -> None:
-    system = machine("quadrotor", (), nanodrone.FIRST)
-    start = np.zeros((1, 13))
-    start[0, 6] = 1.0
-    u = np.full((1, 80, 4), 0.3) + 0.01 * np.random.default_rng(0).standard_normal((1, 80, 4))
-    path = simulated(system, start, u, dt=nanodrone.STEP)[0]
-    work = type("Silent", (), {"say": staticmethod(lambda *_: None)})()
-    scores = nanodrone._scores(system, [(path, u[0])], work, "itself")
-    assert max(scores.values()) < 1e-6
-    still = machine("quadrotor", (), {**nanodrone.FIRST, "thrust_gain": 1e-3})
-    assert nanodrone._scores(still, [(path, u[0])], work, "falls")["velocity_h50"] > 1.0
-
-
 def test_motors_are_put_in_the_order_of_the_package(nanodrone_folder: Path) -> None:
     path = nanodrone_folder / "data" / "test" / "melon_20251017_run1.csv"
     x, u = nanodrone._read(path)

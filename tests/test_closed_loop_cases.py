@@ -68,22 +68,6 @@ def test_a_tumbling_body_keeps_its_momentum_its_energy_and_a_unit_quaternion(bod
     assert np.abs(made.w[0] - start).max() > 1.0  # it does tumble
 
 
-def test_the_step_is_of_fourth_order_and_fine_enough(body: ModuleType) -> None:
-    effects = {"linear_drag": {"drag": [0.3, 0.2, 0.1]}, "flapping_moment": {"gain": [2.0, 1.0]}}
-    effects |= {"motor_lag": {"time_constant": 0.05}, "gyroscopic_moment": {"momentum": 8.0}}
-    u = np.array([0.42, 0.36, 0.41, 0.4, 0.38, 0.39])
-
-    def at(step: float) -> Any:
-        made = fall(body, [machine(body, **effects)], 0.32, u, step, v=[1.0, -2.0, 0.5], w=[2.0, -1.0, 3.0])
-        return np.concatenate([made.p[0], made.v[0], made.q[0], made.w[0]])
-
-    exact = at(0.002)
-    errors = [np.abs(at(h) - exact).max() for h in (0.016, 0.008, 0.004)]
-    assert errors[-1] < 1e-6
-    assert np.log2(errors[0] / errors[1]) > 3.5
-    assert np.log2(errors[1] / errors[2]) > 3.5
-
-
 def test_lag_and_delay_are_as_in_closed_form(body: ModuleType) -> None:
     lag, late = machine(body, motor_lag={"time_constant": 0.05}), machine(body, input_delay={"delay": 0.02})
     made = body.Bodies([lag, late], np.zeros(2))

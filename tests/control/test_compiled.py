@@ -1,8 +1,5 @@
 """The compiled solver and estimator: torch's numbers, kept libraries, and life without them."""
 
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,10 +10,9 @@ from torch import Tensor
 
 from nsde_torch.control.autopilots import Estimator, EstimatorOptions, PredictivePilot
 from nsde_torch.control.codegen import scalar
-from nsde_torch.control.codegen.library import compiler, library
+from nsde_torch.control.codegen.library import compiler
 from nsde_torch.control.compiled import compiled_estimator
 from nsde_torch.control.controller import Controller
-from nsde_torch.control.gauss_newton import GaussNewton
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import Horizon, ProblemOptions
 from nsde_torch.control.reference import Reference
@@ -160,48 +156,7 @@ def test_a_flight_of_a_compiled_controller_is_that_of_torch(declared: System, pa
 # ---- libraries ------------------------------------------------------------------------------------------
 
 
-def _library(source: str, made_of: object, folder: Path, said: list[str]) -> set[str]:
-    library(lambda: source, made_of, "tiny", folder=folder, say=said.append)
-    return {file.name for file in folder.iterdir()}
-
-
 ONE, TWO = (f"int nsde_number(void) {{ return {k}; }}\n" for k in (1, 2))
-
-
-@needs_compiler
-def test_a_library_is_made_once_for_a_problem_and_anew_for_another_or_a_damaged_one(
-    declared: System, model: NeuralSDE, tmp_path: Path, root: Path
-) -> None:
-    said: list[str] = []
-    h = horizon_of(declared, **SMALL)
-    (name,) = first = _library(ONE, GaussNewton(h), tmp_path, said)
-    assert _library(TWO, GaussNewton(horizon_of(declared, **SMALL)), tmp_path, said) == first
-    assert len(said) == 1
-    assert "compiled tiny" in said[0]
-    other = GaussNewton(horizon_of(declared, **SMALL, input_weight=2.0))
-    assert len(_library(ONE, other, tmp_path, said)) == 2
-    whole = (tmp_path / name).read_bytes()
-    (tmp_path / name).unlink()  # what is loaded is mapped
-    (tmp_path / name).write_bytes(whole[: len(whole) // 2])
-    assert len(_library(ONE, GaussNewton(h), tmp_path, said)) == 2
-    assert len(said) == 3
-    with_networks = Predictor(model, dt=0.05)
-    assert len(_library(ONE, with_networks, tmp_path, said)) == 3
-    next(buffer for key, buffer in with_networks.named_buffers() if key.endswith("weight_1"))[0, 0] += 0.1
-    made = _library(ONE, with_networks, tmp_path, said)
-    assert len(made) == 4
-    code = (
-        "import sys\nfrom pathlib import Path\n"
-        "from nsde_torch.control.gauss_newton import GaussNewton\n"
-        "from nsde_torch.systems import make_plant_system\n"
-        "from tests.control.test_compiled import ONE, SMALL, _library\n"
-        "from tests.helpers.control_problems import horizon_of\n"
-        "known = make_plant_system('hexacopter', declared_only=True)\n"
-        "_library(ONE, GaussNewton(horizon_of(known, **SMALL)), Path(sys.argv[1]), [])"
-    )
-    environment = {**os.environ, "PYTHONHASHSEED": "2"}
-    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=True, env=environment, cwd=root)
-    assert {file.name for file in tmp_path.iterdir()} == made
 
 
 def test_without_a_compiler_the_solver_says_so_and_runs(

@@ -9,7 +9,7 @@ import nsde_torch
 from nsde_torch.data import Run
 from nsde_torch.design import Question
 from nsde_torch.design.members import Branch, Member, Rollouts, as_run, members_of, open_loop, width_columns
-from nsde_torch.design.proposals import Separation, nearest
+from nsde_torch.design.proposals import Separation
 from nsde_torch.design.rehearsal import fit_all
 from nsde_torch.inference.posterior import LogWithPrior
 from nsde_torch.systems.options import system_options
@@ -106,16 +106,3 @@ def test_a_width_that_no_run_shows_is_followed_down_to_the_true_one(fast: Member
     assert nats[0] == fast.nats
     assert nats[-1] > fast.nats - 4.0
     np.testing.assert_array_equal(fast.theta, fast.branches[0].theta)
-
-
-@pytest.mark.slow
-def test_draws_take_their_share_of_every_width_and_say_where_they_are_from(fast: Member) -> None:
-    (column,) = width_columns(fast.vector)
-    draws = fast.draws(40, np.random.default_rng(0))
-    np.testing.assert_array_equal(draws[0], fast.theta)
-    drawn = np.log(draws[1:, column])
-    widths = np.log([b.theta[column] for b in fast.branches])
-    assert drawn.min() < widths.mean() < drawn.max()
-    assert (draws[:, column] >= fast.vector.low[column]).all()
-    for branch in fast.branches:
-        assert nearest(fast, branch.theta) is branch

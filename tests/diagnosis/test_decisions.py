@@ -12,7 +12,6 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.inference.maximum import LONGEST_S
 from tests.helpers.diagnosed import diagnosed
 
-_THRESHOLD = re.compile(r"^_?[A-Z][A-Z_, ]*(: \w+)? = [-\d.(][-\d.e, ()]*(?P<comment> +#.*)?$")
 _SPRING, _FRICTION = "mass_spring_damper", {"coulomb_friction": {"size": 0.3}}
 _SHORT: dict[str, Any] = {"durations": (5.0,) * 4, "dt": 0.02}
 _LESS_IS_MORE = {"worth_nats", "close_share", "finished_share", "noise_nats"}
@@ -39,16 +38,6 @@ def test_no_module_reads_the_defaults_behind_the_back_of_its_caller(root: Path) 
         if re.search(r"\b(DECISIONS|BUDGETS)\.", line)
     }
     assert behind == set()
-
-
-def test_numbers_of_a_module_say_what_they_are(root: Path) -> None:
-    bare = [
-        f"{name}: {line}"
-        for name, text in _sources(root).items()
-        for line, below in zip(text.splitlines(), [*text.splitlines()[1:], ""], strict=True)
-        if (m := _THRESHOLD.match(line)) and m["comment"] is None and not below.startswith('"""')
-    ]
-    assert bare == []
 
 
 def test_noise_of_a_regression_remembers_as_long_as_a_disturbance_lasts() -> None:

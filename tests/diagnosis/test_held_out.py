@@ -92,15 +92,6 @@ def scored(density: np.ndarray, rates: np.ndarray) -> Scored:
     return Scored(("v", "w"), ("m/s2", "rad/s2"), density, run, t, np.square(rates), run, t)
 
 
-def two(gain: Sequence[float], grown: Sequence[float], noise: float = 1.0) -> tuple[Scored, Scored]:
-    """Physics without and with an effect that gains so much a step and leaves so much more, by channel."""
-    rng = np.random.default_rng(0)
-    density, rates = rng.normal(size=(400, 2)), rng.normal(size=(400, 2))
-    scatter = rng.normal(size=(400, 2))
-    other = density + np.array(gain) + noise * (scatter - scatter.mean(0))
-    return scored(density, rates), scored(other, rates * np.array(grown))
-
-
 def test_the_gain_of_the_log_likelihood_is_the_sum_over_steps_and_its_interval_holds() -> None:
     system, inside = make_system(SPRING), 0
     for seed in range(60):

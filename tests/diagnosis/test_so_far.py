@@ -14,10 +14,9 @@ import pytest
 import nsde_torch
 from nsde_torch import time_limit
 from nsde_torch.data import DataSet
-from nsde_torch.diagnosis import pipeline
 from nsde_torch.diagnosis.files import EFFECTS, REPORT, RESULT
 from nsde_torch.diagnosis.result import Diagnosis
-from nsde_torch.diagnosis.stages import CEILING, ERRORS, NO_TIME, NOT_YET, SELECTION, STOPPED, TESTS
+from nsde_torch.diagnosis.stages import ERRORS, NO_TIME, NOT_YET, SELECTION, STOPPED, TESTS
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.effects import files as effects_files
 from nsde_torch.errors import CheckpointError, ConfigError, DataError
@@ -123,19 +122,6 @@ def test_before_anything_is_known_the_limit_waits(made: DataSet, monkeypatch: py
     assert (found.verdict, found.added) == ("undecided", [])
     assert found.parameters == {}
     assert found.declared_values["force_gain"] > 0
-
-
-@pytest.mark.slow
-def test_a_stage_that_would_not_end_in_time_is_left_out(
-    made: DataSet, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pipeline, "_ROUNDS", {**pipeline._ROUNDS, CEILING: 1e6})
-    found = _diagnosed(made, say=False, max_minutes=60.0)
-    content = found.content()
-    assert [(n["stage"], n["why"]) for n in content["not_done"]] == [(CEILING, NO_TIME)]
-    assert (found.verdict, found.added) == ("effect_found", [FRICTION])
-    assert "the diagnosis is not finished" not in [f["lead_reason"] for f in content["findings"]]
-    assert lines(content)[0].startswith(f"stopped after 60 min as asked: not done: {CEILING};")
 
 
 def test_a_resumed_diagnosis_goes_on_from_what_was_selected(

@@ -9,7 +9,7 @@ from torch import Tensor
 from nsde_torch.effects import Effect, Parameter, Port, effect_class, effects_of, key_of
 from nsde_torch.effects.by_run import BY_RUN, MASS, RUN, ByRun, difference_name
 from nsde_torch.systems import Defaults, System, make_system
-from nsde_torch.systems.in_run import difference_on, may_differ
+from nsde_torch.systems.in_run import difference_on
 from nsde_torch.systems.parameters import ParameterVector
 
 RUNS = torch.tensor([[0.0], [1.0], [2.0], [-1.0], [7.0]], dtype=torch.float64)
@@ -116,36 +116,6 @@ def flat(own: float) -> System:
     system = Flat().double()
     system.set_value("own", own)
     return system
-
-
-@pytest.mark.parametrize("t", [0.5, torch.tensor(0.5), torch.full((5,), 0.5)])
-def test_formulas_may_be_written_in_any_way(t: float | Tensor) -> None:
-    system = flat(2.0)
-    x, u, wide = rows(system)
-    assert may_differ(system, "own", x, u)
-    found = differing(system, "own", 0.5, -0.25)
-    push = {Port.FORCE: torch.randn(len(x), 1, dtype=torch.float64)}
-    rate = found.drift(t, x, wide, push)
-    vector = ParameterVector(found)
-    assert torch.allclose(vector.system.drift(t, x, wide, push), rate, atol=1e-12)
-    for row, own in enumerate((2.0, 2.5, 1.75, 2.0, 2.0)):
-        one, force = slice(row, row + 1), {Port.FORCE: push[Port.FORCE][row : row + 1]}
-        there = flat(own).drift(0.5, x[one], u[one], force)
-        assert torch.allclose(rate[one], there, rtol=1e-6)
-    assert torch.allclose(found.drift(t, x, wide, push), rate)  # the parameters are put back
-
-
-@pytest.mark.parametrize("target", ["inertia_x", "roll_gain"])
-def test_what_effects_read_of_the_machine_is_that_of_the_run(target: str) -> None:
-    names = ["inertia_coupling", "gyroscopic_moment"]
-    system = make_system("hexacopter", effects=names).double()
-    x, u, wide = rows(system)
-    found = differing(system, target, 0.3, -0.2).drift(0.0, x, wide)
-    for row, change in enumerate((0.0, 0.3, -0.2, 0.0, 0.0)):
-        other = make_system("hexacopter", effects=names).double()
-        other.set_value(target, (system.value(target) + change).tolist())
-        there = other.drift(0.0, x[row : row + 1], u[row : row + 1])
-        assert torch.allclose(found[row : row + 1], there, rtol=1e-6)
 
 
 def test_an_effect_that_is_gone_takes_what_differs_in_it_along() -> None:

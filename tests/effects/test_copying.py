@@ -9,8 +9,6 @@ from torch import nn
 
 from nsde_torch.effects.base import Parametrised
 from nsde_torch.systems import make_system
-from nsde_torch.systems.frozen import frozen
-from nsde_torch.systems.parameters import ParameterVector
 
 EFFECTS = {
     "mass_spring_damper": ["coulomb_friction", "actuator_lag"],
@@ -44,19 +42,3 @@ def test_a_copy_is_what_python_would_make_and_has_numbers_of_its_own(
     assert mine.with_effects().effect_names == system.effect_names
     mine.set_step(0.5)
     assert system.step != 0.5
-
-
-def test_what_modules_of_a_copy_share_they_share_in_the_copy_and_with_no_other() -> None:
-    vector = ParameterVector(make_system("mass_spring_damper", effects=["coulomb_friction"]))
-    z, u = torch.tensor([[0.3, 1.0]], dtype=torch.float64), torch.ones(1, 1, dtype=torch.float64)
-    other = copy.deepcopy(vector)
-    before = vector.system.drift(0.0, z, u)
-    other.use(2.0 * torch.as_tensor(other.start))
-    assert torch.equal(vector.system.drift(0.0, z, u), before)
-    assert not torch.equal(other.system.drift(0.0, z, u), before)
-    held = frozen(make_system("mass_spring_damper"))
-    again = copy.deepcopy(held)
-    for buffer in again.buffers():
-        buffer.zero_()
-    assert float(again.drift(0.0, z, u)[0, 1]) == 0.0
-    assert float(held.drift(0.0, z, u)[0, 1]) != 0.0

@@ -8,12 +8,10 @@ import torch
 
 from nsde_torch.data import Run, Windows
 from nsde_torch.evaluation.scores import rollout_squares, score, squares_of, states_by_fold
-from nsde_torch.models import IdentifiedModel, NeuralSDE, SDESpec, SysidSpec
+from nsde_torch.models import IdentifiedModel, SysidSpec
 from nsde_torch.models.before import inputs_before
 from nsde_torch.systems import make_system
 from nsde_torch.systems.parameters import ParameterVector
-from nsde_torch.training.fit_sde import Fit
-from nsde_torch.training.options import LossOptions, TrainerOptions
 from tests.models.test_inputs_before import DT, VALUES, flight
 
 STEPS = 10
@@ -51,20 +49,6 @@ def test_the_true_model_is_scored_without_error_from_anywhere_in_a_run(windows: 
     x, u, _ = windows.batch(starts)
     stationary = truth().sample(x[:, 0], u, dt=DT, particles=1, generator=torch.Generator())
     assert float((stationary[0] - x).square().max()) > 1e-2
-
-
-def test_training_errors_of_the_true_model_vanish(windows: Windows) -> None:
-    quiet = {"step": "milstein_heun", "effects": ("motor_lag",), "sigma_max": (1e-9,) * 13}
-    spec = SDESpec("hexacopter", dt=DT, horizon=STEPS, **quiet)  # type: ignore[arg-type]
-    generator = torch.Generator().manual_seed(0)
-    model = NeuralSDE(spec, generator=generator, values=VALUES["motor_lag"]).double()
-    with torch.no_grad():
-        for network in model.residuals.values():
-            network.layers[-1].weight.zero_()  # type: ignore[union-attr, operator, index]
-    options, scale = TrainerOptions(compile="off"), torch.ones(12, dtype=torch.float64)
-    fit = Fit(model, *[windows] * 3, scale=scale, loss=LossOptions(kind="replay"), options=options, seed=0)
-    errors, _ = fit.errors(windows, torch.arange(25, len(windows), 4), 2, generator)
-    assert float(errors.detach().abs().max()) < 1e-3
 
 
 @pytest.mark.parametrize("branches", [False, True])

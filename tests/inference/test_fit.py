@@ -218,25 +218,6 @@ def test_what_is_not_known_of_a_rate_is_as_large_as_its_error(friction: float) -
     assert float(found.square()[0]) == pytest.approx(1.0, abs=0.2)
 
 
-def test_a_friction_narrower_than_all_speeds_is_widened() -> None:
-    narrow = {**ENCODED, "coulomb_friction.size": 0.2, "coulomb_friction.width": 1e-5}
-    system = make_system("mass_spring_damper", effects=["coulomb_friction"], values=narrow)
-    data = assemble(encoder_runs("none", runs=2), system, kind="test")
-    found = filtered_at(LogLikelihood(system, data.runs, states=True))
-    assert np.isfinite(found.at.total)
-
-
-def test_rows_that_no_stretch_holds_stay_as_they_were_read() -> None:
-    system = make_system("mass_spring_damper", values=ENCODED)
-    (run,) = assemble(encoder_runs("none", runs=1), system, kind="test").runs
-    whole = filtered_at(LogLikelihood(system, [run], states=True)).states([run])[0]
-    parts = replace(run, segments=((0, 700), (710, len(run))))
-    (found,) = filtered_at(LogLikelihood(system, [parts], states=True)).states([parts])
-    np.testing.assert_array_equal(found[700:710], run.x[700:710])
-    assert np.abs(found[:700] - whole[:700]).max() < 0.02
-    assert np.abs(found[900:] - whole[900:]).max() < 0.02
-
-
 @pytest.mark.parametrize("effects", [(), ("actuator_lag",)])
 def test_logs_side_by_side_have_the_likelihood_that_they_have_alone(effects: tuple[str, ...]) -> None:
     system = spring(*effects)
@@ -273,12 +254,3 @@ def test_parameters_are_found_within_their_standard_errors_and_the_prior_counts(
     # of all runs together more is known than of one
     (both,) = own.modes([LogWithPrior(tuple(runs), truth, wide)])
     assert (np.sqrt(np.diag(np.linalg.inv(both.information))) < errors).all()
-
-
-def test_parameters_stay_within_their_bounds() -> None:
-    own = Posteriors(spring(), levels_of())
-    own.vector.high = np.minimum(own.vector.high, 0.8 * own.vector.start)
-    wide = np.diag(1.0 / np.square(10.0 * own.vector.start))
-    (found,) = own.modes([LogWithPrior(tuple(linear_runs(1, 10.0, seed=3)), 0.5 * own.vector.start, wide)])
-    assert (found.theta <= own.vector.high).all()
-    assert found.theta == pytest.approx(own.vector.high, rel=1e-3)

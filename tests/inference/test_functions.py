@@ -9,7 +9,7 @@ import pytest
 from nsde_torch.data import Run
 from nsde_torch.inference import LogLikelihood, maximised
 from nsde_torch.inference.force_scores import DRAWS, FunctionScores
-from nsde_torch.inference.functions import BasisGroup, Functions, learned, log_chance, seen_by_networks
+from nsde_torch.inference.functions import Functions, learned, log_chance, seen_by_networks
 from nsde_torch.systems import make_system
 from tests.inference.springs import SENSOR, TRUTH, B, G, K, rubbing, run, small_runs, spring
 
@@ -34,21 +34,6 @@ def test_a_drag_is_found_as_a_function_of_the_speed_with_what_the_damping_is_bes
     # a constant is a force of the spring's rest, and no part of a drag
     np.testing.assert_allclose(total - total.mean(), true - true.mean(), atol=0.05 * np.abs(true).max())
     assert (out.force(values, 0)[1] >= 0).all()
-
-
-def test_where_a_damping_is_at_its_bound_functions_do_what_it_would() -> None:
-    machine = replace(rubbing(0.0), values={"k": TRUTH[K], "b": -0.25, "g": TRUTH[G]})
-    machine = replace(machine, effects={"quadratic": {"size": 0.3}})
-    _, at = maximised(LogLikelihood(spring(), small_runs(machine, 4, 10.0, seed=5)), nuisances=False)
-    groups = [BasisGroup(0, ("q_dot",), "signed"), BasisGroup(0, ("q_dot",), "fine")]
-    out = learned(at, seen_by_networks(spring()), [0], among=groups)
-    damping = out.theta[spring_labels().index(B)]
-    assert damping >= 0.0
-    v = np.linspace(-1.0, 1.0, 9) * 0.8 * out.scaled["q_dot"].half
-    total = -damping * v + out.force({"q": np.zeros(9), "q_dot": v}, 0)[0]
-    true = 0.25 * v - 0.3 * np.abs(v) * v
-    np.testing.assert_allclose(total - total.mean(), true, atol=0.1 * np.abs(true).max())
-    assert (out.errors > 0).all()
 
 
 def spring_labels() -> list[str]:

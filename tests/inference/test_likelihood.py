@@ -252,12 +252,3 @@ def test_what_is_below_stays_and_what_is_above_goes() -> None:
     assert float((out[inner, 0] - slow[inner]).abs().max()) < 0.01
     assert float((out[inner, 1] - slow[inner]).abs().max()) < 0.02
     assert float(out[inner, 2].abs().max()) < 0.02
-
-
-def test_increments_of_states_without_what_is_above_are_increments_without_it() -> None:
-    x = torch.cumsum(torch.from_numpy(np.random.default_rng(0).normal(size=(2000, 1))), 0)
-    states = low_passed(x, HZ, DT, level=True)
-    steps = low_passed(x[1:] - x[:-1], HZ, DT)
-    inner = slice(100, -100)
-    error = (states[1:] - states[:-1] - steps)[inner].std()
-    assert float(error) < 0.01 * float(steps[inner].std())

@@ -193,25 +193,6 @@ def test_the_score_and_the_slopes_of_the_levels_are_the_filter_s(of: str) -> Non
         np.testing.assert_allclose(spreads[1:, :, j], turned[1:], atol=1e-5)
 
 
-@pytest.mark.slow
-def test_parts_of_a_log_side_by_side_give_the_same_pass(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = flight()
-    levels, about = problem.first(problem.vector.start)
-    space, live = problem.space, problem.space.chunks.counted
-    assert space.chunks.count > 1
-    monkeypatch.setattr(kernels, "_FEWEST", 1)
-    kernels._pool.cache_clear()
-    passes = []
-    for threads in (1, 2):
-        monkeypatch.setattr(kernels, "allowed_threads", lambda count=threads: count)
-        at = passed(problem, levels, about)
-        slopes, _ = level_slopes(space, levels, about, at)
-        passes.append((at.rows, score(space, levels, about, at, live), slopes))
-    for one, other in zip(*passes, strict=True):
-        assert torch.equal(one, other)
-    assert kernels._pool.cache_info().misses == 1  # the second of them had two threads
-
-
 @pytest.mark.parametrize("precise", [1e-3, 1e-5, 1e-7])
 def test_the_score_holds_over_long_chunks_of_precise_sensors(precise: float) -> None:
     """Rounding grew from row to row of the pass backwards: slopes of 1e50 and more, and levels that never moved.

@@ -187,40 +187,6 @@ def test_slope_of_the_diffusion_is_the_finite_difference_under_every_loss(loss: 
     assert float(slope.abs().max()) > 1e-4
 
 
-def test_rotation_noise_is_the_same_at_every_attitude() -> None:
-    model = make("hexacopter", dtype=torch.float64)
-    model.h.log_sigma_max.copy_(torch.linspace(-5, -1, 13, dtype=torch.float64))
-    x = torch.zeros(4, 13, dtype=torch.float64)
-    x[:, 6:10] = torch.nn.functional.normalize(
-        torch.tensor([[1.0, 0, 0, 0], [0.5, 0, 0, 0.9], [0.7, 0.7, 0, 0], [0.1, 0.2, 0.9, -0.4]]), dim=1
-    ).double()
-    sigma = model.diffusion(0.0, x, torch.full((4, 6), 0.4, dtype=torch.float64))[:, 6:10]
-    w, v = x[:, 6:7], x[:, 7:10]
-    eye = torch.eye(3, dtype=torch.float64)
-    cross = torch.stack([torch.cross(v, e.expand_as(v), dim=1) for e in eye], 2)
-    tangent = torch.cat((-v[:, None], w[..., None] * eye + cross), 1)  # dq / d(theta/2)
-    covariance = torch.einsum("nki,nk,nkj->nij", tangent, sigma**2, tangent)
-    expected = float(sigma[0, 0]) ** 2 * eye
-    torch.testing.assert_close(covariance, expected.expand(4, 3, 3))
-
-
-@pytest.mark.parametrize("step", ["milstein", "heun"])
-def test_memory_faster_than_the_step_does_not_blow_up(step: str) -> None:
-    values: dict[str, float | list[float]] = {"motor_lag.time_constant": 0.004, "input_delay.delay": 0.01}
-    spec = SDESpec("hexacopter", dt=0.05, horizon=20, step=step, effects=("motor_lag", "input_delay"))
-    with_memory = NeuralSDE(spec, generator=generator(), values=values)
-    plain = NeuralSDE(SDESpec("hexacopter", dt=0.05, horizon=20, step=step), generator=generator())
-    x0 = torch.zeros(4, 13)
-    x0[:, 6] = 1.0
-    u = 0.2 + 0.4 * torch.rand(4, 40, 6, generator=torch.Generator().manual_seed(1))
-    with torch.no_grad():
-        a, b = (
-            model.paths(x0, u, dt=0.05, noise=torch.zeros(1, 4, 40, model.nz))
-            for model in (with_memory, plain)
-        )
-    assert float((a - b)[..., 10:].abs().max()) < 0.5 * float(b[..., 10:].abs().max())
-
-
 BLACK = SDESpec("cartpole", kind="blackbox_nsde", physics=False, dt=0.02, horizon=10, step="euler_maruyama")
 
 

@@ -264,16 +264,6 @@ def test_calibration_has_a_curve_for_each_model_in_the_panels_of_each_group(tmp_
     assert plots.save(figure, tmp_path / "c.png").stat().st_size > 5000
 
 
-def rollouts(steps: dict[str, int], scale: float = 1.0) -> object:
-    rng = np.random.default_rng(0)
-    t = {m: np.linspace(0, 2, n + 1) for m, n in steps.items()}
-    measured = {m: np.column_stack([np.sin(v), np.cos(v)]) for m, v in t.items()}
-    samples = {m: measured[m] + scale * rng.standard_normal((20, *measured[m].shape)) for m in t}
-    return plots.rollouts_of_models(
-        t, measured, samples, names=["x", "v"], units=["m", "m/s"], title="Rollouts"
-    )
-
-
 def test_a_warning_and_the_names_it_is_about_are_red() -> None:
     figure = calibration(["a", "b"])
     plots.warn(figure, "No test: b", ["b"])

@@ -71,23 +71,6 @@ def test_memory_of_an_effect_is_carried_from_sample_to_sample() -> None:
     torch.testing.assert_close(machines.state, z[:, :13], rtol=1e-5, atol=1e-6)
 
 
-def test_disturbance_of_a_path_lasts_and_is_its_own() -> None:
-    own = model("hexacopter", disturbance=True)
-    x0 = torch.zeros(400, 13)
-    x0[:, 6] = 1.0
-    machines = learned(own, 0.0)
-    machines.reset(x0)
-    gusts = []
-    for _ in range(3):
-        gusts.append(machines._x[:, own.system.nz :].clone())
-        machines.step(torch.full((400, 6), 0.38))
-    first, later = gusts[0][:, 0], gusts[2][:, 0]
-    assert float(first.std()) > 0
-    assert float(torch.corrcoef(torch.stack((first, later)))[0, 1]) > 0.8
-    machines.restart(torch.tensor([5]), x0[:1])
-    assert float(machines._x[5, own.system.nz]) != pytest.approx(float(later[5]))
-
-
 @pytest.mark.parametrize(("kind", "within"), [("nsde", 0.06), ("ensemble", 0.08)])
 def test_paths_of_machines_spread_as_those_that_a_model_samples(kind: str, within: float) -> None:
     own: Model = GaussianEnsemble(EnsembleSpec("cartpole", dt=0.02, horizon=10), generator=generator()).eval()

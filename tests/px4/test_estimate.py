@@ -3,7 +3,6 @@
 from itertools import pairwise
 from math import degrees, inf, nan, radians
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,8 +16,6 @@ from nsde_torch.px4.flight.safety import Phase, contradicted
 from nsde_torch.px4.link.dialect import mavlink
 from nsde_torch.px4.link.telemetry import EstimateQuality
 from nsde_torch.px4.link.vectors import yaw_of
-from nsde_torch.px4.simulator.body import Body
-from nsde_torch.px4.simulator.estimate import SimulatedEstimator
 from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 from nsde_torch.recording import read
 from nsde_torch.systems import make_system
@@ -114,18 +111,6 @@ def test_an_error_that_all_sensors_share_is_not_seen() -> None:
     assert world.safe
 
 
-def test_the_slow_error_of_a_poor_estimate_has_its_size_and_its_velocity_belongs_to_it() -> None:
-    errors = SensorErrors(estimate=(0.2, 0.1, 0.45), estimate_time=0.5)
-    estimator = SimulatedEstimator(std=(0.0,) * 4, seed=1, heading=0.0, errors=errors)
-    rest = (0.0,) * 3
-    still = SimpleNamespace(p=(0.0, 0.0, 1.0), v=rest, q=(1.0, *rest), w=rest, dt=0.004, on_ground=False)
-    rows = [estimator.sense(still)[:2] for _ in range(50_000)]  # type: ignore[arg-type]
-    p, v = np.array(rows).swapaxes(0, 1)
-    assert np.sqrt(np.mean((p - still.p) ** 2, 0)) == pytest.approx([0.1, 0.2, 0.45], rel=0.25)  # ENU
-    # less than that error alone would move
-    assert np.abs(np.diff(p[:, 0]) - 0.004 * v[:-1, 0]).mean() < 0.004 * 2.0 * 0.1 / 0.5
-
-
 @pytest.mark.slow
 def test_on_an_estimate_as_poor_as_of_sih_a_flight_goes_to_its_end() -> None:
     """The truth is off by that error, which neither PX4's estimator nor this program can see."""
@@ -136,26 +121,6 @@ def test_on_an_estimate_as_poor_as_of_sih_a_flight_goes_to_its_end() -> None:
 
 
 HIGH = PathPoints(shapes.hover(duration=2.5, height=1.5))
-
-
-def test_the_simulated_heading_is_wrong_below_a_metre_and_a_half_and_reset_there_once_a_flight() -> None:
-    body = Body("quadrotor", seed=0, process_noise=0.0)
-    estimator = SimulatedEstimator(std=(0.0, 0.0, 0.0, 0.0), seed=3)
-    sizes = []
-    for _ in range(20):
-        body.p = (0.0, 0.0, 1.4)
-        wrong = yaw_of(estimator.sense(body)[2])
-        count = estimator.resets
-        body.p = (0.0, 0.0, 1.6)
-        assert yaw_of(estimator.sense(body)[2]) == pytest.approx(0.0, abs=1e-9)
-        assert estimator.stepped == pytest.approx(-wrong)
-        estimator.sense(body)
-        assert estimator.resets == count + 1
-        assert estimator.stepped == 0.0
-        estimator.new_flight()
-        sizes.append(abs(degrees(wrong)))
-    assert 1.0 <= min(sizes) < 3.0
-    assert 7.0 < max(sizes) <= 9.0
 
 
 def test_a_flight_at_default_height_goes_on_over_the_reset_of_the_heading() -> None:

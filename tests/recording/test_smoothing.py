@@ -73,14 +73,6 @@ def test_a_first_order_lag_is_no_average(kind: str) -> None:
         assert smoothing_width([run(lagged)], 4) == 0.0
 
 
-def test_an_average_is_found_beside_constant_inputs_and_under_a_little_noise_of_rounding() -> None:
-    u = averaged(commands("red", 0), 40)
-    beside = u.copy()
-    beside[:, 1:3] = 0.4
-    for made in (beside, np.round(u, 4)):
-        assert smoothing_width([run(made)], 4) == pytest.approx(0.4, abs=1.01 * DT)
-
-
 def held(samples: int) -> Array:
     return np.repeat(commands("red", 0, N // samples + 1), samples, axis=0)[:N]
 

@@ -6,13 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from nsde_torch.effects import effects_of
 from nsde_torch.errors import ConfigError
 from nsde_torch.recording import read
 from nsde_torch.recording.chain import Recording
-from nsde_torch.simulation import make_plant
 from nsde_torch.simulation.battery import FULL, LOAD
 from nsde_torch.simulation.generate import Simulation, simulate, write
 from nsde_torch.systems import MACHINES, make_plant_system, make_system, system_class
@@ -122,16 +120,6 @@ def test_a_battery_falls_with_use_and_is_logged_where_asked(flown: Simulation) -
     assert flown.runs[0].extra == {}
     with pytest.raises(ConfigError, match="battery"):
         short("cartpole", battery=True)
-
-
-def test_a_fast_effect_gets_a_finer_step() -> None:
-    generator = torch.Generator().manual_seed(0)
-    plain = make_plant("cartpole", generator=generator)
-    stiff = make_plant(
-        "cartpole", generator=generator, effects=[{"coulomb_friction[cart]": {"size": 2.0, "width": 0.002}}]
-    )
-    assert stiff._fine < plain._fine == 0.005
-    assert np.isfinite(first(short("cartpole", effects=[{"actuator_lag": {"time_constant": 0.0025}}]))).all()
 
 
 def test_nothing_is_written_over(tmp_path: Path) -> None:

@@ -67,19 +67,6 @@ def test_thrust_follows_a_step_of_the_command_with_the_motor_lag() -> None:
     assert speed > 0.5
 
 
-def test_play_is_taken_up_within_a_sample_however_fast_the_command_turns() -> None:
-    gap = 0.5
-    system = make_system("mass_spring_damper", effects=["input_play"], values={"input_play.gap": gap})
-    plant = Plant(system, dt=0.01, generator=torch.Generator().manual_seed(0))
-    commands = torch.randn(100, 1, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-    plant.reset(torch.zeros(1, 2), commands[:1])
-    acts = float(commands[0])
-    for command in commands:
-        plant.step(command[None])
-        acts = min(max(acts, float(command) - gap), float(command) + gap)
-        assert float(plant.whole_state[0, 2]) == pytest.approx(acts, abs=1e-6)
-
-
 def test_latency_delays_the_effect_of_a_command_by_exactly_its_time() -> None:
     prompt, late = quiet(declared_only=True, step=0.005), quiet(declared_only=True, step=0.005, latency=0.025)
     assert late.latency == pytest.approx(0.025)

@@ -132,24 +132,6 @@ def test_memory_means_the_same_on_a_fine_grid_and_on_a_coarse_one(effect: str, t
     assert float(arrived[0.01].abs().max()) > 0.01 * time
 
 
-@pytest.mark.parametrize("delay", [0.11, 0.2])
-def test_a_delay_of_more_steps_gives_the_mean_of_its_approximation(delay: float) -> None:
-    s = hexacopter("input_delay", input_delay__delay=delay)
-    x, u, dt, fine = level(1), commands(1, 5), 0.05, 400
-    z = s.remembered(x, u[:, 4], u[:, :4], dt=dt)
-    s.set_step(dt)
-    arrives = s.effects[0](0.0, x, u[:, 4], z[:, 13:])
-    s.set_step(0.0)
-    m, total = z[:, 13:], torch.zeros_like(arrives)
-    for _ in range(fine):  # by the trapezoidal rule, along Heun's steps
-        first = s.effects[0].memory_rate(0.0, x, u[:, 4], m)
-        second = s.effects[0].memory_rate(0.0, x, u[:, 4], m + dt / fine * first)
-        after = m + 0.5 * dt / fine * (first + second)
-        total += 0.5 * (s.effects[0](0.0, x, u[:, 4], m) + s.effects[0](0.0, x, u[:, 4], after)) / fine
-        m = after
-    torch.testing.assert_close(arrives, total, rtol=0, atol=1e-6)
-
-
 @cache
 def lagging(tau: float) -> tuple[System, Tensor, Tensor, Tensor]:
     """A machine whose motors lag, inputs of 50 ms that roll it, where it begins, and where 1 ms steps end."""
@@ -174,30 +156,6 @@ def test_every_step_gives_the_roll_rate_of_a_lagging_motor_at_steps_of_50_ms(nam
         path = rollout(Equation(s), z0, u, dt=0.05, step=step, noise=noise)[0, 0]
     # torchdiffeq is as exact as its tolerances; without the whole step Euler's steps err by half
     torch.testing.assert_close(path[-1, 10:], z[0, 10:], rtol=1e-4, atol=2e-6)
-
-
-def test_what_is_remembered_has_derivatives_and_leaves_the_step_as_it_was() -> None:
-    values = {"input_delay.delay": 0.035}
-    s = make_system("hexacopter", effects=["input_delay", "motor_lag"], values=values).double()
-    s.set_step(0.02)
-    u = commands(2, 4).requires_grad_()
-    raw = [s.effects[0].raw["delay"], s.effects[1].raw["time_constant"]]
-
-    def memory(u: Tensor) -> Tensor:
-        return s.remembered(level(2), u[:, -1], u, dt=0.01)[:, 13:]
-
-    assert torch.autograd.gradcheck(memory, (u,))
-    loss = memory(u).square().sum()
-    for p, slope in zip(raw, torch.autograd.grad(loss, raw), strict=True):
-        with torch.no_grad():
-            p += 1e-6
-            high = memory(u).square().sum()
-            p -= 2e-6
-            low = memory(u).square().sum()
-            p += 1e-6
-        assert float(slope.detach()) == pytest.approx(float(high - low) / 2e-6, rel=1e-5)
-        assert float(slope) != 0
-    assert s.step == 0.02
 
 
 def test_without_inputs_before_or_without_memory_a_start_is_stationary() -> None:

@@ -84,29 +84,6 @@ def test_the_last_steps_start_from_the_kept_weights_and_see_all_windows() -> Non
     assert seen == [fit.train] * 9 + [fit.everything] * 4
 
 
-def test_validation_repeats_and_leaves_the_training_noise_alone() -> None:
-    fit = make_fit()
-    before = fit.noise.get_state(), fit.batches.get_state()
-    assert fit.validate() == fit.validate()
-    assert torch.equal(before[0], fit.noise.get_state())
-    assert torch.equal(before[1], fit.batches.get_state())
-
-
-def test_gradients_are_clipped_to_the_limit() -> None:
-    limit = 1e-3
-    fit = make_fit(options=replace(OPTIONS, clip=limit))
-    norms = []
-    step = fit.optimiser.step
-
-    def watched(*args: Any, **rest: Any) -> None:
-        norms.append(float(torch.stack([p.grad.norm() for p in fit.parameters if p.grad is not None]).norm()))
-        step(*args, **rest)
-
-    fit.optimiser.step = watched  # type: ignore[method-assign, assignment]
-    fit.run(title="t", quiet=True)
-    assert 0.0 < max(norms) <= limit * (1 + 1e-4)
-
-
 def test_a_loss_that_is_not_finite_stops_with_the_step_and_the_remedy() -> None:
     fit = make_fit()
     with torch.no_grad():

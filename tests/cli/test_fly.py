@@ -23,7 +23,7 @@ from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.simulated import VirtualLink
 from tests.helpers.commands import Said
-from tests.helpers.px4_world import World
+from tests.helpers.px4_world import under_way
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
@@ -217,7 +217,7 @@ _GROUND, _AIR = "stopped before it began", "was stopped, and landed"
     [(Phase.STREAM, _GROUND), (Phase.OFFBOARD, _GROUND), (Phase.TAKEOFF, _AIR), (Phase.HOLD, _AIR)],
 )
 def test_ctrl_c_is_an_interruption_whenever_it_comes(phase: Phase, said: str) -> None:
-    world = World().until(phase)
+    world = under_way(phase)
     world.flight.stop()
     world.run()
     assert world.safe

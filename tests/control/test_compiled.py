@@ -1,4 +1,4 @@
-"""The compiled solver and estimator: torch's numbers, kept libraries, and life without them."""
+"""The compiled solver and estimator: torch's numbers, and life without a compiler."""
 
 from collections.abc import Callable
 from pathlib import Path

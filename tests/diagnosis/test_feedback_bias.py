@@ -1,4 +1,4 @@
-"""What feedback may hide: which effects, which structure and which gains count, and what is sure behind smoothers."""
+"""What feedback may hide: which effects count beside it, and what is sure behind smoothers."""
 
 from dataclasses import replace
 from typing import Any, cast

@@ -4,9 +4,15 @@ No sockets, no threads and no waiting: forty seconds of flight take some four se
 same time in every run.
 """
 
+import copyreg
 import random
-from collections.abc import Callable
+import struct
+import threading
+from collections.abc import Callable, Mapping
+from copy import deepcopy
 from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
 
 from nsde_torch.control import shapes
 from nsde_torch.px4.flight.cascade import CascadeController, PathPoints
@@ -75,7 +81,7 @@ class World:
         self.endpoint = Endpoint(self._up, key=self.key)
         self.says: list[str] = []
         runner = self.runner or Inline(CascadeController(self.path))
-        how = {"limits": self.limits, "options": self.options, "say": self.says.append}
+        how = {"limits": self.limits, "options": self.options, "say": self._say}
         self.flight = Offboard(self.endpoint, runner, self.path, **how)
         self.now = START
         self.setpoints: list[float] = []
@@ -85,6 +91,9 @@ class World:
         self._to_us: list[tuple[float, int, bytes]] = []
         self._count = 0
         self._reader = Codec(200, 1, wanted=frozenset({SETPOINT}))
+
+    def _say(self, text: str) -> None:
+        self.says.append(text)
 
     def _up(self, data: bytes) -> None:
         if int.from_bytes(data[7:10], "little") == SETPOINT:
@@ -174,6 +183,23 @@ class World:
     def safe(self) -> bool:
         """On the ground, disarmed, and nothing streamed any more."""
         return self.body.on_ground and not self.vehicle.armed and not self.flight.streaming
+
+
+# what of a world cannot be copied as it is: packers of frames, and the lock of its endpoint
+copyreg.pickle(struct.Struct, lambda packer: (struct.Struct, (packer.format,)))
+copyreg.pickle(type(threading.RLock()), lambda lock: (threading.RLock, ()))
+
+
+@cache
+def _flown(phase: Phase, then: float, parameters: tuple[tuple[str, float], ...], **given: Any) -> World:
+    return World(parameters=dict(parameters), **given).until(phase, then)
+
+
+def under_way(
+    phase: Phase, then: float = 0.0, *, parameters: Mapping[str, float] | None = None, **given: Any
+) -> World:
+    """A world in which a phase has lasted for a time [s]: a copy of one that is flown there once."""
+    return deepcopy(_flown(phase, then, tuple((parameters or {}).items()), **given))
 
 
 def lossy(share: float, seed: int = 0) -> Line:

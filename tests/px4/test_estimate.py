@@ -19,8 +19,9 @@ from nsde_torch.px4.link.vectors import yaw_of
 from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 from nsde_torch.recording import read
 from nsde_torch.systems import make_system
-from tests.helpers.px4_world import World
+from tests.helpers.px4_world import World, under_way
 
+CIRCLE = PathPoints(shapes.circle(duration=9.0, ramp=3.0, speed=2.0))
 HOVER = PathPoints(shapes.hover(duration=4.0, height=1.0))
 GOOD = EstimateQuality(0.0, 0.1, 0.2, 0.3, 0.4, 0.3, 0.4)
 
@@ -89,8 +90,7 @@ def test_a_version_that_does_not_say_is_flown_with_a_note() -> None:
 @pytest.mark.parametrize(("heading", "flown_on"), [(20.0, True), (90.0, False)])
 def test_a_wrong_heading_is_flown_with_or_landed_on(heading: float, flown_on: bool) -> None:
     """Horizontal loops bear 20 deg; by 90 deg every correction leads sideways."""
-    path = PathPoints(shapes.circle(duration=9.0, ramp=3.0, speed=2.0))
-    world = World(path=path).until(Phase.TRACK, 2.0)
+    world = under_way(Phase.TRACK, 2.0, path=CIRCLE)
     world.vehicle.estimator.aligns, world.vehicle.estimator._error = False, radians(heading)
     world.run()
     assert world.safe, world.says
@@ -141,7 +141,7 @@ def test_a_flight_at_default_height_goes_on_over_the_reset_of_the_heading() -> N
 
 @pytest.mark.parametrize(("kind", "by"), [("position", 0.2), ("velocity", 0.8)])
 def test_small_resets_of_position_and_velocity_are_noted_and_flown_through(kind: str, by: float) -> None:
-    world = World(path=HIGH, heading_error=0.0).until(Phase.TRACK, 0.5)
+    world = under_way(Phase.TRACK, 0.5, path=HIGH, heading_error=0.0)
     if kind == "position":
         world.body.p = (world.body.p[0] + by, *world.body.p[1:])
     else:

@@ -7,7 +7,7 @@ from nsde_torch.px4.flight import failsafe
 from nsde_torch.px4.flight.cascade import PathPoints
 from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.safety import Limits, Phase
-from tests.helpers.px4_world import World
+from tests.helpers.px4_world import World, under_way
 
 FAST = PathPoints(shapes.lemniscate(duration=20.0))
 SHORT = PathPoints(shapes.hover(duration=2.0, height=1.0))
@@ -15,7 +15,7 @@ SHORT = PathPoints(shapes.hover(duration=2.0, height=1.0))
 
 def _killed(parameters: dict[str, float]) -> float:
     """Speed at which the ground is met after the link was cut in fast flight [m/s]."""
-    world = World(path=FAST, parameters={"COM_RC_IN_MODE": 0.0}).until(Phase.TRACK, 4.0)
+    world = under_way(Phase.TRACK, 4.0, path=FAST, parameters={"COM_RC_IN_MODE": 0.0})
     world.vehicle.parameters.update(parameters)  # some are refused before the flight
     for _ in range(1500):
         before = world.body.v

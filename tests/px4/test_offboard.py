@@ -1,6 +1,8 @@
 """Flights that go well, in virtual time, and those that are refused with the autopilot's own words."""
 
+from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.simulated import VirtualLink
-from tests.helpers.px4_world import World
+from tests.helpers.px4_world import World, under_way
 
 ORDER = ["preflight", "stream", "offboard", "arm", "take off", "hold", "track", "return", "land"]
 
@@ -145,7 +147,7 @@ def test_an_armed_vehicle_is_left_alone_and_only_on_the_ground_it_is_to_be_disar
 def test_what_may_be_flying_is_to_be_taken_over_and_landed_and_never_disarmed(
     armed: bool, landed: int, speed: float, said: str | None
 ) -> None:
-    world = World().until(Phase.STREAM)
+    world = under_way(Phase.STREAM)
     status = replace(world.endpoint.telemetry.status, armed=armed, landed=landed)
     moving = replace(world.endpoint.state, v=(speed, 0.0, 0.0))
     given = (world.endpoint, status, moving, world.path, Limits())
@@ -158,6 +160,11 @@ def test_what_may_be_flying_is_to_be_taken_over_and_landed_and_never_disarmed(
 
 
 def _left_in_hold() -> World:
+    return deepcopy(_world_left_in_hold())
+
+
+@cache
+def _world_left_in_hold() -> World:
     """A vehicle in the air whose flight was ended by somebody who chose HOLD, and a flight that takes it over."""
     world = World(path=PathPoints(shapes.hover(duration=2.0, height=1.0))).until(Phase.TRACK, 1.0)
     world.flight.options = replace(world.options, watch=0.5)

@@ -21,7 +21,7 @@ from nsde_torch.px4.link.endpoint import NUMBERS
 from nsde_torch.px4.link.telemetry import Telemetry
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
-from tests.helpers.px4_world import World
+from tests.helpers.px4_world import World, under_way
 
 HOVER = PathPoints(shapes.hover(duration=6.0, height=1.5))
 
@@ -58,7 +58,7 @@ class Client:
 
 
 def _flying(after: float = 1.0) -> World:
-    return World(path=HOVER).until(Phase.TRACK, after)
+    return under_way(Phase.TRACK, after, path=HOVER)
 
 
 def _sent(world: World, w: tuple[float, float, float], thrust: float) -> None:

@@ -1,6 +1,6 @@
 """Laws of noise: whitening is causal, white where it should be, and blind to what lies across a gap.
 
-Boxes, blocks and lags stay inside stretches of rows; what the past of residuals predicts is known before each row.
+What the past of residuals predicts is known before each row.
 """
 
 import warnings

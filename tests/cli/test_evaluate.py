@@ -180,7 +180,7 @@ def test_a_missing_unfinished_or_damaged_run_is_named(here: Path, refused: Said)
 
 
 def test_runs_of_other_systems_and_data_that_do_not_fit_are_refused(here: Path, refused: Said) -> None:
-    words = (*FAST, "system=cartpole", "data.durations=[3,3]", "model=sysid")
+    words = (*FAST, "system=cartpole", "data.durations=[3,3]", "model=sysid", "model.max_iterations=1")
     assert main(["train", *words, "run_dir=cart"]) == 0
     text = refused(f"run=[{here / 'nsde'},cart]")
     assert "of mass_spring_damper" in text

@@ -7,13 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from nsde_torch.diagnosis.ceiling import Ceiling, RowGain
-from nsde_torch.diagnosis.decision import judged_by_the_ceiling
-from nsde_torch.diagnosis.decisions import BUDGETS, DECISIONS, Options
-from nsde_torch.diagnosis.evidence import nats_by_channel
-from nsde_torch.diagnosis.outcome import Outcome
+from nsde_torch.diagnosis.decisions import BUDGETS, Options
 from nsde_torch.diagnosis.report import page, pictures
-from nsde_torch.diagnosis.result import content, summary
+from nsde_torch.diagnosis.result import content
 from nsde_torch.diagnosis.text import lines
 from tests.helpers.diagnosed import Diagnosed, diagnosed, sound_spring
 
@@ -57,33 +53,6 @@ def test_what_is_left_far_above_white_noise_is_said_beside_that_nothing_is_missi
 def friction() -> Diagnosed:
     options = Options(candidates=("coulomb_friction",))
     return diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5}}, options=options)
-
-
-@pytest.mark.slow
-def test_an_effect_beside_which_more_is_left_than_it_explains_is_a_lead(friction: Diagnosed) -> None:
-    outcome = friction[0].outcome
-    assert not outcome.found[0].provisional
-    (channel,) = outcome.found[0].moves
-    brought = nats_by_channel(outcome.declared, outcome.final)[channel]
-
-    def left(nats: float, channel: str) -> Outcome:
-        row = RowGain("force", "m/s2", 0, 0.1, nats, 1.0, {"q": nats}, frozenset({channel}))
-        return judged_by_the_ceiling(outcome, Ceiling(effects=brought, left=nats, rows=(row,)))
-
-    assert judged_by_the_ceiling(outcome, Ceiling(effects=brought)) is outcome
-    beside = left(0.9 * DECISIONS.provisional_share * brought, channel)
-    assert not beside.found[0].provisional
-    half = left(0.5 * brought, channel)
-    assert "nats more: it may imitate another law" in half.found[0].provisional
-    assert half.verdict == "effect_found"
-    assert not left(0.5 * brought, "q").found[0].provisional
-    doubtful = left(1.5 * brought, channel)
-    (lead,) = doubtful.found
-    assert lead.provisional
-    assert doubtful.verdict == "unexplained"
-    told = summary(doubtful.verdict, [], friction[0].shown, doubtful, (), "q and q_dot on force")
-    assert "functions explain more (q and q_dot on force) than coulomb_friction can explain" in told
-    assert told.endswith("which is provisional.")
 
 
 def test_an_effect_that_is_named_explains_all_that_functions_can(friction: Diagnosed) -> None:

@@ -14,7 +14,6 @@ from nsde_torch.effects import effect_class
 from nsde_torch.inference.steps import data_sizes
 from nsde_torch.simulation import simulate
 from nsde_torch.systems import System, make_system
-from nsde_torch.systems.vocabulary import vocabulary
 from tests.helpers.diagnosed import recorded
 
 
@@ -44,19 +43,6 @@ def test_behind_a_smoother_no_law_is_tried() -> None:
     found = nsde_torch.diagnose(runs, system="mass_spring_damper")
     assert all(run.band for run in found.data.runs)
     assert not [name for name in found.content()["added"] if "=" in name]
-
-
-@pytest.mark.parametrize("machine", ["mass_spring_damper", "cartpole", "hexacopter", "quadrotor"])
-@pytest.mark.slow
-def test_a_law_is_compared_with_every_candidate_of_a_machine_within_its_bounds(machine: str) -> None:
-    data, system = recorded(machine, durations=(2.0, 2.0)), make_system(machine)
-    steps = Search(system, data.runs, 1.0, Options()).steps
-    for port in system.residual_ports:
-        row = dict(vocabulary(type(system)).ports)[port.value].names[0]
-        place = f"[{row}]" if row else ""
-        law = f"{port.value}{place} = c1 {system.state_names[-1]}^5"
-        law = system.effect_key(law)
-        assert same_effect(steps, system.with_effects(system.make_effect(law, {"c1": 1.0})), law) is None
 
 
 SPRING = "mass_spring_damper"

@@ -10,9 +10,8 @@ from typing import Any
 
 import pytest
 
-from nsde_torch.diagnosis import reading
 from nsde_torch.diagnosis.report import write_report
-from nsde_torch.diagnosis.text import interval, lines, short_lines
+from nsde_torch.diagnosis.text import lines, short_lines
 from nsde_torch.diagnosis.time_series import plotly_script
 from nsde_torch.evaluation.report import between_ends, number
 from nsde_torch.sysid.guard import Guarded, Objection
@@ -173,22 +172,6 @@ def test_no_interval_is_given_where_something_speaks_against_the_fit() -> None:
     assert all(p["interval_90"] is None and p["bound"] == "rejected" for p in every.values())
     assert "rejected" in "\n".join(lines(content))
     assert content["warnings"][0]["sentence"] == "the fit is worse than nothing"
-
-
-@pytest.mark.slow
-def test_a_width_that_is_crossed_within_a_step_is_below_something(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # with the rows of turns; without them nothing depends on the width
-    monkeypatch.setattr(reading, "SHARE", 2.0)
-    case = diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.3, "width": 0.001}})
-    size, width = (case[1]["parameters"][f"coulomb_friction.{name}"] for name in ("size", "width"))
-    assert (size["bound"], width["bound"]) == (None, "below")
-    end = interval(width["interval_90"], "below")
-    assert end.startswith("below 0.0")
-    assert any("coulomb_friction.width" in line and end in line for line in lines(case[1]))
-    page, _ = written(tmp_path, case)
-    assert end in page
 
 
 @pytest.fixture

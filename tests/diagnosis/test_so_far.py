@@ -115,15 +115,6 @@ def test_it_ends_in_the_time_that_was_asked_for_with_what_is_known(
         found.finished()
 
 
-def test_before_anything_is_known_the_limit_waits(made: DataSet, monkeypatch: pytest.MonkeyPatch) -> None:
-    ticks = iter(range(0, 10**9, 100))
-    monkeypatch.setattr(time_limit, "perf_counter", lambda: float(next(ticks)))
-    found = _diagnosed(made, say=False, max_minutes=1.0)
-    assert (found.verdict, found.added) == ("undecided", [])
-    assert found.parameters == {}
-    assert found.declared_values["force_gain"] > 0
-
-
 def test_a_resumed_diagnosis_goes_on_from_what_was_selected(
     made: DataSet, stopped: Stopped, tmp_path: Path
 ) -> None:

@@ -22,7 +22,7 @@ from nsde_torch.inference.filtering import Linearisation, Pass, filtered, with_g
 from nsde_torch.inference.force_scores import force_scores
 from nsde_torch.inference.level_slopes import level_slopes, score
 from nsde_torch.inference.levels import Levels
-from nsde_torch.inference.sensitivity import Grams, grams, inverted
+from nsde_torch.inference.sensitivity import grams, inverted
 from nsde_torch.systems import make_system
 from tests.helpers.diagnosed import recorded
 from tests.helpers.residuals import with_own_pass
@@ -82,21 +82,6 @@ def test_at_the_truth_the_gram_score_has_no_mean_and_the_gram_matrix_as_its_cova
     low, high = chi2.ppf((0.005, 0.995), 3 * len(squares))
     assert low < sum(squares) < high
     assert (np.abs(np.mean(scores, 0)) < 3.0 / np.sqrt(len(scores))).all()
-
-
-@pytest.mark.parametrize(("shared", "expected"), [(0.0, 1.0), (2.0, 41.0)])
-def test_scores_that_scatter_more_than_white_innovations_do_are_counted(
-    shared: float, expected: float
-) -> None:
-    rng = np.random.default_rng(4)
-    columns = np.ones((400, 10, 1)) * [1.0, 3.0]
-    # an error that ten rows of a block share has 1 + 10 s^2 times the variance of their sum
-    errors = rng.normal(size=(400, 10, 1)) + shared * rng.normal(size=(400, 1, 1))
-    columns[..., 1] *= rng.choice([-1.0, 1.0], size=(400, 1))
-    rows = np.concatenate((errors, columns), -1)
-    found = Grams(rows.transpose(0, 2, 1) @ rows, 4000, 2)
-    assert found.inflation(np.array([0, 1])) == pytest.approx(expected, rel=0.15)
-    assert found.inflation(np.array([], dtype=np.int64)) == 1.0
 
 
 Fitted = tuple[MaximumLikelihood, Optimum]

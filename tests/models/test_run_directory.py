@@ -1,6 +1,7 @@
 """Run directories: what is saved comes back bit by bit, and nothing from outside is executed or half read."""
 
 import pickle
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ import nsde_torch
 from nsde_torch.errors import CheckpointError
 from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.models.run_directory import CONFIG, WEIGHTS, save
+
+Damage = Callable[[Path], object]
 
 
 def make(dtype: torch.dtype = torch.float32, **spec: Any) -> NeuralSDE:
@@ -90,17 +93,6 @@ def test_a_missing_file_is_named_with_how_to_finish_the_run(folder: Path, name: 
         nsde_torch.load(folder)
 
 
-@pytest.mark.parametrize("kept", [0, 4, 100, 2000, -1])
-def test_truncated_weights_are_refused_by_name(folder: Path, kept: int) -> None:
-    content = (folder / WEIGHTS).read_bytes()
-    (folder / WEIGHTS).write_bytes(content[:kept])
-    with pytest.raises(CheckpointError, match=rf"{folder}.*Train again"):
-        nsde_torch.load(folder)
-    torch.save({"w": torch.zeros(3)}, folder / WEIGHTS)  # of another kind
-    with pytest.raises(CheckpointError, match=str(folder)):
-        nsde_torch.load(folder)
-
-
 @pytest.mark.parametrize("change", ["shape", "missing", "extra"])
 def test_weights_that_do_not_fit_the_configuration_are_refused_and_named(folder: Path, change: str) -> None:
     tensors = load_file(folder / WEIGHTS)
@@ -132,36 +124,46 @@ def test_hostile_yaml_is_refused_and_not_run(folder: Path, tmp_path: Path, text:
     assert not mark.exists()
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        *("", "just words", "[1, 2", "format: other/9\nspec: {}", "format: nsde_torch/1"),
-        *(
-            f"format: nsde_torch/1\nspec: {spec}"
-            for spec in ("3", "[]", "null", "{}", "{system: hexacopter}")
-        ),
-        *("format: nsde_torch/1\nspec: {1: 2, system: hexacopter}", "[" * 3000, "\ud8ff no text"),
-    ],
-)
-def test_a_damaged_configuration_is_refused_by_name(folder: Path, text: str) -> None:
-    (folder / CONFIG).write_bytes(text.encode(errors="surrogatepass"))
-    with pytest.raises(CheckpointError, match=str(folder)):
-        nsde_torch.load(folder)
+def cut(kept: int) -> Damage:
+    """The first bytes of the weights alone."""
+    return lambda folder: (folder / WEIGHTS).write_bytes((folder / WEIGHTS).read_bytes()[:kept])
+
+
+def another_kind(folder: Path) -> None:
+    torch.save({"w": torch.zeros(3)}, folder / WEIGHTS)
+
+
+def text(content: str) -> Damage:
+    """A configuration that is this."""
+    return lambda folder: (folder / CONFIG).write_bytes(content.encode(errors="surrogatepass"))
+
+
+def spec(**change: Any) -> Damage:
+    """A configuration whose specification is changed."""
+
+    def damage(folder: Path) -> None:
+        config = yaml.safe_load((folder / CONFIG).read_text())
+        config["spec"].update(change)
+        (folder / CONFIG).write_text(yaml.safe_dump(config))
+
+    return damage
+
+
+NO_SPEC = ("3", "[]", "null", "{}", "{system: hexacopter}", "{1: 2, system: hexacopter}")
 
 
 @pytest.mark.parametrize(
-    "change",
+    "damage",
     [
-        *({"system": "octocopter"}, {"step": "leapfrog"}, {"effects": ["warp_drive"]}, {"dt": "fast"}),
-        *({"distance_hidden": 5}, {"distance_hidden": ["a"]}, {"sigma_max": [1.0, 2.0]}),
-        *({"system_options": 3}, {"colour": "red"}, {"filter_reach": -4}),
+        *(cut(kept) for kept in (0, 4, 100, 2000, -1)), another_kind,
+        *map(text, ("", "just words", "[1, 2", "format: other/9\nspec: {}", "format: nsde_torch/1")),
+        *(text(f"format: nsde_torch/1\nspec: {none}") for none in NO_SPEC), text("[" * 3000), text("\ud8ff no text"),
+        spec(system="octocopter"), spec(step="leapfrog"), spec(effects=["warp_drive"]), spec(dt="fast"),
+        spec(distance_hidden=5), spec(distance_hidden=["a"]), spec(sigma_max=[1.0, 2.0]), spec(system_options=3),
+        spec(colour="red"), spec(filter_reach=-4),
     ],
-)
-def test_a_configuration_that_describes_no_model_is_refused_by_name(
-    folder: Path, change: dict[str, Any]
-) -> None:
-    config = yaml.safe_load((folder / CONFIG).read_text())
-    config["spec"].update(change)
-    (folder / CONFIG).write_text(yaml.safe_dump(config))
+)  # fmt: skip
+def test_what_is_damaged_or_describes_no_model_is_refused_by_name(folder: Path, damage: Damage) -> None:
+    damage(folder)
     with pytest.raises(CheckpointError, match=str(folder)):
         nsde_torch.load(folder)

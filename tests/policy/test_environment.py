@@ -141,14 +141,6 @@ def test_published_truth_leaves_of_the_published_data_its_sensor_noise(published
     np.testing.assert_allclose(std, np.sqrt(PUBLISHED_VARIANCES), rtol=0.06)
 
 
-def test_reward_is_that_of_the_state_and_not_of_the_measurement() -> None:
-    true = noisy()
-    true.reset()
-    action = torch.full((6, 1), 0.25)
-    made = true.step(action)
-    torch.testing.assert_close(made.reward, TASK.reward(true.dynamics.state, action).double())
-
-
 def test_episode_is_cut_off_after_its_steps_and_the_next_begins() -> None:
     true = environment(quiet(), 3)
     true.reset()

@@ -12,7 +12,7 @@ from nsde_torch.data.quaternion import conjugate, rotate
 from nsde_torch.errors import ConfigError, DataError
 from nsde_torch.recording import Recording, assemble
 from nsde_torch.recording.faults import FAULTS
-from nsde_torch.recording.times import no_finer, resample
+from nsde_torch.recording.times import no_finer
 from nsde_torch.simulation import simulate
 from nsde_torch.systems import make_system
 from tests.helpers.data_systems import CARTPOLE, HEXACOPTER
@@ -116,24 +116,6 @@ def test_times_that_were_rounded_are_those_of_the_clock_that_was_rounded(rate: i
     assert kinds(data) == []
     np.testing.assert_array_equal(data[0].u, u)
     np.testing.assert_allclose(data[0].x, x, atol=1e-12)
-
-
-def test_resampled_rows_have_the_inputs_that_acted_most_or_on_average_during_a_step() -> None:
-    t = 0.1 * np.arange(50.0) + np.where(np.arange(50) > 20, 0.03, 0.0)  # a jump of the clock by 0.3 steps
-    x, u = np.zeros((50, 1)), np.arange(50.0)[:, None]
-    there = resample(RawRun("a", t, x, u), 0, 50, dt=0.1, quaternion=None)
-    np.testing.assert_array_equal(there.u[:30, 0], np.arange(30.0))
-    # a step that holds several rows
-    t = np.arange(50) * 0.01
-    u = np.stack((t, np.cos(40 * t)), 1)
-    x = np.cumsum(u[:, :1], 0) * 0.01
-    there = resample(RawRun("a", t, x, u), 0, 50, dt=0.05, quaternion=None)
-    np.testing.assert_allclose(there.t, t[::5])
-    np.testing.assert_allclose(there.u, u.reshape(10, 5, 2).mean(1), atol=1e-12)
-    # so that what the input moves is what it moved
-    moved = np.append(0.0, np.cumsum(there.u[:, 0]) * 0.05)
-    expected = there.x[1:, 0] - u[::5][1:, 0] * 0.01
-    np.testing.assert_allclose(moved[1:-1] + x[0] - u[0, 0] * 0.01, expected, atol=1e-12)
 
 
 def test_duplicates_and_rows_out_of_order_are_mended() -> None:

@@ -12,7 +12,7 @@ from nsde_torch.errors import ConfigError, NonFiniteError, ShapeError
 from nsde_torch.rotation import rotation_between, turned
 from nsde_torch.simulation import Plant, make_plant
 from nsde_torch.simulation.noise import Gusts
-from nsde_torch.systems import make_plant_system, make_system
+from nsde_torch.systems import make_system
 from nsde_torch.systems.machine import Gust
 
 
@@ -147,14 +147,6 @@ def test_sensor_noise_has_its_standard_deviation_on_every_channel_and_keeps_the_
     assert x[:, 10:].std(0).tolist() == pytest.approx([2e-2] * 3, rel=0.03)
     angle = rotation_between(start[:, 6:10], x[:, 6:10])
     assert (angle.std(0) * 180 / pi).tolist() == pytest.approx([0.2] * 3, rel=0.03)
-
-
-def test_an_effect_with_parameters_replaces_those_that_the_plant_has_and_a_new_one_is_added() -> None:
-    effects = [{"motor_lag": {"time_constant": 0.1}}, "quadratic_drag"]
-    system = make_plant_system("hexacopter", effects=effects)
-    assert system.effect_names == ("linear_drag", "motor_lag", "quadratic_drag")
-    assert system.all_declared()["motor_lag.time_constant"][0].item() == pytest.approx(0.1)
-    assert system.all_declared()["linear_drag.drag"][0].tolist() == pytest.approx([0.15, 0.15, 0.05])
 
 
 def test_rows_that_do_not_fit_are_named() -> None:

@@ -11,7 +11,7 @@ import pytest
 import nsde_torch.simulation.registry as registry
 from nsde_torch.data import DataSet
 from nsde_torch.errors import ConfigError
-from nsde_torch.simulation import cache, cartpole_episodes, simulated, spring_runs
+from nsde_torch.simulation import cartpole_episodes, simulated, spring_runs
 from nsde_torch.simulation.pilot import TARGETS, Pilot, Sticks, attained, figures
 from nsde_torch.systems import MACHINES, Hexacopter, make_system
 
@@ -205,15 +205,6 @@ def test_any_other_setting_is_simulated_anew_and_another_name_of_one_effect_is_n
     simulated("mass_spring_damper", **setting)
     simulated("mass_spring_damper", **{**setting, **other})
     assert len(calls) == (1 if other.get("effects") else 2)
-
-
-def test_changed_code_is_simulated_anew(
-    tmp_path: Path, calls: list[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    simulated("mass_spring_damper", durations=[2.0], cache=tmp_path)
-    monkeypatch.setattr(cache, "code_hash", lambda: "other")
-    simulated("mass_spring_damper", durations=[2.0], cache=tmp_path)
-    assert len(calls) == 2
 
 
 @pytest.mark.parametrize("damage", ["empty", "cut", "noise", "flipped", "pickle", "other"])

@@ -15,7 +15,7 @@ from nsde_torch.sysid.guard import Guarded
 from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.sysid.readings import better_readings
 from nsde_torch.sysid.rough import rough_fit
-from nsde_torch.sysid.timing import Shifted, shifted_stream
+from nsde_torch.sysid.timing import Shifted
 from nsde_torch.systems import make_system
 
 Change = Callable[[int, RawRun], None]
@@ -149,30 +149,6 @@ def test_inputs_that_act_as_late_as_actuators_do_are_a_note_and_others_an_object
     assert objection.sentence.startswith("force act about 1")
     assert "later than they are logged" in objection.sentence
     assert not Shifted("u", 0.05, 1.0, True).of_actuators
-
-
-def test_no_shift_is_advised_where_a_lag_and_a_smoother_together_do_the_same() -> None:
-    late = [
-        RawRun(r.name, r.t[:-40], r.x[:-40].copy(), np.roll(r.u, -7, axis=0)[:-40])
-        for r in log_of("cartpole")
-    ]
-    data = nsde_torch.read(late, system="cartpole", state_smoothing="keep")
-    system = make_system("cartpole")
-    rough = rough_fit(system, data.runs)
-    assert rough is not None
-    plain = shifted_stream(system, data.runs, 1.0, rough)
-    assert plain.against == ()
-    assert plain.remedy.startswith("shift these columns")
-    banded = [replace(run, band={"theta_dot": 4.0}) for run in data.runs]
-    restored = shifted_stream(system, banded, 1.0, rough)
-    assert restored is not None
-    for found, why in (
-        (restored, "theta_dot were smoothed before"),
-        (replace(plain, against=("w_x", "w_y")), "w_x, w_y fit best as they are"),
-    ):
-        assert found.remedy.startswith("do not shift these columns")
-        assert why in found.remedy
-        assert "log states as the sensors read them" in found.remedy
 
 
 def with_other(**machine: Any) -> list[RawRun]:

@@ -147,21 +147,6 @@ def test_a_block_made_anew_keeps_seconds_and_dates_and_takes_every_other_change(
     assert text == page.read_text().replace("0.07", "0.06")
 
 
-def test_files_of_the_checkout_that_commands_name_are_in_their_scratch_folder(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    page.write_text("<!-- run: ls -d examples/pendulum benchmarks/blind -->\n```text\nold\n```\n")
-    text, failed = blocks.renewed(page)
-    assert not failed
-    assert "benchmarks/blind\nexamples/pendulum\n" in text
-    named = {
-        folder
-        for one in PAGES
-        for mark in blocks.marks(one.read_text(encoding="utf-8"))
-        for folder in re.findall(r"python (\w+)/", mark["command"] or mark["block"])
-    }
-    assert named == {"examples", "benchmarks"}
-
-
 @pytest.mark.slow
 def test_the_fault_of_the_page_is_simulated_found_and_undone(monkeypatch: pytest.MonkeyPatch) -> None:
     fault, register, use = code(CONTENT / "how-to" / "extend" / "recording-fault.md", "python")

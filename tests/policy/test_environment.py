@@ -52,12 +52,6 @@ def environment(dynamics: Dynamics, n: int) -> BatchEnvironment:
     return BatchEnvironment(TASK, dynamics, n=n, generator=generator(), start=TASK.training)
 
 
-def noisy(n: int = 6, stagger: bool = False) -> BatchEnvironment:
-    source = generator()
-    truth = make_truth("plant", system="cartpole", dt=TASK.dt, sensor_noise=1.0, generator=source)
-    return BatchEnvironment(TASK, truth, n=n, generator=source, start=TASK.training, stagger=stagger)
-
-
 class Diverging(Dynamics):
     """The first machine leaves the finite numbers in its third step; the others stand still."""
 

@@ -66,24 +66,6 @@ def test_early_stopping_ends_after_the_patience_and_keeps_the_best_weights() -> 
     assert any(not torch.equal(a, b) for a, b in zip(averages[9], averages[18], strict=True))
 
 
-def test_the_last_steps_start_from_the_kept_weights_and_see_all_windows() -> None:
-    fit = make_fit(options=replace(OPTIONS, steps=9, lr_end=1e-12, polish=4))
-    scripted(fit, lambda step: abs(step - 3))
-    averages, errors = averages_of(fit), fit.errors
-    seen: list[Windows] = []
-
-    def noted(windows: Windows, *rest: Any, **options: Any) -> Any:
-        seen.append(windows)
-        return errors(windows, *rest, **options)
-
-    fit.errors = noted  # type: ignore[method-assign]
-    progress = fit.run(title="t", quiet=True)
-    assert (progress.step, progress.best_step, progress.polished) == (9, 3, 4)
-    for value, kept in zip(fit.parameters, averages[3], strict=True):
-        torch.testing.assert_close(value.detach(), kept, rtol=0, atol=1e-6)  # a rate of 1e-12 moves nothing
-    assert seen == [fit.train] * 9 + [fit.everything] * 4
-
-
 def test_a_loss_that_is_not_finite_stops_with_the_step_and_the_remedy() -> None:
     fit = make_fit()
     with torch.no_grad():

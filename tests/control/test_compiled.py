@@ -156,9 +156,6 @@ def test_a_flight_of_a_compiled_controller_is_that_of_torch(declared: System, pa
 # ---- libraries ------------------------------------------------------------------------------------------
 
 
-ONE, TWO = (f"int nsde_number(void) {{ return {k}; }}\n" for k in (1, 2))
-
-
 def test_without_a_compiler_the_solver_says_so_and_runs(
     declared: System, path: Reference, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

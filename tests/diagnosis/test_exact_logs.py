@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 import nsde_torch
 from nsde_torch.data import RawRun
 
-DT, GAIN, STIFFNESS, DAMPING = 0.02, 1.0, 3.4, 0.9
+DT = 0.02
 
 
 def solved(damping: float, digits: int) -> list[RawRun]:

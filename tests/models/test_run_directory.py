@@ -157,7 +157,7 @@ NO_SPEC = ("3", "[]", "null", "{}", "{system: hexacopter}", "{1: 2, system: hexa
     [
         *(cut(kept) for kept in (0, 4, 100, 2000, -1)), another_kind,
         *map(text, ("", "just words", "[1, 2", "format: other/9\nspec: {}", "format: nsde_torch/1")),
-        *(text(f"format: nsde_torch/1\nspec: {none}") for none in NO_SPEC), text("[" * 3000), text("\ud8ff no text"),
+        *(text(f"format: nsde_torch/1\nspec: {none}") for none in NO_SPEC), text("[" * 900), text("\ud8ff no text"),
         spec(system="octocopter"), spec(step="leapfrog"), spec(effects=["warp_drive"]), spec(dt="fast"),
         spec(distance_hidden=5), spec(distance_hidden=["a"]), spec(sigma_max=[1.0, 2.0]), spec(system_options=3),
         spec(colour="red"), spec(filter_reach=-4),

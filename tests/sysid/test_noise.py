@@ -12,7 +12,7 @@ from nsde_torch.sysid import noise
 from nsde_torch.sysid.noise import Noise, Series, estimate, extended, past
 
 ONE = Series(((0, 6000),))
-SHORT, LONG = Series(((0, 7), (7, 12))), Series(((0, 500), (500, 3000)))
+LONG = Series(((0, 500), (500, 3000)))
 
 
 def drawn(seed: int, *, carry: float = 0.0, ar: tuple[float, ...] = ()) -> np.ndarray:

@@ -247,9 +247,6 @@ def test_no_interval_is_given_for_a_fit_that_the_guard_speaks_against(found: Ide
     assert "rejected" in summary(told)
 
 
-LABELS, UNITS = ["a", "b", "c"], ["1/s", "m", "1"]
-
-
 # ---- steps ------------------------------------------------------------------------------------------------
 
 SIZES = np.array([1.0, 10.0, 0.1])
@@ -293,6 +290,3 @@ def test_along_a_direction_that_is_not_shown_the_step_is_finite_and_within_the_b
     step = bounded_step(slopes, residual, found, -room, room, SIZES)
     assert (np.abs(step) <= room).all()
     assert abs((found.lost[:, 0] / SIZES**2) @ step) < 0.1
-
-
-ROWS, BLOCKS = 600, 60

@@ -29,6 +29,14 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.fixture(scope="module")
+def c_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("c") / "controller.c"
+    assert main(["export", "run=declared", f"out={out}", "format=c", "mpc.moment_time=0.4", *MPC]) == 0
+    return out
+
+
+@pytest.mark.slow
 def test_a_file_is_written_once_and_verified(file: Path, refused: Said, shown: Said) -> None:
     assert "is there already" in refused("export", "run=declared", f"out={file}", *MPC)
     words = ["verify", str(file), "run=declared", "states=10", "adversarial=20", "out=found.json"]
@@ -41,6 +49,7 @@ def test_a_file_is_written_once_and_verified(file: Path, refused: Said, shown: S
     assert found["step_ms"]["p99"] > 0.0
 
 
+@pytest.mark.slow
 def test_a_file_of_another_model_is_not_verified(file: Path, refused: Said) -> None:
     quad = file.with_name("quad.ts")
     shutil.copy(file, quad)
@@ -75,29 +84,27 @@ def test_a_file_flies_as_the_controller_that_it_was_made_of(kind: str, file: Pat
 
 @needs_compiler
 def test_a_controller_in_c_is_written_and_verified(
-    refused: Said, shown: Said, monkeypatch: pytest.MonkeyPatch
+    c_file: Path, refused: Said, shown: Said, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert main(["export", "run=declared", "out=controller.c", "format=c", "mpc.moment_time=0.4", *MPC]) == 0
     assert "ends in .c" in refused("export", "run=declared", "out=other.ts", "format=c", *MPC)
-    assert "is there already" in refused("export", "run=declared", "out=controller.c", "format=c", *MPC)
+    assert "is there already" in refused("export", "run=declared", f"out={c_file}", "format=c", *MPC)
     assert "6 states with estimators and plans of their own" in shown(
-        "verify", "controller.c", "run=declared", "states=6", "adversarial=20", "out=found.json"
+        "verify", str(c_file), "run=declared", "states=6", "adversarial=20", "out=found.json"
     )
     found = json.loads(Path("found.json").read_text())
     assert found["passed"]
     assert max(found["input_difference_max"], found["estimator_input_difference_max"]) < 1e-8
     monkeypatch.setenv("CC", "no_such_compiler")
-    assert "needs a C compiler" in refused("verify", "controller.c", "run=declared")
+    assert "needs a C compiler" in refused("verify", str(c_file), "run=declared")
 
 
-def test_settings_that_a_file_does_not_have_are_refused(file: Path, refused: Said) -> None:
-    for command in ("track", "fly"):
-        said = refused(command, f"controller={file}", "mpc.speed_limit=3", "out_dir=out")
-        assert "`mpc.speed_limit` is 3.0 here" in said
-        assert "exported with inf" in said
-        assert "exported with None" in refused(
-            command, f"controller={file}", "mpc.deadline=0.01", "out_dir=out"
-        )
+@needs_compiler
+def test_settings_that_a_file_does_not_have_are_refused(c_file: Path, refused: Said) -> None:
+    said = refused("track", f"controller={c_file}", "mpc.speed_limit=3", "out_dir=out")
+    assert "`mpc.speed_limit` is 3.0 here" in said
+    assert "exported with inf" in said
+    said = refused("fly", f"controller={c_file}", "mpc.deadline=0.01", "out_dir=out")
+    assert "exported with None" in said
 
 
 @pytest.mark.slow

@@ -229,3 +229,18 @@ def test_experiments_stay_within_what_a_flight_is_ended_by(
 ) -> None:
     assert said in refused(*LINKED, word)
     assert not flights.paths
+
+
+def test_no_turn_is_planned_that_is_faster_than_what_is_sent() -> None:
+    from omegaconf import OmegaConf
+
+    from nsde_torch.cli.closed_loop.limits import limit_key, plan_limits
+    from nsde_torch.cli.commands.close_loop import CloseLoopConfig
+
+    config = OmegaConf.structured(CloseLoopConfig(by="link", out_dir="out"))
+    assert plan_limits(config)["w_z"] == [-2.5, 2.5]
+    assert plan_limits(config)["w_x"] == [-4.0, 4.0]
+    assert limit_key("w_z", config) == "limits.yaw_rate"  # what is said to be in the way
+    assert limit_key("w_x", config) == "experiment.rate"
+    config.by = "plant"  # whose motors are commanded directly
+    assert plan_limits(config)["w_z"] == [-4.0, 4.0]

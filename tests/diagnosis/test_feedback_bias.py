@@ -1,10 +1,13 @@
 """What feedback may hide: which effects count beside it, and what is sure behind smoothers."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
+from nsde_torch.diagnosis import decision
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.feedback_bias import (
     FeedbackBiased,
@@ -15,6 +18,7 @@ from nsde_torch.diagnosis.feedback_bias import (
     with_suspects,
 )
 from nsde_torch.diagnosis.joint_selection import JointSearch
+from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.search import Search
 from nsde_torch.inference import LogLikelihood
 from nsde_torch.sysid.feedback_test import FACTOR, Answer, FeedbackTest, leaning
@@ -116,3 +120,51 @@ def test_a_lag_is_suspected_beside_what_was_found_without_it() -> None:
     assert with_suspects(replace(found, selected={}), search, system).suspected == ()
     found = replace(found, selected={"coulomb_friction": cast(Any, None)})
     assert set(with_suspects(found, search, system).suspected) & {"input_delay", "actuator_lag"}
+
+
+@pytest.mark.parametrize("moves", [("q_dot",), ()], ids=["a force", "a limit that is not reached"])
+def test_of_effects_that_all_may_be_feedback_the_one_that_brings_least_goes_first(
+    moves: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # beside a force that brings nothing a friction brings less than feedback may hide, and alone far more
+    brought = {("friction", "force"): (550.0, -140.0), ("friction",): (1140.0,), ("force",): (1000.0,)}
+    allowed = {("friction", "force"): (780.0, 2800.0), ("friction",): (200.0,), ("force",): (200.0,)}
+
+    def base(*names: str) -> Any:
+        vector = SimpleNamespace(**dict.fromkeys(("of", "sizes"), lambda name: [names.index(name)]))
+        return SimpleNamespace(names=names, vector=vector)
+
+    def joint(*names: str) -> Any:
+        return SimpleNamespace(
+            names=names,
+            candidates=1,
+            less=lambda name: joint(*(n for n in names if n != name)),
+            selected={name: SimpleNamespace(without=without(names, name)) for name in names},
+        )
+
+    def without(names: tuple[str, ...], name: str) -> Any:
+        out = base(*(n for n in names if n != name))
+        out.left_out = name
+        return out
+
+    def gained(before: Any, after: Any) -> dict[str, float]:
+        return {"q_dot": 0.5 * brought[after.names][after.names.index(before.left_out)]}
+
+    patches: dict[str, Any] = {
+        "nats_by_channel": gained,
+        "moved_channels": lambda regression, name: moves if name == "force" else ("q_dot",),
+        "lengths_of_parameters": lambda test, r: {"q_dot": np.sqrt(np.array(allowed[r.names]))},
+        "found_by": lambda search, of: [SimpleNamespace(name=n) for n in of.names],
+        "fitted_system": lambda regression: None,
+    }
+    for name, stub in patches.items():
+        monkeypatch.setattr(decision, name, stub)
+    log: Any = SimpleNamespace(
+        loop=lambda regression: FeedbackTest(), shown=lambda system, name: False, moments={}
+    )
+    both = joint("friction", "force")
+    search: Any = SimpleNamespace(level=lambda family: 0.01, at=lambda place: place)
+    chosen = Outcome("undecided", base(), base(*both.names), patches["found_by"](None, both), both)
+    kept = decision.set_aside(search, chosen, log)
+    assert [f.name for f in kept.found] == ["friction"]
+    assert [h.name for h in kept.hidden] == ["force"]

@@ -56,18 +56,3 @@ def test_a_case_is_written_as_data_and_truth_apart(generate: ModuleType, kind: s
     assert truth["case"]["kind"] == kind
     assert len(truth["effects"]) == len(case.effects)
     assert bool(truth["recording"]) == (kind == "recording")
-
-
-def test_the_corpus_tells_a_changed_answer_from_the_same_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(FOLDER)
-    corpus = importlib.import_module("corpus")
-    size = {"coulomb_friction.size": {"value": 0.15, "interval_90": [0.14, 0.16]}}
-    answer = {"verdict": "effect_found", "added": ["coulomb_friction"], "ties": [], "parameters": size}
-    before = corpus.summary(answer)
-    assert corpus.changes(before, corpus.summary(answer)) == []
-    near = {"coulomb_friction.size": {"value": 0.1505, "interval_90": [0.1405, 0.1605]}}
-    assert corpus.changes(before, corpus.summary({**answer, "parameters": near})) == []
-    moved = {"coulomb_friction.size": {"value": 0.152, "interval_90": [0.142, 0.162]}}
-    assert len(corpus.changes(before, corpus.summary({**answer, "parameters": moved}))) == 1
-    other = corpus.summary({**answer, "added": ["stribeck_friction"], "parameters": {}})
-    assert [line.split(":")[0] for line in corpus.changes(before, other)] == ["added"]

@@ -9,7 +9,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from nsde_torch.data.mapping.apply import apply
-from nsde_torch.data.mapping.checks import checks
+from nsde_torch.data.mapping.checks import checks, lean
 from nsde_torch.data.mapping.mapping import LogMapping, mapping_of, read_mapping
 from nsde_torch.data.raw import RawRun
 from nsde_torch.data.streams import Stream, StreamLog
@@ -198,3 +198,17 @@ def test_inputs_that_their_range_does_not_hold_are_refused() -> None:
         read(1000.0 + 200.0 * np.cos(t * np.pi / 4.99))
     armed = read(np.where(t < 2.0, 900.0, 1500.0))
     assert armed.u[:, 0].tolist() == np.where(t < 2.0, 0.0, 0.5).tolist()
+
+
+def test_a_channel_that_one_log_lacks_is_told_and_left_out(flight: RawRun) -> None:
+    content = NED_MAPPING + "  battery_voltage: {from: vbat, unit: V}\n"
+    run = apply(_log(ned_columns(flight)), _mapping(content), QUADROTOR)
+    assert "battery_voltage" not in run.extra
+    assert [note.message for note in run.notes] == ["no column vbat for the channel 'battery_voltage'"]
+
+
+def test_times_that_no_clock_tells_say_nothing_of_the_lean(flight: RawRun) -> None:
+    t = flight.t.copy()
+    t[-1] = 1e45  # a flipped bit
+    assert lean(t, flight.x[:, 6:10], flight.x[:, :3]) is None
+    assert lean(flight.t, flight.x[:, 6:10], flight.x[:, :3]) is not None

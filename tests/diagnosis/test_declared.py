@@ -11,17 +11,14 @@ from scipy.signal import butter, sosfiltfilt
 
 import nsde_torch
 from nsde_torch.data import RawRun, Run
-from nsde_torch.diagnosis.decision import doubted, sized
 from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.diagnosis.outcome import Outcome
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.report import page, pictures
 from nsde_torch.diagnosis.result import Diagnosis
 from nsde_torch.diagnosis.text import lines
 from nsde_torch.models.identified import SysidSpec
-from nsde_torch.sysid.guard import Guarded, Objection
 from nsde_torch.systems import make_system
-from tests.helpers.diagnosed import Diagnosed, diagnosed, recorded
+from tests.helpers.diagnosed import Diagnosed, recorded
 
 
 def told(system: str, change: Callable[[Run], Run], *effects: Any, **making: Any) -> Diagnosed:
@@ -124,45 +121,3 @@ def test_what_is_found_behind_a_smoother_that_is_kept_is_no_more_than_a_lead() -
     assert all(finding["lead"] for finding in content["findings"])
     assert all(p["interval_90"] is None for p in content["parameters"].values())
     assert "rejected" in found.report
-
-
-@pytest.fixture(scope="module")
-def sure() -> Outcome:
-    """Dry friction that is found for sure."""
-    only = Options(candidates=("coulomb_friction",))
-    outcome = diagnosed("mass_spring_damper", "coulomb_friction", options=only)[0].outcome
-    assert [(f.name, f.provisional) for f in outcome.found] == [("coulomb_friction", "")]
-    return outcome
-
-
-@pytest.mark.slow
-def test_where_physics_explains_next_to_nothing_what_is_found_is_a_lead_and_the_verdict_stays(
-    sure: Outcome,
-) -> None:
-    poor = doubted(sure, Guarded((Objection("poor", "it explains next to nothing", "move it"),)))
-    assert [f.name for f in poor.found if f.provisional] == ["coulomb_friction"]
-    assert poor.verdict == sure.verdict == "effect_found"
-    assert not poor.doubted
-    assert doubted(sure, Guarded()) is sure
-
-
-@pytest.mark.slow
-def test_an_objection_to_channels_speaks_of_what_moves_them(sure: Outcome) -> None:
-    there, elsewhere = (
-        doubted(sure, Guarded((Objection("gone", "it explains nothing", "look", (name,)),)))
-        for name in ("q_dot", "w_x")
-    )
-    assert there.doubted
-    assert there.verdict == "unexplained"
-    assert all(f.provisional for f in there.found)
-    assert not elsewhere.doubted
-    assert elsewhere.verdict == sure.verdict
-    assert elsewhere.found == sure.found
-    assert elsewhere.doubted_channels == {"w_x"}
-
-
-@pytest.mark.slow
-def test_an_effect_that_may_be_nothing_by_its_interval_is_a_lead(sure: Outcome) -> None:
-    assert sized(sure).found == sure.found
-    wide = replace(sure, of_band=np.full(len(sure.final.vector), 10.0))
-    assert [f.provisional for f in sized(wide).found] == ["its size may be nothing by its interval"]

@@ -6,22 +6,17 @@ import numpy as np
 import pytest
 
 from nsde_torch.diagnosis.decisions import Options
-from nsde_torch.diagnosis.joint_selection import fitted_at
 from nsde_torch.diagnosis.pipeline import diagnose
 from nsde_torch.diagnosis.residual_tests import (
     Dependence,
-    PhysicsResiduals,
     dependences,
     in_one_run,
 )
-from nsde_torch.diagnosis.search import Search
 from nsde_torch.diagnosis.text import short_lines
-from nsde_torch.inference import LogLikelihood
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.recording import assemble
 from nsde_torch.simulation import simulate
 from nsde_torch.systems import make_system
-from tests.helpers.diagnosed import recorded
 from tests.helpers.residuals import MadeResiduals, Push
 
 
@@ -74,19 +69,6 @@ def test_noise_and_a_louder_run_give_chances_that_are_none_too_small() -> None:
         p.append(1.0 if this is None else this.p)
     assert np.mean(np.array(p) < 0.1) <= 0.16
     assert min(p) > 1e-4
-
-
-@pytest.mark.parametrize("system", ["mass_spring_damper", pytest.param("cartpole", marks=pytest.mark.slow)])
-@pytest.mark.slow
-def test_runs_of_a_sound_plant_are_alike(system: str) -> None:
-    for seed in (11, 12):
-        data, declared = recorded(system, seed=seed, durations=(6.0,) * 4), make_system(system)
-        place = fitted_at(LogLikelihood(declared, data.runs, run_in=True), declared, None)
-        search = Search(declared, data.runs, 1.0, Options())
-        tests = dependences(PhysicsResiduals(search, place, search.at(place)))
-        of_runs = [d for d in tests if d.run is not None and d.moment is None]
-        assert of_runs
-        assert min(d.p for d in of_runs) * len(tests) > 0.01
 
 
 @pytest.mark.slow

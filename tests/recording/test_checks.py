@@ -344,3 +344,15 @@ def test_a_sound_flight_passes_whatever_its_noise_and_one_too_short_to_judge_doe
 
 
 # ---- the clock, where rows are few for the motion ----------------------------------------------------------
+
+
+def test_a_velocity_of_another_scale_in_one_run_is_named_and_sound_runs_are_not() -> None:
+    for scale in (1.0, 1.05):
+        made = [(t, noisy(x, 0.005, k), u) for k in range(3) for t, x, u in [flight(30.0, seed=k)]]
+        made[1][1][:, 4] *= scale
+        raw = [RawRun(f"run_{k}", *arrays) for k, arrays in enumerate(made)]
+        data = assemble(raw, HEXACOPTER, kind="test")
+        odd = [f for f in data.summary.findings if f.kind == "odd_scale"]
+        assert [f.run for f in odd] == (["run_1"] if scale > 1.0 else [])
+    assert odd[0].message.startswith("p_y changes 0.95")
+    assert "v_y" in odd[0].message

@@ -11,10 +11,10 @@ import pytest
 
 import nsde_torch
 from nsde_torch.data import DataSet, RawRun
-from nsde_torch.sysid.guard import Guarded
+from nsde_torch.sysid.guard import Guarded, _gone
 from nsde_torch.sysid.identify import identify_in_loop
 from nsde_torch.sysid.readings import better_readings
-from nsde_torch.sysid.rough import rough_fit
+from nsde_torch.sysid.rough import left_at, rough_fit
 from nsde_torch.sysid.timing import Shifted
 from nsde_torch.systems import make_system
 
@@ -210,3 +210,25 @@ def rough() -> Any:
     """A rough fit of flights."""
     data = nsde_torch.read(log_of("quadrotor"), system="quadrotor", state_smoothing="keep")
     return rough_fit(make_system("quadrotor"), data.runs)
+
+
+@pytest.mark.parametrize(
+    ("share", "error", "explained", "told"),
+    [
+        (1e-3, 0.0, 0.0, True),
+        (1e-3, 0.2, 0.0, False),  # not sure
+        (0.5, 0.0, 0.0, False),  # half as strong as expected
+        (1e-3, 0.0, 0.5, False),  # something else explains the channel
+    ],
+)
+def test_a_gain_that_has_surely_gone_and_with_it_all_that_was_explained_is_told(
+    share: float, error: float, explained: float, told: bool, rough: Any
+) -> None:
+    first, theta = rough.vector.start, rough.theta.copy()
+    j = rough.vector.labels.index("roll_gain")
+    theta[j] = share * first[j]
+    covariance = np.diag(np.square(error * first))
+    left = [replace(a, left=a.measured * (1.0 - explained) ** 0.5) for a in left_at(rough, theta)]
+    gone = _gone(rough, theta, covariance, left)
+    assert (gone is not None) == told
+    assert gone is None or ("nothing of w_x and" in gone.sentence and "roll_gain" in gone.sentence)

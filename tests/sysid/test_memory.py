@@ -3,9 +3,11 @@
 from typing import Any
 
 import numpy as np
+import pytest
 import torch
 
 from nsde_torch.data import Run
+from nsde_torch.effects.actuators import ActuatorLag
 from nsde_torch.inference.memory import memory_along
 from nsde_torch.inference.steps import Steps, steps_of
 from nsde_torch.systems import System, make_system
@@ -82,3 +84,32 @@ def test_a_lag_follows_what_a_delay_lets_through() -> None:
     alone = made("hexacopter", "motor_lag", motor_lag=TAU)
     first, second = (along(s, Run("r", DT * np.arange(500), x, w))[1] for s, w in ((both, u), (alone, late)))
     torch.testing.assert_close(first[:, :6], second)
+
+
+class Unknowing(ActuatorLag):
+    """A lag that does not say what it makes of held inputs."""
+
+    name = "drift"
+
+    def held(self, u: torch.Tensor, dt: float) -> None:  # type: ignore[override]
+        return None
+
+
+@pytest.mark.parametrize("names", [["drift", "actuator_lag"], ["actuator_lag", "drift"]])
+def test_memory_that_nobody_knows_exactly_is_integrated_with_what_is_known_held(names: list[str]) -> None:
+    """A lag that says nothing of held inputs, before or after one that does."""
+    rng = np.random.default_rng(5)
+    u, x = rng.normal(size=(300, 1)), rng.normal(size=(300, 4))
+    own = Unknowing({"time_constant": 0.3}, n_inputs=1)
+    own.stage = {"drift": 1, "actuator_lag": 3}[names[0]]  # type: ignore[misc]
+    system = made("cartpole", "actuator_lag", own, actuator_lag=0.3)
+    steps, before, _ = along(system, Run("r", DT * np.arange(300), x, u))
+    # both orders of two equal lags give the same in the end, to the accuracy of a mean over a step
+    last = before[:, 1] if names[0] == "actuator_lag" else before[:, 0]
+    m = np.zeros((300, 2))
+    fade = np.exp(-DT / 0.3)
+    m[0] = u[0, 0]
+    for k in range(299):
+        m[k + 1, 0] = u[k, 0] + (m[k, 0] - u[k, 0]) * fade
+        m[k + 1, 1] = m[k, 0] + (m[k, 1] - m[k, 0]) * fade
+    np.testing.assert_allclose(last, m[-1 - len(steps) : -1, 1], atol=0.02)

@@ -55,6 +55,7 @@ def friction() -> Diagnosed:
     return diagnosed("mass_spring_damper", {"coulomb_friction": {"size": 0.5}}, options=options)
 
 
+@pytest.mark.slow
 def test_an_effect_that_is_named_explains_all_that_functions_can(friction: Diagnosed) -> None:
     content = friction[1]
     own = content["flexible"]
@@ -102,6 +103,7 @@ def test_it_is_drawn_with_where_it_may_be_trusted(missed: Diagnosed, tmp_path: P
     assert (tmp_path / "plots" / "flexible.png").is_file()
 
 
+@pytest.mark.slow
 def test_it_can_be_left_out() -> None:
     none, options = replace(BUDGETS, function_groups=0), Options(max_effects=0)
     _, content = diagnosed("mass_spring_damper", budgets=none, options=options)

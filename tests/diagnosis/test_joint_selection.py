@@ -35,6 +35,7 @@ def two_frictions(seed: int, seconds: float = 8.0) -> list[Run]:
     return small_runs(machine, 4, seconds, seed=seed)
 
 
+@pytest.mark.slow
 def test_nothing_is_selected_where_nothing_is_missing() -> None:
     found = selected(small_runs(rubbing(0.0), 3, 8.0, seed=4))
     assert not found.selected
@@ -67,6 +68,7 @@ def test_a_candidate_whose_slopes_are_no_numbers_costs_itself(monkeypatch: pytes
     assert set(found) == {"stribeck_friction"}  # the next best, see `STRIBECK`
 
 
+@pytest.mark.slow
 def test_a_delay_is_selected_whose_lack_hides_the_gain_of_the_input() -> None:
     late = 13  # rows; forces of ten rows each are white from there
     runs = [Run(r.name, r.t[:-late], r.x[:-late], r.u[late:]) for r in linear_runs(4, 8.0, seed=1)]

@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 import nsde_torch
 from nsde_torch.data import DataSet, Run
 from nsde_torch.data.raw import RawRun
+from nsde_torch.diagnosis.reading import cut_at
 from nsde_torch.diagnosis.stages import MOVING_ROWS
 from nsde_torch.diagnosis.text import lines, short_lines
 from nsde_torch.errors import ConfigError
@@ -253,7 +254,9 @@ def test_friction_that_begins_in_a_single_run(tmp_path: Path) -> None:
 
 
 def test_a_gust_in_one_run_has_its_time_and_its_size(tmp_path: Path) -> None:
-    runs = [pushed_spring(r, 30.0, lambda t, v, u, r=r: 0.2 * (r == 1 and 11.0 < t < 18.0)) for r in range(3)]  # type: ignore[misc]
+    runs = [
+        pushed_spring(r, 30.0, lambda t, v, u, q, r=r: 0.2 * (r == 1 and 11.0 < t < 18.0)) for r in range(3)
+    ]  # type: ignore[misc]
     content = diagnosed_file(tmp_path / "gust", *runs)
     assert content["added"] == ["run_force"]
     ((begin, end),) = content["data"]["moments"].values()
@@ -304,12 +307,14 @@ def test_a_gain_that_falls_all_the_time_stays_a_drift(tmp_path: Path) -> None:
 
 
 def test_a_run_is_cut_at_each_of_its_moments() -> None:
-    run = pushed_spring(1, 2.0, lambda t, v, u: 0.0)
+    run = pushed_spring(1, 2.0, lambda t, v, u, q: 0.0)
     parts = cut_at([run], {"run": ((0.5, 0.7), (1.2, 1.4))})
     names = ["run before 0.50 s", "run from 0.70 to 1.20 s", "run from 1.40 s"]
     assert [part.name for part in parts] == names
     assert [float(part.t[0]) for part in parts] == pytest.approx([0.0, 0.7, 1.4])
     assert cut_at([run], {}) == (run,)
+
+
 @pytest.mark.parametrize(
     ("push", "behind", "variable", "words"),
     [

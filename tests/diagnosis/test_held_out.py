@@ -27,7 +27,7 @@ from nsde_torch.inference import LogLikelihood
 from nsde_torch.models.identified import SysidSpec
 from nsde_torch.sysid.regression import Regression
 from nsde_torch.systems import make_system
-from tests.helpers.diagnosed import recorded
+from tests.helpers.diagnosed import diagnosed, recorded
 
 SPRING = "mass_spring_damper"
 

@@ -164,7 +164,7 @@ class _LawSearch:
         """Products of two speeds with the sine or cosine of an angle, as of Coriolis forces: of three variables.
 
         Of a gimbal whose yaw lacked one of 3 rad/s2, functions of two variables explained a tenth
-        (tests/diagnosis/test_laws_beyond.py).
+        (tests/diagnosis/test_laws_beyond_the_catalogue.py).
         """
         system, space, found = place.system, place.at.of.space, list[Term]()
         units = {name: unit for name, unit, _ in vocabulary(type(system)).variables}

@@ -13,6 +13,8 @@ Beside these
 
 - other sensors: in a closed loop, directions that are a function of the state to a quarter and hardly answer any
   channel which they drive: those made from a logged state answer the noise of its sensor too.
+- exact: a direction that is a linear function of logged rows and of the inputs before them more exactly than it answers
+  the noise of their sensors was made from these rows, by no other sensor, whatever else it follows at times.
 - new: the share of the inputs that is no function (of second degree) of the logged state. Where it is small in a closed
   loop, gains rest on what was assumed of the noise (Soderstrom, Gustavsson and Ljung, International Journal of Control
   21 (1975)).
@@ -36,6 +38,7 @@ from scipy.stats import chi2
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError, DataError, NonFiniteError
+from nsde_torch.recording.noise import white
 from nsde_torch.recording.smoothing import smoothing_width
 from nsde_torch.sysid import signals
 from nsde_torch.sysid.noise import Series, extended
@@ -58,6 +61,10 @@ _OWN_ANSWER = 0.02  # share of an input's innovation below which it hardly answe
 _NEW = 0.1  # share of an input's variance below which it is nearly a function of the state
 _FEWEST = 400  # rows
 _NEIGHBOURS = (-2, -1, 0, 1, 2)  # rows of the log whose inputs may have acted
+_EXACT, _FITS = (
+    0.3,
+    30,
+)  # share of the answer to the sensors' noise that exact inputs leave; fits of least moduli
 FACTOR = 3.0
 """How much more inputs may know of their own step than they are seen to know of later ones (see `identify`)."""
 NO_INPUT = "no input moves"
@@ -101,6 +108,7 @@ class FeedbackTest:
     smoothed: tuple[str, ...] = ()
     """Channels whose states were smoothed before they were logged, and restored."""
     made: tuple[str, ...] = ()  # directions that past states predict beyond the past of the inputs
+    exact: tuple[str, ...] = ()  # directions that were made from the logged rows themselves
 
     @property
     def closed(self) -> bool:
@@ -124,7 +132,12 @@ class FeedbackTest:
             return ()
         answered = {(a.input, a.channel) for a in self.answers if a.chance < ALPHA and a.share >= _OWN_ANSWER}
         made = {way: own for way, own in self.driven.items() if self.new.get(way, 0.0) < _PLAYED}
-        from_log = {c for way, own in made.items() if any((way, c) in answered for c in own) for c in own}
+        from_log = {
+            c
+            for way, own in made.items()
+            if way in self.exact or any((way, c) in answered for c in own)
+            for c in own
+        }
         return tuple(dict.fromkeys(c for own in made.values() for c in own if c not in from_log))
 
     @property
@@ -136,7 +149,11 @@ class FeedbackTest:
         much better than those of the log show no answers: inputs that were made from states and predict innovations
         were made from such.
         """
-        sure = [a for a in self.knowledge if a.chance < ALPHA and self.new.get(a.input, 0.0) < _PLAYED]
+        sure = [
+            a
+            for a in self.knowledge
+            if a.chance < ALPHA and self.new.get(a.input, 0.0) < _PLAYED and a.input not in self.exact
+        ]
         surely = {a.input for a in sure}
         if self.closed:
             own = [a.channel for a in sure]
@@ -328,6 +345,7 @@ def tested(regression: Regression, runs: Sequence[Run]) -> FeedbackTest:
         rows=len(regression.series),
         between=lengths(regression, ways),
         made=_made_from_states(regression, ways, driven, among, series),
+        exact=_made_of_logged_rows(ways, runs, system.nu),
         still=still,
         smoothed=smoothed,
     )
@@ -412,6 +430,34 @@ def _made_from_states(
         for way, chance, (_, share) in zip(ways, chances, found, strict=True)
         if chance < ALPHA and share >= _MADE
     )
+
+
+def _made_of_logged_rows(ways: Sequence[Direction], runs: Sequence[Run], nu: int) -> tuple[str, ...]:
+    """Names of directions that are made from logged rows: a share of `_EXACT` of their answer to noise is left.
+
+    By least moduli, which rows in which a command steps do not count in. Answers are shares of what moves an input: of
+    two joints that follow steps they were 1 %, the controller was said to have had other sensors, and a coupling of 8
+    rad/s2 was what inputs may know (tests/diagnosis/test_laws_beyond_the_catalogue.py).
+    """
+    parts = [(run.x[a:b], run.u[a:b, :nu]) for run in runs for a, b in run.segments if b - a > _OWN]
+    if not parts:
+        return ()
+    x, before = (np.concatenate([own[2 - lag : len(own) - lag] for own, _ in parts]) for lag in (0, 1))
+    now, last, older = (np.concatenate([u[2 - lag : len(u) - lag] for _, u in parts]) for lag in (0, 1, 2))
+    columns = np.column_stack((x, before, last, older, np.ones(len(x))))
+    size = np.maximum(np.abs(columns).max(0), 1e-300)
+    sensor = np.array([np.median([white(own[:, j]) for own, _ in parts]) for j in range(x.shape[1])])
+    found = []
+    for way in ways:
+        y = now @ way.weights
+        left, gain = np.ones(len(y)), np.zeros(columns.shape[1])
+        for _ in range(_FITS):
+            weights = 1.0 / np.sqrt(np.maximum(np.abs(left), 1e-9 * max(float(np.abs(y).max()), 1e-300)))
+            gain = np.linalg.lstsq(weights[:, None] * columns / size, weights * y, rcond=None)[0] / size
+            left = y - columns @ gain
+        answer = float(np.linalg.norm(gain[: x.shape[1]] * sensor))
+        found += [way.name] if 1.4826 * float(np.median(np.abs(left))) < _EXACT * answer else []
+    return tuple(found)
 
 
 def _knowledge_of(

@@ -17,6 +17,7 @@ from nsde_torch.sysid.feedback_test import FeedbackTest
 from nsde_torch.systems import make_system
 from nsde_torch.systems.options import system_options
 from tests.helpers.diagnosed import assert_interval, diagnosed
+from tests.helpers.two_joints import TwoJoints
 
 OUTSIDE = Path(__file__).parents[2] / "benchmarks" / "blind"
 LAW = "force = c1 q q_dot"
@@ -272,3 +273,25 @@ def test_where_no_law_may_be_tried_it_is_provisional(runs: list[RawRun]) -> None
     assert finding["name"] == "position_dependent_friction"
     assert finding["lead"]
     assert "another law" in finding["lead_reason"]
+
+
+def test_a_coupling_of_two_speeds_and_an_angle_is_found() -> None:
+    runs = []
+    for seed in range(3):
+        rng, n, dt = np.random.default_rng(seed), 750, 0.02
+        aim = np.repeat(rng.uniform(-1.5, 1.5, (n // 25, 2)), 25, axis=0)
+        x, u, z = np.zeros((n, 4)), np.zeros((n, 2)), np.zeros(4)
+        for k in range(n):
+            x[k] = z + rng.normal(size=4) * [0.02, 0.02, 0.001, 0.001]
+            u[k] = 2.0 * (aim[k] - x[k, [3, 2]]) - 0.6 * x[k, [1, 0]]
+
+            def rate(z: Any, tau: Any = u[k]) -> Any:
+                w2, w1, q2, _ = z
+                return np.array([tau[1] / 0.2, (tau[0] + 0.3 * np.sin(q2) * w1 * w2) / 0.5, w2, w1])
+
+            z = solve_ivp(lambda _, z, f=rate: f(z), (0.0, dt), z, rtol=1e-7, atol=1e-9).y[:, -1]
+        runs.append(RawRun(f"run_{seed}", dt * np.arange(n), x, u))
+    found = nsde_torch.diagnose(runs, system=TwoJoints, say=False)
+    law = "torque[q1] = c1 sin(q2) w2 w1"
+    assert found.added == [law]
+    assert_interval(found.parameters, f"{law}.c1", 0.3, slack=0.005, width=0.1)

@@ -86,12 +86,28 @@ def sizes(finding: Mapping[str, Any], content: Content) -> str:
 
 
 def _by_run(axes: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Values with intervals; of what differs between runs those of each run behind its name."""
-    found: dict[str, list[str]] = {}
+    """Values with intervals; of what differs between runs those of each run behind its name, the largest first.
+
+    Where one run has something, those that may have nothing are named together: a gust parts its run in three.
+    """
+    found: dict[str, list[Mapping[str, Any]]] = {}
     for p in axes:
-        said = f"{valued(p)} ({interval(p['interval_90'], p['bound'])})"
-        found.setdefault(p.get("run", ""), []).append(said)
-    return [f"{run} {' and '.join(values)}" if run else ", ".join(values) for run, values in found.items()]
+        found.setdefault(p.get("run", ""), []).append(p)
+    said = {
+        k: [f"{valued(p)} ({interval(p['interval_90'], p['bound'])})" for p in v] for k, v in found.items()
+    }
+    if "" in found:
+        return [", ".join(values) for values in said.values()]
+    there = sorted(found, key=lambda run: -max(abs(p["value"]) for p in found[run]))
+    nothing = [run for run in found if all(_may_be_nothing(p) for p in found[run])]
+    few = nothing if 1 < len(nothing) < len(found) else []
+    listed = [f"{run} {' and '.join(said[run])}" for run in there if run not in few]
+    return [*listed, *([f"indistinguishable from 0 in {' and '.join(few)}"] if few else [])]
+
+
+def _may_be_nothing(p: Mapping[str, Any]) -> bool:
+    low, high = p["interval_90"] or (None, None)
+    return low is not None and high is not None and low <= 0.0 <= high
 
 
 def least_squares(content: Content, name: str | None = None) -> list[str]:

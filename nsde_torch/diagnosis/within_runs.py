@@ -83,7 +83,8 @@ def _change(
         blocks = blocks[np.argsort(firsts[blocks], kind="stable")]
         if len(blocks) <= 2 * _EDGE:
             continue
-        best, best_nats = None, search.decisions.alike_nats
+        best: tuple[list[int], float, float] | None = None
+        least = search.decisions.alike_nats
         for windows in _windows(one, len(blocks)):
             gained, of_run = _gains(place, columns, one, blocks, windows)
             at = int(gained.argmax())
@@ -91,12 +92,11 @@ def _change(
             ends = [int(k) for k in windows[at] if k < len(blocks)]
             own = float(gained[at]) - price - (len(ends) - 1) * ln(len(owner))
             p = bonferroni(float(chdtrc(count, 2.0 * gained[at])), among * len(windows) // len(blocks))
-            if own > best_nats and p < search.level("effects"):
-                best, best_nats = ends, own + search.decisions.alike_nats
-                found = own, of_run
+            if own > least and p < search.level("effects"):
+                best, least = (ends, own, of_run), own + search.decisions.alike_nats
         if best is not None:
-            steps[int(run)] = tuple(int(firsts[blocks[k]]) for k in best)
-            nats, of_runs = nats + found[0], of_runs + found[1]
+            steps[int(run)] = tuple(int(firsts[blocks[k]]) for k in best[0])
+            nats, of_runs = nats + best[1], of_runs + best[2]
     return ChangeWithinRuns(one, steps, of_runs, nats) if steps else None
 
 

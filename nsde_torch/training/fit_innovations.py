@@ -33,6 +33,7 @@ from torch import Tensor
 from nsde_torch.arrays import Array
 from nsde_torch.data import Run, Windows
 from nsde_torch.effects import Effect, Port
+from nsde_torch.effects.law import split_name
 from nsde_torch.errors import DataError, NonFiniteError, NsdeError
 from nsde_torch.evaluation.one_step import (
     Disturbance,
@@ -445,7 +446,7 @@ def _set_laws(model: NeuralSDE, laws: dict[str, Disturbance], found: Residuals, 
 # as declared physics, name it in system.effects.
 
 LAWS = ("motor_lag", "actuator_lag", "input_delay")
-"""Effects of the catalogue with which inputs act late, one time each."""
+"""Effects of the catalogue with which inputs, or one of several, act late, one time each."""
 EVIDENCE = 10.0
 """Log likelihood that a law must win [nats]; 10 nats for one parameter happen by chance once in 100,000 data sets."""
 
@@ -476,7 +477,8 @@ def identified(spec: SDESpec, runs: Sequence[Run], *, clock: float, values: Mapp
         return found
     rows = len(base.regression.series)  # a memory takes some rows for itself
     before = sum(noise.likelihood(rows) for noise in base.regression.noises)
-    for name in LAWS:
+    # also of one input alone: with a lag of both, a boat whose rudder lags had its surge wrong
+    for name in [name for name in system.able_effects() if split_name(name)[0] in LAWS]:
         wider = replace(spec, effects=(*spec.effects, name))
         try:
             machine = wider.make_system(values)

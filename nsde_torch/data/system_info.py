@@ -81,16 +81,27 @@ def rate_columns(system: SystemInfo) -> slice | None:
 
 
 def derivative_columns(system: SystemInfo) -> dict[str, tuple[list[int], list[int]]]:
-    """Columns (positions, velocities) by group; a group has one frame and one unit, so that norms exist."""
-    groups: dict[str, tuple[list[int], list[int]]] = {}
+    """Columns (positions, velocities) by group; a group has one frame, one unit and one name, so that norms exist.
+
+    Of `yaw` and `pitch`, or of `q1` and `q2`, each is a group: they have sensors of their own, and no common name (both
+    rates of a gimbal that were late were "yaw is late against yaw").
+    """
+    groups: dict[str, list[tuple[int, int]]] = {}
     frames = [frame for _, _, frame in system.position_derivatives]
     for frame, (i, j) in zip(frames, rate_pairs(system), strict=True):
         unit = system.state_units[i]
         kind = "angle" if unit == "rad" else "position"
-        group = groups.setdefault(f"{kind} ({frame}, {unit})", ([], []))
-        group[0].append(i)
-        group[1].append(j)
-    return groups
+        groups.setdefault(f"{kind} ({frame}, {unit})", []).append((i, j))
+    out: dict[str, tuple[list[int], list[int]]] = {}
+    for group, pairs in groups.items():
+        positions, rates = [p for p, _ in pairs], [v for _, v in pairs]
+        names = [[system.state_names[k] for k in some] for some in (positions, rates)]
+        if len(pairs) == 1 or all(len({common_name([n, n]) for n in some}) == 1 for some in names):
+            out[group] = positions, rates
+            continue
+        kind, _, rest = group.partition(" ")
+        out |= {f"{kind} {system.state_names[a]} {rest}": ([a], [b]) for a, b in pairs}
+    return out
 
 
 def common_name(names: Sequence[str]) -> str:

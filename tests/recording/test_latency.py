@@ -14,6 +14,7 @@ from nsde_torch.recording.latency import filtered, late_channels, latencies, on_
 from nsde_torch.systems import make_system
 from tests.helpers.data_systems import HEXACOPTER
 from tests.helpers.flights import flight
+from tests.helpers.two_joints import HOME
 
 SPRING = make_system("mass_spring_damper")
 DT = 0.01
@@ -45,6 +46,17 @@ def test_the_late_channel_is_named_with_its_delay(channel: str, seconds: float) 
     assert late.seconds == pytest.approx(seconds, rel=0.1)
     assert late.low < seconds < late.high
     assert late.p < 1e-6
+
+
+def test_of_two_joints_the_rate_that_is_late_is_named_by_its_own_name() -> None:
+    runs = []
+    for k in range(4):
+        first, second = run(k), run(20 + k, velocity=0.03)
+        columns = (second.x[:, 1], first.x[:, 1], second.x[:, 0], first.x[:, 0])  # w2, w1, q2, q1
+        runs.append(Run(first.name, first.t, np.stack(columns, 1), np.zeros((3000, 2))))
+    late = [one for one in late_channels(make_system(HOME), runs) if one.p < 1e-6]
+    assert [(one.channel, one.other) for one in late] == [("w2", "q2")]
+    assert late[0].seconds == pytest.approx(0.03, rel=0.1)
 
 
 @pytest.mark.parametrize("seconds", [0.04, 0.1])

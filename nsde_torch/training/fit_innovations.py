@@ -477,7 +477,7 @@ def identified(spec: SDESpec, runs: Sequence[Run], *, clock: float, values: Mapp
         return found
     rows = len(base.regression.series)  # a memory takes some rows for itself
     before = sum(noise.likelihood(rows) for noise in base.regression.noises)
-    # also of one input alone: with a lag of both, a boat whose rudder lags had its surge wrong
+    # of one input alone, too: with a lag of both, the surge of a boat whose rudder lags had twice the error at 2 s
     for name in [name for name in system.able_effects() if split_name(name)[0] in LAWS]:
         wider = replace(spec, effects=(*spec.effects, name))
         try:

@@ -269,6 +269,17 @@ def test_a_gust_in_one_run_has_its_time_and_its_size(tmp_path: Path) -> None:
     assert sorted(map(abs, sizes.values()))[-2] < 0.02
 
 
+def test_wind_that_comes_and_goes_is_no_gust(tmp_path: Path) -> None:
+    runs = []
+    for r in range(3):
+        white = np.random.default_rng(50 + r).normal(size=6300)
+        wind = 0.2 * lfilter([(1.0 - 0.9975**2) ** 0.5], [1.0, -0.9975], white)  # lasts 2 s
+        runs.append(pushed_spring(r, 30.0, lambda t, v, u, q, w=wind: w[int(200.0 * t)]))  # type: ignore[misc]
+    content = diagnosed_file(tmp_path / "wind", *runs)
+    assert content["added"] == []
+    assert content["data"]["moments"] == {}
+
+
 def test_one_run_is_not_held_against_others(tmp_path: Path) -> None:
     run = pushed_spring(5, 20.0, lambda t, v, u, q: 0.5)
     columns = np.column_stack((run.t, run.x, run.u))

@@ -163,8 +163,8 @@ class _LawSearch:
     def _couplings(self, place: FittedPhysics) -> list[Term]:
         """Products of two speeds with the sine or cosine of an angle, as of Coriolis forces: of three variables.
 
-        Of a gimbal whose yaw lacked one of 3 rad/s2, functions of two variables explained a tenth
-        (tests/diagnosis/test_laws_beyond_the_catalogue.py).
+        Functions are of two variables: of a gimbal whose yaw lacked such a force two false laws were provisional, and
+        the effects explained all that functions can (tests/diagnosis/test_laws_beyond_the_catalogue.py).
         """
         system, space, found = place.system, place.at.of.space, list[Term]()
         units = {name: unit for name, unit, _ in vocabulary(type(system)).variables}

@@ -42,9 +42,7 @@ class ChangeWithinRuns:
     """What a candidate would explain if it changed at a moment of some runs."""
 
     of: PossibleDifference
-    steps: Mapping[
-        int, tuple[int, ...]
-    ]  # by number of the run: steps that the blocks after the moments begin with
+    steps: Mapping[int, tuple[int, ...]]  # by number of the run: first steps of the blocks after its moments
     of_runs: float  # log likelihood that a number of their own for these runs would bring
     nats: float  # that which it would bring beyond, less the price of numbers and moments (Schwarz)
 

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from nsde_torch.effects.base import Effect, Parameter, Port
+from nsde_torch.effects.base import Effect, Port
 from nsde_torch.effects.law import joined_name
 
 
@@ -100,7 +100,4 @@ def _in_unit(unit: str, of_input: str) -> str:
 
 def of_several_units(effect: type[Effect], units: Collection[str]) -> bool:
     """Whether an effect on all inputs has one number for inputs of several units."""
-    in_units = (
-        _in_unit(p.unit, "") != p.unit for p in effect.PARAMETERS.values() if isinstance(p, Parameter)
-    )
-    return len(set(units)) > 1 and any(in_units)
+    return len(set(units)) > 1 and any(_in_unit(p.unit, "") != p.unit for p in effect.PARAMETERS.values())

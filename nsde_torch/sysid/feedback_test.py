@@ -435,9 +435,9 @@ def _made_from_states(
 def _made_of_logged_rows(ways: Sequence[Direction], runs: Sequence[Run], nu: int) -> tuple[str, ...]:
     """Names of directions that are made from logged rows: a share of `_EXACT` of their answer to noise is left.
 
-    By least moduli, which rows in which a command steps do not count in. Answers are shares of what moves an input: of
-    two joints that follow steps they were 1 %, the controller was said to have had other sensors, and a coupling of 8
-    rad/s2 was what inputs may know (tests/diagnosis/test_laws_beyond_the_catalogue.py).
+    By least moduli: rows in which a command steps do not count. Answers are shares of what moves an input: of two
+    joints that follow steps they were 1 %, the controller was said to have had other sensors, and a coupling of 1.1
+    rad/s2 was withheld as what inputs may know (tests/diagnosis/test_laws_beyond_the_catalogue.py).
     """
     parts = [(run.x[a:b], run.u[a:b, :nu]) for run in runs for a, b in run.segments if b - a > _OWN]
     if not parts:

@@ -81,14 +81,15 @@ def sizes(finding: Mapping[str, Any], content: Content) -> str:
     out = []
     for name, axes in own.items():
         against = f" against {axes[0]['against']}:" if axes[0].get("against") else ""
-        out.append(f"{name}{against} {', '.join(_by_run(axes))}{with_space(axes[0]['unit'])}")
+        values, rest = _by_run(axes)
+        out.append(f"{name}{against} {', '.join(values)}{with_space(axes[0]['unit'])}{rest}")
     return "; ".join(out)
 
 
-def _by_run(axes: Sequence[Mapping[str, Any]]) -> list[str]:
+def _by_run(axes: Sequence[Mapping[str, Any]]) -> tuple[list[str], str]:
     """Values with intervals; of what differs between runs those of each run behind its name, the largest first.
 
-    Where one run has something, those that may have nothing are named together: a gust parts its run in three.
+    Where one run has something, those that may have nothing come last, together: a gust parts its run in three.
     """
     found: dict[str, list[Mapping[str, Any]]] = {}
     for p in axes:
@@ -97,12 +98,12 @@ def _by_run(axes: Sequence[Mapping[str, Any]]) -> list[str]:
         k: [f"{valued(p)} ({interval(p['interval_90'], p['bound'])})" for p in v] for k, v in found.items()
     }
     if "" in found:
-        return [", ".join(values) for values in said.values()]
+        return [", ".join(values) for values in said.values()], ""
     there = sorted(found, key=lambda run: -max(abs(p["value"]) for p in found[run]))
     nothing = [run for run in found if all(_may_be_nothing(p) for p in found[run])]
     few = nothing if 1 < len(nothing) < len(found) else []
     listed = [f"{run} {' and '.join(said[run])}" for run in there if run not in few]
-    return [*listed, *([f"indistinguishable from 0 in {' and '.join(few)}"] if few else [])]
+    return listed, f", indistinguishable from 0 in {', '.join(few)}" if few else ""
 
 
 def _may_be_nothing(p: Mapping[str, Any]) -> bool:

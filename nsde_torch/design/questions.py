@@ -271,11 +271,12 @@ def open_questions(content: Mapping[str, Any], system: System) -> list[Question]
     # of a lead every parameter is to be known better; of a wide interval, the parameter itself
     labels = [label for label in content.get("parameters", {}) if label.partition(".")[0] in now.leads]
     labels = list(dict.fromkeys([*labels, *now.wide]))
+    late = [label for label in labels if split_name(label.partition(".")[0])[0] in LATE]
     few = now.suspected[:MOST]
     for asked in (
-        [label for label in labels if split_name(label.partition(".")[0])[0] not in LATE],
+        [label for label in labels if label not in late],
         [n["parameter"] for n in content.get("not_shown", ()) if n["effect"] in few],
-        [label for label in labels if split_name(label.partition(".")[0])[0] in LATE],
+        late,
     ):
         if asked:
             out.append(of_parameters(system, now.found, asked))

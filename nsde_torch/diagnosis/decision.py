@@ -365,7 +365,7 @@ def sized(outcome: Outcome) -> Outcome:
 
 
 def _any_frequency(outcome: Outcome, found: Found) -> bool:
-    """Whether a memory that a filter estimates may swing at nearly any frequency, by its interval."""
+    """Whether a memory that a filter estimates may oscillate at nearly any frequency, by its interval."""
     if not effect_class(found.name).estimated:
         return False
     ends = [(e.low, e.high) for e in outcome.estimates(found.name) if e.unit == "Hz"]

@@ -412,6 +412,14 @@ class Effect(Parametrised, ABC):
         return x[:, :0]
 
 
+def in_row(term: Tensor, row: int, width: int) -> Tensor:
+    """A term (N, 1) in one row of a port of a width (N, width), nothing in the others."""
+    if width == 1:
+        return term
+    none = torch.zeros_like(term)
+    return torch.cat([term if k == row else none for k in range(width)], 1)
+
+
 def elapsed(t: float | Tensor, x: Tensor) -> float | Tensor:
     """Time [s] as a number or a column (N, 1) or (1, 1) that multiplies rows of `x`; its precision is kept."""
     return t.reshape(-1, 1).to(x.device) if isinstance(t, Tensor) else t

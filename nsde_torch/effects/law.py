@@ -16,11 +16,10 @@ from dataclasses import replace
 from functools import cache
 from typing import Any, ClassVar
 
-import torch
 from torch import Tensor
 
 from nsde_torch.effects import units
-from nsde_torch.effects.base import Effect, Parameter, Port
+from nsde_torch.effects.base import Effect, Parameter, Port, in_row
 from nsde_torch.effects.coordinates import PLAIN, Bound
 from nsde_torch.errors import ConfigError
 
@@ -99,9 +98,7 @@ class Law(Effect):
 
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """The term in the row of its coordinate, nothing in the others."""
-        term = self.term(t, x, u, memory)
-        above, below = self.at.row, self.at.width - self.at.row - 1
-        return torch.nn.functional.pad(term, (above, below)) if above or below else term
+        return in_row(self.term(t, x, u, memory), self.at.row, self.at.width)
 
     @abstractmethod
     def term(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:

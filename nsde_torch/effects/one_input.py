@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, ClassVar
 
-import torch
 from torch import Tensor
 
-from nsde_torch.effects.base import Effect, Port
+from nsde_torch.effects.base import Effect, Port, in_row
 from nsde_torch.effects.law import joined_name
 
 
@@ -51,8 +50,7 @@ class OnOneInput(Effect):
     def forward(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """The change of its own input, nothing for the others."""
         own = super().forward(t, x, self._own(u), memory)  # type: ignore[safe-super]
-        none = torch.zeros_like(own)
-        return torch.cat([own if k == self.at.column else none for k in range(self.at.of)], 1)
+        return in_row(own, self.at.column, self.at.of)
 
     def memory_rate(self, t: float | Tensor, x: Tensor, u: Tensor, memory: Tensor) -> Tensor:
         """See `Effect.memory_rate`."""

@@ -96,7 +96,7 @@ class Smoother:
 
     @property
     def vanishes_between(self) -> bool:
-        """Whether |S| vanishes at some frequency and not above it, as that of a mean does."""
+        """Whether |S| vanishes at some frequency and returns above it, as that of a mean does."""
         level = np.abs(self.response(np.linspace(0.0, 0.5 / self.dt, 2000)))
         return bool(level[int(np.argmax(level < _VANISHES)) :].max() > _RETURNS and level.min() < _VANISHES)
 

@@ -61,10 +61,8 @@ _OWN_ANSWER = 0.02  # share of an input's innovation below which it hardly answe
 _NEW = 0.1  # share of an input's variance below which it is nearly a function of the state
 _FEWEST = 400  # rows
 _NEIGHBOURS = (-2, -1, 0, 1, 2)  # rows of the log whose inputs may have acted
-_EXACT, _FITS = (
-    0.3,
-    30,
-)  # share of the answer to the sensors' noise that exact inputs leave; fits of least moduli
+_EXACT = 0.3  # share of the answer to the sensors' noise that exact inputs leave
+_FITS = 30  # of least moduli
 FACTOR = 3.0
 """How much more inputs may know of their own step than they are seen to know of later ones (see `identify`)."""
 NO_INPUT = "no input moves"

@@ -532,13 +532,8 @@ def _on_time_or_late(one: Smoothed, data: DataSet, system: System) -> Smoothed:
             return one
         driven = sorted({channel for way in signals.directions(fitted) for channel in way.channels})
         left, rows = fitted.physics.residual(fitted.theta)[:, driven], max(1, round(smoother.size / 2))
-        means = [
-            left[k : k + rows].mean(0)
-            for a, b in fitted.physics.steps.segments
-            for k in range(a, b - rows + 1, rows)
-        ]
-        size = np.square(np.array(means)).mean(0)
-        values.append(-0.5 * len(means) * float(np.log(np.maximum(size, 1e-300)).sum()))
+        sums = fitted.single.summed(left, rows)
+        values.append(-0.5 * len(sums) * float(np.log(np.maximum(np.square(sums).mean(0), 1e-300)).sum()))
     return late if values[1] > values[0] + NATS else one
 
 

@@ -46,14 +46,14 @@ def join_columns(tables: Sequence[Tensor]) -> Tensor:
 
 def split_columns(table: Tensor, *widths: int) -> list[Tensor]:
     """A table (..., n) cut into tables (..., n_1), (..., n_2), ... whose widths add up to n."""
-    if _few:
+    if _few or not table.requires_grad:  # the same views; their gradients would lie row by row
         return list(table.split(widths, -1))
     return [part.movedim(0, -1) for part in table.movedim(-1, 0).split(widths)]
 
 
 def columns(table: Tensor) -> tuple[Tensor, ...]:
     """The n columns (...) of a table (..., n)."""
-    return table.unbind(-1) if _few else table.movedim(-1, 0).unbind(0)
+    return table.unbind(-1) if _few or not table.requires_grad else table.movedim(-1, 0).unbind(0)
 
 
 def by_column(table: Tensor) -> Tensor:

@@ -44,7 +44,7 @@ from nsde_torch.time_limit import check_time
 
 _RISES = 0.3  # share of the nats of a linearised step that a fit has to bring
 _TRIED = 3  # candidates that are fitted to the end before a round ends
-_RIVALS = 3  # candidates that are fitted in the place of an effect
+_RIVALS = 3  # candidates that are fitted in the place of an effect, beside those that it contains
 _LAWS = 2  # laws that are fitted in the place of an effect
 _ROWS = 6000  # that are asked first whether anything comes near an effect: the published flights' 18,000 take minutes
 
@@ -607,9 +607,13 @@ class JointSearch:
         self, name: str, place: FittedPhysics, without: FittedPhysics, only: Collection[str] | None = None
     ) -> tuple[list[str], FittedPhysics | None]:
         """Effects as likely as one that was selected, `only` of these, and physics with a better one in its place."""
+        look, contained = self.look(without), effect_class(name).includes
         # what contains the effect was a candidate beside it, and was not needed
-        accepted = (p for p in self.look(without) if p.accepted)
-        rivals = [p for p in accepted if name not in {p.name, *effect_class(p.name).includes}]
+        others = (p for p in look if p.accepted and name not in {p.name, *effect_class(p.name).includes})
+        rivals = [
+            *(p for p in look if p.name in contained),
+            *[p for p in others if p.name not in contained][:_RIVALS],
+        ]
         alike: list[str] = []
         best: tuple[float, FittedPhysics] | None = None
         there_too = {name, *without.system.effect_names}
@@ -618,7 +622,7 @@ class JointSearch:
         laws = [t for t in beside if t.law not in there_too | around]
         least = self._as_likely(place, without)
         tried = (
-            *((r.name, r.system) for r in rivals[:_RIVALS]),
+            *((r.name, r.system) for r in rivals),
             *((t.law, joined(without.system, t.law, t.start)) for t in laws),
         )
         for rival, system in tried:
@@ -879,7 +883,9 @@ def _set(system: System, values: Mapping[str, float]) -> None:
 def _compared(search: Search, name: str, rival: str, place: FittedPhysics, there: FittedPhysics) -> float:
     """By how many nats a rival in the place of an effect is surely better; 0: indistinguishable; else -1.
 
-    A rival that the effect contains replaces it unless it is surely worse; one that contains it is never its tie.
+    A rival that the effect contains replaces it unless it is surely worse; one that contains it is never its tie. One
+    with fewer parameters need not be surely better: a small hidden mass stood in for a viscous friction, and a lag that
+    rises and falls alike stayed beside it (a magnet's coil in a closed loop).
     """
     difference = there.at.blocks - place.at.blocks
     more = len(there.best.free) - len(place.best.free)
@@ -890,7 +896,7 @@ def _compared(search: Search, name: str, rival: str, place: FittedPhysics, there
         return gained if gained > sure and chance < search.decisions.nested_alpha else -1.0
     if rival in effect_class(name).includes and gained > -sure:
         return max(gained, search.decisions.alike_nats)
-    return gained if gained > sure else 0.0 if gained > -sure else -1.0
+    return gained if gained > (0.0 if more < 0 else sure) else 0.0 if gained > -sure else -1.0
 
 
 def _surely_more(search: Search, nats: Array, place: FittedPhysics) -> bool:

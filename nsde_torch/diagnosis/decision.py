@@ -237,13 +237,16 @@ def _of_many(f: Found, tested: FeedbackTest) -> str:
 
 
 def _shared(f: Found, found: Sequence[Found], system: System) -> str:
-    """Why a term of one variable is provisional: with two others, a law beyond the catalogue among them, it may share
-    one that nobody listed (a pull of 0.03 / (0.9 - q)^2 was two stops, two laws and a constant force, all sure).
+    """Why a term of one variable is provisional: with others it may share a law that nobody listed.
+
+    With two others, a law beyond the catalogue among them, or with another law: a pull of 0.03 / (0.9 - q)^2 was two
+    stops, two laws and a constant force, and a second relaxation of a battery two laws of its charge, one of them sure.
     """
     of = {str(effect.name): _variable(effect) for effect in system.effects}
     own = of.get(f.name)
     alike = [o.name for o in found if own and {*o.moves} == {*f.moves} and of.get(o.name) == own]
-    many = len(alike) > 2 and any(map(is_law, alike))
+    laws = sum(map(is_law, alike))
+    many = len(alike) > 2 if laws == 1 else laws > 1
     return f"{len(alike)} terms of one variable may share a law that is not listed" if many else ""
 
 

@@ -31,6 +31,7 @@ from nsde_torch.systems import System
 from nsde_torch.systems.vocabulary import seen_by, vocabulary
 
 _KNOTS = (0.05, 0.2, 0.5, 0.8, 0.95)  # quantiles that hinges start from
+_SELDOM = 0.01  # share of values of the other sign that is noise
 _WIDTH = 0.05  # of a sign, of the 90 % quantile of the variable
 _TURNS = (1, 2, 3)  # times an angle
 # an eddy brake, largest at 8 rad/s, was five laws of the speed beside one another; a spring of rubber had no form
@@ -58,7 +59,8 @@ def terms_of(
         out += _of_one(name, values[name], name in angles, name in speeds)
     for i, first in enumerate(names):
         for second in names[i + 1 :]:
-            out += [LawTerm((text,)) for text in _of_two(first, second)]
+            signed = [name for name in (first, second) if has_both_signs(values[name])]
+            out += [LawTerm((text,)) for text in _of_two(first, second, signed)]
             # two propellers that push a boat sideways: the product of both was named, which explained three quarters
             out.append(LawTerm((first, second)))
             for a, b in ((first, second), (second, first)):
@@ -68,8 +70,21 @@ def terms_of(
     return out
 
 
+def has_both_signs(v: Array) -> bool:
+    """Whether values (M,) are more than now and then of either sign.
+
+    Of those that are not, sizes and sides are no terms of their own: the yaw of a vehicle that only goes ahead was `u v`
+    and `abs(u) v`, and provisional.
+    """
+    low, high = np.quantile(v, (_SELDOM, 1.0 - _SELDOM))
+    return bool(low < 0 < high)
+
+
 def _of_one(name: str, v: Array, angle: bool, speed: bool) -> Iterator[LawTerm]:
-    for text in (name, *(f"{name}^{n}" for n in (2, 3, 4, 5)), f"abs({name})", f"abs({name}) {name}"):
+    signed = has_both_signs(v)
+    for text in (name, *(f"{name}^{n}" for n in (2, 3, 4, 5))):
+        yield LawTerm((text,))
+    for text in (f"abs({name})", f"abs({name}) {name}") if signed else ():
         yield LawTerm((text,))
     size = max(float(np.quantile(np.abs(v), 0.9)), 1e-12)
     yield LawTerm((f"sign({name}, k1)",), (("k1", _WIDTH * size),))
@@ -79,7 +94,7 @@ def _of_one(name: str, v: Array, angle: bool, speed: bool) -> Iterator[LawTerm]:
     for exponent in () if speed else _EXPONENTS:
         yield LawTerm((f"expm1(k1 {name})",), (("k1", exponent / size),))
     for side in ("max", "min"):
-        if v.min() < 0 < v.max():
+        if signed:
             yield LawTerm((f"{side}({name}, 0)",))
             yield LawTerm((f"{side}({name}, 0)^2",))
         for knot in np.quantile(v, _KNOTS):
@@ -89,10 +104,12 @@ def _of_one(name: str, v: Array, angle: bool, speed: bool) -> Iterator[LawTerm]:
         yield from (LawTerm((f"sin({inner})",)), LawTerm((f"cos({inner})",)))
 
 
-def _of_two(a: str, b: str) -> Iterator[str]:
-    yield from (f"{a} {b}", f"{a}^2 {b}", f"{a} {b}^2", f"abs({a}) {b}", f"{a} abs({b})")
-    for side in ("max", "min"):
-        yield from (f"{side}({a}, 0) {b}", f"{a} {side}({b}, 0)")
+def _of_two(a: str, b: str, signed: Sequence[str]) -> Iterator[str]:
+    yield from (f"{a} {b}", f"{a}^2 {b}", f"{a} {b}^2")
+    for one, other in ((a, b), (b, a)):
+        if one in signed:
+            for of_it in (f"abs({one})", f"max({one}, 0)", f"min({one}, 0)"):
+                yield f"{of_it} {other}" if one == a else f"{other} {of_it}"
 
 
 # ---- columns of the likelihood -------------------------------------------------------------------------

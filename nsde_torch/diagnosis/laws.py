@@ -73,8 +73,8 @@ def terms_of(
 def has_both_signs(v: Array) -> bool:
     """Whether values (M,) are more than now and then of either sign.
 
-    Of those that are not, sizes and sides are no terms of their own: the yaw of a vehicle that only goes ahead was `u v`
-    and `abs(u) v`, and provisional.
+    Of those that are not, sizes and sides are no terms of their own: the yaw of a vehicle that only goes ahead was
+    `u v` and `abs(u) v`, and provisional.
     """
     low, high = np.quantile(v, (_SELDOM, 1.0 - _SELDOM))
     return bool(low < 0 < high)

@@ -18,7 +18,6 @@ nobody declared would else be learned as a function of the state (docs/content/t
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import combinations, groupby, pairwise
 from math import log
 from typing import TypeAlias
@@ -30,7 +29,7 @@ from scipy.stats import chi2
 
 from nsde_torch.arrays import Array, Labels
 from nsde_torch.inference.estimate import Optimum
-from nsde_torch.inference.filtering import Pass, filtered, forced, with_parameters
+from nsde_torch.inference.filtering import Linearisation, Pass, filtered, forced, with_parameters
 from nsde_torch.inference.force_scores import FunctionScores, force_scores
 from nsde_torch.inference.levels import Levels
 from nsde_torch.inference.maximum import likeliest
@@ -224,7 +223,7 @@ class _View:
         self._turns: tuple[Levels, dict[BasisGroup, Array]] | None = None
         # rows of 200 columns are then 150 MB at most; longer logs are held against ten groups a turn alone
         self._keeps = int(self.space.chunks.counted.sum()) <= 2 * _SCREENED
-        self._rows: tuple[tuple[BasisGroup, ...], WhitenedRows] | None = None
+        self._rows: tuple[tuple[BasisGroup, ...], WhitenedRows, Array] | None = None
 
     def at(self, levels: Levels) -> Pass:
         """The pass under some noise levels."""
@@ -243,71 +242,93 @@ class _View:
         return torch.from_numpy(values).view(*self.about.x.shape[:2], -1)
 
     def blocks(
-        self,
-        groups: Sequence[BasisGroup],
-        levels: Levels,
-        scaled: Mapping[str, Scale],
-        apart: Sequence[BasisGroup] = (),
+        self, groups: Sequence[BasisGroup], levels: Levels, scaled: Mapping[str, Scale]
     ) -> tuple[Array, list[slice], list[Array]]:
         """Gram matrices by block of [e, theta, groups], columns of each group, and what these are of its functions.
-
-        Groups `apart` come after the others; products of one with another of them are 0. Rows of the others are kept
-        where they are few: what was chosen is soon the larger part of each recursion.
 
         Directions of a group that the declared parameters can do already are left out: what is left of them is
         rounding, and weights of it could be anything.
         """
-        together, groups = len(groups), [*groups, *apart]
-        if self._turns is None or self._turns[0] is not levels:
-            self._turns, self._rows = (levels, {}), None
-        known_turns = self._turns[1]
-        begun = [known_turns.get(g) for g in groups]
-        each = [
-            self.force(g, scaled) if turn is None else self.force(g, scaled) @ torch.from_numpy(turn)
-            for g, turn in zip(groups, begun, strict=True)
-        ]
-        ends = np.cumsum([1, self.base.shape[-1], *(force.shape[-1] for force in each)])
-        own, theta = [slice(a, b) for a, b in pairwise(ends[1:].tolist())], int(ends[1])
-        parted = own[together:]
-        on_ports = partial(_on_ports, groups, each)
-        of = self.space, levels, self.about, self.at(levels)
-        if apart and self._keeps and all(turn is not None for turn in begun[:together]):
-            fixed = tuple(groups[:together])
-            if self._rows is None or self._rows[0] != fixed:
-                self._rows = None  # before others take its place
-                self._rows = fixed, rows_of(of, self.base, on_ports(0, together))
-            held = self._rows[1].beside(on_ports(together, len(groups)), parted)
-        else:
-            held = grams(*of, self.base, forces=on_ports(0, len(groups)), apart=parted)
-        total = held.total
-        known = np.asarray(np.linalg.pinv(total[1:theta, 1:theta], rcond=_ROUNDING, hermitian=True))
-        for g, turn, s in zip(groups, begun, own, strict=True):
-            if turn is None:
-                known_turns[g] = _new(total, known, theta, s)
+        known_turns = self._turns_at(levels)
+        rest = [g not in known_turns for g in groups]
+        each = [self._turned(g, known_turns, scaled) for g in groups]
+        theta = 1 + self.base.shape[-1]
+        own = _slices(theta, [force.shape[-1] for force in each])
+        held = grams(*self._of(levels), self.base, forces=_on_ports(groups, each))
+        known = _pseudo_inverse(held.total, theta)
+        for g, s in zip(groups, own, strict=True):
+            if g not in known_turns:
+                known_turns[g] = _new(held.total[s, s], held.total[1:theta, s], known)
         turns = [known_turns[g] for g in groups]
-        # columns are in the directions that are kept already where these were known
-        rest = [t if b is None else None for t, b in zip(turns, begun, strict=True)]
-        ends = np.cumsum([theta, *(t.shape[1] for t in turns)])
-        slices = [slice(a, b) for a, b in pairwise(ends.tolist())]
 
         def turned(values: Array) -> Array:
             """Rows of theta and of the groups (B, n, q) in the directions that these keep (B, n', q)."""
-            if all(turn is None for turn in rest[:together]):
-                return values
-            pairs = zip(own[:together], rest, strict=False)
-            kept = [values[:, s] if turn is None else turn.T @ values[:, s] for s, turn in pairs]
+            kept = [
+                turn.T @ values[:, s] if new else values[:, s]
+                for s, turn, new in zip(own, turns, rest, strict=True)
+            ]
             return np.concatenate([values[:, :theta], *kept], 1)
 
-        before = slice(0, own[together - 1].stop if together else theta)
-        after = slice(0, slices[together - 1].stop if together else theta)
-        out = np.zeros((len(held.blocks), ends[-1], ends[-1]))
-        out[:, after, after] = turned(turned(held.blocks[:, before, before]).transpose(0, 2, 1))
-        for s, to, own_turn in zip(parted, slices[together:], rest[together:], strict=True):
-            across, inner = turned(held.blocks[:, before, s]), held.blocks[:, s, s]
-            if own_turn is not None:
-                across, inner = across @ own_turn, own_turn.T @ inner @ own_turn
-            out[:, after, to], out[:, to, after], out[:, to, to] = across, across.transpose(0, 2, 1), inner
-        return out, slices, turns
+        slices = _slices(theta, [turn.shape[1] for turn in turns])
+        if not any(rest):
+            return held.blocks, slices, turns
+        return turned(turned(held.blocks).transpose(0, 2, 1)), slices, turns
+
+    def beside(
+        self,
+        groups: Sequence[BasisGroup],
+        apart: Sequence[BasisGroup],
+        levels: Levels,
+        scaled: Mapping[str, Scale],
+    ) -> tuple[Array, list[slice], list[tuple[Array, Array]]]:
+        """Gram matrices by block and columns of some groups, as `blocks` has them, and what each of others adds.
+
+        Of each of `apart` products with [e, theta, groups] (B, n, q), and of its own (B, q, q). Rows of the groups are
+        kept where they are few: what was chosen is soon the larger part of each recursion.
+        """
+        turns = self._turns_at(levels)
+        if any(g not in turns for g in groups):
+            self.blocks(groups, levels, scaled)
+        theta = 1 + self.base.shape[-1]
+        slices = _slices(theta, [turns[g].shape[1] for g in groups])
+        each = [self._turned(g, turns, scaled) for g in (*groups, *apart)]
+        chosen, further = each[: len(groups)], each[len(groups) :]
+        if self._keeps:
+            if self._rows is None or self._rows[0] != tuple(groups):
+                self._rows = None  # before others take its place
+                rows = rows_of(self._of(levels), self.base, _on_ports(groups, chosen))
+                self._rows = tuple(groups), rows, rows.blocks
+            _, rows, head = self._rows
+            pieces = rows.beside([(g.port, force) for g, force in zip(apart, further, strict=True)])
+        else:
+            first = slices[-1].stop if slices else theta
+            parted = _slices(first, [force.shape[-1] for force in further])
+            forces = _on_ports([*groups, *apart], each)
+            whole = grams(*self._of(levels), self.base, forces=forces, apart=parted).blocks
+            head = whole[:, :first, :first]
+            pieces = [(whole[:, :first, s], whole[:, s, s]) for s in parted]
+        known = _pseudo_inverse(head.sum(0), theta)
+        for k, (group, (across, inner)) in enumerate(zip(apart, pieces, strict=True)):
+            if group not in turns:
+                turns[group] = turn = _new(inner.sum(0), across[:, 1:theta].sum(0), known)
+                pieces[k] = across @ turn, turn.T @ inner @ turn
+        return head, slices, pieces
+
+    def _of(self, levels: Levels) -> tuple[StateSpace, Levels, Linearisation, Pass]:
+        return self.space, levels, self.about, self.at(levels)
+
+    def _turns_at(self, levels: Levels) -> dict[BasisGroup, Array]:
+        """What columns under these noise levels are of the functions of each group, where that is known."""
+        if self._turns is None or self._turns[0] is not levels:
+            self._turns, self._rows = (levels, {}), None
+        return self._turns[1]
+
+    def _turned(
+        self, group: BasisGroup, turns: Mapping[BasisGroup, Array], scaled: Mapping[str, Scale]
+    ) -> torch.Tensor:
+        """Values of a group's columns at the steps (T, C, q): of its functions where these are not known."""
+        force = self.force(group, scaled)
+        return force if group not in turns else force @ torch.from_numpy(turns[group])
 
 
 @dataclass(frozen=True)
@@ -475,14 +496,13 @@ class _Choice:
             check_time()
             some = self._at_once(view, rest)
             rest = rest[len(some) :]
-            blocks, slices, _ = view.blocks(chosen, self._levels, self._scaled, some)
-            kept, own = slices[: len(chosen)], slices[len(chosen) :]
+            head, kept, pieces = view.beside(chosen, some, self._levels, self._scaled)
             if not len(before):  # without any of them
-                before, ridge = self._held_out(view, blocks, kept)
-            for width in {s.stop - s.start for s in own}:
-                alike = [k for k, s in enumerate(own) if s.stop - s.start == width]
-                columns = np.array([range(own[k].start, own[k].stop) for k in alike], dtype=np.int64)
-                after = self._beside(view, blocks, kept, ridge, columns)[0]
+                before, ridge = self._held_out(view, head, kept)
+            for width in {inner.shape[-1] for _, inner in pieces}:
+                alike = [k for k, (_, inner) in enumerate(pieces) if inner.shape[-1] == width]
+                across, inner = (np.stack([pieces[k][part] for k in alike]) for part in (0, 1))
+                after = self._beside(view, head, kept, ridge, across, inner)[0]
                 for k, won in zip(alike, before - after, strict=True):
                     out[some[k]] = float(won.sum()), float(won.std() * len(won) ** 0.5)
         return out
@@ -503,63 +523,78 @@ class _Choice:
     ) -> tuple[Array, list[float]]:
         """Half the squares left of each block by what was fitted without its fold (B,); 1 / tau^2 of the groups."""
         ridge, total = list(known), blocks.sum(0)
+        declared = np.arange(1 + self._optimum.of.space.vector.scale.size)
         for k in range(len(ridge), len(groups)):
-            ridge += self._ridges(total, groups[:k], _columns(groups[k : k + 1])[None]).tolist()
-        return self._beside(view, blocks, groups, ridge, np.zeros((1, 0), dtype=np.int64))[0][0], ridge
+            before, own = np.concatenate((declared, _columns(groups[:k]))), groups[k]
+            shared, across = total[np.ix_(before, before)], total[before, own]
+            ridge += self._ridges(shared, across[None], total[None, own, own]).tolist()
+        some = np.concatenate((declared, _columns(groups)))
+        head = blocks if len(some) == blocks.shape[1] else blocks[:, some[:, None], some]
+        none = head[None, :, :, :0]
+        return self._beside(view, head, groups, ridge, none, none[:, :, :0])[0][0], ridge
 
     def _beside(
-        self, view: _View, blocks: Array, groups: Sequence[slice], ridge: Sequence[float], columns: Labels
+        self,
+        view: _View,
+        head: Array,
+        groups: Sequence[slice],
+        ridge: Sequence[float],
+        across: Array,
+        inner: Array,
     ) -> tuple[Array, Array]:
-        """The same beside each of further groups of the columns (G, q): (G, B), and their 1 / tau^2 (G,).
+        """The same beside each of G further groups: (G, B), and their 1 / tau^2 (G,).
 
         What all of them share is solved for once in a fold; each is then a small matrix of its own.
+
+        Args:
+            head: Gram matrices of [e, theta, groups] by block (B, n, n).
+            across, inner: Products of each further group with these (G, B, n, q), and its own (G, B, q, q).
         """
         theta = 1 + self._optimum.of.space.vector.scale.size
-        total = blocks.sum(0)
-        further = self._ridges(total, groups, columns)
-        shared = np.concatenate((np.arange(1, theta), _columns(groups)))
-        sizes = [s.stop - s.start for s in groups]
-        each = np.repeat(np.array(ridge, dtype=float), sizes)
+        total, total_across, total_inner = head.sum(0), across.sum(1), inner.sum(1)
+        further = self._ridges(total, total_across, total_inner)
+        each = np.repeat(np.array(ridge, dtype=float), [s.stop - s.start for s in groups])
         held = np.concatenate((_KNOWN * np.diag(total)[1:theta], each))
-        weights = np.repeat(further[:, None], columns.shape[1], 1)
-        first, rows, across = np.concatenate(([0], shared)), columns[:, :, None], columns[:, None, :]
-        out = np.empty((len(columns), len(blocks)))
+        weights = np.repeat(further[:, None], across.shape[-1], 1)
+        out = np.empty((len(across), len(head)))
         for f in range(_FOLDS):
             inside = view.fold == f
-            own = blocks[inside]
-            rest = total - own.sum(0)
+            own, own_across, own_inner = head[inside], across[:, inside], inner[:, inside]
+            rest, rest_across = total - own.sum(0), total_across - own_across.sum(1)
             # of e and of the columns of each group, what the shared ones do not explain
-            taken = inverted(rest[np.ix_(shared, shared)] + np.diag(held)) @ rest[shared]
-            left = rest - rest[:, shared] @ taken
-            alone = np.zeros((len(columns), 1 + columns.shape[1], 1 + columns.shape[1]))
-            alone[:, 1:, 0], alone[:, 1:, 1:] = left[columns, 0], left[rows, across]
+            inverse = inverted(rest[1:, 1:] + np.diag(held))
+            taken, of_e = inverse @ rest_across[:, 1:], inverse @ rest[1:, 0]
+            turned = rest_across[:, 1:].swapaxes(1, 2)
+            alone = np.zeros((len(across), 1 + across.shape[-1], 1 + across.shape[-1]))
+            alone[:, 1:, 0] = rest_across[:, 0] - turned @ of_e
+            alone[:, 1:, 1:] = total_inner - own_inner.sum(1) - turned @ taken
             step = solved(alone, weights)
-            less = np.ones((len(columns), first.size))  # what e is less, by what they share
-            less[:, 1:] = np.einsum("ngq,gq->gn", taken[:, columns], step) - taken[:, 0]
-            for b, block in zip(np.flatnonzero(inside), own, strict=True):
-                crossed = less @ block[first]
-                squares = (crossed[:, first] * less).sum(1)
-                squares -= 2.0 * (np.take_along_axis(crossed, columns, 1) * step).sum(1)
-                out[:, b] = 0.5 * (squares + np.einsum("gq,gqr,gr->g", step, block[rows, across], step))
+            less = np.ones((len(across), len(total)))  # what e is less, by what they share
+            less[:, 1:] = (taken @ step[..., None])[..., 0] - of_e
+            squares = ((less @ own) * less).sum(-1).T
+            column = step[:, None, :, None]
+            squares -= 2.0 * ((own_across @ column)[..., 0] * less[:, None]).sum(-1)
+            out[:, inside] = 0.5 * (squares + ((own_inner @ column)[..., 0] * step[:, None]).sum(-1))
         return out, further
 
-    def _ridges(self, total: Array, groups: Sequence[slice], columns: Labels) -> Array:
-        """1 / tau^2 of largest marginal likelihood of groups of columns (G, q), each beside some others."""
-        if not columns.shape[1]:
-            return np.ones(len(columns))
-        known = np.concatenate((np.arange(1, 1 + self._optimum.of.space.vector.scale.size), _columns(groups)))
-        inverse = np.linalg.pinv(total[known[:, None], known], rcond=_ROUNDING, hermitian=True)
-        across = total[known[None, :, None], columns[:, None, :]]
-        taken = across.swapaxes(1, 2) @ inverse
-        left = total[columns[:, :, None], columns[:, None, :]] - taken @ across
-        pull = total[columns, 0] - taken @ total[known, 0]
+    def _ridges(self, shared: Array, across: Array, inner: Array) -> Array:
+        """1 / tau^2 of largest marginal likelihood of groups (G,), each beside [e, theta, ...] (n, n).
+
+        `across` are their products with these (G, n, q), and `inner` their own (G, q, q).
+        """
+        if not inner.shape[-1]:
+            return np.ones(len(inner))
+        inverse = _pseudo_inverse(shared, len(shared))
+        taken = across[:, 1:].swapaxes(1, 2) @ inverse
+        left = inner - taken @ across[:, 1:]
+        pull = across[:, 0] - taken @ shared[1:, 0]
         value, turned = np.linalg.eigh(left)
         value, along = value.clip(0.0), np.square(turned.swapaxes(1, 2) @ pull[..., None])[..., 0]
         square = np.square(_VARIANCES[:, None]) / value.max(1).clip(1e-300)
         gain = 1.0 + square[..., None] * value
         evidence = (square[..., None] * along / gain).sum(-1) - np.log(gain).sum(-1)
         best = evidence.argmax(0)
-        return np.asarray(1.0 / square[best, np.arange(len(columns))])
+        return np.asarray(1.0 / square[best, np.arange(len(inner))])
 
     def _fitted(self, chosen: Sequence[BasisGroup]) -> _Fit:
         """Some groups together, under the noise levels found so far."""
@@ -656,12 +691,20 @@ def log_chance(scores: FunctionScores) -> float:
     return float(chi2.logsf(2.0 * mean / variance * np.square(scores.total).sum(), 2.0 * mean**2 / variance))
 
 
-def _on_ports(
-    groups: Sequence[BasisGroup], each: Sequence[torch.Tensor], first: int, end: int
-) -> list[tuple[int, torch.Tensor]]:
+def _on_ports(groups: Sequence[BasisGroup], each: Sequence[torch.Tensor]) -> list[tuple[int, torch.Tensor]]:
     """Forces of some groups (T, C, q), those of neighbours on the same port as one."""
-    pairs = groupby(zip(groups[first:end], each[first:end], strict=True), lambda pair: pair[0].port)
+    pairs = groupby(zip(groups, each, strict=True), lambda pair: pair[0].port)
     return [(port, torch.cat([force for _, force in some], -1)) for port, some in pairs]
+
+
+def _slices(first: int, widths: Sequence[int]) -> list[slice]:
+    """Columns of groups of so many each, behind the first ones."""
+    return [slice(a, b) for a, b in pairwise(np.cumsum([first, *widths]).tolist())]
+
+
+def _pseudo_inverse(total: Array, end: int) -> Array:
+    """Of the Gram matrix of columns from the second to the end."""
+    return np.asarray(np.linalg.pinv(total[1:end, 1:end], rcond=_ROUNDING, hermitian=True))
 
 
 def _columns(groups: Sequence[slice]) -> Labels:
@@ -692,9 +735,11 @@ def _scale(v: Array) -> Scale:
     return Scale(0.5 * (low + high), 0.5 * (high - low), float(np.sqrt(np.square(v).mean())))
 
 
-def _new(total: Array, known: Array, theta: int, own: slice) -> Array:
-    """Directions (q, q') of a group's weights that the declared parameters cannot do already."""
-    inner, across = total[own, own], total[1:theta, own]
+def _new(inner: Array, across: Array, known: Array) -> Array:
+    """Directions (q, q') of a group's weights that the declared parameters cannot do already.
+
+    `inner` are products of its functions (q, q), `across` those with the parameters (p, q), `known` these inverted.
+    """
     value, along = np.linalg.eigh(inner)
     live = value > _ROUNDING * max(float(value.max()), 1e-300)
     unit = along[:, live] / np.sqrt(value[live])

@@ -10,6 +10,7 @@ so that parameters, effects of a catalogue and nuisances are columns of one line
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
@@ -142,22 +143,30 @@ class WhitenedRows:
         order = torch.cat(steps).argsort()
         return torch.cat(steps)[order].numpy(), torch.cat(rows)[order].double().numpy()
 
+    @property
+    def blocks(self) -> Array:
+        """Gram matrices of e and the columns, by block of time (B, 1 + k, 1 + k)."""
+        return self.of[0].chunks.blocks(self.sums)
+
     @torch.no_grad()
-    def beside(self, forces: Sequence[tuple[int, Tensor]], apart: Sequence[slice]) -> Grams:
-        """Gram matrices with forces `apart` behind the columns that were kept: see `grams`."""
+    def beside(self, forces: Sequence[tuple[int, Tensor]]) -> list[tuple[Array, Array]]:
+        """Products with the columns of each of some forces, and of these columns with one another.
+
+        By block of time: (B, 1 + k, q) and (B, q, q) of a force with q columns; see `grams`.
+        """
         space, _, about, _ = self.of
-        head = self.sums.shape[-1]
-        size = head + sum(force.shape[-1] for _, force in forces)
-        sums = self.sums.new_zeros(*self.sums.shape[:2], size, size)
-        sums[..., :head, :head] = self.sums
+        ends = np.cumsum([0, *(force.shape[-1] for _, force in forces)]).tolist()
+        parts = [slice(a, b) for a, b in pairwise(ends)]
+        across = self.sums.new_zeros(*self.sums.shape[:3], ends[-1])
+        inner = [self.sums.new_zeros(*self.sums.shape[:2], s.stop - s.start, s.stop - s.start) for s in parts]
         for p, some, table in _tables(self.of, about.slopes[..., :0], forces):
             further = table[..., 1:]
-            across = self.tables[p][some].double().transpose(1, 2) @ further
-            sums[p, some, :head, head:], sums[p, some, head:, :head] = across, across.transpose(1, 2)
-            for s in apart:
-                own = further[..., s.start - head : s.stop - head]
-                sums[p, some, s, s] = own.transpose(1, 2) @ own
-        return Grams(space.chunks.blocks(sums), space.measurements, size - 1)
+            across[p, some] = self.tables[p][some].double().transpose(1, 2) @ further
+            for s, sums in zip(parts, inner, strict=True):
+                own = further[..., s]
+                sums[p, some] = own.transpose(1, 2) @ own
+        whole = space.chunks.blocks(across)
+        return [(whole[..., s], space.chunks.blocks(sums)) for s, sums in zip(parts, inner, strict=True)]
 
 
 @torch.no_grad()

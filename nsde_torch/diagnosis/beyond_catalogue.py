@@ -47,6 +47,7 @@ from nsde_torch.inference.steps import Steps
 from nsde_torch.systems import System
 from nsde_torch.systems.vocabulary import seen_by, vocabulary
 
+_COUPLED = 10  # variables of which products of three are tried: a multirotor has thirty, and 4,000 products
 _CLOSE = 0.3  # share of the nats of the best term below which no further one is fitted
 
 
@@ -161,28 +162,36 @@ class _LawSearch:
         return found
 
     def _couplings(self, place: FittedPhysics) -> list[Term]:
-        """Products of two speeds with the sine or cosine of an angle, as of Coriolis forces: of three variables.
+        """Products of three variables, or of two with the sine or cosine of an angle, as of Coriolis forces.
 
         Functions are of two variables: of a gimbal whose yaw lacked such a force two false laws were provisional, and
-        the effects explained all that functions can (tests/diagnosis/test_laws_beyond_the_catalogue.py).
+        the effects explained all that functions can (tests/diagnosis/test_laws_beyond_the_catalogue.py); of a turbine
+        that the product of wind, blade angle and speed brakes, `om^2 beta` was sure.
         """
         system, space, found = place.system, place.at.of.space, list[Term]()
         units = {name: unit for name, unit, _ in vocabulary(type(system)).variables}
-        values = dict(zip(system.state_names, space.steps.x0[:, : system.nx].numpy().T, strict=True))
-        angles = [name for name in values if units.get(name) == "rad"]
-        speeds = [name for name in values if units.get(name) in ("m/s", "rad/s")]
-        columns = {
-            f"{f}({turn}{a}) {b} {c}": wave((2.0 if turn else 1.0) * values[a]) * values[b] * values[c]
-            for a in angles
-            for turn in ("", "2 ")
-            for f, wave in (("sin", np.sin), ("cos", np.cos))
-            for b, c in combinations(speeds, 2)
-        }
+        states = dict(zip(system.state_names, space.steps.x0[:, : system.nx].T, strict=True))
+        seen = machine_variables(system, space.steps.x0[:, : system.nx], space.steps.u, inputs=True)
+        values = {name: v.numpy() for name, v in (states | seen).items() if name in units}
+        angles = [name for name in values if units[name] == "rad"]
+        known = {f"{f}_{a}" for f in ("sin", "cos") for a in angles}
+        values = {name: v for name, v in values.items() if name not in known}
+        if len(values) > _COUPLED:
+            return []
+        products = {" ".join(names): [values[n] for n in names] for names in combinations(values, 3)}
+        for a in angles:
+            waves = {f"{f}({turn}{a})": (f, turn) for f in ("sin", "cos") for turn in ("", "2 ")}
+            others = [name for name in values if name != a]
+            for text, (f, turn) in waves.items():
+                wave = getattr(np, f)((2.0 if turn else 1.0) * values[a])
+                products |= {
+                    f"{text} {b} {c}": [wave, values[b], values[c]] for b, c in combinations(others, 2)
+                }
         ports = [k for k, (port, _) in enumerate(space.disturbances) if port in system.residual_ports]
-        least = log(max(len(columns) * len(ports), 1) / self._search.search.level("effects"))
-        for k in ports if columns else ():
+        least = log(max(len(products) * len(ports), 1) / self._search.search.level("effects"))
+        for k in ports if products else ():
             scores = force_scores(place.at)
-            nats = {part: scores.of(column[:, None], k).nats for part, column in columns.items()}
+            nats = {part: scores.of(np.prod(of, 0)[:, None], k).nats for part, of in products.items()}
             best = max(nats, key=lambda part: nats[part])
             if nats[best] > least:
                 found.append(law_on(system, place.at, k, (best,), {}))

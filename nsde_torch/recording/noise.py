@@ -34,7 +34,7 @@ NEIGHBOURHOOD = 25  # rows on each side against which a sample is judged
 _GLITCH_QUANTA, _RANGE = 3.0, 0.01  # of the steps that values come in, and of their range
 _LEFT = 0.3  # share of a glitch that its neighbours may be off without it
 _MOST = 0.02  # share of the rows; more is how the sensor is
-_EVEN = 0.2  # of a step, by which the rows around a glitch may be apart from it
+_MISSING = 2.5  # steps that rows around a glitch may be apart
 
 _LEAVES, _USUAL = 0.1, 8.0  # of the largest speed, and of the column's usual change
 _BEYOND = 1.2  # share of the largest speed beyond which a value is no speed, however long it lasts
@@ -54,10 +54,22 @@ _MOVES = 0.2
 """Steps from row to row, over the large ones, that count as a motion: a coarse sensor stands still in between."""
 
 
-def off_curve(x: Array) -> Array:
-    """What a cubic through the two neighbours on each side leaves of samples (n,) at equal distances; 0 at the ends."""
+def off_curve(x: Array, t: Array | None = None) -> Array:
+    """What a cubic through the two neighbours on each side leaves of samples (n,); 0 at the ends.
+
+    At times (n,), or at equal distances.
+    """
     out = np.zeros_like(x)
-    out[2:-2] = x[2:-2] - (4.0 * (x[1:-3] + x[3:-1]) - (x[:-4] + x[4:])) / 6.0
+    if t is None:
+        out[2:-2] = x[2:-2] - (4.0 * (x[1:-3] + x[3:-1]) - (x[:-4] + x[4:])) / 6.0
+        return out
+    n = len(x)
+    beside = [slice(2 + k, n - 2 + k) for k in (-2, -1, 1, 2)]
+    out[2:-2] = x[2:-2]
+    for one in beside:  # Lagrange's polynomials
+        others = [other for other in beside if other != one]
+        weight = np.prod([(t[2:-2] - t[other]) / (t[one] - t[other]) for other in others], 0)
+        out[2:-2] -= weight * x[one]
     return out
 
 
@@ -98,13 +110,12 @@ def mend_glitches(run: RawRun, system: SystemInfo, report: Report) -> None:
     n = len(run.t)
     if n < 2 * NEIGHBOURHOOD:
         return
-    even = _even(run.t)
     partners = dict(rate_pairs(system))
     q = range(n)[:0] if system.quaternion is None else range(run.x.shape[1])[system.quaternion]
     turned = False
     for k, name in enumerate(system.state_names):
         rate = partners.get(k)
-        column, off = _mended(run.x[:, k], even, None if rate is None else run.x[:, rate], run.t)
+        column, off = _mended(run.x[:, k], None if rate is None else run.x[:, rate], run.t)
         if not off or len(off) > _MOST * n:
             continue
         run.x = run.x.copy()
@@ -120,49 +131,80 @@ def mend_glitches(run: RawRun, system: SystemInfo, report: Report) -> None:
         run.x[:, system.quaternion] /= np.linalg.norm(run.x[:, system.quaternion], axis=1, keepdims=True)
 
 
-def _even(t: Array) -> Mask:
-    """Whether the two rows before and behind are about one step apart each."""
+def _near(t: Array) -> Mask:
+    """Whether no more than one row is missing between any two of a row and the two on each side."""
     step = np.diff(t)
-    good = np.abs(step - np.median(step)) < _EVEN * np.median(step)
+    good = step < _MISSING * np.median(step)
     out = np.zeros(len(t), dtype=bool)
     out[2:-2] = good[:-3] & good[1:-2] & good[2:-1] & good[3:]
     return out
 
 
-def _mended(column: Array, even: Mask, rate: Array | None, t: Array) -> tuple[Array, dict[int, float]]:
+def _mended(column: Array, rate: Array | None, t: Array) -> tuple[Array, dict[int, float]]:
     """The column without glitches, and their sizes by row."""
-    size, changes = np.abs(off_curve(column)), np.abs(np.diff(column))
+    near, size, changes = _near(t), np.abs(off_curve(column, t)), np.abs(np.diff(column))
     off: dict[int, float] = {}
-    if not (changes > 0).any() or not even.any():
+    if not (changes > 0).any() or not near.any():
         return column, off
+    usual_change = float(np.quantile(changes, 0.95))
+    if (
+        rate is not None
+    ):  # of a pole that spins each change is as large as a glitch, and what its rate makes of it
+        against = np.abs(np.diff(column) - 0.5 * np.diff(t) * (rate[1:] + rate[:-1]))
+        usual_change = min(usual_change, float(np.quantile(against, 0.95)))
     least = max(
-        SIGMAS * 1.4826 * float(np.median(size[even])),
-        CHANGES * float(np.quantile(changes, 0.95)),
+        SIGMAS * 1.4826 * float(np.median(size[near])),
+        CHANGES * usual_change,
         _GLITCH_QUANTA * quantum(column),
         _RANGE * float(np.ptp(column)),
     )
-    candidates = np.flatnonzero(even & (size > least))
+    candidates = np.flatnonzero(near & (size > least))
     if not len(candidates):
         return column, off
-    usual = percentile_filter(size, 90, size=2 * NEIGHBOURHOOD + 1, mode="nearest")
-    candidates = candidates[size[candidates] > ISOLATION * usual[candidates]]
     column = column.copy()
     for k in candidates[np.argsort(-size[candidates])].tolist():
-        by = float(off_curve(column[k - 2 : k + 3])[2])  # what was mended nearby no longer counts
-        if abs(by) <= least:
-            continue
-        at = min(k, 4)
-        without = column[k - at : k + 5].copy()
-        without[at] -= by
-        left = np.abs(off_curve(without))
-        back = abs(column[k + 1] - column[k - 1])
-        if max(left[at - 2 : at + 3].max(), back) > _LEFT * abs(by) + least / SIGMAS * 3:
-            continue
-        if rate is not None and _moves(column, by, rate, t, k):
-            continue
-        column[k] -= by
-        off[k] = by
+        # of two within four rows each spoils the neighbours of the other
+        beside = [j for j in candidates if 0 < abs(j - k) <= 4 and j not in off] if k not in off else []
+        for rows in ([k], *([k, int(j)] for j in sorted(beside, key=lambda j: -size[j]))):
+            found = _off(column, t, rows, least)
+            if not found or (
+                rate is not None and any(_moves(column, by, rate, t, j) for j, by in found.items())
+            ):
+                continue
+            for j, by in found.items():
+                column[j] -= by
+                off[j] = off.get(j, 0.0) + by
+            break
+    # the neighbourhood without them: of three in a second none stood out (a cart of which 1 % of samples were off)
+    left = np.abs(off_curve(column, t))
+    usual = percentile_filter(left, 90, size=2 * NEIGHBOURHOOD + 1, mode="nearest")
+    for k in [k for k, by in off.items() if abs(by) <= ISOLATION * usual[k]]:
+        column[k] += off.pop(k)
     return column, off
+
+
+def _off(column: Array, t: Array, rows: Sequence[int], least: float) -> dict[int, float]:
+    """By how much rows are off the curve through their neighbours; empty where these do not fit without them."""
+    first, end = max(min(rows) - 4, 0), max(rows) + 5
+    without, times = column[first:end].copy(), t[first:end]
+    good = np.delete(np.arange(len(without)), [k - first for k in rows])
+    out = {}
+    for k in rows:
+        place = int(np.searchsorted(good, k - first))
+        some = good[max(place - 2, 0) : place + 2]
+        if len(some) < 4:
+            return {}
+        around = np.insert(without[some], 2, without[k - first]), np.insert(times[some], 2, times[k - first])
+        out[k] = float(off_curve(*around)[2])
+        back = abs(float(np.diff(without[some[1:3]])[0]))
+        if abs(out[k]) <= least or back > _LEFT * abs(out[k]) + least / SIGMAS * 3:
+            return {}
+    for k, by in out.items():
+        without[k - first] -= by
+    left, looked = np.abs(off_curve(without, times)), [k - first for k in rows]
+    most = left[max(min(looked) - 2, 0) : max(looked) + 3].max()
+    smallest = min(abs(by) for by in out.values())
+    return {} if most > _LEFT * smallest + least / SIGMAS * 3 else out
 
 
 def _moves(position: Array, off: float, rate: Array, t: Array, k: int) -> bool:

@@ -50,6 +50,19 @@ def test_single_samples_that_are_off_are_put_on_the_curve_and_told_by_column_and
     assert (np.delete(data.runs[0].x, rows, 0) == np.delete(x, rows, 0)).all()
 
 
+def test_samples_that_are_off_are_found_beside_one_another_and_beside_missing_rows() -> None:
+    """Three within a second, two of them neighbours: none stood out of a neighbourhood that held the others."""
+    x, rows = swing(0.003), [300, 320, 340, 341, 700, 705]
+    spoilt = x.copy()
+    spoilt[rows, 1] += [0.6, -0.5, 0.7, 0.6, -0.6, 0.6]
+    kept = np.delete(np.arange(len(x)), [301, 698, 703])
+    run = RawRun("run", T[kept], spoilt[kept], np.sin(7 * T[kept])[:, None])
+    data = assemble([run], MSD, kind="test")
+    (finding,) = [f for f in data.summary.findings if f.kind == "glitch"]
+    assert [round(float(T[kept][row]), 2) for row in finding.values["rows"]] == [row / 100 for row in rows]
+    assert np.abs(data.runs[0].x[:, 1] - 1.2 * np.cos(3 * data.runs[0].t)).max() < 0.05
+
+
 def test_what_moves_suddenly_is_kept() -> None:
     """A blow, a bounce, a force that changes its sign, ringing, and a coarse sensor."""
     blow, ringing = swing(0.0), swing(0.0)

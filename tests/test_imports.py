@@ -20,7 +20,7 @@ MAY_IMPORT = {
     **{name: set() for name in ALONE},
     **{name: {"errors"} for name in ONLY_ERRORS},
     "rotation": {"errors", "columns"},
-    "plots": BASE,
+    "plots": {*MACHINES, "data"},
     "effects": {*BASE, "systems"},
     "systems": {*BASE, "effects"},
     "data": MACHINES,

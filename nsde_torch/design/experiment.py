@@ -120,28 +120,25 @@ def _error(p: Mapping[str, Any]) -> str:
 
 def picture(experiment: Experiment) -> Figure:
     """Inputs over time, states with their 90 % bands for each member, and the expected evidence of all plans."""
-    from nsde_torch.plots.experiment import Course, Seen, experiment_figure
+    from nsde_torch.plots.experiment import experiment_figure
 
     e, units = experiment, experiment.units
     t = e.dt * np.arange(len(e.plan.table) + 1, dtype=np.float64)
     some = np.unique(np.linspace(0, len(t) - 1, min(len(t), _POINTS)).round().astype(int))
     inputs = np.concatenate((e.plan.table, e.plan.table[-1:]))
     unit = {"yaw": "rad", **units}
-    given = [Course(f"{name} [{unit[name]}]", t, inputs[:, i]) for name, i in e.given.items()]
-    seen = []
+    given = {f"{name} [{unit[name]}]": inputs[:, i] for name, i in e.given.items()}
+    seen = {}
     for i in _telling(experiment):
         name = e.system.state_names[i]
-        bands = []
-        for r in e.plan.rehearsed:
-            low, middle, high = np.quantile(r.states[:, some, i], [0.05, 0.5, 0.95], axis=0)
-            bands.append((low, middle, high))
-        seen.append(Seen(f"{name} [{units[name]}]", t[some], tuple(bands)))
+        bands = [np.quantile(r.states[:, some, i], [0.05, 0.5, 0.95], axis=0) for r in e.plan.rehearsed]
+        seen[f"{name} [{units[name]}]"] = [(low, middle, high) for low, middle, high in bands]
     q = e.question
     nats, title = None, f"An experiment to show {', '.join(q.parameters)}"
     if not q.parameters:
         nats = {p.name: [p.nats(i) for i in range(len(q.names))] for p in (e.plan, *e.baselines)}
         title = f"Which is true: {' or '.join(q.names)}?"
-    return experiment_figure(given, seen, q.names, nats, title=title)
+    return experiment_figure((t, given), (t[some], seen), q.names, nats, title=title)
 
 
 def _telling(e: Experiment) -> list[int]:

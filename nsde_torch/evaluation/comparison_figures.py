@@ -108,15 +108,13 @@ def _rollouts(comparison: Comparison) -> Iterator[Any]:
             continue  # counted as diverged, and said so
     for first in range(0, len(drawn), _COLUMNS):
         part = drawn[first : first + _COLUMNS]
-        t, measured, samples = ({label(m): arrays[k] for m, arrays in part} for k in range(3))
-        figure = plots.rollouts_of_models(
-            t,
-            measured,
-            samples,
+        figure = plots.rollout_bands(
+            {label(m): arrays for m, arrays in part},
             names=list(system.state_names),
             units=list(system.state_units),
             title=f"Rollouts from a typical start: {run['name']}, t = {times[at]:.2f} s",
             quaternion=system.quaternion,
+            shared=True,
         )
         yield _marked(figure, [m for m, _ in part])
 

@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 from torch import Tensor
 
 from nsde_torch import plots
+from nsde_torch.arrays import Array
 from nsde_torch.data import DataSet, Run, Windows
 from nsde_torch.errors import DataError, NonFiniteError
 from nsde_torch.evaluation.metrics import horizons_of, start_grid
@@ -196,9 +197,8 @@ def write_figures(
             pooled = {g: [float(np.mean(list(inside[q][g].values()))) for q in levels] for g in groups}
             at90 = {g: [inside["0.9"][g][k] for k in keys] for g in groups}
             nominal = [float(q) for q in levels]
-            figures["calibration"] = plots.calibration_curve(
-                nominal, pooled, horizons=horizons, per_horizon=at90
-            )
+            later = {"horizons": horizons, "per_horizon": at90}
+            figures["calibration"] = plots.calibration_curve(nominal, pooled, **later)
         figures["held_out_rollouts"] = _rollouts(model, test, horizons[-1], seed, note)
     for name, figure in figures.items():
         plots.save(figure, folder / f"{name}.png")
@@ -215,17 +215,18 @@ def _rollouts(model: Model, runs: Sequence[Run], horizon_s: float, seed: int, no
     at = inner if count > 1 else torch.tensor([0])
     generator, system = torch.Generator().manual_seed(seed), model.system
     x, samples, t0 = sampled(model, windows, at, particles=_PARTICLES, generator=generator)
-    where = [f"{name}, t = {float(t):.1f} s" for (name, _), t in zip(windows.locate(at), t0, strict=True)]
     title = "Held-out rollouts: measured against sampled"
+    times: Array = np.arange(windows.horizon + 1) * dt
+    columns = {
+        f"{name}, t = {float(t):.1f} s": (times, x[k].cpu().numpy(), samples[:, k].cpu().numpy())
+        for k, ((name, _), t) in enumerate(zip(windows.locate(at), t0, strict=True))
+    }
     return plots.rollout_bands(
-        np.arange(windows.horizon + 1) * dt,
-        x.cpu().numpy(),
-        samples.transpose(0, 1).cpu().numpy(),
+        columns,
         names=list(system.state_names),
         units=list(system.state_units),
         title=f"{title} ({note})" if note else title,
         quaternion=system.quaternion,
-        starts=where,
     )
 
 

@@ -14,7 +14,6 @@ from nsde_torch.plots.evaluation import (
     horizon_errors,
     learning_curves,
     rollout_bands,
-    rollouts_of_models,
     slice_grid,
 )
 from nsde_torch.plots.style import save, warn
@@ -30,7 +29,6 @@ __all__ = [
     "horizon_errors",
     "learning_curves",
     "rollout_bands",
-    "rollouts_of_models",
     "save",
     "slice_grid",
     "warn",

@@ -6,7 +6,7 @@ Thin lines: the 95 % quantile and the largest magnitude over all runs. Gaps brea
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from nsde_torch.data import DataSet, Run
+    from nsde_torch.systems import System
+
 # Roll, pitch, yaw of quaternions for people's eyes: q = q_z(yaw) q_y(pitch) q_x(roll), in degrees.
 #
 # Yaw and roll are continuous in time (no jump at 180 degrees). At a pitch of 90 degrees roll and yaw are not
@@ -26,11 +29,7 @@ ANGLES = ("roll", "pitch", "yaw")
 
 
 def roll_pitch_yaw(q: Array) -> Array:
-    """Angles (..., n, 3) [deg] of unit quaternions w x y z (..., n, 4), unwrapped along n.
-
-    Args:
-        q: Unit quaternions, body to world; the last axis but one is time.
-    """
+    """Angles (..., n, 3) [deg] of unit quaternions w x y z, body to world (..., n, 4), unwrapped along the times n."""
     w, x, y, z = np.moveaxis(np.asarray(q, dtype=float), -1, 0)
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
@@ -50,15 +49,7 @@ def turns_nearest(angles: Array, reference: Array) -> Array:
 def with_angles(
     measured: Array, samples: Array, names: Sequence[str], units: Sequence[str], quaternion: slice
 ) -> tuple[Array, Array, list[str], list[str]]:
-    """The columns of the quaternion replaced by roll, pitch, yaw in degrees.
-
-    Args:
-        measured: States (n, nx).
-        samples: States (P, n, nx).
-
-    Returns:
-        measured (n, nx - 1), samples (P, n, nx - 1), names, units.
-    """
+    """Measured (n, nx - 1) and sampled (P, n, nx - 1) states, names and units, with angles for the quaternion."""
     true = roll_pitch_yaw(measured[:, quaternion])
     drawn = turns_nearest(roll_pitch_yaw(samples[..., quaternion]), true)
     a, b = quaternion.start, quaternion.stop
@@ -78,59 +69,12 @@ COLUMNS = 4
 """Runs that have a column of their own; of more, the first ones are drawn."""
 
 
-class RunLike(Protocol):
-    """What is read of a run; `nsde_torch.data.Run` has it."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def t(self) -> Array: ...
-    @property
-    def x(self) -> Array: ...
-    @property
-    def u(self) -> Array: ...
-    @property
-    def segments(self) -> tuple[tuple[int, int], ...]: ...
-
-
-class DataSetLike(Protocol):
-    """What is read of a data set; `nsde_torch.data.DataSet` has it."""
-
-    @property
-    def runs(self) -> Sequence[RunLike]: ...
-    @property
-    def input_names(self) -> tuple[str, ...]: ...
-
-
-class SystemLike(Protocol):
-    """What is read of a system; `nsde_torch.systems.System` has it."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def state_names(self) -> tuple[str, ...]: ...
-    @property
-    def state_units(self) -> tuple[str, ...]: ...
-    @property
-    def input_names(self) -> tuple[str, ...]: ...
-    @property
-    def input_units(self) -> tuple[str, ...]: ...
-    @property
-    def quaternion(self) -> slice | None: ...
-    @property
-    def position_derivatives(self) -> tuple[tuple[str, str, str], ...]: ...
-
-
 @style.styled
-def data_summary(dataset: DataSetLike, system: SystemLike, *, title: str | None = None) -> Figure:
-    """The data over time.
+def data_summary(dataset: DataSet, system: System, *, title: str | None = None) -> Figure:
+    """The data over time; the title is by default the system, the number of runs and the recorded time.
 
-    Args:
-        title: Title; default: the system, the number of runs and the recorded time.
-
-    Returns:
-        For a system with velocity `v_x v_y v_z` and a quaternion: panels (speed, roll, pitch, yaw) by run.
-        For others: states and inputs over time with all runs in one panel, and phase portraits.
+    For a system with velocity `v_x v_y v_z` and a quaternion: panels (speed, roll, pitch, yaw) by run. For others:
+    states and inputs over time with all runs in one panel, and phase portraits.
     """
     runs = dataset.runs
     seconds = sum(float(r.t[b - 1] - r.t[a]) for r in runs for a, b in r.segments)
@@ -141,7 +85,7 @@ def data_summary(dataset: DataSetLike, system: SystemLike, *, title: str | None 
     return _channels(dataset, system, title)
 
 
-def speed_and_angles(x: Array, system: SystemLike) -> Array:
+def speed_and_angles(x: Array, system: System) -> Array:
     """Speed [m/s], roll, pitch and yaw [deg] (n, 4) of states of a multirotor (n, nx)."""
     assert system.quaternion is not None
     v = [system.state_names.index(n) for n in ("v_x", "v_y", "v_z")]
@@ -150,19 +94,19 @@ def speed_and_angles(x: Array, system: SystemLike) -> Array:
     return np.column_stack([np.linalg.norm(x[:, v], axis=1), angles])
 
 
-def _pieces(run: RunLike) -> list[tuple[Array, slice]]:
+def _pieces(run: Run) -> list[tuple[Array, slice]]:
     """Time from the start of the run [s] and rows of each segment."""
     return [(run.t[a:b] - run.t[0], slice(a, b)) for a, b in run.segments]
 
 
-def _mark_gaps(ax: Axes, run: RunLike) -> None:
+def _mark_gaps(ax: Axes, run: Run) -> None:
     for (_, stop), (start, _) in zip(run.segments[:-1], run.segments[1:], strict=True):
         a, b = float(run.t[stop - 1] - run.t[0]), float(run.t[start] - run.t[0])
         ax.axvspan(a, b, color=style.VERMILLION, alpha=0.25, linewidth=0)
         ax.axvline(0.5 * (a + b), color=style.VERMILLION, linestyle=":", linewidth=1.2, gid="gap")
 
 
-def _flights(runs: Sequence[RunLike], system: SystemLike, title: str) -> Figure:
+def _flights(runs: Sequence[Run], system: System, title: str) -> Figure:
     from matplotlib.lines import Line2D
 
     curves = [[speed_and_angles(run.x[rows], system) for _, rows in _pieces(run)] for run in runs]
@@ -173,7 +117,6 @@ def _flights(runs: Sequence[RunLike], system: SystemLike, title: str) -> Figure:
     if shown < len(runs):
         title += f"; the first {shown} drawn, lines over all"
     figure, axes = style.panels(4, shown, height=7.6, title=title, sharex="col", sharey="row")
-    gaps = False
     for c, run in enumerate(runs[:shown]):
         for k, (name, unit) in enumerate(channels):
             ax = axes[k, c]
@@ -183,7 +126,6 @@ def _flights(runs: Sequence[RunLike], system: SystemLike, title: str) -> Figure:
                 for sign in (1,) if name == "speed" else (1, -1):
                     ax.axhline(sign * level, color=style.BLACK, linestyle=dash, linewidth=0.9)
             _mark_gaps(ax, run)
-            gaps = gaps or len(run.segments) > 1
             low = 0.0 if name == "speed" else -1.15 * top[k]
             ax.set_ylim(low, max(1.15 * top[k], 1e-9))
             if c == 0:
@@ -201,14 +143,14 @@ def _flights(runs: Sequence[RunLike], system: SystemLike, title: str) -> Figure:
         "95 % of the magnitudes": Line2D([], [], color=style.BLACK, linestyle="--", linewidth=0.9),
         "largest magnitude": Line2D([], [], color=style.BLACK, linewidth=0.9),
     }
-    if gaps:
+    if any(len(run.segments) > 1 for run in runs[:shown]):
         lines["gap in the recording"] = Line2D([], [], color=style.VERMILLION, linestyle=":")
     style.legend_below(figure, list(lines.values()), list(lines))
     figure.align_ylabels(list(axes[:, 0]))
     return figure
 
 
-def _channels(dataset: DataSetLike, system: SystemLike, title: str) -> Figure:
+def _channels(dataset: DataSet, system: System, title: str) -> Figure:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
@@ -256,9 +198,7 @@ def _channels(dataset: DataSetLike, system: SystemLike, title: str) -> Figure:
     return figure
 
 
-def _portrait(
-    ax: Axes, runs: Sequence[RunLike], colours: Sequence[str], alpha: float, i: int, j: int
-) -> None:
+def _portrait(ax: Axes, runs: Sequence[Run], colours: Sequence[str], alpha: float, i: int, j: int) -> None:
     """Velocity against position, segment by segment; a dot marks each start."""
     for run, colour in zip(runs, colours, strict=True):
         for _, rows in _pieces(run):

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nsde_torch.arrays import Array
-from nsde_torch.errors import ShapeError
 from nsde_torch.plots import style
 
 if TYPE_CHECKING:
@@ -58,7 +57,7 @@ def flexible_surface(surface: Surface, *, title: str) -> Figure:
         figure.colorbar(mesh, ax=ax, label=style.label(f"{surface.row}: {name}", surface.unit))
         veil = np.where(surface.far, 1.0, np.nan)
         ax.pcolormesh(*surface.axes, veil, cmap=ListedColormap([_VEIL]), vmin=0.0, vmax=1.0, rasterized=True)
-        some = _some(surface.data)
+        some = style.some(surface.data, _CURVE_POINTS)
         ax.plot(some[:, 0], some[:, 1], ".", color="black", markersize=2, alpha=0.4, label="data")
         ax.plot([], [], "s", color=_VEIL, label="no data near: not to be trusted")
         ax.grid(visible=False)
@@ -82,16 +81,12 @@ def _curve(surface: Surface, title: str) -> Figure:
         )
     ax.plot(x, np.where(near, surface.mean, np.nan), color=style.BLUE, label="what is added")
     low, high = ax.get_ylim()
-    some = _some(surface.data)[:, 0]
+    some = style.some(surface.data, _CURVE_POINTS)[:, 0]
     ax.plot(some, np.full(len(some), low), "|", color="black", alpha=0.4, label="data")
     ax.set_ylim(low, high)
     ax.set(xlabel=style.label(*surface.variables[0]), ylabel=style.label(surface.row, surface.unit))
     style.key(figure, ax)
     return figure
-
-
-def _some(data: Array) -> Array:
-    return np.asarray(data[np.linspace(0, len(data) - 1, min(len(data), _CURVE_POINTS)).round().astype(int)])
 
 
 BEFORE, AFTER = style.VERMILLION, style.BLUE
@@ -152,8 +147,6 @@ _LOOKS = {
 @style.styled
 def residual_views(views: Sequence[Panel], *, title: str) -> Figure:
     """Residual rates against variables: means in bins with 90 % intervals over a light scatter."""
-    if not views:
-        raise ShapeError("`views` must hold at least one panel; got none.")
     figure, axes = style.grid(len(views), columns=2, row=3.0, spare=0.8, title=title)
     rng = np.random.default_rng(_SEED)
     for ax, view in zip(axes, views, strict=True):
@@ -174,18 +167,9 @@ def _draw(ax: Axes, view: Panel, rng: np.random.Generator) -> None:
         if len(some) > _POINTS:
             some = rng.choice(len(cloud.x), _POINTS, replace=False)
         ax.scatter(cloud.x[some], cloud.y[some], s=4, color=colour, alpha=0.12, linewidths=0, rasterized=True)
-        ax.errorbar(
-            cloud.centre,
-            cloud.mean,
-            _HALF * cloud.error,
-            color=colour,
-            marker=mark,
-            markersize=4,
-            linewidth=1.2,
-            elinewidth=1.0,
-            capsize=2,
-            label=f"{name}, mean and 90 % interval",
-        )
+        look: dict[str, Any] = {"color": colour, "marker": mark, "markersize": 4, "linewidth": 1.2}
+        look |= {"elinewidth": 1.0, "capsize": 2, "label": f"{name}, mean and 90 % interval"}
+        ax.errorbar(cloud.centre, cloud.mean, _HALF * cloud.error, **look)
         if len(cloud.mean):
             reach = max(reach, float(np.abs(cloud.mean).max() + _HALF * cloud.error.max()))
         if len(cloud.y):
@@ -214,10 +198,6 @@ def before_after(
 
     Both by channel: the value and the ends of its interval, None where there is none.
     """
-    if not ratios or list(ratios) != list(nats):
-        raise ShapeError(
-            f"`ratios` and `nats` must have the same channels, at least one; got {list(ratios)} and {list(nats)}."
-        )
     figure, axes = style.panels(1, 2, height=1.3 + 0.32 * len(ratios), title=title)
     words = ("residual of mean rates, after / before", "gain in one-step log-likelihood [nat]")
     for ax, table, nothing, word in zip(axes.flat, (ratios, nats), (1.0, 0.0), words, strict=True):
@@ -260,9 +240,6 @@ def errors_before_after(
             np.array([np.nan if v is None else v for v in curves[name]], dtype=float)
             for curves in (before, after, low, high)
         )
-        for curve in (first, second, least, most):
-            if curve.shape != (len(horizons),):
-                raise ShapeError(f"curves of {name!r} must be ({len(horizons)},); got {curve.shape}.")
         ax.plot(horizons, first, color=BEFORE, marker="o", markersize=4.5, label="before")
         # the interval of the difference, standing on the error before
         down = np.clip(second - (first + least), 0.0, None)
@@ -283,8 +260,6 @@ def errors_before_after(
 @style.styled
 def residual_spectra(spectra: Sequence[ResidualSpectrum], *, title: str) -> Figure:
     """Amplitude densities of residual rates against the floor of white noise."""
-    if not spectra:
-        raise ShapeError("`spectra` must hold at least one channel; got none.")
     figure, axes = style.grid(len(spectra), columns=2, row=2.8, spare=0.9, title=title)
     for ax, s in zip(axes, spectra, strict=True):
         for name, curve in s.curves.items():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
@@ -19,16 +19,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 TARGET = (0.90, 0.85, 0.95)
 """Nominal level and the range in which its empirical share should lie."""
-
-
-def _curve(name: str, values: ArrayLike, n: int) -> Array:
-    curve = np.asarray(values, dtype=float)
-    if curve.shape != (n,):
-        raise ShapeError(f"`{name}` must be ({n},); got {curve.shape}.")
-    return curve
+Looks = Mapping[str, Mapping[str, Any]]
 
 
 @style.styled
@@ -36,145 +29,26 @@ def calibration_curve(
     nominal: ArrayLike,
     empirical: Mapping[str, ArrayLike],
     *,
-    horizons: Sequence[float] | None = None,
+    horizons: Sequence[float] = (),
     per_horizon: Mapping[str, ArrayLike] | None = None,
     title: str = "Share of held-out measurements inside predicted intervals",
 ) -> Figure:
-    """Empirical against nominal coverage, and where given the coverage of 90 % intervals at each horizon.
+    """Empirical coverage by group against the probabilities of central intervals, (k,) each.
 
-    The shaded range is 85 to 95 % at 90 %.
-
-    Args:
-        nominal: Probabilities of the central intervals (k,), in (0, 1).
-        empirical: Share of the measurements inside them (k,), by group.
-        horizons: Horizons (h,) [s].
-        per_horizon: Coverage of the 90 % interval at each horizon (h,), by group.
-
-    Raises:
-        ShapeError: a curve does not have one value for each level or horizon.
+    Where given, also the coverage of 90 % intervals by group (h,) at each horizon (h,) [s].
     """
-    levels = np.asarray(nominal, dtype=float)
-    two = horizons is not None and per_horizon is not None
-    curves = {g: _curve(f"empirical[{g!r}]", v, len(levels)) for g, v in empirical.items()}
-    later = {
-        g: _curve(f"per_horizon[{g!r}]", v, len(horizons or ()))
-        for g, v in ((per_horizon or {}).items() if two else ())
-    }
-    figure, axes = style.panels(1, 2 if two else 1, height=4.6, title=title)
-    groups = list(dict.fromkeys([*curves, *later]))
+    later = per_horizon or {}
+    figure, axes = style.panels(1, 2 if later else 1, height=4.6, title=title)
+    groups = dict.fromkeys([*empirical, *later])
     marks = zip(groups, cycle(style.COLOURS), cycle(style.DASHES), cycle(style.MARKS), strict=False)
     looks = {g: {"color": c, "linestyle": line, "marker": m, "markersize": 4.5} for g, c, line, m in marks}
-    level, low, high = TARGET
-    ax = axes[0, 0]
-    ax.plot([0, 1], [0, 1], color=style.GREY, linewidth=1.0, label="ideal")
-    shade = {"color": style.BLACK, "alpha": 0.15, "linewidth": 0, "label": "85–95 % at 90 %"}
-    ax.fill_between([level - 0.02, level + 0.02], low, high, **shade)
-    for group, curve in curves.items():
-        order = np.argsort(levels)
-        ax.plot(levels[order], curve[order], label=group, **looks[group])
-    ax.set(xlim=(0, 1), ylim=(0, 1), xlabel="nominal probability [–]", ylabel="empirical share [–]")
-    ax.set_aspect("equal")
-    style.key(figure, ax, columns=6)
-    if two:
-        ax = axes[0, 1]
-        ax.axhspan(low, high, color=style.BLACK, alpha=0.12, linewidth=0)
-        ax.axhline(level, color=style.GREY, linewidth=1.0)
-        for group, curve in later.items():
-            ax.plot(np.asarray(horizons, dtype=float), curve, **looks[group])
-        style.seconds_axis(ax, horizons or ())
-        ax.set(ylim=(0, 1.02), ylabel="share inside 90 % intervals [–]")
+    _coverage(axes[0, 0], nominal, empirical, looks, target="85–95 % at 90 %")
+    axes[0, 0].set(xlabel="nominal probability [–]", ylabel="empirical share [–]")
+    style.key(figure, axes[0, 0], columns=6)
+    if later:
+        _coverage_later(axes[0, 1], horizons, later, looks)
+        axes[0, 1].set_ylabel("share inside 90 % intervals [–]")
     return figure
-
-
-BANDS = ((0.95, "#d6e6f2"), (0.90, "#a9cde6"), (0.50, "#66a9d4"))
-"""Central intervals and their colours, widest first."""
-
-
-@style.styled
-def rollout_bands(
-    t: ArrayLike,
-    measured: ArrayLike,
-    samples: ArrayLike,
-    *,
-    names: Sequence[str],
-    units: Sequence[str],
-    title: str,
-    quaternion: slice | None = None,
-    starts: Sequence[str] | None = None,
-) -> Figure:
-    """Bands of sampled rollouts and the measured states: one row per channel, one column per start.
-
-    Args:
-        t: Time from the start [s], (T + 1,).
-        measured: Measured states (T + 1, nx), or (E, T + 1, nx) for E starts.
-        samples: Sampled states (P, T + 1, nx), or (E, P, T + 1, nx).
-        title: What is shown; say here what the inputs see of the future, if anything.
-        quaternion: Columns of a quaternion, drawn as roll, pitch and yaw in degrees.
-
-    Raises:
-        ShapeError: the arrays do not fit together.
-    """
-    t = np.asarray(t, dtype=float)
-    true, drawn = np.asarray(measured, dtype=float), np.asarray(samples, dtype=float)
-    if true.ndim == 2 and drawn.ndim == 3:
-        true, drawn = true[None], drawn[None]
-    fits = true.ndim == 3 and drawn.ndim == 4 and true.shape == (drawn.shape[0], *drawn.shape[2:])
-    if not fits or t.shape != true.shape[1:2] or len(names) != true.shape[2] or len(units) != len(names):
-        raise ShapeError(
-            "`measured` must be (E, T+1, nx), `samples` (E, P, T+1, nx), `t` (T+1,), `names` and `units` nx; "
-            f"got {true.shape}, {drawn.shape}, {t.shape}, {len(names)} and {len(units)}."
-        )
-    headings = list(starts) if starts is not None else [f"start {k + 1}" for k in range(len(true))]
-    if len(headings) != len(true):
-        raise ShapeError(f"`starts` must hold {len(true)} headings; got {len(headings)}.")
-    columns = [(heading, t, m, s) for heading, m, s in zip(headings, true, drawn, strict=True)]
-    named = len(columns) > 1 or starts is not None
-    return _grid_of_bands(columns, names, units, quaternion, title=title, named=named)
-
-
-def _grid_of_bands(
-    columns: Sequence[tuple[str, Array, Array, Array]],
-    names: Sequence[str],
-    units: Sequence[str],
-    quaternion: slice | None,
-    *,
-    title: str,
-    named: bool = True,
-    limits: Callable[[Sequence[tuple[Array, Array]]], tuple[float, float]] | None = None,
-) -> Figure:
-    """One row of panels per channel, one column per heading; `limits` makes the axis that those of a row share."""
-    parts = []
-    for heading, t, m, s in columns:
-        shown = (m, s, list(names), list(units))
-        parts.append((heading, t, *(shown if quaternion is None else with_angles(*shown, quaternion))))
-    rows = parts[0][2].shape[1]
-    height = 1.0 + rows * (2.0 if rows <= 2 else 1.45 if rows <= 6 else 1.05)
-    shared: bool | str = False if limits is None else "row"
-    figure, axes = style.panels(rows, len(parts), height=height, title=title, sharex=True, sharey=shared)
-    for column, (heading, t, m, s, channels, channel_units) in enumerate(parts):
-        for k in range(rows):
-            ax = axes[k, column]
-            for level, colour in BANDS:
-                low, high = np.quantile(s[..., k], [(1 - level) / 2, (1 + level) / 2], axis=0)
-                ax.fill_between(t, low, high, color=colour, linewidth=0, label=f"{100 * level:.0f} %")
-            ax.plot(t, np.median(s[..., k], axis=0), color=style.BLUE, label="median")
-            ax.plot(t, m[:, k], color=style.BLACK, linewidth=1.2, linestyle=(0, (4, 1.5)), label="measured")
-            if column == 0 or limits is None:
-                ax.set_xlim(t[0], t[-1])
-                style.few_ticks(ax, y=4)
-            if column == 0:
-                ax.set_ylabel(style.label(channels[k], channel_units[k]))
-                if limits is not None:
-                    ax.set_ylim(*limits([(part[2][:, k], part[3][..., k]) for part in parts]))
-        if named:
-            axes[0, column].set_title(heading)
-        axes[-1, column].set_xlabel("time from the start [s]")
-    figure.align_ylabels(list(axes[:, 0]))
-    style.key(figure, axes[0, 0])
-    return figure
-
-
-_ROOM = 4.0  # how far a band may go beyond the measured range, in such ranges
 
 
 @style.styled
@@ -187,39 +61,18 @@ def calibration_of_models(
     order: Sequence[str] | None = None,
     title: str = "Share of measurements inside predicted intervals",
 ) -> Figure:
-    """Empirical against nominal coverage (above) and coverage of 90 % intervals at each horizon (below), by group.
+    """The same by model and then by group: a column of panels for each group, a curve for each model.
 
-    Args:
-        nominal: Probabilities of the central intervals (k,), in (0, 1).
-        empirical: Model -> group -> share of the measurements inside them (k,).
-        horizons: Horizons (h,) [s].
-        per_horizon: Model -> group -> coverage of the 90 % interval at each horizon (h,).
-        order: Names in the order of other figures, these among them, so that a model has one colour in all.
-
-    Raises:
-        ShapeError: a curve does not have one value for each level or horizon.
+    `order` has the names in the order of other figures, these among them, so that a model has one colour in all.
     """
-    levels = np.asarray(nominal, dtype=float)
     groups = list(dict.fromkeys(g for curves in empirical.values() for g in curves))
     figure, axes = style.panels(2, len(groups), height=5.6, title=title, sharey="row")
-    level, low, high = TARGET
-    rising = np.argsort(levels)
-    for column, group in enumerate(groups):
-        top, bottom = axes[0, column], axes[1, column]
-        top.plot([0, 1], [0, 1], color=style.GREY, linewidth=1.0, label="ideal")
-        top.fill_between([level - 0.02, level + 0.02], low, high, color=style.BLACK, alpha=0.15, linewidth=0)
-        bottom.axhspan(low, high, color=style.BLACK, alpha=0.12, linewidth=0, label="85–95 %")
-        bottom.axhline(level, color=style.GREY, linewidth=1.0)
-        for name in empirical:
-            k = (order or list(empirical)).index(name)
-            share = _curve(f"empirical[{name!r}][{group!r}]", empirical[name][group], len(levels))
-            later = _curve(f"per_horizon[{name!r}][{group!r}]", per_horizon[name][group], len(horizons))
-            top.plot(levels[rising], share[rising], markersize=4, label=name, **style.model_look(k))
-            bottom.plot(np.asarray(horizons, dtype=float), later, markersize=4, **style.model_look(k))
-        top.set(xlim=(0, 1), ylim=(0, 1), title=group, xlabel="nominal probability [–]")
-        top.set_aspect("equal")
-        style.seconds_axis(bottom, horizons)
-        bottom.set_ylim(0, 1.02)
+    places = list(order or empirical)
+    looks = {name: {**style.model_look(places.index(name)), "markersize": 4} for name in empirical}
+    for (top, bottom), group in zip(axes.T, groups, strict=True):
+        _coverage(top, nominal, {name: by[group] for name, by in empirical.items()}, looks)
+        top.set(title=group, xlabel="nominal probability [–]")
+        _coverage_later(bottom, horizons, {name: by[group] for name, by in per_horizon.items()}, looks)
         if len(groups) > 2:
             bottom.tick_params(axis="x", labelsize=7)
     axes[0, 0].set_ylabel("empirical share [–]")
@@ -228,40 +81,83 @@ def calibration_of_models(
     return figure
 
 
+def _coverage(
+    ax: Axes, nominal: ArrayLike, curves: Mapping[str, ArrayLike], looks: Looks, target: str | None = None
+) -> None:
+    levels, (level, low, high) = np.asarray(nominal, dtype=float), TARGET
+    rising = np.argsort(levels)
+    ax.plot([0, 1], [0, 1], color=style.GREY, linewidth=1.0, label="ideal")
+    shade: dict[str, Any] = {"color": style.BLACK, "alpha": 0.15, "linewidth": 0, "label": target}
+    ax.fill_between([level - 0.02, level + 0.02], low, high, **shade)
+    for name, shares in curves.items():
+        ax.plot(levels[rising], np.asarray(shares, dtype=float)[rising], label=name, **looks[name])
+    ax.set(xlim=(0, 1), ylim=(0, 1))
+    ax.set_aspect("equal")
+
+
+def _coverage_later(
+    ax: Axes, horizons: Sequence[float], curves: Mapping[str, ArrayLike], looks: Looks
+) -> None:
+    level, low, high = TARGET
+    ax.axhspan(low, high, color=style.BLACK, alpha=0.12, linewidth=0)
+    ax.axhline(level, color=style.GREY, linewidth=1.0)
+    for name, shares in curves.items():
+        ax.plot(horizons, np.asarray(shares, dtype=float), **looks[name])
+    style.seconds_axis(ax, horizons)
+    ax.set_ylim(0, 1.02)
+
+
+BANDS = ((0.95, "#d6e6f2"), (0.90, "#a9cde6"), (0.50, "#66a9d4"))
+"""Central intervals and their colours, widest first."""
+_ROOM = 4.0  # how far a band may go beyond the measured range, in such ranges
+
+
 @style.styled
-def rollouts_of_models(
-    t: Mapping[str, ArrayLike],
-    measured: Mapping[str, ArrayLike],
-    samples: Mapping[str, ArrayLike],
+def rollout_bands(
+    columns: Mapping[str, tuple[Array, Array, Array]],
     *,
     names: Sequence[str],
     units: Sequence[str],
     title: str,
     quaternion: slice | None = None,
+    shared: bool = False,
 ) -> Figure:
-    """Bands of several models from one start, and what was measured: one row per channel, one column per model.
-
-    The panels of a row share their axis, which a path that runs far away from what was measured leaves.
+    """Bands of sampled rollouts and what was measured: a row of panels for each channel, a column for each heading.
 
     Args:
-        t: Model -> time from the start [s], (T + 1,).
-        measured: Model -> measured states at these times (T + 1, nx).
-        samples: Model -> sampled states (P, T + 1, nx).
+        columns: Heading, a start or a model -> times from the start (T + 1,) [s], measured states (T + 1, nx) and
+            sampled ones (P, T + 1, nx).
+        title: What is shown; say here what the inputs see of the future, if anything.
         quaternion: Columns of a quaternion, drawn as roll, pitch and yaw in degrees.
-
-    Raises:
-        ShapeError: the arrays do not fit together.
+        shared: Whether the panels of a row share their axis, which a path that runs far from what was measured leaves.
     """
-    columns = []
-    for model in t:
-        times, m, s = (np.asarray(v[model], dtype=float) for v in (t, measured, samples))
-        if s.ndim != 3 or m.shape != s.shape[1:] or times.shape != m.shape[:1] or len(names) != m.shape[1]:
-            raise ShapeError(
-                f"`measured[{model!r}]` must be (T+1, nx={len(names)}), `samples` (P, T+1, nx) and `t` (T+1,); got "
-                f"{m.shape}, {s.shape} and {times.shape}."
-            )
-        columns.append((model, times, m, s))
-    return _grid_of_bands(columns, names, units, quaternion, title=title, limits=_limits)
+    parts = []
+    for t, measured, samples in columns.values():
+        shown = (measured, samples, list(names), list(units))
+        parts.append((t, *(shown if quaternion is None else with_angles(*shown, quaternion))))
+    rows = parts[0][1].shape[1]
+    height = 1.0 + rows * (2.0 if rows <= 2 else 1.45 if rows <= 6 else 1.05)
+    share = "row" if shared else False
+    figure, axes = style.panels(rows, len(parts), height=height, title=title, sharex=True, sharey=share)
+    for column, (heading, (t, m, s, channels, channel_units)) in enumerate(zip(columns, parts, strict=True)):
+        for k, ax in enumerate(axes[:, column]):
+            for level, colour in BANDS:
+                low, high = np.quantile(s[..., k], [(1 - level) / 2, (1 + level) / 2], axis=0)
+                ax.fill_between(t, low, high, color=colour, linewidth=0, label=f"{100 * level:.0f} %")
+            ax.plot(t, np.median(s[..., k], axis=0), color=style.BLUE, label="median")
+            ax.plot(t, m[:, k], color=style.BLACK, linewidth=1.2, linestyle=(0, (4, 1.5)), label="measured")
+            style.few_ticks(ax, y=4)
+            if column == 0 or not shared:
+                ax.set_xlim(t[0], t[-1])
+            if column == 0:
+                ax.set_ylabel(style.label(channels[k], channel_units[k]))
+        axes[0, column].set_title(heading)
+        axes[-1, column].set_xlabel("time from the start [s]")
+    for k in range(rows) if shared else ():
+        axes[k, 0].set_ylim(*_limits([(part[1][:, k], part[2][..., k]) for part in parts]))
+    figure.align_ylabels(list(axes[:, 0]))
+    style.key(figure, axes[0, 0])
+    return figure
 
 
 def _limits(pairs: Sequence[tuple[Array, Array]]) -> tuple[float, float]:
@@ -298,21 +194,12 @@ class DistanceSlice:
 def slice_grid(
     features: ArrayLike, pair: tuple[int, int], *, size: int = 80, margin: float = 1.0
 ) -> tuple[Array, Array, Array]:
-    """Points at which eta is to be evaluated: a grid over two features, the others at their median.
+    """Points at which eta is to be evaluated: a grid over two features (N, nf), the others at their median.
 
-    Args:
-        features: Training features (N, nf).
-        margin: Room on each side of the data, in widths of the data.
-
-    Returns:
-        Points (size * size, nf), x (size,), y (size,); `eta.reshape(size, size)` fits `DistanceSlice`.
-
-    Raises:
-        ShapeError: `features` has another number of axes, or `pair` is outside of it.
+    `margin` is the room on each side of the data, in widths of the data. Returns points (size * size, nf), x (size,)
+    and y (size,); `eta.reshape(size, size)` fits `DistanceSlice`.
     """
     rows = np.asarray(features, dtype=float)
-    if rows.ndim != 2 or not all(0 <= k < rows.shape[1] for k in pair):
-        raise ShapeError(f"`features` must be (N, nf) with the columns {pair}; got {rows.shape}.")
     axes = []
     for k in pair:
         low, high = float(rows[:, k].min()), float(rows[:, k].max())
@@ -324,39 +211,23 @@ def slice_grid(
     return points, axes[0], axes[1]
 
 
-def _some(points: ArrayLike, limit: int) -> Array:
-    """At most so many rows, evenly spread over the order of recording."""
-    rows = np.asarray(points, dtype=float).reshape(-1, 2)
-    if len(rows) <= limit:
-        return rows
-    return rows[np.linspace(0, len(rows) - 1, limit).round().astype(int)]
-
-
 @style.styled
 def distance_map(
     slices: Sequence[DistanceSlice],
     *,
     title: str = "Distance η from the training data (other features at their median)",
 ) -> Figure:
-    """Maps of eta, with contours at 0.1, 0.5 and 0.9 and a part of the data on them.
-
-    Raises:
-        ShapeError: there is no slice, or eta does not fit its axes.
-    """
-    if not slices:
-        raise ShapeError("`slices` must hold at least one slice.")
+    """Maps of eta, with contours at 0.1, 0.5 and 0.9 and a part of the data on them."""
     row = 4.6 if len(slices) == 1 else 3.2
     figure, axes = style.grid(len(slices), columns=3, row=row, spare=0.9, title=title)
     for ax, part in zip(axes, slices, strict=True):
         x, y, eta = (np.asarray(v, dtype=float) for v in (part.x, part.y, part.eta))
-        if eta.shape != (len(y), len(x)):
-            raise ShapeError(f"`eta` must be (len(y), len(x)) = {(len(y), len(x))}; got {eta.shape}.")
         image = ax.pcolormesh(x, y, eta, cmap="cividis", vmin=0, vmax=1, shading="gouraud", rasterized=True)
         crossed = [v for v in (0.1, 0.5, 0.9) if eta.min() < v < eta.max()]
         if crossed:
             lines = ax.contour(x, y, eta, levels=crossed, colors="white", linewidths=0.9)
             ax.clabel(lines, fmt="%g", fontsize=8)
-        train, held = _some(part.train, TRAIN_SHOWN), _some(part.held_out, HELD_OUT_SHOWN)
+        train, held = style.some(part.train, TRAIN_SHOWN), style.some(part.held_out, HELD_OUT_SHOWN)
         ax.scatter(*train.T, s=5, color="white", edgecolors=style.BLACK, linewidths=0.3, label="training")
         if len(held):
             ax.scatter(*held.T, s=14, marker="x", color=style.VERMILLION, linewidths=0.8, label="held out")
@@ -393,17 +264,8 @@ def evolution(
 ) -> Figure:
     """One panel per channel: the truth, and mean and interval of every model; one scale for channels of one unit.
 
-    Args:
-        t: Time [s] (T + 1,).
-        truth: True or measured states (T + 1, n).
-        predictions: What the models predict; the first lies on top.
-
-    Raises:
-        ShapeError: the arrays do not fit together.
+    Of times (T,) [s] and true or measured states (T, n); the first prediction lies on top.
     """
-    for p in predictions:
-        if p.mean.shape != truth.shape:
-            raise ShapeError(f"{p.name}: `mean` must be {truth.shape} as the truth; got {p.mean.shape}.")
     n = truth.shape[1]
     rows = -(-n // columns)
     figure, axes = style.panels(
@@ -439,9 +301,9 @@ def evolution(
 _BASELINES: dict[str, dict[str, Any]] = {
     "hold": {"color": style.GREY, "linestyle": "--", "marker": "x", "label": "hold the last state"},
     "constant_velocity": {
+        "color": style.ORANGE,
         "linestyle": "-.",
         "marker": "^",
-        "color": style.ORANGE,
         "label": "constant velocity",
     },
 }
@@ -455,14 +317,9 @@ def horizon_errors(
     *,
     title: str = "Error on held-out runs (RMSE)",
 ) -> Figure:
-    """Error at each horizon: one panel per group, one curve per model.
+    """Error at each horizon (h,) [s] by model and then by group: one panel per group, one curve per model.
 
-    Args:
-        horizons: Horizons (h,) [s].
-        errors: Model -> group -> error (h,); the names `hold` and `constant_velocity` are drawn as baselines.
-
-    Raises:
-        ShapeError: a curve does not have one value per horizon.
+    The names `hold` and `constant_velocity` are drawn as baselines.
     """
     groups = list(dict.fromkeys(g for curves in errors.values() for g in curves))
     figure, axes = style.grid(len(groups), columns=2, row=2.5, spare=0.9, title=title)
@@ -472,11 +329,9 @@ def horizon_errors(
     for ax, group in zip(axes, groups, strict=True):
         drawn = []
         for name, look in looks.items():
-            if group not in errors[name]:
-                continue
-            curve = _curve(f"errors[{name!r}][{group!r}]", errors[name][group], len(horizons))
-            ax.plot(horizons, curve, markersize=4.5, **look)
-            drawn.append(curve)
+            if group in errors[name]:
+                drawn.append(np.asarray(errors[name][group], dtype=float))
+                ax.plot(horizons, drawn[-1], markersize=4.5, **look)
         both = np.concatenate(drawn)
         both = both[np.isfinite(both)]
         if len(both) and both.min() > 0:
@@ -499,19 +354,16 @@ def _column(history: Sequence[Mapping[str, float | None]], name: str) -> tuple[A
 
 def _scale(axes: Axes, values: Sequence[Array]) -> None:
     """Logarithmic if all values are positive and span more than a factor of five; linear otherwise."""
-    both = np.concatenate(list(values)) if values else np.zeros(0)
+    both = np.concatenate([np.zeros(0), *values])
     if len(both) and both.min() > 0 and both.max() > 5 * both.min():
         style.plain_logarithm(axes)
 
 
 def _smooth(y: Array) -> Array:
     """Running median over about a fiftieth of the curve: single batches jump."""
-    width = max(len(y) // 50, 1) | 1
-    if width < 3:
-        return y
-    padded = np.pad(y, width // 2, mode="edge")
-    median: Array = np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1)
-    return median
+    from scipy.ndimage import median_filter
+
+    return np.asarray(median_filter(y, max(len(y) // 50, 1) | 1, mode="nearest"))
 
 
 @style.styled
@@ -519,7 +371,6 @@ def learning_curves(
     history: Sequence[Mapping[str, float | None]],
     *,
     kept: int | None = None,
-    terms: Sequence[str] | None = None,
     title: str = "Loss on training batches and held-out windows",
 ) -> Figure:
     """Loss and validation score on the left, the terms of the loss on the right.
@@ -528,7 +379,6 @@ def learning_curves(
         history: One row per step with `step` and any of `loss`, `validation` and the terms; a missing or
             None entry is a step at which that was not computed.
         kept: Step of the model that was kept; default: that of the smallest validation score.
-        terms: Names of the terms; default: every key but the known ones, in the order of appearance.
 
     Raises:
         ShapeError: the history is empty, or a row has no `step`.
@@ -538,34 +388,28 @@ def learning_curves(
     """
     if not history or any("step" not in row for row in history):
         raise ShapeError("`history` must hold at least one row, each with the key `step`.")
-    if terms is None:
-        terms = [k for k in dict.fromkeys(k for row in history for k in row) if k not in _NOT_TERMS]
+    terms = [k for k in dict.fromkeys(k for row in history for k in row) if k not in _NOT_TERMS]
     drawn = [name for name in terms if len(_column(history, name)[0])]
     figure, axes = style.panels(1, 2 if drawn else 1, height=3.6, title=title)
     left: Axes = axes[0, 0]
-    shown = []
     step, loss = _column(history, "loss")
     if len(step):
         if len(step) >= 150:
             left.plot(step, loss, color=style.BLUE, alpha=0.25, linewidth=0.7)
         left.plot(step, _smooth(loss), color=style.BLUE, label="training batch")
-        shown.append(loss)
     step, score = _column(history, "validation")
     if len(step):
         left.plot(step, score, color=style.VERMILLION, marker="o", markersize=3.5, label="held-out windows")
-        shown.append(score)
-        if kept is None:
-            kept = int(step[score.argmin()])
-    _scale(left, shown)
+        kept = int(step[score.argmin()]) if kept is None else kept
+    _scale(left, [loss, score])
     left.set_ylabel("loss [–]")
     sizes = []
     for k, name in enumerate(drawn):
         step, value = _column(history, name)
-        negative = bool((value <= 0).all() and (value < 0).any())  # a reward: drawn by its size
-        value, name = (-value, f"−{name}") if negative else (value, name)
-        axes[0, 1].plot(
-            step, _smooth(value), color=style.COLOURS[k % 6], linestyle=style.DASHES[k % 6], label=name
-        )
+        if (value <= 0).all() and (value < 0).any():  # a reward: drawn by its size
+            value, name = -value, f"−{name}"
+        look = {"color": style.COLOURS[k % 6], "linestyle": style.DASHES[k % 6]}
+        axes[0, 1].plot(step, _smooth(value), label=name, **look)
         sizes.append(value[value != 0])
     if drawn:
         _scale(axes[0, 1], sizes)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from nsde_torch.arrays import Array
@@ -14,53 +13,40 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True)
-class Course:
-    """Something over time: label, times (N,) and values (N,)."""
-
-    label: str
-    t: Array
-    values: Array
-
-
-@dataclass(frozen=True)
-class Seen:
-    """A state over time under each member: label, times (N,), and (low, middle, high) of each member, (N,) each."""
-
-    label: str
-    t: Array
-    bands: tuple[tuple[Array, Array, Array], ...]
-
-
 @style.styled
 def experiment_figure(
-    given: Sequence[Course],
-    seen: Sequence[Seen],
+    given: tuple[Array, Mapping[str, Array]],
+    seen: tuple[Array, Mapping[str, Sequence[tuple[Array, Array, Array]]]],
     names: Sequence[str],
     nats: Mapping[str, Sequence[Mapping[str, float]]] | None,
     *,
     title: str,
 ) -> Figure:
-    """Figure of a plan; `nats` is the expected evidence of each plan for each member, None without a tie."""
-    rows = len(given) + len(seen) + (nats is not None)
+    """Figure of a plan.
+
+    What is `given` over times (N,), by label; what is `seen` under each member: times (M,), and by the label of a state
+    (low, middle, high) of each member, (M,) each; and the expected evidence of each plan for each member, None without
+    a tie.
+    """
+    (t, inputs), (times, states) = given, seen
+    rows = len(inputs) + len(states) + (nats is not None)
     figure, grid = style.panels(rows, 1, height=0.9 + 1.7 * rows, title=title)
     axes = list(grid.flat)
     colours = [style.COLOURS[i % len(style.COLOURS)] for i in range(len(names))]
-    for ax, course in zip(axes, given, strict=False):
-        ax.step(course.t, course.values, where="post", color=style.BLACK, linewidth=1.0)
-        ax.set_ylabel(course.label)
-    for ax, state in zip(axes[len(given) :], seen, strict=False):
-        for (low, middle, high), colour, name in zip(state.bands, colours, names, strict=True):
-            ax.fill_between(state.t, low, high, color=colour, alpha=0.25, linewidth=0)
-            ax.plot(state.t, middle, color=colour, linewidth=1.0, label=f"if {name} is true")
-        ax.set_ylabel(state.label)
-    last = axes[len(given) + len(seen) - 1]
-    last.set_xlabel("time [s]")
-    if seen:
-        axes[len(given)].legend(
-            fontsize="small", title="median and 90 % of rehearsals", title_fontsize="small"
-        )
-    for ax in axes[1 : len(given) + len(seen)]:
+    for ax, (label, values) in zip(axes, inputs.items(), strict=False):
+        ax.step(t, values, where="post", color=style.BLACK, linewidth=1.0)
+        ax.set_ylabel(label)
+    over_time = axes[: len(inputs) + len(states)]
+    for ax, (label, bands) in zip(over_time[len(inputs) :], states.items(), strict=True):
+        for (low, middle, high), colour, name in zip(bands, colours, names, strict=True):
+            ax.fill_between(times, low, high, color=colour, alpha=0.25, linewidth=0)
+            ax.plot(times, middle, color=colour, linewidth=1.0, label=f"if {name} is true")
+        ax.set_ylabel(label)
+    over_time[-1].set_xlabel("time [s]")
+    if states:
+        words = {"title": "median and 90 % of rehearsals", "title_fontsize": "small"}
+        axes[len(inputs)].legend(fontsize="small", **words)
+    for ax in over_time[1:]:
         ax.sharex(axes[0])
     if nats is not None:
         _evidence(axes[-1], nats, colours)

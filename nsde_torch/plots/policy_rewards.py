@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nsde_torch.arrays import Array
-from nsde_torch.errors import ShapeError
 from nsde_torch.plots.style import BLACK, BLUE, GREEN, GREY, VERMILLION, legend_below, panels, styled
 
 if TYPE_CHECKING:
@@ -31,20 +30,10 @@ def policy_rewards(
 ) -> Figure:
     """Mean over seeds, and one standard deviation over seeds to each side, on the truth and where they learn.
 
-    Args:
-        curves: Name of an environment -> one curve per seed: rows with `interactions`, `truth_reward` and
-            `environment_reward`.
-        limited: Reward of policies that had no more of the truth than the models' training data.
-
-    Raises:
-        ShapeError: no environment, or one without a curve or with an empty one.
-
-    Example:
-        >>> rows = [{"interactions": n, "truth_reward": -n, "environment_reward": 0.0} for n in (0, 1)]
-        >>> figure = policy_rewards({"neural SDE": [rows]})
+    Curves are by the name of an environment, one per seed: rows with `interactions`, `truth_reward` and
+    `environment_reward`. `limited` is the reward of policies that had no more of the truth than the
+    models' training data.
     """
-    if not curves or not all(runs and all(runs) for runs in curves.values()):
-        raise ShapeError("`curves` must hold at least one environment, each with curves of at least one row.")
     figure, axes = panels(1, len(curves), height=3.8, title=title, sharey=True)
     most = max(map(len, curves.values()))
     handles: dict[str, object] = {}

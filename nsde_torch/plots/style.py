@@ -180,13 +180,14 @@ def thin(t: Array, y: Array) -> tuple[Array, Array]:
     return t[rows], y[rows]
 
 
-def save(figure: Figure, path: str | Path, *, dpi: int = DPI) -> Path:
-    """Write a figure; the folder is made where it is missing.
+def some(points: ArrayLike, most: int) -> Array:
+    """At most so many rows, evenly spread."""
+    rows = np.asarray(points, dtype=float)
+    return rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).round().astype(int)]
 
-    Args:
-        path: File to write, which is returned; the ending says the format (`.png`, `.pdf`, `.svg`).
-        dpi: Pixels per inch of a picture; figures are 9 inches wide.
-    """
+
+def save(figure: Figure, path: str | Path, *, dpi: int = DPI) -> Path:
+    """Write a figure to a file, which is returned; the ending says the format (`.png`, `.pdf`, `.svg`)."""
     import matplotlib
 
     path = Path(path)

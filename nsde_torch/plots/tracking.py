@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nsde_torch.arrays import Array
-from nsde_torch.errors import ShapeError
 from nsde_torch.plots.data_figure import roll_pitch_yaw, turns_nearest
 from nsde_torch.plots.style import BLACK, BLUE, GREY, VERMILLION, key, model_look, panels, styled
 
@@ -27,10 +26,6 @@ def tracking(t: Array, reference: Array, flights: Mapping[str, Array], *, title:
     Of times (T,) [s], states of the reference (T, 13), and by controller states of its machines (T, N, 13), the first
     of which is drawn boldest.
     """
-    if not flights or any(x.ndim != 3 or len(x) != len(t) for x in (reference[:, None], *flights.values())):
-        raise ShapeError(
-            "`reference` must be (T, 13) and each of `flights` (T, N, 13), with one row per time."
-        )
     figure, axes = panels(4, 2, height=8.4, title=title)
     left = axes[:, 0]
     wanted = roll_pitch_yaw(reference[:, 6:10])

@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from nsde_torch import plots
+from nsde_torch.errors import ShapeError
 from nsde_torch.plots import (
     DistanceSlice,
     calibration_curve,
@@ -71,6 +72,11 @@ def test_learning_curves_show_terms_and_mark_the_best_validation(tmp_path: Path)
     assert [line.get_label() for line in right.lines][:3] == ["data", "gradient", "−mu"]
 
 
+def test_a_history_without_rows_is_refused() -> None:
+    with pytest.raises(ShapeError, match="history"):
+        learning_curves([])
+
+
 # ---- rollouts -----------------------------------------------------------------------------------------
 
 
@@ -80,9 +86,8 @@ def test_rollouts_of_a_multirotor_show_angles_instead_of_the_quaternion(tmp_path
     measured = np.stack([x[:21], x[50:71]])
     samples = measured[:, None] + 0.01 * np.random.default_rng(0).normal(size=(2, 30, 21, 13))
     states = {"names": system.state_names, "units": system.state_units, "quaternion": system.quaternion}
-    figure = rollout_bands(
-        0.01 * np.arange(21), measured, samples, title="two starts", starts=["a", "b"], **states
-    )
+    columns = {name: (0.01 * np.arange(21), measured[k], samples[k]) for k, name in enumerate("ab")}
+    figure = rollout_bands(columns, title="two starts", **states)
     assert_sound(figure, tmp_path / "a.png")
     axes = panels(figure)
     assert len(axes) == 12 * 2
@@ -95,9 +100,8 @@ def test_rollouts_of_a_multirotor_show_angles_instead_of_the_quaternion(tmp_path
 def test_bands_hold_their_share_of_the_samples() -> None:
     rng = np.random.default_rng(0)
     samples = rng.normal(size=(4000, 3, 1))
-    figure = rollout_bands(
-        np.arange(3.0), np.zeros((3, 1)), samples, names=["q"], units=["m"], title="normal"
-    )
+    columns = {"": (np.arange(3.0), np.zeros((3, 1)), samples)}
+    figure = rollout_bands(columns, names=["q"], units=["m"], title="normal")
     (ax,) = panels(figure)
     widths = {band.get_label(): np.ptp(band.get_paths()[0].vertices[:, 1]) / 2 for band in ax.collections}
     assert widths["95 %"] == pytest.approx(1.96, abs=0.1)

@@ -89,11 +89,7 @@ def dataset(config: DictConfig, machine: SystemInfo) -> DataSet:
 
 
 def test_data(config: DictConfig, machine: SystemInfo) -> DataSet | None:
-    """The runs of `data.test_path`, read as those of `data.path`; None without one.
-
-    Raises:
-        DataError: The data cannot be used.
-    """
+    """The runs of `data.test_path`, read as those of `data.path`; None without one, a DataError for unusable ones."""
     if config.test_path is None:
         return None
     try:
@@ -117,13 +113,9 @@ def _files(config: DictConfig, machine: SystemInfo, path: str) -> DataSet:
 
 
 def split(config: DictConfig, data: DataSet, machine: SystemInfo) -> Split:
-    """Training runs and runs held out for the test; `data.test` names them by index or name.
+    """Training runs and those held out, which `data.test` names; with `data.test_path` the test is that file or folder.
 
-    With `data.test_path` all runs train (those that `data.test` names are left out), and the runs of that file or
-    folder are the test.
-
-    Raises:
-        DataError: There is no such run, no run is left on a side, or one is on both.
+    The runs that `data.test` names do not train. DataError: there is no such run, none is left, or one is on both.
     """
     from nsde_torch.api.reading import split_runs
 

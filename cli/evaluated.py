@@ -28,9 +28,8 @@ TRAINED = "trained"
 def read_runs(given: object, names: Sequence[str] | None, device: Any) -> dict[str, Model]:
     """The models of the runs of the key `run`, by names that were given or made from the folders.
 
-    Raises:
-        ConfigError: not a folder or list of folders, a folder twice, or names that do not fit.
-        CheckpointError: a folder is missing, holds no finished run, or is damaged.
+    ConfigError: not a folder or list of folders, a folder twice, or names that do not fit. CheckpointError: a folder
+    is missing, holds no finished run, or is damaged.
     """
     folders = _folders(given)
     if names is None:
@@ -112,9 +111,7 @@ class Chosen:
 def choose(config: DictConfig, trained: Model, machine: SystemInfo) -> Chosen:
     """The runs that the group `data` asks for; of the kind "trained", it means those of a model.
 
-    Raises:
-        ConfigError: nothing says which data.
-        DataError: the data cannot be used.
+    ConfigError: nothing says which data. DataError: the data cannot be used.
     """
     if config.kind != TRAINED:
         return _runs_of(config, machine, every=True)

@@ -40,9 +40,8 @@ _UNUSED = ("motor_latency", "force_time", "moment_time")
 def known(config: DictConfig) -> Model | System:
     """What is known of the machine, for `run=pid` too: its declared physics.
 
-    Raises:
-        ConfigError: no multirotor, or keys of `mpc` that a flight on PX4 does not have.
-        CheckpointError: no such run directory.
+    ConfigError: no multirotor, or keys of `mpc` that a flight on PX4 does not have. CheckpointError: no such run
+    directory.
     """
     plain = build.options(config.mpc)
     from .schemas import MpcConfig
@@ -181,11 +180,8 @@ _TAKEN = ("mode", "setpoints", "disarmed", "link", "late")
 def check_end(outcome: FlightOutcome, *, whole: bool = False) -> None:
     """Pass a flight that was flown by us alone and is seen to stand, whatever limit it may have tripped.
 
-    With `whole` it must have been flown to its end, too.
-
-    Raises:
-        LinkError: it was refused before it began.
-        EndedError: it was not seen to land, was stopped, or the vehicle was taken from us.
+    With `whole` it must have been flown to its end, too. LinkError: it was refused before it began. EndedError: it
+    was not seen to land, was stopped, or the vehicle was taken from us.
     """
     trouble = outcome.trouble
     if trouble is not None and trouble.kind == REFUSED:

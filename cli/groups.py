@@ -39,8 +39,7 @@ def config_dir(words: Sequence[str]) -> Path | None:
 def check_own_files(folder: Path, chosen: Mapping[str, str]) -> None:
     """Refuse choices of the user's own, in the folder of `--config-dir`, that cannot be read, before Hydra reads them.
 
-    Raises:
-        ConfigError: one is no plain YAML, which could name objects of Python, or holds no keys.
+    ConfigError: one is no plain YAML, which could name objects of Python, or holds no keys.
     """
     for group, choice in chosen.items():
         for name in (choice, *_parents(group, choice, folder)):
@@ -51,7 +50,6 @@ def check_own_files(folder: Path, chosen: Mapping[str, str]) -> None:
 
 
 def schema(command: str) -> type:
-    """The dataclass of a command's keys."""
     return hydra_command(command).schema
 
 

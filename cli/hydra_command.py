@@ -39,8 +39,7 @@ WITH_VALUE = {
 }
 
 
-say = partial(print, flush=True)
-"""Prints a line at once, of work that goes on."""
+say = partial(print, flush=True)  # prints a line at once, of work that goes on
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,6 @@ class JobOutcome:
     error: Exception | None = None
 
     def reset(self) -> None:
-        """Forget the run before."""
         self.run_dir = self.sweep_dir = self.error = None
 
 

@@ -67,9 +67,8 @@ class Diagnosed(KnownMachine):
 def diagnosed(folder: Path, moved: str | None) -> Diagnosed:
     """Read a diagnosis from its folder, with its runs where they were, or where they have been `moved` to.
 
-    Raises:
-        ConfigError: the folder holds no diagnosis, or one that was stopped.
-        DataError: the runs are not those of the diagnosis.
+    ConfigError: the folder holds no diagnosis, or one that was stopped. DataError: the runs are not those of the
+    diagnosis.
     """
     if not (folder / RESULT).is_file() or not (folder / CONFIG).is_file():
         command = as_typed("nsde", "diagnose", paths={"out_dir": folder})
@@ -106,9 +105,7 @@ def diagnosed(folder: Path, moved: str | None) -> Diagnosed:
 def flown_runs(known: Diagnosed, path: str) -> Sequence[Run]:
     """Runs of a flown experiment, read as those of the diagnosis were.
 
-    Raises:
-        ConfigError: nothing is there.
-        DataError: they are on another step, or cannot be read as runs of this machine.
+    ConfigError: nothing is there. DataError: they are on another step, or cannot be read as runs of this machine.
     """
     _check_there("flown", path, "the log of the experiment")
     config = known.data.copy()

@@ -58,7 +58,6 @@ def entry() -> NoReturn:
 
 
 def listing() -> str:
-    """The commands with a line each."""
     known = all_commands()
     width = max(map(len, known))
     rows = "\n".join(f"  {name:<{width}}  {command.summary}" for name, command in known.items())
@@ -80,7 +79,6 @@ def unknown_command(name: str) -> str:
 
 
 def version() -> str:
-    """The version of the installed package."""
     from importlib import metadata
 
     return metadata.version("nsde_torch")

@@ -10,8 +10,7 @@ from typing import Any
 from nsde_torch.plain_yaml import read_yaml
 from nsde_torch.systems.names import SYSTEM_HOMES
 
-UNNAMED = "not named"
-"""Value of `system.name` where a command does without a machine and none was named."""
+UNNAMED = "not named"  # value of `system.name` where a command does without a machine and none was named
 
 
 def see_folders(folders: Iterable[str]) -> None:

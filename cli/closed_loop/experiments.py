@@ -39,29 +39,21 @@ FLIGHT, OBTAINED, REFUSED = "flight.json", "obtained.json", "refused.json"
 _OTHERS = ("odd_run", "unexplained_run")
 """Kinds of warnings of a diagnosis that speak of a run of another machine."""
 _NAMED = 3
-_NEAR = 0.7
-"""Share of a limit from which it is named as one that binds."""
+_NEAR = 0.7  # share of a limit from which it is named as one that binds
 
 
 @dataclass(frozen=True)
 class StoppedLoop:
     """Why there is no further experiment."""
 
-    kind: str
-    """`settled`, `budget`, `limits`, `other_machine` or `waiting` (for a log)."""
+    kind: str  # `settled`, `budget`, `limits`, `other_machine` or `waiting` (for a log)
     sentence: str
 
 
 def run_experiments(loop: ClosedLoop) -> tuple[list[dict[str, Any]], StoppedLoop]:
     """Experiments from a first diagnosis on, until nothing is open, the budget is spent, or none is informative.
 
-    The folder of the last diagnosis is that of the loop then.
-
-    Returns:
-        A record of each experiment, and why there is no further one.
-
-    Raises:
-        DataError: a log cannot be read as one of this machine.
+    Returns a record of each, and why there is no further one; the last diagnosis is then that of the loop.
     """
     done: list[dict[str, Any]] = []
     for number in range(1, loop.config.experiments + 1):
@@ -180,11 +172,7 @@ def _flown(loop: ClosedLoop, place: Path, number: int) -> StoppedLoop | None:
 def _read(
     loop: ClosedLoop, place: Path, known: KnownMachine, plan: Mapping[str, Any], content: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """The evidence of the flight, unless that is known.
-
-    Raises:
-        DataError: the logs hold no new run.
-    """
+    """The evidence of the flight, unless that is known; a DataError where the logs hold no new run."""
     file = place / OBTAINED
     if file.is_file():
         return json.loads(file.read_text(encoding="utf-8"))

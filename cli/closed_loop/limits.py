@@ -16,11 +16,7 @@ from .. import build
 
 
 def plan_limits(config: DictConfig) -> dict[str, list[float]]:
-    """Lowest and highest value of each state of a plan, by its name.
-
-    Raises:
-        ConfigError: a fence that is none.
-    """
+    """Lowest and highest value of each state of a plan, by its name."""
     e = config.experiment
     limits = {f"p_{axis}": list(pair) for axis, pair in zip("xyz", build.fence(e, "experiment"), strict=True)}
     limits |= {f"v_{axis}": [-e.speed, e.speed] for axis in "xyz"}
@@ -40,11 +36,7 @@ def limit_key(state: str, config: DictConfig) -> str:
 
 
 def check_inside(experiment: DictConfig, limits: Limits) -> None:
-    """Refuse experiments that may leave what a flight is ended by.
-
-    Raises:
-        ConfigError: names both keys.
-    """
+    """Refuse experiments that may leave what a flight is ended by; the ConfigError names both keys."""
     fence = build.fence(experiment, "experiment")
     for axis, (low, high), (lowest, highest) in zip("xyz", fence, limits.fence, strict=True):
         # a path nearer to the fence's top is refused before take-off
@@ -63,11 +55,7 @@ def check_inside(experiment: DictConfig, limits: Limits) -> None:
 
 
 def check_path(path: FlightPath, machine: System, limits: Limits, *, dt: float) -> None:
-    """Refuse a path that would be ended on the way.
-
-    Raises:
-        ConfigError: names the limit.
-    """
+    """Refuse a path that would be ended on the way; the ConfigError names the limit."""
     asked = feasible.envelope(Reference(path), Predictor(machine, dt=dt))
     for name, most, limit, unit in (
         ("tilt", asked.tilt, limits.tilt, "deg"),

@@ -22,15 +22,13 @@ from nsde_torch.systems.options import system_options
 
 from ..known_machine import KnownMachine, faults_of_sensors, known_machine
 
-_HIDDEN, _RECORD = ".", ".json"
-
 
 def log_files(folder: Path, name: str = "") -> list[Path]:
     """Logs in a folder: files of any kind but our own records, those of `name` alone where one is given."""
     if not folder.is_dir():
         return []
     found = sorted(
-        p for p in folder.iterdir() if p.is_file() and not p.name.startswith(_HIDDEN) and p.suffix != _RECORD
+        p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".") and p.suffix != ".json"
     )
     return [p for p in found if not name or p.stem == name or p.stem.startswith(f"{name}_")]
 
@@ -38,11 +36,7 @@ def log_files(folder: Path, name: str = "") -> list[Path]:
 def read_logs(
     folder: Path, system: str, kind: str | None, content: Mapping[str, Any] | None = None
 ) -> DataSet:
-    """Read all logs of a kind; None chooses by their names. What a diagnosis found that sensors did is taken out.
-
-    Raises:
-        DataError: they are of several kinds, or cannot be read as runs of this machine.
-    """
+    """Read all logs of a kind; None chooses by their names. What a diagnosis found that sensors did is taken out."""
     kinds = sorted({p.suffix.lower() for p in log_files(folder)})
     if kind is None and len(kinds) > 1:
         raise DataError(

@@ -23,23 +23,18 @@ from ..exit_status import FLIGHT_ENDED, EndedError
 from ..hydra_command import say
 from .experiments import StoppedLoop, run_experiments
 from .logs import diagnose_logs, diagnosis_content, effects_found, log_files
-from .machines import LINK, MACHINES, FlyingMachine, physics, true_effects
+from .machines import LINK, MACHINES, FlyingMachine, needed, physics, true_effects
 
 LOG, DIAGNOSIS, BEFORE, AFTER, TRUTH = "log", "diagnosis", "before", "after", "truth"
 _LOGGED, _EXPERIMENT = 500, 700
 """Seeds of flights that are diagnosed, and of experiments, lie beyond those of flights that are compared."""
 FLYING = ".flying"
 """Where a log is written until it counts: what a flight left that was stopped or refused is never diagnosed."""
-LEAST = 0.5
-"""Share of a path that a flight over a link must have flown to be diagnosed."""
+LEAST = 0.5  # share of a path that a flight over a link must have flown to be diagnosed
 
 
 class ClosedLoop:
-    """The stages, on what is finished already in a folder.
-
-    Raises:
-        ConfigError: no multirotor, or options that it does not have.
-    """
+    """The stages, on what is finished already in a folder."""
 
     def __init__(self, config: DictConfig, folder: Path) -> None:
         self.config, self.folder = config, folder
@@ -52,11 +47,7 @@ class ClosedLoop:
         self.kind = "csv" if self.machine is not None else None
 
     def check(self) -> None:
-        """Refuse a reference that the machine cannot fly.
-
-        Raises:
-            ConfigError: names what is too much.
-        """
+        """Refuse a reference that the machine cannot fly."""
         problem, tilt = track_build.problem(self.config.mpc), self.config.reference.tilt_limit
         predictor = Predictor(physics(self.config, []), dt=problem.dt)
         feasible.check(self.reference, predictor, problem, tilt=tilt)
@@ -94,14 +85,13 @@ class ClosedLoop:
 
     @property
     def found(self) -> dict[str, Any]:
-        """Content of the last diagnosis."""
         return diagnosis_content(self.diagnosis)
 
     @property
     def told(self) -> list[Any]:
         """What the controller knows: effects of the last diagnosis."""
         effects = effects_found(self.diagnosis)
-        return effects if self.machine is None else self.machine.told(effects)
+        return effects if self.machine is None else needed(effects, self.config.by)
 
     def compare(self) -> None:
         """The flights before and after, in the same gusts, and those of a controller that knows the truth."""
@@ -117,8 +107,7 @@ class ClosedLoop:
     @property
     def truth(self) -> list[Any]:
         """Effects of a controller that knows the simulated machine."""
-        assert self.machine is not None
-        return self.machine.told(true_effects(self.config))
+        return needed(true_effects(self.config), self.config.by)
 
     def flown(self, stage: str) -> list[dict[str, Any]]:
         """What was measured in the flights of a stage that are compared."""
@@ -126,11 +115,7 @@ class ClosedLoop:
         return [json.loads(f.read_text(encoding="utf-8")) for f in files if f.is_file()]
 
     def fly_plan(self, plan: Path, log: Path, number: int) -> dict[str, Any]:
-        """Fly the path of an experiment with the declared physics, and say what was measured.
-
-        Raises:
-            ConfigError: the machine cannot fly it.
-        """
+        """Fly the path of an experiment with the declared physics, and say what was measured."""
         seed = self.config.seed * 1000 + _EXPERIMENT + number
         return self._fly(f"experiment {number}", from_csv(plan), [], seed, log)
 
@@ -154,9 +139,7 @@ class ClosedLoop:
     def _fly(self, name: str, path: FlightPath, effects: list[Any], seed: int, log: Path) -> dict[str, Any]:
         """Fly once, and put the log into its place.
 
-        Raises:
-            EndedError: the flight does not count: too little was flown, or the vehicle is not ours to fly on.
-            LinkError: it was refused.
+        EndedError: the flight does not count: too little was flown, or the vehicle is not ours to fly on.
         """
         assert self.machine is not None
         started = time.perf_counter()

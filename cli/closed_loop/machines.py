@@ -6,10 +6,9 @@ A controller knows the declared physics with the values of the plant, and the ef
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from math import inf
 from pathlib import Path
-from typing import Any, Protocol, final
+from typing import Any, final
 
 from omegaconf import DictConfig
 
@@ -30,28 +29,20 @@ from .. import build, fly_build, track_build
 from ..hydra_command import say
 from .limits import check_inside, check_path
 
-LINK, HAND = "link", "hand"
+LINK, HAND, PLANT = "link", "hand", "plant"
 
 
-class FlyingMachine(Protocol):
-    """What flies."""
+def needed(effects: list[Any], by: str) -> list[Any]:
+    """Those of some effects that a controller needs to know, in one order, whichever was found first.
 
-    def told(self, effects: list[Any]) -> list[Any]:
-        """Those of some effects that a controller of this machine needs to know."""
-
-    def fly(self, path: FlightPath, effects: list[Any], *, seed: int, log: Path) -> dict[str, Any]:
-        """Fly once from the place of take-off, with effects that the controller is given; the log is a CSV file.
-
-        What was measured: `tracked`, `rmse_m`, `trouble`, `track` and more.
-        """
+    Controllers of the same effects share what is compiled.
+    """
+    known = effects if by == PLANT else told(effects)
+    return sorted(known, key=lambda entry: str(next(iter(entry))))
 
 
 def physics(config: DictConfig, effects: list[Any]) -> System:
-    """What a controller knows that is given some effects.
-
-    Raises:
-        ConfigError: an effect that the machine cannot have.
-    """
+    """What a controller knows that is given some effects; ConfigError for one that the machine cannot have."""
     known = knowledge(DECLARED, config.plant.system, effects=effects)
     assert isinstance(known, System)
     return known
@@ -69,9 +60,6 @@ class VirtualVehicle:
     """The simulated vehicle with the link, the state machine and the logs of a PX4, in virtual time.
 
     Lags and delays are not given: `delay` covers them.
-
-    Raises:
-        ConfigError: no multirotor, or options that it does not have.
     """
 
     def __init__(self, config: DictConfig) -> None:
@@ -79,10 +67,11 @@ class VirtualVehicle:
         self._controllers: dict[str, Controller] = {}
         fly_build.body(config.plant, seed=0)  # what the machine cannot be is said before anything is flown
 
-    def told(self, effects: list[Any]) -> list[Any]:
-        return _by_name(told(effects))
-
     def fly(self, path: FlightPath, effects: list[Any], *, seed: int, log: Path) -> dict[str, Any]:
+        """Fly once from the place of take-off, with effects that the controller is given; the log is a CSV file.
+
+        What was measured: `tracked`, `rmse_m`, `trouble`, `track` and more.
+        """
         c = self._config
         body, controller = fly_build.body(c.plant, seed=seed), self._controller(path, effects)
         how = {"period": c.mpc.period, "sensor_noise": c.plant.sensor_noise}
@@ -106,10 +95,8 @@ class TrackedPlant:
         self._config = config
         track_build.plant(config.plant, physics(config, []), seed=0)
 
-    def told(self, effects: list[Any]) -> list[Any]:
-        return _by_name(effects)
-
     def fly(self, path: FlightPath, effects: list[Any], *, seed: int, log: Path) -> dict[str, Any]:
+        """See `VirtualVehicle.fly`."""
         c, reference = self._config, Reference(path)
         known = physics(c, effects)
         plant = track_build.plant(c.plant, known, seed=seed)
@@ -135,11 +122,7 @@ class TrackedPlant:
 
 @final
 class LinkedVehicle:
-    """A vehicle over MAVLink in real time: `nsde vehicle`, or a PX4.
-
-    Raises:
-        ConfigError: limits that are none, or that an experiment may leave.
-    """
+    """A vehicle over MAVLink in real time, `nsde vehicle` or a PX4; ConfigError for limits that cannot be kept."""
 
     def __init__(self, config: DictConfig) -> None:
         self._config, self._connect = config, fly_build.connection(config.link)
@@ -150,17 +133,8 @@ class LinkedVehicle:
         assert isinstance(system, Multirotor)
         self._motors = system.nu
 
-    def told(self, effects: list[Any]) -> list[Any]:
-        return _by_name(told(effects))
-
     def fly(self, path: FlightPath, effects: list[Any], *, seed: int, log: Path) -> dict[str, Any]:
-        """See `FlyingMachine`.
-
-        Raises:
-            ConfigError: the path is tilted further or is faster than where a flight is ended.
-            LinkError: it was refused before it began.
-            EndedError: it was stopped, or the vehicle was taken from us or is not seen to stand.
-        """
+        """See `VirtualVehicle.fly`; EndedError: stopped, or the vehicle was taken from us or is not seen to stand."""
         c = self._config
         check_path(path, physics(c, []), self._limits, dt=track_build.problem(c.mpc).dt)
         # the solver is compiled and warm before the vehicle is spoken to
@@ -180,17 +154,13 @@ class LinkedVehicle:
         return {**report.as_dict(), "track": _rounded(report.track)}
 
 
-MACHINES: dict[str, Callable[[DictConfig], FlyingMachine]] = {
+FlyingMachine = VirtualVehicle | TrackedPlant | LinkedVehicle
+MACHINES: dict[str, type[FlyingMachine]] = {
     "vehicle": VirtualVehicle,
-    "plant": TrackedPlant,
+    PLANT: TrackedPlant,
     LINK: LinkedVehicle,
 }
 """Who flies, by `by=`; a person flies no machine of ours."""
-
-
-def _by_name(effects: list[Any]) -> list[Any]:
-    """In one order, whichever was found first: controllers of the same effects share what is compiled."""
-    return sorted(effects, key=lambda entry: str(next(iter(entry))))
 
 
 def _rounded(track: Any) -> list[list[float]]:

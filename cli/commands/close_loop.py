@@ -55,8 +55,6 @@ class ExperimentConfig:
 
 @dataclass
 class CloseLoopConfig:
-    """`nsde close-loop`."""
-
     by: str = key(
         "vehicle",
         "who flies: vehicle (simulated PX4, in virtual time), plant (that of nsde track), link (a vehicle over "

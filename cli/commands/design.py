@@ -21,8 +21,6 @@ OBTAINED = "obtained.json"
 
 @mirrors(DesignOptions)
 class DesignConfig:
-    """`nsde design`."""
-
     run: str = key(
         "???",
         "folder of a diagnosis (nsde diagnose), whose indistinguishable effects or hidden parameters are asked for",
@@ -68,7 +66,6 @@ COMMAND = HydraCommand(
 
 
 def run(config: DictConfig, job: Job) -> None:
-    """Plan an experiment, or read one."""
     from nsde_torch.design import DesignOptions, design, question_of
     from nsde_torch.progress import Stages
 
@@ -119,7 +116,6 @@ def _options(config: DictConfig) -> dict[str, Any]:
 
 
 def _read(config: DictConfig, job: Job, known: Any, options: DesignOptions) -> None:
-    """Report the evidence of a flown experiment."""
     from dataclasses import replace
 
     from nsde_torch.design import obtained, question_of

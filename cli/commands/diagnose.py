@@ -24,8 +24,6 @@ MODEL = "model"
 
 @dataclass
 class DiagnoseConfig:
-    """`nsde diagnose`."""
-
     alpha: float = of(Options, "alpha")
     max_effects: int = of(Options, "max_effects")
     candidates: list[str] | None = of(Options, "candidates")
@@ -79,7 +77,6 @@ COMMAND = HydraCommand(
 
 
 def run(config: DictConfig, job: Job) -> None:
-    """Diagnose a declared model."""
     import nsde_torch
     from nsde_torch.diagnosis.candidates import check_candidates
     from nsde_torch.diagnosis.files import EFFECTS, PLOTS, REPORT, RESULT, DiagnosisFiles

@@ -28,8 +28,6 @@ _SMALLEST = 100  # characters below which the table is not squeezed
 
 @dataclass
 class EffectsConfig:
-    """`nsde effects`."""
-
     format: str = key("text", "how they are listed", choices=("text", "json"))
     system: SystemConfig = group(SystemConfig, "only those that this machine can have")
 
@@ -47,7 +45,6 @@ COMMAND = HydraCommand(
 
 
 def run(config: DictConfig, job: Job) -> None:
-    """Print the catalogue."""
     sys.path.insert(0, os.getcwd())  # a system of the user's own, in a file there
     name = None if config.system.name == UNNAMED else config.system.name
     rows = catalogue(name)
@@ -72,10 +69,7 @@ def run(config: DictConfig, job: Job) -> None:
 def catalogue(system: str | None = None) -> list[dict[str, Any]]:
     """What the catalogue says of every effect, or of those that one system can have.
 
-    A system is a key of `SYSTEMS`, or `module:Class`.
-
-    Raises:
-        ConfigError: There is no such system.
+    A system is a key of `SYSTEMS`, or `module:Class`. ConfigError: There is no such system.
     """
     from nsde_torch.diagnosis.candidates import why_not
     from nsde_torch.effects import EFFECTS

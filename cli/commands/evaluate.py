@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 @dataclass
 class EvaluateConfig:
-    """`nsde evaluate`."""
-
     run: Any = key("???", "run directory to evaluate, or several to compare: run=[A,B]", file=True)
     names: list[str] | None = key(None, "name of each run in tables and figures; null: its folder")
     seed: int = key(0, "seed of the sampled paths and of the bootstrap", low=0)
@@ -64,7 +62,6 @@ COMMAND = HydraCommand(
 
 
 def run(config: DictConfig, job: Job) -> None:
-    """Evaluate one or several models."""
     import nsde_torch
     from nsde_torch.data.system_info import all_columns
     from nsde_torch.evaluation.comparison import RESULT

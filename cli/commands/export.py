@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 @dataclass
 class ExportConfig:
-    """`nsde export`."""
-
     run: str = key(
         "???",
         "run directory of the model to plan with, or `declared`: physics with the plant's values",

@@ -36,8 +36,6 @@ class FlownSystem:
 
 @dataclass
 class FlyConfig:
-    """`nsde fly`."""
-
     run: str = key(
         "???",
         "run directory of the model to plan with, a file of nsde export (controller=FILE says the same), `declared` "
@@ -88,8 +86,7 @@ COMMAND = HydraCommand(
 def run(config: DictConfig, job: Job) -> float | None:
     """Fly a reference once or several times; RMSE of the position over all flights [m], None if it was not flown.
 
-    Raises:
-        NsdeError: nothing was flown, or it ended otherwise than asked for, and why.
+    NsdeError: nothing was flown, or it ended otherwise than asked for, and why.
     """
     from nsde_torch.px4.flight.cascade import PathPoints
     from nsde_torch.px4.flight.flying import fly

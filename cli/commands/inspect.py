@@ -32,8 +32,6 @@ _MARKS = {True: "ok  ", False: "NO  ", None: "?   "}
 
 @dataclass
 class InspectConfig:
-    """`nsde inspect`."""
-
     log: str = key("???", "log or folder of logs; `nsde inspect LOG` says the same", file=True)
     kind: str | None = key(
         None,

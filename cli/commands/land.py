@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
 @dataclass
 class LandConfig:
-    """`nsde land`."""
-
     link: LinkConfig = group(LinkConfig, "how the vehicle is reached")
 
 

@@ -29,15 +29,11 @@ class PpoConfig:
 
 @dataclass
 class PolicySystem:
-    """The machine of a policy."""
-
     name: str = key("???", "name of a system that has a task: cartpole")
 
 
 @dataclass
 class PolicyConfig:
-    """`nsde policy`."""
-
     environment: str = key(
         "truth", "where the policy learns: truth, or the run directory of a model", file=True
     )
@@ -87,10 +83,9 @@ COMMAND = HydraCommand(
 def run(config: DictConfig, job: Job) -> float:
     """Learn one policy; minus the mean reward per episode where it learned.
 
-    Raises:
-        ConfigError: The environment is no model of this system, `propagation` is given for what is no ensemble, or
-            the extra is not installed.
-        CheckpointError: The environment is no run directory, or what it is scored against no policy.
+    ConfigError: The environment is no model of this system, `propagation` is given for what is no ensemble, or the
+    extra is not installed. CheckpointError: The environment is no run directory, or what it is scored against no
+    policy.
     """
     from nsde_torch.policy import PolicyTraining, make_learned, make_task, make_truth
 

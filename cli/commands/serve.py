@@ -16,16 +16,13 @@ from ..schemas import SystemConfig
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-HOST = "127.0.0.1"
-"""The page is for who sits at this machine: no other address is ever bound."""
+HOST = "127.0.0.1"  # the page is for who sits at this machine: no other address is ever bound
 _THREADS = 8  # requests at a time
 _SPARE = 1 << 20  # bytes of a request beside its logs
 
 
 @dataclass
 class ServeConfig:
-    """`nsde serve`."""
-
     port: int = key(8765, "port on 127.0.0.1; 0: any that is free", low=0, high=65535)
     out_dir: str = key("served", "folder that keeps the logs and what was found in them", file=True)
     upload: float = key(512.0, "largest upload of one diagnosis, all its logs together", unit="MiB", above=0)

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 @dataclass
 class PlantSystem:
-    """The machine that a plant simulates."""
-
     name: str = key("???", "name of a system that has a plant")
 
 
@@ -58,8 +56,6 @@ class ReplayConfig:
 
 @dataclass
 class SimulateConfig:
-    """`nsde simulate`."""
-
     out: str = key("???", "folder of the data set: one CSV file per run, and nothing else", file=True)
     truth: str | None = key(
         None, "file that says what is in it; null: OUT.truth.json, beside the folder", file=True
@@ -94,7 +90,6 @@ COMMAND = HydraCommand(
 
 
 def run(config: DictConfig, job: Job) -> None:
-    """Make and write one data set."""
     from nsde_torch.recording.chain import Recording
     from nsde_torch.simulation.generate import check_free, simulate, truth_path, write
     from nsde_torch.simulation.replay import Replay

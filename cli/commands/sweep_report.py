@@ -76,7 +76,6 @@ def _last_if_nan(value: float) -> float:
 
 
 def report(jobs: Sequence[SweepJob], groups: Sequence[Group], score: str, columns: Sequence[str]) -> str:
-    """The report as text."""
     count = {status: sum(job.status == status for job in jobs) for status in (DONE, FAILED, UNFINISHED)}
     lines = [f"{len(jobs)} jobs: " + ", ".join(f"{number} {status}" for status, number in count.items())]
     scales = by_scale(groups)
@@ -204,8 +203,6 @@ def _write_csv(path: Path, jobs: Sequence[SweepJob]) -> None:
 
 @dataclass(frozen=True)
 class SweepJob:
-    """One job of a sweep."""
-
     folder: Path
     overrides: dict[str, str]  # what was set for it, by key
     status: str  # `done`, `failed` or `unfinished` (running, killed, or never started its work)
@@ -224,7 +221,6 @@ class Group:
 
     @property
     def scale(self) -> str:
-        """System, model and loss of the jobs."""
         return self.jobs[0].scale
 
     def values(self, metric: str) -> list[float]:

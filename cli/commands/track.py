@@ -28,8 +28,6 @@ _ONE_BY_ONE = 32
 
 @dataclass
 class TrackConfig:
-    """`nsde track`."""
-
     run: str = key(
         "???",
         "run directory of the model to plan with, `declared`: physics with the plant's values, or a file of nsde "

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 @dataclass
 class TrainConfig:
-    """`nsde train`."""
-
     seed: int = key(0, "seed of initial weights, batches and noise", low=0)
     device: str = key("cpu", "where tensors live: cpu, cuda or cuda:N")
     dtype: str = key("float32", "precision", choices=("float32", "float64"))

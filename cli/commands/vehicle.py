@@ -29,8 +29,6 @@ class SensorsConfig:
 
 @dataclass
 class VehicleConfig:
-    """`nsde vehicle`."""
-
     hil: str | None = key(
         None,
         "be the simulator of a real PX4 instead, which connects here: tcpin:127.0.0.1:4560 (`--hil` says the same)",
@@ -115,7 +113,6 @@ def _simulate(config: DictConfig, first: Body, errors: SensorErrors) -> None:
 
 
 def _ends(duration: float | None) -> Callable[[], bool]:
-    """Whether the time is over."""
     end = None if duration is None else time.monotonic() + duration
     return lambda: end is not None and time.monotonic() >= end
 

@@ -22,8 +22,6 @@ _ESTIMATED = 200  # states that the estimator of a file is given
 
 @dataclass
 class VerifyConfig:
-    """`nsde verify`."""
-
     controller: str = key("???", "file that nsde export wrote; `nsde verify FILE` says the same", file=True)
     run: str = key("???", "run directory that it was made of, or `declared`", file=True)
     log: str | None = key(

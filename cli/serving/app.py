@@ -69,7 +69,6 @@ class ServedPage:
         self._map = Map([Rule(path, endpoint=answer, methods=[method]) for method, path, answer in answers])
 
     def __call__(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Iterable[bytes]:
-        """Answer one request."""
         request = Request(environ)
         answer = self._answer(request)
         policy = _SHEET if request.path.startswith("/jobs/") else _PAGE
@@ -201,7 +200,6 @@ class ServedPage:
 
 
 def _content(request: Request) -> dict[str, Any]:
-    """The JSON object of a request."""
     if request.mimetype != "application/json":
         raise RefusedError("The request must be JSON.", 415)
     raw = request.stream.read(_LARGEST + 1)
@@ -251,7 +249,6 @@ TYPES = {
 
 
 def answer_json(content: Any, status: int = 200) -> Response:
-    """Plain containers as JSON."""
     return Response(json.dumps(content), status=status, content_type=TYPES[".json"])
 
 
@@ -269,8 +266,7 @@ _SHUT_IN = {
 # names of the server are checked, where a request comes from, and the token, which is only in the address
 # that the command prints.
 
-TOKEN = "X-Nsde-Token"
-"""Header that holds the token."""
+TOKEN = "X-Nsde-Token"  # header that holds the token
 NO_TOKEN = "Open the address that `nsde serve` printed: it holds the key to this page."
 _SAFE = ("GET", "HEAD")
 _OWN = (None, "same-origin", "none")

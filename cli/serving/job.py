@@ -38,8 +38,6 @@ class RefusedError(NsdeError):
 
 @dataclass(frozen=True)
 class ServeLimits:
-    """Limits of the service."""
-
     upload: int = 512 << 20  # largest upload of one job, all its logs together [bytes]
     max_minutes: float = 10.0  # time after which a diagnosis ends with what is known [min]
     seconds: float = 3600.0  # time after which a command is killed [s]
@@ -94,7 +92,6 @@ class ServedJob:
     repeat: str = ""  # the command that repeats the diagnosis
 
     def content(self) -> dict[str, Any]:
-        """As plain containers."""
         return asdict(self)
 
     def save(self, folder: Path) -> None:
@@ -178,10 +175,8 @@ FORMATS: dict[str, str] = {
 def file_names(given: Sequence[str]) -> list[str]:
     """Names for the files of an upload, made of letters, digits, `_` and `-`, and a known suffix.
 
-    They are given as the browser says them; nothing of them is taken for a path.
-
-    Raises:
-        RefusedError: one is no log, or they are logs of several formats.
+    They are given as the browser says them; nothing of them is taken for a path. RefusedError: one is no log, or they
+    are logs of several formats.
     """
     out: list[str] = []
     kinds: dict[str, str] = {}
@@ -223,10 +218,7 @@ def _no_log(name: str, suffix: str) -> str:
 def receive(read: Callable[[int], bytes], target: Path, size: int) -> None:
     """Write what is sent to a file, and stop where it is longer than was said: nothing is left of it if that fails.
 
-    `read` reads at most so many bytes of the request; it is empty at the end.
-
-    Raises:
-        RefusedError: more or fewer bytes came.
+    `read` reads at most so many bytes of the request; it is empty at the end. RefusedError: more or fewer bytes came.
     """
     part = target.with_name(f"{target.name}.part")
     count = 0
@@ -295,14 +287,12 @@ class Shelf:
             return self._jobs[name]
 
     def of(self, job: ServedJob) -> Path:
-        """The folder of a job."""
         return self.folder / job.id
 
     def create(self, given: Sequence[tuple[str, int]], system: str | None) -> ServedJob:
         """A job for logs that are about to be sent, by name and size [bytes] of each; no machine: it is to be guessed.
 
-        Raises:
-            RefusedError: no log, too many, too large, or no room.
+        RefusedError: no log, too many, too large, or no room.
         """
         limits, total = self.limits, sum(size for _, size in given)
         if not given:

@@ -36,8 +36,7 @@ class JobRunner:
     def inspect(self, job: ServedJob, *, system: str | None, mapping: str | None) -> None:
         """Look into the logs of a job, for a machine and with a mapping or without (None: guessed, and proposed).
 
-        Raises:
-            RefusedError: an unknown machine, logs that have not arrived, or a job that is at work or done.
+        RefusedError: an unknown machine, logs that have not arrived, or a job that is at work or done.
         """
         if system is not None and system not in self.machines.names:
             raise RefusedError(
@@ -87,7 +86,6 @@ class JobRunner:
         return job.seconds if began is None else time.monotonic() - began
 
     def close(self) -> None:
-        """Stop everything."""
         with self.shelf.lock:
             self._closed = True
             work = list(self._work.values())

@@ -106,6 +106,5 @@ def _short(value: float | None) -> str:
 
 
 def save_summary(folder: Path, content: Content) -> None:
-    """Write what the page shows of a diagnosis."""
     plots = {path.name for path in (folder / RESULT / "plots").glob("*.png")}
     (folder / SUMMARY).write_text(json.dumps(page_summary(content, plots)), encoding="utf-8")

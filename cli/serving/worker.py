@@ -43,7 +43,6 @@ def end_with(parent: int) -> None:
 
 
 def main() -> None:
-    """Run the words after the limits."""
     memory, seconds, parent, *words = sys.argv[1:]
     end_with(int(parent))
     limit(int(memory), float(seconds))

@@ -177,10 +177,8 @@ def runs_named(data: DataSet, names: Sequence[int | str | Run] | None) -> list[R
 
 
 _NAME = "signs of the physics"
-_DOUBTS = ("constant_state", "same_runs")
-"""Findings of reading that are mended before anything is trained."""
-REFUSED = "mend what reading refuses (`checks` above)"
-"""The remedy of a check that is a refusal."""
+_DOUBTS = ("constant_state", "same_runs")  # findings of reading that are mended before anything is trained
+REFUSED = "mend what reading refuses (`checks` above)"  # the remedy of a check that is a refusal
 
 
 @dataclass

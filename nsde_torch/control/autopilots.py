@@ -45,11 +45,7 @@ from nsde_torch.systems import Multirotor, System
 
 
 def whole_samples(name: str, time: float, dt: float) -> int:
-    """A time [s] in samples of `dt` [s]; a period is at least one.
-
-    Raises:
-        ConfigError: it is no multiple.
-    """
+    """A time [s] in samples of `dt` [s]; a period is at least one. ConfigError: it is no multiple."""
     steps = round(time / dt)
     if steps < 0 or abs(steps * dt - time) > 1e-6 or (name == "period" and steps < 1):
         raise ConfigError(
@@ -58,8 +54,7 @@ def whole_samples(name: str, time: float, dt: float) -> int:
     return steps
 
 
-_TINY = 1e-20
-"""Keeps a quotient finite where both sides are 0: nothing is left to learn."""
+_TINY = 1e-20  # keeps a quotient finite where both sides are 0: nothing is left to learn
 
 
 @final
@@ -166,11 +161,7 @@ class Autopilot(ABC):
 @final
 @dataclass(eq=False)
 class PredictivePilot(Autopilot):
-    """The predictive controller with its estimator.
-
-    Raises:
-        ConfigError: times that do not fit into each other.
-    """
+    """The predictive controller with its estimator. ConfigError: times that do not fit into each other."""
 
     controller: Planner
     model: Model | System | Foresight
@@ -249,8 +240,7 @@ class PredictivePilot(Autopilot):
 class CascadePilot(Autopilot):
     """The cascade of proportional loops, as an autopilot in position mode of `batch` machines at a time.
 
-    Raises:
-        ConfigError: the system is no multirotor.
+    ConfigError: the system is no multirotor.
     """
 
     def __init__(self, system: System, reference: Reference, *, batch: int, period: float) -> None:

@@ -65,7 +65,6 @@ class Cascade:
         self._sum = row((0.0, 0.0, 0.0))
 
     def reset(self) -> None:
-        """Empty the integrals."""
         self._sum = torch.zeros_like(self._gravity)
 
     def hover(self, batch: int) -> Tensor:

@@ -30,10 +30,8 @@ class CompiledMethod:
     """Iterations of a method as machine code.
 
     It works on tables of its own, one solve at a time: the memory between iterations says no more than that there was
-    one. For `name`, `folder` and `say` see `library`.
-
-    Raises:
-        NoCompiler: there is none for these paths or this model, or no compiler.
+    one. For `name`, `folder` and `say` see `library`. NoCompiler: there is none for these paths or this model, or no
+    compiler.
     """
 
     def __init__(
@@ -87,8 +85,7 @@ def compiled_estimator(
 ) -> Callable[..., list[Tensor]]:
     """`Estimator.forward` as machine code, of an estimator with its predictor; see `library`.
 
-    Raises:
-        NoCompiler: there is none for this model, or no compiler.
+    NoCompiler: there is none for this model, or no compiler.
     """
 
     def source() -> str:

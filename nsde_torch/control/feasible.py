@@ -99,8 +99,7 @@ def check(
 ) -> Envelope:
     """Refuse a reference that the machine cannot fly within bounds of the inputs and a largest tilt [deg].
 
-    Raises:
-        ConfigError: names what is too much, when, and the remedy.
+    ConfigError: names what is too much, when, and the remedy.
     """
     inputs, name = predictor.system.input_names, reference.name
     low, high = (torch.tensor(options.of_inputs(k, inputs), dtype=torch.float64) for k in ("low", "high"))

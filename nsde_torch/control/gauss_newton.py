@@ -27,12 +27,10 @@ from torch import Tensor, nn
 
 from nsde_torch.control.problem import Horizon, _repeat
 
-SHARES = (1.0, 0.5, 0.2, 0.05)
-"""Shares of a step that are tried, beside none of it."""
+SHARES = (1.0, 0.5, 0.2, 0.05)  # shares of a step that are tried, beside none of it
 LEFT = 1e-3
 """Share of the quadratic's saving (and of a tenth of the cost) that an iteration may leave to the next."""
-CHANGES = 8
-"""Most changes of the active set in an iteration."""
+CHANGES = 8  # most changes of the active set in an iteration
 
 
 class Iterate(NamedTuple):
@@ -283,10 +281,8 @@ def _pick(table: Tensor, row: Tensor) -> Tensor:
 # gradient comes from the forward derivatives of all steps in one batch: a backward pass through the rollout
 # takes minutes more to compile.
 
-FACTORS = (4.0, 2.0, 1.0, 0.5, 0.25, 0.06)
-"""Steps that are tried, as multiples of the step before."""
-FIRST_STEP = 1e-3
-"""The first step of a solve."""
+FACTORS = (4.0, 2.0, 1.0, 0.5, 0.25, 0.06)  # steps that are tried, as multiples of the step before
+FIRST_STEP = 1e-3  # the first step of a solve
 
 
 @final

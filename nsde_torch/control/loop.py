@@ -21,18 +21,14 @@ from nsde_torch.rotation import rotation_between
 from nsde_torch.systems import Multirotor, System, make_plant_system
 from nsde_torch.systems.machines import Effects
 
-DECLARED = "declared"
-"""Stands for the declared physics in the place of a run directory."""
+DECLARED = "declared"  # stands for the declared physics in the place of a run directory
 
 
 def knowledge(run: str, system: str, *, effects: Effects = ()) -> Model | System:
     """A model by its run directory, or the declared physics of a machine by its name.
 
-    `effects` are those beside the declared ones, with their values (see `make_plant_system`).
-
-    Raises:
-        CheckpointError: no such run directory, or a damaged one.
-        ConfigError: no plant of that name, or an effect that it cannot have.
+    `effects` are those beside the declared ones, with their values (see `make_plant_system`). CheckpointError: no
+    such run directory, or a damaged one. ConfigError: no plant of that name, or an effect that it cannot have.
     """
     if run == DECLARED:
         return make_plant_system(system, effects=effects, declared_only=True)
@@ -40,7 +36,6 @@ def knowledge(run: str, system: str, *, effects: Effects = ()) -> Model | System
 
 
 def system_of(known: Model | System) -> System:
-    """The machine that is known."""
     return known if isinstance(known, System) else known.system
 
 

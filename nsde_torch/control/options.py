@@ -10,8 +10,7 @@ from typing import Any
 from nsde_torch.errors import ConfigError
 from nsde_torch.options import check, documented, key
 
-STATE_WEIGHTS = (100.0, 100.0, 200.0, 5.0, 5.0, 10.0, 1.0, 1.0, 100.0, 1.0, 1.0, 1.0)
-"""The supplement's Q."""
+STATE_WEIGHTS = (100.0, 100.0, 200.0, 5.0, 5.0, 10.0, 1.0, 1.0, 100.0, 1.0, 1.0, 1.0)  # the supplement's Q
 PerInput = float | Sequence[float]
 """A number for all inputs, or one for each; options hold sequences as tuples."""
 
@@ -65,8 +64,7 @@ class ProblemOptions:
     def of_inputs(self, name: str, inputs: Sequence[str]) -> tuple[float, ...]:
         """`low`, `high`, `input_weight` or `input_centre` of each of the inputs named so.
 
-        Raises:
-            ConfigError: there are numbers for more or fewer inputs.
+        ConfigError: there are numbers for more or fewer inputs.
         """
         values = _each(getattr(self, name), len(inputs))
         if len(values) != len(inputs):

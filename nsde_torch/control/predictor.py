@@ -36,8 +36,7 @@ from nsde_torch.systems.frozen import frozen
 # costs is the number of operations: half as many, and products written as sums, which become loops instead of
 # calls when they are compiled.
 
-_FEW = 16
-"""Rows up to which products are written as sums."""
+_FEW = 16  # rows up to which products are written as sums
 
 
 @final

@@ -36,13 +36,11 @@ _PARTS = (3, 3, 4, 3)
 def problem_of(system: System, **given: Any) -> ProblemOptions:
     """What a plan pays for, with what is not given as the machine has it.
 
-    A multirotor has the supplement's weights. Others have 0.1 for errors of velocities that belong to positions and 10
-    for all others, in their units, and pay 0.1 for an input at its end: what the swing-ups and the arm of
+    A multirotor has the supplement's weights. Others have 0.1 for errors of velocities that belong to positions and
+    10 for all others, in their units, and pay 0.1 for an input at its end: what the swing-ups and the arm of
     docs/content/results/tracking.md were measured with. Inputs end where `Machine.limits` says; where they do not all
-    end alike, weights and centres are those of each.
-
-    Raises:
-        ConfigError: nobody says where the inputs end, another number of them is meant, or an option is out of range.
+    end alike, weights and centres are those of each. ConfigError: nobody says where the inputs end, another number of
+    them is meant, or an option is out of range.
     """
     if isinstance(system, Multirotor):
         return ProblemOptions(**given)
@@ -69,8 +67,7 @@ def problem_of(system: System, **given: Any) -> ProblemOptions:
 class Residual(nn.Module):
     """Roots of the cost of a state.
 
-    Raises:
-        ConfigError: weights of another length than the machine's error channels, or limits that it does not have.
+    ConfigError: weights of another length than the machine's error channels, or limits that it does not have.
     """
 
     def __init__(self, predictor: Predictor, options: ProblemOptions) -> None:

@@ -25,8 +25,7 @@ from nsde_torch.rotation import rotation_between
 from nsde_torch.systems import System
 from nsde_torch.systems.multirotor import GRAVITY
 
-GRID = 0.01
-"""Step of the grid of a reference [s]."""
+GRID = 0.01  # step of the grid of a reference [s]
 _LONGEST_S = 36_000.0  # of a course
 
 
@@ -68,8 +67,7 @@ def attitude_along(axis: Tensor, yaw: Tensor) -> Tensor:
 def states_of(path: FlightPath) -> Tensor:
     """States (n, 13) of a multirotor that flies a path, in double precision.
 
-    Raises:
-        ConfigError: the path falls freely somewhere, where no attitude follows from it.
+    ConfigError: the path falls freely somewhere, where no attitude follows from it.
     """
     force = path.a + np.array([0.0, 0.0, GRAVITY])
     size = np.linalg.norm(force, axis=1)
@@ -138,8 +136,7 @@ class Reference(StateReference):
 def setpoint(system: System, states: Mapping[str, float], *, duration: float) -> StateReference:
     """A state to reach and to hold: that of the origin, at rest, but for the `states` that are given by name.
 
-    Raises:
-        ConfigError: a name that is no state, a value that is not finite, or no duration.
+    ConfigError: a name that is no state, a value that is not finite, or no duration.
     """
     unknown = sorted(set(states) - set(system.state_names))
     wrong = [name for name, value in states.items() if not isfinite(value)]
@@ -158,8 +155,7 @@ def setpoint(system: System, states: Mapping[str, float], *, duration: float) ->
 def course(system: System, file: str | Path) -> StateReference:
     """States over time of a CSV file: `t` [s] and columns of states; velocities that it lacks are those of positions.
 
-    Raises:
-        DataError: the file or a column is missing, a number is none, or times do not increase.
+    DataError: the file or a column is missing, a number is none, or times do not increase.
     """
     path = Path(file)
     rows = csv_rows(path, ("t",), what="reference", remedy="Name a CSV file.")

@@ -66,8 +66,7 @@ def circle(
 ) -> FlightPath:
     """A circle at constant speed, while the heading turns once to `yaw` and back; see `CircleOptions`.
 
-    Raises:
-        ConfigError: a size is not positive, or the flight is shorter than its two ramps.
+    ConfigError: a size is not positive, or the flight is shorter than its two ramps.
     """
     _check("circle", speed=speed, duration=duration, radius=radius, ramp=ramp)
     f, df, ddf = _phase(duration, ramp, speed / radius)
@@ -93,8 +92,7 @@ def lemniscate(
 ) -> FlightPath:
     """A figure of eight (Gerono's lemniscate), while the heading oscillates; see `LemniscateOptions`.
 
-    Raises:
-        ConfigError: a size is not positive, or the flight is shorter than its two ramps.
+    ConfigError: a size is not positive, or the flight is shorter than its two ramps.
     """
     _check("lemniscate", speed=speed, duration=duration, length=length, width=width, ramp=ramp)
     f, df, ddf = _phase(duration, ramp, speed / float(np.hypot(length, width)))
@@ -196,9 +194,7 @@ def waypoints(
 def from_csv(file: str | Path, *, speed: float = _LIMITS.speed, tilt: float = _LIMITS.tilt) -> FlightPath:
     """A path through the rows of a CSV file: `p_x p_y p_z` [m], and if there are `yaw` [rad] and `t` [s].
 
-    Raises:
-        DataError: the file or a column is missing, or a number is none.
-        ConfigError: the rows make no path.
+    DataError: the file or a column is missing, or a number is none. ConfigError: the rows make no path.
     """
     path = Path(file)
     rows = csv_rows(path, ("p_x", "p_y", "p_z"), what="reference", remedy="Name a CSV file.")

@@ -126,7 +126,6 @@ class Obtained:
 
     @property
     def report(self) -> str:
-        """Its evidence in words."""
         if self.parameters:
             return "\n".join(f"{label}: {p}" for label, p in self.parameters.items())
         name, nats, expected = self.question.names[self.best], self.nats[self.best], self.expected_nats

@@ -47,7 +47,6 @@ class ExperimentLimits:
         return replace(self, low=out[0], high=out[1], floor=out[2], ceiling=out[3])
 
     def content(self, units: Mapping[str, str]) -> dict[str, Any]:
-        """Plain containers, for JSON."""
         rows = [*zip(self.inputs, self.low, self.high, strict=True)] if self.open_loop else []
         rows += [r for r in zip(self.states, self.floor, self.ceiling, strict=True) if np.isfinite(r[1])]
         return {

@@ -43,7 +43,6 @@ class Question:
         return "parameters" if self.parameters else "tie"
 
     def content(self) -> dict[str, Any]:
-        """What files say of it."""
         return {
             "kind": self.kind,
             "members": [list(m) for m in self.members],
@@ -211,7 +210,6 @@ class Standing:
         return not (self.tied or self.leads or self.wide or self.suspected)
 
     def content(self) -> dict[str, Any]:
-        """Plain containers, for JSON."""
         return {
             "found": list(self.found),
             "tied": [list(t) for t in self.tied],
@@ -225,7 +223,6 @@ class Standing:
 
     @property
     def words(self) -> str:
-        """One line."""
         said = [f"found: {', '.join(self.found) or 'nothing'}"]
         said += [f"indistinguishable: {' or '.join(t)}" for t in self.tied]
         said += [f"indistinguishable whatever the input: {' or '.join(t)}" for t in self.beyond]

@@ -216,7 +216,7 @@ def _rollouts(model: Model, runs: Sequence[Run], horizon_s: float, seed: int, no
     generator, system = torch.Generator().manual_seed(seed), model.system
     x, samples, t0 = sampled(model, windows, at, particles=_PARTICLES, generator=generator)
     title = "Held-out rollouts: measured against sampled"
-    times: Array = np.arange(windows.horizon + 1) * dt
+    times: Array = dt * np.arange(windows.horizon + 1, dtype=np.float64)
     columns = {
         f"{name}, t = {float(t):.1f} s": (times, x[k].cpu().numpy(), samples[:, k].cpu().numpy())
         for k, ((name, _), t) in enumerate(zip(windows.locate(at), t0, strict=True))

@@ -68,7 +68,6 @@ class SeenRuns:
 
     @classmethod
     def of(cls, metrics: Mapping[str, Any]) -> "SeenRuns":
-        """From the content of `metrics.json`."""
         hashes = metrics.get("train_hashes")
         return cls(list(metrics.get("train_runs", ())), hashes, metrics.get("train_rows") or {})
 

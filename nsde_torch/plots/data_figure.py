@@ -65,8 +65,7 @@ def with_angles(
     )
 
 
-COLUMNS = 4
-"""Runs that have a column of their own; of more, the first ones are drawn."""
+COLUMNS = 4  # runs that have a column of their own; of more, the first ones are drawn
 
 
 @style.styled

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-TARGET = (0.90, 0.85, 0.95)
-"""Nominal level and the range in which its empirical share should lie."""
+TARGET = (0.90, 0.85, 0.95)  # nominal level and the range in which its empirical share should lie
 Looks = Mapping[str, Mapping[str, Any]]
 
 
@@ -173,8 +172,7 @@ def _limits(pairs: Sequence[tuple[Array, Array]]) -> tuple[float, float]:
     return bottom - margin, top + margin
 
 
-TRAIN_SHOWN, HELD_OUT_SHOWN = 400, 150
-"""Data points drawn; more hide the map and each other."""
+TRAIN_SHOWN, HELD_OUT_SHOWN = 400, 150  # data points drawn; more hide the map and each other
 
 
 @dataclass(frozen=True)

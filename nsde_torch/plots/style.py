@@ -19,10 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
-LINE = 95
-"""Characters of a title in one line."""
-WIDTH = 9.0
-"""Width of every figure [in]."""
+LINE = 95  # characters of a title in one line
+WIDTH = 9.0  # width of every figure [in]
 DPI = 130
 _BINS = 1500  # of a curve that is thinned
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"

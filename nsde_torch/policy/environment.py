@@ -35,8 +35,7 @@ from nsde_torch.errors import ConfigError, ShapeError
 class Dynamics(ABC):
     """A batch of machines. What a path carries beside its state (memory, disturbance) stays in here."""
 
-    name: str
-    """For tables and files."""
+    name: str  # for tables and files
 
     @property
     @abstractmethod
@@ -56,8 +55,7 @@ class Dynamics(ABC):
         """Advance all machines by one sample under the inputs (N, nu), which act as given; returns measured states."""
 
 
-_ABSURD = 1e4
-"""No speed [m/s, rad/s] or angle [rad] of four seconds comes near it."""
+_ABSURD = 1e4  # no speed [m/s, rad/s] or angle [rad] of four seconds comes near it
 
 
 @dataclass(frozen=True)
@@ -119,11 +117,7 @@ TASKS: dict[str, type[CartpoleSwingUp]] = {"cartpole": CartpoleSwingUp}
 
 
 def make_task(system: str) -> CartpoleSwingUp:
-    """The task of a system.
-
-    Raises:
-        ConfigError: there is none.
-    """
+    """The task of a system. ConfigError: there is none."""
     if system not in TASKS:
         raise ConfigError(f"`system` must be one that has a task: {', '.join(TASKS)}; got {system!r}.")
     return TASKS[system]()
@@ -214,8 +208,7 @@ class BatchEnvironment:
     def step(self, action: Tensor) -> Transition:
         """Advance all episodes by one step under actions (N, na); what lies beyond the bounds is clipped.
 
-        Raises:
-            ShapeError: wrong rows or columns.
+        ShapeError: wrong rows or columns.
         """
         task = self.task
         if action.shape != (self.n, len(task.action_names)):

@@ -43,8 +43,7 @@ def make_truth(
 ) -> Dynamics:
     """The true machines of a system, one of `TRUTHS`, with a sample of `dt` [s] and a factor on the sensor noise.
 
-    Raises:
-        ConfigError: no such truth, or none of this system.
+    ConfigError: no such truth, or none of this system.
     """
     if name not in TRUTHS:
         raise ConfigError(f"`truth` must be one of {', '.join(TRUTHS)}; got {name!r}.")

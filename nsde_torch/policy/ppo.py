@@ -40,7 +40,6 @@ class _Scaled(BaseFeaturesExtractor):
         self.register_buffer("scale", torch.tensor(scale))
 
     def forward(self, observations: Tensor) -> Tensor:
-        """Observations (N, no)."""
         return observations / self.scale
 
 
@@ -81,7 +80,6 @@ class Learner:
         return int(self._ppo.num_timesteps)
 
     def actor(self) -> Actor:
-        """The policy as it is now."""
         policy, task = self._ppo.policy, self._task
         actor = Actor(task.observation_scale, self.options.hidden, len(task.action_names), system=task.system)
         given = [m for m in policy.mlp_extractor.policy_net if isinstance(m, nn.Linear)]
@@ -134,8 +132,7 @@ class Learner:
     def restore(self, path: Path) -> dict[str, Any]:
         """Go on from a checkpoint that `save` wrote; returns what was saved beside the tensors.
 
-        Raises:
-            CheckpointError: the file is damaged, or of another network.
+        CheckpointError: the file is damaged, or of another network.
         """
         try:
             tensors, metadata = read_tensors(path)

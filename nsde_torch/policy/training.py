@@ -89,8 +89,7 @@ MakeDynamics = Callable[[torch.Generator], Dynamics]
 class PolicyTraining:
     """One training. `run` does all of it; interrupted and run again, it goes on from its last evaluation.
 
-    Raises:
-        CheckpointError: what it is scored against is none, or its truth is another.
+    CheckpointError: what it is scored against is none, or its truth is another.
     """
 
     task: CartpoleSwingUp  # what is asked for

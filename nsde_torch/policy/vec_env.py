@@ -33,7 +33,6 @@ class PolicyVecEnv(VecEnv):
         return _array(self.environment.reset())
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Take the actions (N, na) of the next step."""
         self._action = torch.as_tensor(actions)
 
     def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
@@ -63,12 +62,10 @@ class PolicyVecEnv(VecEnv):
         setattr(self, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Call a method, once for all machines."""
         result = getattr(self, method_name)(*args, **kwargs)
         return [result for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """No machine is wrapped."""
         return [False for _ in self._get_indices(indices)]
 
 

@@ -10,8 +10,7 @@ from typing import Any
 from nsde_torch.control.codegen import scalar
 from nsde_torch.control.codegen.scalar import PLACE, Layer, Number, Scalar
 
-_LONG = 90
-"""Characters of an expression from which on it becomes a statement of its own."""
+_LONG = 90  # characters of an expression from which on it becomes a statement of its own
 _CALLS = {
     **{n: f"F({n})({{0}})" for n in ("sin", "cos", "tan", "exp", "expm1", "log", "log1p", "sqrt", "atan")},
     **{n: f"F({n})({{0}})" for n in ("acos", "asin", "asinh", "floor")},

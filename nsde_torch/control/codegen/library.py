@@ -46,11 +46,7 @@ def compiler() -> str | None:
 
 
 def compiled(source: Path, made: Path, flags: Sequence[str]) -> None:
-    """Compile a file to a library.
-
-    Raises:
-        NoCompiler: there is no C compiler, or it refuses.
-    """
+    """Compile a file to a library. NoCompiler: there is no C compiler, or it refuses."""
     cc = compiler()
     if cc is None:
         raise NoCompiler("there is no C compiler (cc, gcc or clang; CC names it)")
@@ -71,11 +67,9 @@ def library(
 ) -> ctypes.CDLL:
     """A library of this name for this computer, compiled if it is not kept yet.
 
-    `source` writes its text, which follows from `made_of`. Libraries are kept in a folder, or in that of the package's
-    cache; `say` is called with one line when it is compiled.
-
-    Raises:
-        NoCompiler: there is no text, no C compiler, or it refuses, or what it makes cannot be kept.
+    `source` writes its text, which follows from `made_of`. Libraries are kept in a folder, or in that of the
+    package's cache; `say` is called with one line when it is compiled. NoCompiler: there is no text, no C compiler,
+    or it refuses, or what it makes cannot be kept.
     """
     level = LEVELS.get(torch.backends.cpu.get_cpu_capability())
     flags = (*FLAGS, *([f"-march={level}"] if level else []))

@@ -29,11 +29,9 @@ from torch.utils._pytree import tree_leaves, tree_map
 from nsde_torch.columns import few_operations
 from nsde_torch.errors import ExportError
 
-Number = Any
-"""A `Scalar`, or a float where it is constant."""
+Number = Any  # a `Scalar`, or a float where it is constant
 Table = np.ndarray[Any, Any]
-_WIDE = 48
-"""Weights that are not 0 from which on an affine map is a layer, and is not written out."""
+_WIDE = 48  # weights that are not 0 from which on an affine map is a layer, and is not written out
 
 
 @final
@@ -97,7 +95,6 @@ def _plain(x: Number) -> Number:
 
 
 def add(a: Number, b: Number) -> Number:
-    """a + b."""
     a, b = _plain(a), _plain(b)
     if isinstance(a, float) and isinstance(b, float):
         return a + b
@@ -110,7 +107,6 @@ def add(a: Number, b: Number) -> Number:
 
 
 def neg(a: Number) -> Number:
-    """-a."""
     if isinstance(a, float):
         return -a
     if a.op == "neg":
@@ -146,7 +142,6 @@ def mul(a: Number, b: Number) -> Number:
 
 
 def div(a: Number, b: Number) -> Number:
-    """a / b."""
     a, b = _plain(a), _plain(b)
     if isinstance(b, float) and b != 0.0:
         return a / b if isinstance(a, float) else mul(1.0 / b, a)
@@ -193,7 +188,6 @@ def call(op: str, *args: Number) -> Number:
 
 
 def _slopes(x: Scalar) -> list[Number]:
-    """Derivatives of an operation by its arguments."""
     a, b = (*x.args, 0.0)[:2]
     if x.op in ("lt", "le", "eq", "sign", "floor"):
         return [0.0] * len(x.args)
@@ -393,10 +387,8 @@ def run(
 ) -> list[Table]:
     """What a function of tensors of a type makes of tables of scalars of the shapes of its arguments.
 
-    The function has operations that change nothing in place, and no branches on values.
-
-    Raises:
-        ExportError: it holds an operation that is not known here.
+    The function has operations that change nothing in place, and no branches on values. ExportError: it holds an
+    operation that is not known here.
     """
     with torch.no_grad(), few_operations():
         made = function(*(_Symbolic(table, dtype) for table in arguments))

@@ -49,9 +49,7 @@ def scalars(
     """A function of tables of one row, run on scalars: its inputs and its outputs.
 
     `tables` are name and width n of each argument; the function is from tensors (1, n) to tensors of `dtype`.
-
-    Raises:
-        ExportError: it holds an operation that is not known in C.
+    ExportError: it holds an operation that is not known in C.
     """
     given = [scalar.inputs(name, 1, n) for name, n in tables.items()]
     made = scalar.run(function, given, dtype=dtype)
@@ -66,8 +64,7 @@ def put(name: str, values: Iterable[Number]) -> list[tuple[str, Number]]:
 def solver(method: GaussNewton, networks: Networks) -> dict[str, str]:
     """Parts of a file that hold an iteration of a plan along one path, by the name that the file asks for them by.
 
-    Raises:
-        ExportError: the model holds an operation that is not known in C.
+    ExportError: the model holds an operation that is not known in C.
     """
     h = method.horizon
     o, dtype, rate = h.options, h.predictor.dtype, float(h.rate_weight) > 0
@@ -131,8 +128,7 @@ def solver(method: GaussNewton, networks: Networks) -> dict[str, str]:
 def estimator(made: Estimator, predictor: Predictor, networks: Networks) -> dict[str, str]:
     """Parts of a file that hold the update of the estimator, by the name that the file asks for them by.
 
-    Raises:
-        ExportError: the model holds an operation that is not known in C.
+    ExportError: the model holds an operation that is not known in C.
     """
     p, sizes = predictor, {"z": predictor.nz, "u": predictor.nu, "d": predictor.nd}
     later = scalars(lambda z, u, d: (p(z, u, d),), sizes, p.dtype)[1]
@@ -166,8 +162,7 @@ def _filled(files: Iterable[str], values: Mapping[str, object]) -> dict[str, str
 def solver_library(method: GaussNewton | AcceleratedGradient) -> str:
     """Source of a library of `nsde_iterate`, see `templates/solver_rows.c`.
 
-    Raises:
-        ExportError: the model holds an operation that is not known in C.
+    ExportError: the model holds an operation that is not known in C.
     """
     own, newton = ("gauss_newton.c", method) if isinstance(method, GaussNewton) else ("apg.c", method.newton)
     with scalar.of_their_own():
@@ -182,8 +177,7 @@ def solver_library(method: GaussNewton | AcceleratedGradient) -> str:
 def estimator_library(made: Estimator, predictor: Predictor) -> str:
     """Source of a library of `nsde_estimate`, see `templates/estimator_rows.c`.
 
-    Raises:
-        ExportError: the model holds an operation that is not known in C.
+    ExportError: the model holds an operation that is not known in C.
     """
     with scalar.of_their_own():
         parts = estimator(made, predictor, Networks())

@@ -57,7 +57,6 @@ class SetpointCascade:
         self.reset()
 
     def reset(self) -> None:
-        """Empty the integral."""
         self._sum: Vec = (0.0, 0.0, 0.0)
 
     def __call__(self, p: Vec, v: Vec, q: Quat, to: Point, dt: float) -> Demand:
@@ -109,10 +108,8 @@ def levelling(q: Quat) -> Vec:
     return (-k * up[1], k * up[0], 0.0)
 
 
-PAUSE = 0.5
-"""Time without a state after which a flight is a new one [s]."""
-LEAD = 0.1
-"""How much earlier than needed the cascade asks for accelerations [s]."""
+PAUSE = 0.5  # time without a state after which a flight is a new one [s]
+LEAD = 0.1  # how much earlier than needed the cascade asks for accelerations [s]
 
 
 @final

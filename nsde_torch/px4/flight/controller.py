@@ -25,8 +25,7 @@ from nsde_torch.errors import NsdeError
 from nsde_torch.px4.link.connection import PLANS, urgent
 from nsde_torch.px4.link.vectors import Vec, between, finite
 
-TIPPED = "tipped"
-"""Word of a status: a plan tilted too far."""
+TIPPED = "tipped"  # word of a status: a plan tilted too far
 
 
 @dataclass(frozen=True)
@@ -60,8 +59,7 @@ class DemandPlan:
         return Demand(between(a.w, b.w, share), a.thrust + share * (b.thrust - a.thrust))
 
 
-Asked = Sequence[tuple[float, Demand]]
-"""What was sent lately, and when it left [s], the oldest first."""
+Asked = Sequence[tuple[float, Demand]]  # what was sent lately, and when it left [s], the oldest first
 
 
 class FlightController(Protocol):
@@ -205,7 +203,6 @@ class Process(Runner):
 
 
 def _work(maker: Maker, pipe: Connection) -> None:
-    """What runs in the process."""
     # Ctrl-C is the loop's business: it needs plans until it has landed
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(OSError, AttributeError):

@@ -26,10 +26,8 @@ from typing import NamedTuple
 OF_LOSS, ACTION, STICKS = "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_RC_IN_MODE"
 CLIMBS_TO, BATTERY = "RTL_RETURN_ALT", "COM_LOW_BAT_ACT"
 OVERRIDE, PROFILE = "COM_RC_OVERRIDE", "SDLOG_PROFILE"
-LONGEST_LOSS = 2.0
-"""Time for which PX4 may hold the last rates when the stream stops [s]."""
-BLIND = 2.0
-"""Distance that it may fly on the last rates without a remark [m]."""
+LONGEST_LOSS = 2.0  # time for which PX4 may hold the last rates when the stream stops [s]
+BLIND = 2.0  # distance that it may fly on the last rates without a remark [m]
 ADVISED_LOSS, ADVISED_ACTION, ADVISED_PROFILE = 0.5, 4, 147
 NO_STICKS = 4
 IN_OFFBOARD, OVER_OFFBOARD, HIGH_RATE = 4, 2, 16
@@ -61,8 +59,7 @@ _FAILSAFES = (
 GPS_DELAYS, FRESHEST = ("SENS_GPS0_DELAY", "EKF2_GPS_DELAY"), 5.0
 """Age that PX4 takes a position fix for, by its newer and older name, and the shortest that is accepted [ms]."""
 OWN_FENCE = ("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST")
-OPTIONAL = ("COM_DLL_EXCEPT", *GPS_DELAYS)
-"""Parameters that some versions of PX4 do not have."""
+OPTIONAL = ("COM_DLL_EXCEPT", *GPS_DELAYS)  # parameters that some versions of PX4 do not have
 PARAMETERS = (
     *(OF_LOSS, *(one.name for one in _FAILSAFES), "COM_RCL_EXCEPT", STICKS),
     *(*OWN_FENCE, CLIMBS_TO, OVERRIDE, PROFILE),

@@ -17,8 +17,7 @@ from nsde_torch.px4.link import frames
 from nsde_torch.px4.link.telemetry import VehicleState
 from nsde_torch.px4.link.vectors import Vec
 
-Sent = tuple[float, Vec, float] | None
-"""Time, rates and throttle of a setpoint; None where there was none."""
+Sent = tuple[float, Vec, float] | None  # time, rates and throttle of a setpoint; None where there was none
 STATE = ("p_x", "p_y", "p_z", "v_x", "v_y", "v_z", "q_w", "q_x", "q_y", "q_z", "w_x", "w_y", "w_z")
 EXTRA = ("rate_sp_x", "rate_sp_y", "rate_sp_z", "throttle_sp", "battery_voltage")
 RESET = 0.05
@@ -122,12 +121,10 @@ class UlogFile:
             self._data("battery_status", us, volts)
 
     def flush(self) -> None:
-        """Put what was written on disk."""
         if self._out is not None:
             self._out.flush()
 
     def close(self) -> None:
-        """End the log."""
         if self._out is not None:
             self._out.close()
             self._out = None

@@ -28,10 +28,8 @@ from nsde_torch.px4.link.connection import STREAM, Connection, urgent, why_no_st
 from nsde_torch.px4.link.telemetry import VehicleState
 from nsde_torch.px4.link.vectors import Vec, distance, plus
 
-LOOK = 0.05
-"""Time between looks at the vehicle [s]."""
-STANDS = 1.0
-"""Time on the ground after which PX4 is asked to disarm, and between such requests [s]."""
+LOOK = 0.05  # time between looks at the vehicle [s]
+STANDS = 1.0  # time on the ground after which PX4 is asked to disarm, and between such requests [s]
 
 
 def land(
@@ -89,10 +87,8 @@ def land(
     return out
 
 
-RATE = 100.0
-"""Ticks of the loop in a second; each sends a setpoint."""
-LOGGED_FROM = 0.3
-"""Height above which a flight is logged [m]: below, the ground acts on it."""
+RATE = 100.0  # ticks of the loop in a second; each sends a setpoint
+LOGGED_FROM = 0.3  # height above which a flight is logged [m]: below, the ground acts on it
 
 
 @dataclass
@@ -234,7 +230,6 @@ class Recorder:
         return [state for state in reversed(found) if found[0].received - state.received < 0.1]
 
     def finish(self) -> FlightReport:
-        """The report."""
         f, r = self._flight, self.report
         r.bounded, r.hover = dict(f.guard.counts), f.hover.value
         r.link = dict(f.endpoint.codec.counts)

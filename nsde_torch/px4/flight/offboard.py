@@ -30,10 +30,8 @@ REST, SETTLE = 1.0, 4.0
 """Time of rest after the reference, and longest wait for it above the place of take-off [s]."""
 STALL = 0.15
 """Time between two ticks from which on this process stood still [s]; what came meanwhile must be heard first."""
-GRACE = 0.05
-"""Time that the hearing is given for it [s]."""
-REMEMBERED = 0.3
-"""Time for which a controller is given what was sent [s]."""
+GRACE = 0.05  # time that the hearing is given for it [s]
+REMEMBERED = 0.3  # time for which a controller is given what was sent [s]
 SETPOINTS = 500
 """Newest rates that are recognised as ours when PX4 reports them: it may hold them for 2 s, at 250 a second."""
 
@@ -78,7 +76,6 @@ class Offboard:
 
     @property
     def done(self) -> bool:
-        """Whether the flight is over."""
         return self.phase is Phase.DONE
 
     def stop(self) -> None:

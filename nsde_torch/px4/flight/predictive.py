@@ -60,12 +60,10 @@ from nsde_torch.systems.machines import Effects, named_effects
 
 SLOPE_TIME, LEARNT_FROM, STEEPEST = 2.0, 1.0, 1.0
 """Time constant of learning how it brakes [s], speed below which little is learned [m/s], largest slope [1/s]."""
-LONGEST = 0.2
-"""Time between two states beyond which nothing is learned from them [s]."""
+LONGEST = 0.2  # time between two states beyond which nothing is learned from them [s]
 PUSH_TIME, PUSH_LIMIT = 0.2, 4.0
 """Time constant [s] and largest size along each axis [m/s2] of the push that is learned."""
-STEP = 0.01
-"""Longest step of the integration, about [s]."""
+STEP = 0.01  # longest step of the integration, about [s]
 Drag = tuple[Vec, Vec, Vec]
 NO_DRAG: Drag = ((0.0, 0.0, 0.0),) * 3
 NO_PUSH: Vec = (0.0, 0.0, 0.0)
@@ -153,12 +151,9 @@ class PushEstimate:
 
 DELAY, LEAD = 0.08, 0.01
 """Measured best on a real PX4 in simulation [s]: rates that are asked for are there 88 ms later."""
-TRIM_TIME, TRIM_LIMIT = 10.0, 0.3
-"""Time constant [s] and largest size [m] of the trim."""
-TILT = radians(65.0)
-"""Tilt of a plan that is not flown [rad]; that at which a flight ends."""
-KEEP = 0.25
-"""Longest time for which the plan before goes on where new ones tilt too far [s]."""
+TRIM_TIME, TRIM_LIMIT = 10.0, 0.3  # time constant [s] and largest size [m] of the trim
+TILT = radians(65.0)  # tilt of a plan that is not flown [rad]; that at which a flight ends
+KEEP = 0.25  # longest time for which the plan before goes on where new ones tilt too far [s]
 COLD, WARM_UP = 10, 60
 """Plans that are made before a flight and not looked at, and those that are, along the reference."""
 SLOWEST, TAIL = 0.1, 0.05
@@ -198,8 +193,7 @@ def check_uncovered(system: System) -> None:
         )
 
 
-SLOW = 2.0
-"""Speed at which a model is asked how it brakes [m/s]."""
+SLOW = 2.0  # speed at which a model is asked how it brakes [m/s]
 
 
 def braking(controller: Controller) -> Drag:
@@ -219,8 +213,7 @@ def braking(controller: Controller) -> Drag:
 class PredictiveController:
     """Plans with a model; a `FlightController`.
 
-    Raises:
-        ConfigError: the model is of no multirotor, or knows an effect that `delay` makes up for.
+    ConfigError: the model is of no multirotor, or knows an effect that `delay` makes up for.
     """
 
     controller: Planner  # the solver and what it pays for; batch of one

@@ -13,18 +13,14 @@ from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.link.telemetry import Status, VehicleState
 from nsde_torch.px4.link.vectors import length, tilt_of
 
-PARAMETERS = ("MPC_THR_HOVER", *failsafe.PARAMETERS)
-"""Parameters that are asked for."""
-FEWEST = 70.0
-"""States in a second with which a flight may begin; more are asked for, and some get lost."""
+PARAMETERS = ("MPC_THR_HOVER", *failsafe.PARAMETERS)  # parameters that are asked for
+FEWEST = 70.0  # states in a second with which a flight may begin; more are asked for, and some get lost
 CLIMB_TIME = 0.55
 """How far a climb rises past its end, as a time at its speed [s]; simulated: 0.2 m at 0.8 m/s, 0.6 at 1.5, 1.5 at 3."""
-ROUNDED = 1e-3
-"""What is said of heights is rounded to this, and what follows it is not refused [m]."""
+ROUNDED = 1e-3  # what is said of heights is rounded to this, and what follows it is not refused [m]
 SETTLED = 0.5
 """Share of `limits.innovation` above which a flight does not begin; PX4 arms up to ratios of 0.5 (COM_ARM_EKF_*)."""
-MOVES = 0.5
-"""Speed from which on a vehicle does not stand [m/s]; an estimate that settles is slower."""
+MOVES = 0.5  # speed from which on a vehicle does not stand [m/s]; an estimate that settles is slower
 _LANDED = {
     d.ON_GROUND: "says that it is on the ground, but moves",
     d.IN_AIR: "says that it is in the air",

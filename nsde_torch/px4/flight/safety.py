@@ -54,12 +54,10 @@ from nsde_torch.px4.link.vectors import (
 # Estimators reset themselves. A step of the heading alone is harmless, PX4 makes one in every flight; one of
 # position or velocity is a fall or a leap to whoever flies by it.
 
-HARDEST = 30.0
-"""Acceleration that thrust and gravity may make [m/s2]: a small multirotor at full throttle."""
+HARDEST = 30.0  # acceleration that thrust and gravity may make [m/s2]: a small multirotor at full throttle
 UNANNOUNCED = radians(3.0)
 """Step of the heading that is a reset though nothing announced it: ATTITUDE_QUATERNION has no counter [rad]."""
-LONGEST = 0.5
-"""Longest time between two states that are compared [s]."""
+LONGEST = 0.5  # longest time between two states that are compared [s]
 
 
 @dataclass(frozen=True)
@@ -89,8 +87,7 @@ def step_between(last: VehicleState, state: VehicleState) -> EstimateStep | None
 
 MARGIN = 0.3
 """Distance from the fence's edge that is kept where the place can be chosen: to hold, and below its top [m]."""
-TIPPED_WINDOW = 5.0
-"""Time within which plans that tip are counted [s]."""
+TIPPED_WINDOW = 5.0  # time within which plans that tip are counted [s]
 FOREIGN, FOREIGN_WINDOW = 3, 1.0
 """Setpoints of another client that end a flight, and the time within which they are counted [s].
 
@@ -295,8 +292,7 @@ FLYING = (Phase.TAKEOFF, Phase.HOLD, Phase.TRACK, Phase.RETURN, Phase.SAFE_HOLD)
 """Phases in which we fly the vehicle and it must be in OFFBOARD."""
 
 
-REFUSED = "refused"
-"""Kind of the trouble of a flight that was not begun."""
+REFUSED = "refused"  # kind of the trouble of a flight that was not begun
 
 
 @dataclass

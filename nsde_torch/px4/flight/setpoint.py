@@ -20,8 +20,7 @@ from nsde_torch.px4.link.vectors import Vec, cos_tilt, finite, rotate_back, tilt
 
 LAG, WINDOW, LEARNING = 0.07, 0.2, 1.5
 """From throttle to thrust, the window that the velocity is looked at over, and time constant of learning [s]."""
-LOWEST, HIGHEST = 0.08, 0.85
-"""Throttles that are accepted as one that hovers."""
+LOWEST, HIGHEST = 0.08, 0.85  # throttles that are accepted as one that hovers
 
 
 @final

@@ -25,8 +25,7 @@ from typing import Any, final
 from nsde_torch.errors import ConfigError
 from nsde_torch.px4.link.dialect import mavlink
 
-Message = Any
-"""A message of pymavlink; which fields it has depends on its type."""
+Message = Any  # a message of pymavlink; which fields it has depends on its type
 
 V1, V2 = 0xFE, 0xFD
 _HEADER = {V1: 6, V2: 10}
@@ -34,8 +33,7 @@ _SIGNED, _SIGNATURE = 0x01, 13
 _REVERSED = bytes(int(f"{k:08b}"[::-1], 2) for k in range(256))
 _EPOCH = 1420070400.0  # start of the clock of signatures, 1 January 2015 [s]
 _MINUTE = 6_000_000
-BUDGET = 1500
-"""Frames of one message that are decoded in a second; PX4 sends a tenth of it."""
+BUDGET = 1500  # frames of one message that are decoded in a second; PX4 sends a tenth of it
 
 
 def crc16(data: bytes, extra: int) -> int:
@@ -85,7 +83,6 @@ class Codec:
         self._second, self._spent = -1, Counter[int]()
 
     def pack(self, message: Message) -> bytes:
-        """Bytes of a message."""
         if self.key is not None:
             self._out.signing.timestamp = max(self._out.signing.timestamp, self._now())
         packed: bytes = message.pack(self._out)

@@ -47,8 +47,7 @@ def urgent(priority: int) -> Iterator[bool]:
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
-POLL = 0.05
-"""Time between looks at what is due to be said [s]."""
+POLL = 0.05  # time between looks at what is due to be said [s]
 
 
 class Connection(ABC):

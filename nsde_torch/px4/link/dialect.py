@@ -21,8 +21,7 @@ ARMED_FLAG, RECEIVER = 128, 65536
 GCS = 6
 """Type of a ground station's heartbeat. PX4 sends STATUSTEXT only to a link on which a ground station is heard."""
 AUTOPILOT_PX4, NO_AUTOPILOT = 12, 8
-RATES_MASK = 128
-"""Type mask of SET_ATTITUDE_TARGET: attitude ignored."""
+RATES_MASK = 128  # type mask of SET_ATTITUDE_TARGET: attitude ignored
 ON_GROUND, IN_AIR, TAKING_OFF, LANDING = 1, 2, 3, 4
 
 

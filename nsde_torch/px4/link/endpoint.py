@@ -40,10 +40,8 @@ NUMBERS: dict[str, int] = {kind.msgname: number for number, kind in mavlink.mavl
 WANTED = frozenset(NUMBERS[name] for name in (*INTERVALS, *_OTHERS))
 HEARTBEATS = 0.2
 """Time between requests for the vehicle's heartbeat [s]; PX4 sends one a second, and no other interval is accepted."""
-CHECKED = 2.0
-"""After this time [s] a message that still comes too slowly is asked for again."""
-SHARE = 0.7
-"""Share of the rate that was asked for with which we are content; PX4 sends 99 Hz for 100."""
+CHECKED = 2.0  # after this time [s] a message that still comes too slowly is asked for again
+SHARE = 0.7  # share of the rate that was asked for with which we are content; PX4 sends 99 Hz for 100
 
 
 @final
@@ -130,7 +128,6 @@ class Endpoint:
     # saying
 
     def say(self, message: Message) -> None:
-        """Send one message."""
         with self.lock:
             self.send(self.codec.pack(message))
 
@@ -170,7 +167,6 @@ class Endpoint:
         return self.target or 0, self._component
 
     def ask_mode(self, mode: Mode) -> None:
-        """Ask for a flight mode."""
         self.command(d.SET_MODE, 1, mode.main, mode.sub)
 
     def ask_home(self) -> None:

@@ -18,10 +18,8 @@ from nsde_torch.px4.link.dialect import ARMED_FLAG, RECEIVER, UNKNOWN, Mode, par
 from nsde_torch.px4.link.timesync import TimeSync
 from nsde_torch.px4.link.vectors import Quat, Vec, distance, finite, length, normalised, plus, rotate
 
-PAIR = 0.1
-"""Longest time over which a position is carried forward to an attitude [s]."""
-BACK = 1.0
-"""A stamp that lies this far back, several times over, is that of a restarted clock [s]."""
+PAIR = 0.1  # longest time over which a position is carried forward to an attitude [s]
+BACK = 1.0  # a stamp that lies this far back, several times over, is that of a restarted clock [s]
 _TEXTS = 200
 
 

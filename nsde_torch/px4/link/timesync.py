@@ -15,22 +15,15 @@ from __future__ import annotations
 from collections import deque
 from typing import final
 
-LONGEST = 1.0
-"""Round trip from which on an answer is not used [s]."""
-JUMP = 0.5
-"""Disagreement with the messages' own stamps from which on the clock has jumped [s]."""
-PERIOD = 0.1
-"""Time between questions [s]."""
-WINDOW = 4.0
-"""Time over which answers are accepted [s]."""
+LONGEST = 1.0  # round trip from which on an answer is not used [s]
+JUMP = 0.5  # disagreement with the messages' own stamps from which on the clock has jumped [s]
+PERIOD = 0.1  # time between questions [s]
+WINDOW = 4.0  # time over which answers are accepted [s]
 SLACK, ODD = 0.02, 3
 """Disagreement of an answer with the line, beyond its own error [s], and how many of them in a row set a clock anew."""
-SPREAD = 1e-3
-"""Round trips that are this much longer than the shortest have a quarter of its weight [s]."""
-FEWEST, SHORTEST = 8, 0.5
-"""Answers, and time that they span [s], from which a drift is fitted."""
-STEEPEST = 0.1
-"""Largest drift that is accepted."""
+SPREAD = 1e-3  # round trips that are this much longer than the shortest have a quarter of its weight [s]
+FEWEST, SHORTEST = 8, 0.5  # answers, and time that they span [s], from which a drift is fitted
+STEEPEST = 0.1  # largest drift that is accepted
 
 
 @final

@@ -21,8 +21,7 @@ from typing import Any, final
 from nsde_torch.errors import NsdeError
 
 _BUFFER = 1 << 20
-TAKEOVER = 2.0
-"""Silence of the vehicle after which another port of the same host may take its place [s]."""
+TAKEOVER = 2.0  # silence of the vehicle after which another port of the same host may take its place [s]
 
 
 class LinkError(NsdeError, OSError):

@@ -31,7 +31,6 @@ def rotate_back(q: Quat, v: Vec) -> Vec:
 
 
 def multiply(a: Quat, b: Quat) -> Quat:
-    """Hamilton product."""
     w, x, y, z = a
     d, e, f, g = b
     return (
@@ -43,7 +42,6 @@ def multiply(a: Quat, b: Quat) -> Quat:
 
 
 def normalised(q: Quat) -> Quat:
-    """Unit quaternion of the same direction."""
     n = 1.0 / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return (q[0] * n, q[1] * n, q[2] * n, q[3] * n)
 
@@ -107,12 +105,10 @@ def bounded(v: Vec, most: float) -> Vec:
 
 
 def length(v: Vec) -> float:
-    """Euclidean norm."""
     return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
 
 
 def distance(a: Vec, b: Vec) -> float:
-    """Distance of two points."""
     return length(plus(a, b, -1.0))
 
 
@@ -122,5 +118,4 @@ def between(a: Vec, b: Vec, share: float) -> Vec:
 
 
 def finite(*values: float) -> bool:
-    """Whether all numbers are finite."""
     return all(map(isfinite, values))

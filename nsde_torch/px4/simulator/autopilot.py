@@ -58,17 +58,14 @@ MOTORS_OFF = (6, 7)
 STICK_MODES = (d.POSITION, d.ALTITUDE, d.MANUAL)
 ABANDONED = 0.85
 """Share of its weight that it carries in a mode of sticks that nobody holds: it drifts on, into the ground."""
-BOOT = 1.0
-"""Time until the estimator is ready [s]."""
+BOOT = 1.0  # time until the estimator is ready [s]
 RATE_GAINS, RATE_INTEGRAL = (11.0, 11.0, 5.0), (4.0, 4.0, 2.0)
-CUT = 0.012
-"""Time for which the motors stand still when LAND follows OFFBOARD [s]."""
+CUT = 0.012  # time for which the motors stand still when LAND follows OFFBOARD [s]
 BRAKES = 3.0  # [m/s2], with which a mode of its own comes to where it then stays
 LOW_BATTERY = 0.1
 NEARLY_FULL = 0.95  # what a thrust above 1 becomes
 _NAMES = {number: name for name, number in NUMBERS.items()}
-ESTIMATOR = 0.008
-"""Step at which the estimator publishes [s]."""
+ESTIMATOR = 0.008  # step at which the estimator publishes [s]
 _ESTIMATED = frozenset(("ODOMETRY", "LOCAL_POSITION_NED"))
 _COMMANDS = {d.SET_MODE: "mode", d.ARM: "arm", d.SET_INTERVAL: "interval", d.REQUEST_MESSAGE: "message"}
 
@@ -164,7 +161,6 @@ class SimulatedAutopilot:
 
     @property
     def streaming(self) -> bool:
-        """Whether setpoints come."""
         longest = self.parameters["COM_OF_LOSS_T"]
         return self._setpoint is not None and self.time - self._setpoint[0] <= longest
 
@@ -267,7 +263,6 @@ class SimulatedAutopilot:
     # hearing
 
     def receive(self, data: bytes) -> None:
-        """Take bytes that came."""
         for message in self.codec.unpack(data, self.time):
             handler = getattr(self, f"_on_{message.get_type().lower()}", None)
             if handler is not None:

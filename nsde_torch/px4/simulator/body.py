@@ -31,8 +31,7 @@ from nsde_torch.systems.frozen import frozen
 from nsde_torch.systems.machines import Effects, machine, make_plant_system, named_effects
 
 GRAVITY = 9.81
-HELD = 0.01
-"""Interval at which gusts and effects beyond the rigid body are computed [s]."""
+HELD = 0.01  # interval at which gusts and effects beyond the rigid body are computed [s]
 _NATIVE = {"motor_lag", "linear_drag"}
 
 
@@ -41,8 +40,7 @@ _NATIVE = {"motor_lag", "linear_drag"}
 class Body:
     """One multirotor.
 
-    Raises:
-        ConfigError: no multirotor plant of that name, or an effect that reads a channel that is not there.
+    ConfigError: no multirotor plant of that name, or an effect that reads a channel that is not there.
     """
 
     name: str  # of a multirotor; as `effects` and `declared_only` see `make_plant_system`

@@ -26,18 +26,15 @@ from nsde_torch.px4.link.vectors import Quat, Vec, from_rotation_vector, multipl
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 
-ALIGNED = 1.5
-"""Height above ground at which the heading is reset [m]."""
+ALIGNED = 1.5  # height above ground at which the heading is reset [m]
 HEADING = (radians(1.0), radians(9.0))
 """Smallest and largest error of the heading before that, as they were seen [rad]."""
 KEPT, SINKS, RISES = 0.8, 1.5, 3.0
 """Share of the touch-down speed that the estimate keeps, and times in which velocity [s] and height [s] come back."""
 GATE, CORRECTED = 5.0 * 0.3, 0.5
 """Velocity that is rejected [m/s], and time in which measured velocities correct its own [s]."""
-STILL = 0.25
-"""Vertical speed below which it counts as landed [m/s]."""
-Estimate = tuple[Vec, Vec, Quat, Vec]
-"""Position, velocity, attitude and rates."""
+STILL = 0.25  # vertical speed below which it counts as landed [m/s]
+Estimate = tuple[Vec, Vec, Quat, Vec]  # position, velocity, attitude and rates
 
 
 @final

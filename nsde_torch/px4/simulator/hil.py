@@ -55,8 +55,7 @@ from nsde_torch.systems import Multirotor
 # (Zurich; World Magnetic Model, rounded). The IMU comes with every message, the others more seldom, each with
 # its bits in `fields_updated` (PX4 takes a sensor only if all of its bits are set).
 
-LATITUDE, LONGITUDE, ALTITUDE = 47.397742, 8.545594, 488.0
-"""Of the place of take-off [deg, deg, m]."""
+LATITUDE, LONGITUDE, ALTITUDE = 47.397742, 8.545594, 488.0  # of the place of take-off [deg, deg, m]
 _STRENGTH, _DECLINATION, _INCLINATION = 0.483, radians(3.0), radians(63.3)
 FIELD_NED: Vec = (
     _STRENGTH * cos(_INCLINATION) * cos(_DECLINATION),
@@ -64,8 +63,7 @@ FIELD_NED: Vec = (
     _STRENGTH * sin(_INCLINATION),
 )
 """Magnetic field [gauss]."""
-RATE = 250.0
-"""Samples of the IMU in a second; it is what PX4 integrates at in simulation."""
+RATE = 250.0  # samples of the IMU in a second; it is what PX4 integrates at in simulation
 ACCELEROMETER, GYROSCOPE, MAGNETOMETER = 0b111, 0b111_000, 0b111_000_000
 BAROMETER = 1 << 9 | 1 << 11 | 1 << 12
 """Bits of `fields_updated`: three axes each; absolute pressure, its altitude and the temperature."""
@@ -200,10 +198,8 @@ def _truth(stamp: int, p: Vec, v: Vec, q: Quat, w: Vec, force: Vec) -> Message:
     )
 
 
-PATIENCE = 0.1
-"""Longest wait for the motor commands to a sample [s]."""
-LONGEST = 0.1
-"""Most that is made up for at once when the machine or PX4 was busy [s]."""
+PATIENCE = 0.1  # longest wait for the motor commands to a sample [s]
+LONGEST = 0.1  # most that is made up for at once when the machine or PX4 was busy [s]
 _FIRST = 1.0  # first time that is sent; PX4 takes 0 for no time [s]
 _LOCKSTEP = 1
 
@@ -241,7 +237,6 @@ class HilPlant:
         return b"".join(self.codec.pack(m) for m in found)
 
     def receive(self, data: bytes) -> None:
-        """Take bytes of PX4."""
         for message in self.codec.unpack(data, self.time):
             controls = tuple(float(c) for c in message.controls[: self.body.nu])
             self.armed = bool(message.mode & ARMED_FLAG)
@@ -268,7 +263,6 @@ class HilServer:
         self.plant = self.make()  # the machine in service
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
-        """Serve until asked to stop."""
         self.say("waiting for PX4")
         while not until():
             early = self.transport.receive(0.05)  # accepts a connection

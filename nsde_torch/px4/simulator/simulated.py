@@ -26,10 +26,8 @@ from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.clock import CLOCK
 
-START = 1000.0
-"""First time of our clock; the vehicle's begins at 0 [s]."""
-STEP = 0.002
-"""Longest step between looks at what has arrived [s]."""
+START = 1000.0  # first time of our clock; the vehicle's begins at 0 [s]
+STEP = 0.002  # longest step between looks at what has arrived [s]
 
 
 @final
@@ -71,10 +69,8 @@ class VirtualLink(Connection):
         self._up.append((self._time + self.latency, data))
 
 
-LINE = 0.005
-"""Time that a message takes on the simulated line [s]."""
-SOLVE = 0.01
-"""Time after which a plan is there: a solve, rounded up to a tick of the loop [s]."""
+LINE = 0.005  # time that a message takes on the simulated line [s]
+SOLVE = 0.01  # time after which a plan is there: a solve, rounded up to a tick of the loop [s]
 
 
 def fly_simulated(
@@ -108,8 +104,7 @@ def fly_simulated(
 
 
 TICK = 0.004
-LONGEST = 0.1
-"""Most that is made up for at once when the machine was busy [s]; beyond, its clock slips."""
+LONGEST = 0.1  # most that is made up for at once when the machine was busy [s]; beyond, its clock slips
 
 
 @final
@@ -128,7 +123,6 @@ class Vehicle:
         self.slipped = 0.0  # time that its clock lost because the machine was busy [s]
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
-        """Run until asked to stop."""
         begun, offset = time.monotonic(), self.autopilot.time
         while not (self._stop.is_set() or until()):
             wanted = offset + (time.monotonic() - begun) * self.speed

@@ -21,7 +21,7 @@ import nsde_torch
 from nsde_torch.models import MODELS, Model, SDESpec, make_model
 from nsde_torch.models.kind import model_kind
 from nsde_torch.policy import BatchEnvironment, Dynamics, make_learned, make_task, make_truth
-from nsde_torch.policy.vec_env import PolicyVecEnv
+from nsde_torch.policy.ppo import PolicyVecEnv
 
 TASK = make_task("cartpole")
 

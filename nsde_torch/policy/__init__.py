@@ -1,7 +1,6 @@
 """Policies: tasks, environments whose step is a true or a learned machine, and learning in them.
 
-`vec_env` and `ppo` need the extra `nsde_torch[policy]` (gymnasium, stable-baselines3) and are
-imported by name; everything here does without.
+`ppo`, imported by name, needs the extra `nsde_torch[policy]` (gymnasium, stable-baselines3); all else does without.
 """
 
 from typing import TYPE_CHECKING

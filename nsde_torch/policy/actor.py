@@ -27,14 +27,7 @@ _FORMAT = "nsde_torch/policy/1"
 
 @final
 class Actor(nn.Module):
-    """A policy.
-
-    Args:
-        scale: Size of each thing that it sees (no,) [its unit].
-        hidden: Widths of the hidden layers (tanh).
-        n_actions: Number of actions.
-        system: Whose policy it is, for the record.
-    """
+    """A policy of a system, of what it sees over its scale (no,), with hidden layers of some widths (tanh)."""
 
     def __init__(self, scale: Sequence[float], hidden: Sequence[int], n_actions: int, *, system: str) -> None:
         super().__init__()

@@ -129,40 +129,27 @@ _LARGEST = 1e3
 
 @dataclass(frozen=True)
 class Transition:
-    """What one step of all machines gives.
+    """What one step of all machines gives."""
 
-    Args:
-        observation: What the policy sees next (N, no), float32; of a machine that starts anew, its first one.
-        reward: Reward of the step (N,).
-        terminated: Rows whose episode is over for good.
-        truncated: Rows whose episode has had all its steps.
-        last: What the policy saw at the end of the episode, for rows that ended (N, no), float32; elsewhere as
-            `observation`.
-        total: Sum of the rewards of the episode so far, the ended one included (N,).
-        length: Steps of the episode so far (N,).
-    """
-
-    observation: Tensor
-    reward: Tensor
-    terminated: Tensor
-    truncated: Tensor
-    last: Tensor
-    total: Tensor
-    length: Tensor
+    observation: (
+        Tensor  # what the policy sees next (N, no), float32; of a machine that starts anew, its first one
+    )
+    reward: Tensor  # of the step (N,)
+    terminated: Tensor  # rows whose episode is over for good
+    truncated: Tensor  # rows whose episode has had all its steps
+    last: Tensor  # what it saw at the end of an episode (N, no), float32; of others, as `observation`
+    total: Tensor  # sum of the rewards of the episode so far, the ended one included (N,)
+    length: Tensor  # steps of the episode so far (N,)
 
 
 @final
 @dataclass(eq=False)
 class BatchEnvironment:
-    """A task on N machines.
-
-    Raises:
-        ConfigError: no machine.
+    """A task on N machines; ConfigError where there is none.
 
     Example:
-        >>> environment = BatchEnvironment(
-        ...     task, dynamics, n=1024, generator=torch.Generator().manual_seed(0), start=task.training
-        ... )
+        >>> generator = torch.Generator().manual_seed(0)
+        >>> environment = BatchEnvironment(task, dynamics, n=1024, generator=generator, start=task.training)
         >>> observation = environment.reset()
         >>> step = environment.step(policy(observation))
     """
@@ -184,16 +171,9 @@ class BatchEnvironment:
         self._total = torch.zeros(self.n, dtype=torch.float64)
 
     def reset(self, x0: Tensor | None = None) -> Tensor:
-        """Start all episodes.
+        """Start all episodes, in first states (N, nx) or where episodes start; what the policy sees (N, no), float32.
 
-        Args:
-            x0: First states (N, nx); default: drawn where episodes start.
-
-        Returns:
-            What the policy sees (N, no), float32.
-
-        Raises:
-            ShapeError: `x0` has another number of rows.
+        ShapeError: `x0` has another number of rows.
         """
         if x0 is not None and len(x0) != self.n:
             raise ShapeError(f"`x0` must have a row for each of the {self.n} machines; got {len(x0)}.")

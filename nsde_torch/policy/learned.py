@@ -137,18 +137,11 @@ def make_learned(
     generator: torch.Generator,
     propagation: str | None = None,
 ) -> Dynamics:
-    """The machines that a model has learned.
+    """The machines that a model has learned, with a sample of `dt` [s] and a factor on the sensor noise it has learned.
 
-    Args:
-        model: The model.
-        dt: Sample [s].
-        sensor_noise: Factor on the sensor noise that the model has learned, >= 0; one without such noise has none.
-        generator: Source of all randomness.
-        propagation: "fixed" or "redrawn" members of an ensemble; None takes what the ensemble was trained with.
-
-    Raises:
-        ConfigError: the factor is below 0, `dt` is not the step of an ensemble, or `propagation` is unknown or given
-            for a model that has no members.
+    `propagation` is that of the members of an ensemble, "fixed" or "redrawn"; None takes what it was trained with.
+    ConfigError: the factor is below 0, `dt` is not the step of an ensemble, or `propagation` is unknown or given for a
+    model that has no members.
     """
     if not sensor_noise >= 0:
         raise ConfigError(f"`sensor_noise` must be a factor of 0 or more; got {sensor_noise!r}.")

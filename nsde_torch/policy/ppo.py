@@ -13,34 +13,82 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, final
 
+import numpy as np
 import torch
+from gymnasium import spaces
+from numpy.typing import NDArray
 from safetensors import SafetensorError
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor, nn
 
 from nsde_torch.errors import CheckpointError, NonFiniteError
 from nsde_torch.policy.actor import Actor, read_tensors, write_tensors
 from nsde_torch.policy.environment import BatchEnvironment
 from nsde_torch.policy.options import PolicyOptions
-from nsde_torch.policy.vec_env import PolicyVecEnv
 
 _FORMAT = "nsde_torch/ppo/1"
 _NEVER = 10**9  # updates between stable-baselines3's own tables
+_BOUND = 1e3  # of what a policy may see: any numbers that `BatchEnvironment` lets through
 
 
-class _Scaled(BaseFeaturesExtractor):
-    """Observations over their scale."""
+@final
+class PolicyVecEnv(VecEnv):
+    """All machines of a batch environment as one that stable-baselines3 steps, observations over their scale.
 
-    def __init__(self, observation_space: Any, scale: tuple[float, ...]) -> None:
-        super().__init__(observation_space, len(scale))
-        self.scale: Tensor
-        self.register_buffer("scale", torch.tensor(scale))
+    `reward_scale` is a factor on the rewards that the learner sees; `infos[...]["episode"]["r"]` is without it.
+    """
 
-    def forward(self, observations: Tensor) -> Tensor:
-        return observations / self.scale
+    def __init__(self, environment: BatchEnvironment, *, reward_scale: float = 1.0) -> None:
+        self.environment, self.reward_scale, task = environment, reward_scale, environment.task
+        self._action, self._scale = torch.zeros(0), torch.tensor(task.observation_scale)
+        seen = spaces.Box(-_BOUND, _BOUND, (len(task.observation_names),), np.float32)
+        super().__init__(environment.n, seen, spaces.Box(-1.0, 1.0, (len(task.action_names),), np.float32))
+
+    def reset(self) -> NDArray[np.float32]:
+        """Start all episodes; returns what the policy sees (N, no)."""
+        return self._seen(self.environment.reset())
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        self._action = torch.as_tensor(actions)
+
+    def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Advance all machines; an episode that ends is followed by the next at once."""
+        made = self.environment.step(self._action)
+        done = made.terminated | made.truncated
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for row in done.nonzero()[:, 0].tolist():
+            infos[row] = {
+                "terminal_observation": self._seen(made.last[row]),
+                "TimeLimit.truncated": bool(made.truncated[row]),
+                "episode": {"r": float(made.total[row]), "l": int(made.length[row])},
+            }
+        rewards = (self.reward_scale * made.reward).float().numpy()
+        return self._seen(made.observation), rewards, done.numpy(), infos
+
+    def _seen(self, observation: Tensor) -> NDArray[np.float32]:
+        return np.asarray(observation / self._scale)
+
+    # what the class asks for beside: no machine has anything of its own
+
+    def close(self) -> None:
+        pass
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        value = None if attr_name == "render_mode" else getattr(self, attr_name)
+        return [value for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        setattr(self, attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        result = getattr(self, method_name)(*args, **kwargs)
+        return [result for _ in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        return [False for _ in self._get_indices(indices)]
 
 
 @final
@@ -65,10 +113,8 @@ class Learner:
             seed=seed,
             device="cpu",
             policy_kwargs={
-                "net_arch": {"pi": list(options.hidden), "vf": list(options.hidden)},
+                "net_arch": {k: list(options.hidden) for k in ("pi", "vf")},
                 "activation_fn": nn.Tanh,
-                "features_extractor_class": _Scaled,
-                "features_extractor_kwargs": {"scale": self._task.observation_scale},
             },
         )
         # its own logger would leave an empty folder with the temporary files for every learning
@@ -95,12 +141,8 @@ class Learner:
     def learn(self, between_updates: Callable[[], None], *, at_every_step: Callable[[int], object]) -> None:
         """Learn until all interactions are done.
 
-        Args:
-            between_updates: Called before the first update and after each, the last included.
-            at_every_step: Called with the number of interactions so far.
-
-        Raises:
-            NonFiniteError: the weights of the policy are not finite.
+        `between_updates` is called before the first update and after each, the last included, `at_every_step` with the
+        number of interactions so far. NonFiniteError: the weights of the policy are not finite.
         """
         left = self.options.interactions - self.interactions
         if left <= 0:

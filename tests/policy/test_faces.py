@@ -10,7 +10,7 @@ pytest.importorskip("gymnasium", reason="needs the extra nsde_torch[policy]")
 pytest.importorskip("stable_baselines3", reason="needs the extra nsde_torch[policy]")
 
 
-from nsde_torch.policy.vec_env import PolicyVecEnv
+from nsde_torch.policy.ppo import PolicyVecEnv
 
 TASK = make_task("cartpole")
 

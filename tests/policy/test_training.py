@@ -88,7 +88,8 @@ def test_policy_in_the_file_takes_the_mean_action_of_the_learner() -> None:
     learner = Learner(machines(4), options=TINY, seed=0)
     learner.learn(lambda: None, at_every_step=lambda done: None)
     seen = 3 * torch.randn(40, 5)
-    theirs, _ = learner._ppo.predict(seen.numpy(), deterministic=True)
+    scaled = seen / torch.tensor(learner.environment.task.observation_scale)
+    theirs, _ = learner._ppo.predict(scaled.numpy(), deterministic=True)
     torch.testing.assert_close(learner.actor()(seen), torch.as_tensor(theirs), rtol=1e-5, atol=1e-6)
 
 

@@ -31,7 +31,7 @@ import numpy as np
 import torch
 from bench_export import PERIOD, write
 
-from nsde_torch.control.codegen.library import compiler
+from nsde_torch.control.compiled import compiler
 from nsde_torch.control.controller import Controller, Plan, SafetyOptions
 from nsde_torch.control.loop import DECLARED, knowledge
 from nsde_torch.control.problem import ProblemOptions

@@ -23,8 +23,7 @@ from nsde_torch.control import shapes
 from nsde_torch.px4.flight.cascade import CascadeController, PathPoints
 from nsde_torch.px4.flight.controller import Inline
 from nsde_torch.px4.flight.flying import fly
-from nsde_torch.px4.link.connection import open_link
-from nsde_torch.px4.link.transport import Transport, UdpOut
+from nsde_torch.px4.link.connection import Transport, UdpOut, open_link
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.simulated import Vehicle

@@ -21,7 +21,7 @@ from nsde_torch.px4.flight.safety import REFUSED, FlightOutcome, Limits
 from nsde_torch.px4.flight.setpoint import SetpointLimits
 from nsde_torch.px4.link import connection as links
 from nsde_torch.px4.link.codec import signing_key
-from nsde_torch.px4.link.transport import LinkError
+from nsde_torch.px4.link.connection import LinkError
 from nsde_torch.systems import Multirotor
 
 from . import build, track_build

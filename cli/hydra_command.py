@@ -18,13 +18,13 @@ from typing import Any
 
 from nsde_torch.errors import CheckpointError, ConfigError, NsdeError
 
-from . import complete, groups, help, messages
+from . import groups, help, messages
 from .exit_status import CRASHED, FAILED_JOBS, INTERRUPTED, OK, USER_ERROR, EndedError
+from .groups import without_file
 from .keys import walk
 from .quoted import as_typed, coordinates_named, path_word, quoted, typed_path
 from .registry import hydra_commands
-from .schemas import CHOICES
-from .store import store
+from .schemas import CHOICES, NAMES
 
 _CONFIG_PATH = "pkg://nsde_torch.conf"
 _TRACEBACK = "NSDE_TRACEBACK"
@@ -111,7 +111,7 @@ class HydraCommand:
 
     def complete(self, words: Sequence[str]) -> list[str]:
         """Completions of the last of the words typed after the command's name."""
-        return complete.overrides(self.name, words)
+        return help.completions(self.name, words)
 
     def _prepare(self, words: list[str]) -> list[str]:
         """The words for Hydra: open dicts opened, a resumed run's choices back, the config folder seen.
@@ -350,3 +350,53 @@ def _resume(words: list[str], folder: Path, key: str) -> list[str]:
             sys.path.insert(0, path)
             fixed = ["--config-dir", path, *fixed]
     return [*before, *words, *fixed]
+
+
+# what Hydra composes a configuration from: schemas, groups, a defaults list made of the command, its folder
+
+_TOLD: list[Any] = []  # what holds the choices of this module's own schemas
+
+
+def store(command: HydraCommand) -> None:
+    """Tell Hydra of a command; schemas stand apart from the choices, in the group `schema`."""
+    from hydra.core.config_store import ConfigStore
+
+    known = ConfigStore.instance()
+    known.store(group="schema", name=command.name, node=command.schema)
+    known.store(name=command.name, node=primary(command))
+    if _TOLD and _TOLD[0] is known.repo:
+        return  # these are of no command alone, and take Hydra a tenth of a second
+    _TOLD[:] = [known.repo]
+    launcher = {"_target_": "hydra_plugins.nsde_torch.Batched", "n_jobs": 0}  # see `cli.batched`
+    known.store(group="hydra/launcher", name="batched", node=launcher, provider="nsde_torch")
+    for group_name in {**CHOICES, **NAMES}:
+        for choice, node in without_file(group_name).items():
+            known.store(group=group_name, name=choice, node=node)
+    for group_name, choices in CHOICES.items():
+        for choice, schema in choices.items():
+            known.store(group=f"schema/{group_name}", name=choice, node=schema)
+
+
+def primary(command: HydraCommand) -> dict[str, Any]:
+    """The content of a command's primary config: defaults list, values, and where Hydra writes."""
+    chosen = [{group: choice} for group, choice in command.groups.items() if choice is not None]
+    # a group without a choice comes last: what is chosen for it wins over the command's own values
+    open_groups = [{group: None} for group, choice in command.groups.items() if choice is None]
+    defaults: list[Any] = [f"/schema/{command.name}@_here_", *chosen, "_self_", *open_groups]
+    hydra: dict[str, Any] = {"job": {"name": command.name, "chdir": False}}
+    content: dict[str, Any] = {"defaults": defaults, **command.values, "hydra": hydra}
+    if command.folder is None:
+        # no configuration and no log: beside data of a simulation they would say what is in them
+        defaults.append({"override hydra/job_logging": "stdout"})
+        hydra |= {"output_subdir": None, "run": {"dir": "."}}
+        return content
+    content[command.folder_key] = command.folder
+    hydra["run"] = {"dir": f"${{{command.folder_key}}}"}
+    if "sweep_dir" in command.schema.__dataclass_fields__:  # type: ignore[attr-defined]
+        content["sweep_dir"] = "multirun/${now:%Y-%m-%d}/${now:%H-%M-%S}"
+        hydra["job"]["config"] = {"override_dirname": {"exclude_keys": list(command.unnamed)}}
+        # The overrides name the job; slashes, brackets and quotes would not make a good folder.
+        subdir = "${hydra.job.num}_${nsde.folder:${hydra:job.override_dirname}}"
+        hydra["sweep"] = {"dir": "${sweep_dir}", "subdir": subdir}
+        hydra["callbacks"] = {"nsde_sweep_watch": {"_target_": "nsde_torch.cli.jobs.SweepWatch"}}
+    return content

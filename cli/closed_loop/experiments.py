@@ -28,9 +28,8 @@ from nsde_torch.progress import Stages
 from nsde_torch.whole_files import json_text
 
 from ..hydra_command import say
-from ..known_machine import KnownMachine
-from .limits import limit_key, plan_limits
-from .logs import diagnosis_content, log_files, machine_in, read_logs
+from ..known_machine import KnownMachine, diagnosis_content, log_files, machine_in, read_logs
+from .machines import limit_key, plan_limits
 
 if TYPE_CHECKING:
     from .loop import ClosedLoop

@@ -15,14 +15,14 @@ from nsde_torch.control.reference import FlightPath, Reference
 from nsde_torch.control.shapes import from_csv
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.errors import DataError
-from nsde_torch.px4.link.transport import LinkError
+from nsde_torch.px4.link.connection import LinkError
 from nsde_torch.whole_files import json_text
 
 from .. import build, track_build
 from ..exit_status import FLIGHT_ENDED, EndedError
 from ..hydra_command import say
+from ..known_machine import diagnose_logs, diagnosis_content, effects_found, log_files
 from .experiments import StoppedLoop, run_experiments
-from .logs import diagnose_logs, diagnosis_content, effects_found, log_files
 from .machines import LINK, MACHINES, FlyingMachine, needed, physics, true_effects
 
 LOG, DIAGNOSIS, BEFORE, AFTER, TRUTH = "log", "diagnosis", "before", "after", "truth"

@@ -18,8 +18,8 @@ from nsde_torch.aligned import aligned
 from nsde_torch.errors import ConfigError
 from nsde_torch.plain_yaml import read_yaml
 
-from .. import complete as completion
 from ..exit_status import OK
+from ..help import found_files
 from ..registry import PlainCommand
 
 DONE, FAILED, UNFINISHED = "done", "failed", "unfinished"
@@ -62,7 +62,7 @@ def complete(words: Sequence[str]) -> list[str]:
     current = words[-1] if words else ""
     if current.startswith("-"):
         return [option for option in ("--by", "--columns", "--help") if option.startswith(current)]
-    return completion.files(current)
+    return found_files(current)
 
 
 def ranked(groups: Sequence[Group], score: str) -> list[Group]:

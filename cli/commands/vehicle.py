@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.errors import ConfigError
-from nsde_torch.px4.simulator.clock import CLOCK
-from nsde_torch.px4.simulator.sensor_errors import SensorErrors
+from nsde_torch.px4.simulator.sensor_errors import CLOCK, SensorErrors
 
 from ..hydra_command import HydraCommand, Job, say
 from ..keys import group, key, mirrors
@@ -89,7 +88,7 @@ def run(config: DictConfig, job: Job) -> None:
 
 def _simulate(config: DictConfig, first: Body, errors: SensorErrors) -> None:
     """Be the simulator of a real PX4."""
-    from nsde_torch.px4.link.transport import open_transport
+    from nsde_torch.px4.link.connection import open_transport
     from nsde_torch.px4.simulator.hil import HilPlant, HilServer, airframe
 
     from ..fly_build import body
@@ -119,7 +118,7 @@ def _ends(duration: float | None) -> Callable[[], bool]:
 
 def _fly(config: DictConfig, body: Body, parameters: dict[str, float], errors: SensorErrors) -> None:
     """Be a vehicle with a PX4 in it."""
-    from nsde_torch.px4.link.transport import open_transport
+    from nsde_torch.px4.link.connection import open_transport
     from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
     from nsde_torch.px4.simulator.simulated import Vehicle
 

@@ -12,8 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from nsde_torch.control.cascade import Cascade
-from nsde_torch.control.codegen.library import NoCompiler
-from nsde_torch.control.compiled import compiled_estimator
+from nsde_torch.control.compiled import NoCompiler, compiled_estimator
 from nsde_torch.control.controller import Foresight, Plan, Planner
 from nsde_torch.control.options import EstimatorOptions
 from nsde_torch.control.predictor import Predictor

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple, final
 import torch
 from torch import Tensor
 
-from nsde_torch.control.codegen.library import NoCompiler
-from nsde_torch.control.compiled import CompiledMethod
+from nsde_torch.control.compiled import CompiledMethod, NoCompiler
 from nsde_torch.control.gauss_newton import AcceleratedGradient, GaussNewton
 from nsde_torch.control.options import SolverOptions
 from nsde_torch.control.problem import Horizon

@@ -27,7 +27,7 @@ import sympy
 import torch
 from torch import Tensor
 
-from nsde_torch.control.codegen.library import LEVELS
+from nsde_torch.control.compiled import LEVELS
 from nsde_torch.errors import ExportError
 from nsde_torch.export import container
 from nsde_torch.export.graph import graph_of

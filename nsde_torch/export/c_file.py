@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nsde_torch.control.codegen.library import NoCompiler, compiled
+from nsde_torch.control.compiled import NoCompiler, compiled
 from nsde_torch.errors import ExportError
 from nsde_torch.export import container
 from nsde_torch.export.layout import Sizes

@@ -10,8 +10,8 @@ import torch
 from hydra import compose, initialize_config_module
 
 from nsde_torch.cli import build
+from nsde_torch.cli.hydra_command import store
 from nsde_torch.cli.registry import hydra_command
-from nsde_torch.cli.store import store
 from nsde_torch.data import Run
 from nsde_torch.errors import ConfigError
 from nsde_torch.models import MODELS, kind

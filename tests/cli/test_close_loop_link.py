@@ -234,7 +234,7 @@ def test_experiments_stay_within_what_a_flight_is_ended_by(
 def test_no_turn_is_planned_that_is_faster_than_what_is_sent() -> None:
     from omegaconf import OmegaConf
 
-    from nsde_torch.cli.closed_loop.limits import limit_key, plan_limits
+    from nsde_torch.cli.closed_loop.machines import limit_key, plan_limits
     from nsde_torch.cli.commands.close_loop import CloseLoopConfig
 
     config = OmegaConf.structured(CloseLoopConfig(by="link", out_dir="out"))

@@ -15,11 +15,11 @@ import nsde_torch
 from nsde_torch import conf, simulation
 from nsde_torch.cli import groups, jobs
 from nsde_torch.cli.commands.train import TrainConfig
+from nsde_torch.cli.hydra_command import store
 from nsde_torch.cli.keys import check, key, walk
 from nsde_torch.cli.main import main
 from nsde_torch.cli.registry import hydra_command, hydra_commands
 from nsde_torch.cli.schemas import CHOICES
-from nsde_torch.cli.store import store
 from nsde_torch.errors import ConfigError
 from nsde_torch.sde.registry import STEPS
 from nsde_torch.systems import SYSTEMS

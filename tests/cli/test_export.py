@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from nsde_torch.cli.main import main
-from nsde_torch.control.codegen.library import compiler
+from nsde_torch.control.compiled import compiler
 from tests.helpers.commands import Said
 
 pytestmark = pytest.mark.usefixtures("elsewhere")

@@ -11,7 +11,7 @@ import torch
 from examples.double_pendulum.double_pendulum import DoublePendulum
 from nsde_torch.control import feasible
 from nsde_torch.control.autopilots import EstimatorOptions, PredictivePilot
-from nsde_torch.control.codegen.library import compiler
+from nsde_torch.control.compiled import compiler
 from nsde_torch.control.controller import Controller, Plan
 from nsde_torch.control.loop import Flight, fly, summarise
 from nsde_torch.control.options import ProblemOptions, SolverOptions

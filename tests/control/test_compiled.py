@@ -10,8 +10,7 @@ from torch import Tensor
 
 from nsde_torch.control.autopilots import Estimator, EstimatorOptions, PredictivePilot
 from nsde_torch.control.codegen import scalar
-from nsde_torch.control.codegen.library import compiler
-from nsde_torch.control.compiled import compiled_estimator
+from nsde_torch.control.compiled import compiled_estimator, compiler
 from nsde_torch.control.controller import Controller
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import Horizon, ProblemOptions

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import torch
 
-from nsde_torch.control.codegen.library import compiler
+from nsde_torch.control.compiled import compiler
 from nsde_torch.control.controller import ANEW, Controller, SafetyOptions
 from nsde_torch.control.problem import problem_of
 from nsde_torch.control.reference import setpoint

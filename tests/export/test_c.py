@@ -15,7 +15,7 @@ from torch import Tensor
 
 from nsde_torch.control.autopilots import EstimatorOptions, PredictivePilot
 from nsde_torch.control.codegen import scalar
-from nsde_torch.control.codegen.library import compiler
+from nsde_torch.control.compiled import compiler
 from nsde_torch.control.controller import SafetyOptions
 from nsde_torch.control.predictor import Predictor
 from nsde_torch.control.problem import ProblemOptions

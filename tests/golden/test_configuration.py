@@ -12,9 +12,9 @@ from omegaconf import OmegaConf
 
 from nsde_torch.cli import groups
 from nsde_torch.cli.help import value_text
+from nsde_torch.cli.hydra_command import store
 from nsde_torch.cli.main import main
 from nsde_torch.cli.registry import all_commands, hydra_commands
-from nsde_torch.cli.store import store
 from tests.golden.kept import same_text
 
 HERE = Path(__file__).parent

@@ -27,8 +27,7 @@ from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.link.vectors import Vec, distance
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
-from nsde_torch.px4.simulator.clock import CLOCK
-from nsde_torch.px4.simulator.sensor_errors import SensorErrors
+from nsde_torch.px4.simulator.sensor_errors import CLOCK, SensorErrors
 
 START = 1000.0
 TICK = 0.01

@@ -3,9 +3,9 @@
 import pytest
 
 from nsde_torch.control import shapes
-from nsde_torch.px4.flight import failsafe
 from nsde_torch.px4.flight.cascade import PathPoints
 from nsde_torch.px4.flight.options import FlightOptions
+from nsde_torch.px4.flight.preflight import failsafe_faults, failsafe_warnings
 from nsde_torch.px4.flight.safety import Limits, Phase
 from tests.helpers.px4_world import World, under_way
 
@@ -67,7 +67,7 @@ def _only(said: str | None, found: list[str]) -> None:
     ],
 )
 def test_no_failsafe_may_stop_the_motors_in_the_air(known: dict[str, float], said: str | None) -> None:
-    _only(said, failsafe.faults(known))
+    _only(said, failsafe_faults(known))
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_no_failsafe_may_stop_the_motors_in_the_air(known: dict[str, float], sai
 def test_what_px4_does_by_itself_is_told_where_it_may_end_badly(
     known: dict[str, float], said: str | None
 ) -> None:
-    _only(said, failsafe.warnings(known, speed=3.0, top=3.0, reach=8.5))
+    _only(said, failsafe_warnings(known, speed=3.0, top=3.0, reach=8.5))
 
 
 @pytest.mark.parametrize("action", [4.0, 7.0])
@@ -126,8 +126,8 @@ def test_a_check_lists_everything_a_line_each_and_sends_no_setpoint(action: floa
 def test_a_good_set_for_the_reference_is_not_spoken_of() -> None:
     good = {"COM_OBL_RC_ACT": 4.0, "COM_RC_IN_MODE": 4.0, "COM_OF_LOSS_T": 0.5}
     good |= {"NAV_RCL_ACT": 2.0, "COM_LOW_BAT_ACT": 2.0, "RTL_RETURN_ALT": 30.0, "SDLOG_PROFILE": 147.0}
-    assert failsafe.warnings(good, speed=3.4) == []
-    assert failsafe.faults(good) == []
-    assert failsafe.warnings({**good, "COM_OF_LOSS_T": 1.0}, speed=0.0) == []
-    assert failsafe.faults({**good, "COM_OF_LOSS_T": 5.0})
-    assert failsafe.faults({}) == failsafe.warnings({}, speed=9.0) == []
+    assert failsafe_warnings(good, speed=3.4) == []
+    assert failsafe_faults(good) == []
+    assert failsafe_warnings({**good, "COM_OF_LOSS_T": 1.0}, speed=0.0) == []
+    assert failsafe_faults({**good, "COM_OF_LOSS_T": 5.0})
+    assert failsafe_faults({}) == failsafe_warnings({}, speed=9.0) == []

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from nsde_torch.px4.link.codec import Codec
+from nsde_torch.px4.link.connection import TcpIn
 from nsde_torch.px4.link.dialect import mavlink
-from nsde_torch.px4.link.transport import TcpIn
 from nsde_torch.px4.link.vectors import Quat, Vec, from_rotation_vector, rotate, turned_by_rates
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.hil import (

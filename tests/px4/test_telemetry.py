@@ -11,8 +11,7 @@ from nsde_torch.control import shapes
 from nsde_torch.px4.flight.cascade import PathPoints
 from nsde_torch.px4.flight.flying import Recorder
 from nsde_torch.px4.link.dialect import mavlink
-from nsde_torch.px4.link.telemetry import Telemetry
-from nsde_torch.px4.link.timesync import PERIOD, TimeSync
+from nsde_torch.px4.link.telemetry import PERIOD, Telemetry, TimeSync
 from tests.helpers.px4_world import START, World, delayed
 
 S = sqrt(0.5)

@@ -14,7 +14,7 @@ from dataclasses import KW_ONLY, dataclass, field, replace
 from math import degrees, inf, pi
 from typing import final
 
-from nsde_torch.px4.flight import failsafe, preflight
+from nsde_torch.px4.flight import preflight
 from nsde_torch.px4.flight.cascade import GRAVITY, LEAD, PathPoints, Point, SetpointCascade
 from nsde_torch.px4.flight.controller import Demand, DemandPlan, Runner
 from nsde_torch.px4.flight.options import FlightOptions
@@ -142,7 +142,7 @@ class Offboard:
 
     def _in_preflight(self, state: VehicleState | None, status: Status) -> None:
         if self._every(0.3):
-            for name in (*preflight.PARAMETERS, *failsafe.OPTIONAL):
+            for name in (*preflight.PARAMETERS, *preflight.OPTIONAL):
                 if name not in status.parameters:
                     self.endpoint.ask_parameter(name)
             if self.options.takeover:

@@ -8,15 +8,19 @@ with open_link("udpin:127.0.0.1:14540") as link:
 from __future__ import annotations
 
 import contextlib
+import ipaddress
 import os
+import select
+import socket
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from typing import final
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from typing import Any, final
 
+from nsde_torch.errors import NsdeError
 from nsde_torch.px4.link.endpoint import Endpoint
-from nsde_torch.px4.link.transport import LinkError, Transport, open_transport
 
 # Which threads the system runs first on a computer whose cores are all busy.
 #
@@ -149,3 +153,286 @@ def open_link(
 ) -> Link:
     """A link to what a url names (`transport`; see `Endpoint`); LinkError where it is no url, or cannot be opened."""
     return Link(open_transport(url, expose=expose), system=system, target=target, key=key)
+
+
+# Ways for bytes: UDP (in and out), TCP (client and server), serial.
+#
+#     udpin:127.0.0.1:14540     wait for the vehicle there        tcp:127.0.0.1:4560    connect
+#     udpout:127.0.0.1:14580    send to the vehicle there         tcpin:127.0.0.1:4560  wait for a connection
+#     serial:/dev/ttyACM0:921600
+#
+# What waits does so on the loopback interface by default: MAVLink without signing lets anyone fly.
+
+_BUFFER = 1 << 20
+TAKEOVER = 2.0  # silence of the vehicle after which another port of the same host may take its place [s]
+
+
+class LinkError(NsdeError, OSError):
+    """A link cannot be opened or is lost; the message names the address and the remedy."""
+
+
+class Transport(ABC):
+    """Bytes in and out."""
+
+    stream: bool = False  # whether frames may come in pieces
+
+    @abstractmethod
+    def receive(self, timeout: float) -> bytes:
+        """The next bytes, empty after `timeout` [s] without any."""
+
+    @abstractmethod
+    def send(self, data: bytes) -> None:
+        """Send at once, or not at all: never waits."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the address."""
+
+    @property
+    def connected(self) -> bool:
+        """Whether there is another side, as far as this kind of link can show."""
+        return True
+
+    def trust(self) -> None:  # noqa: B027
+        """What was received last came from the vehicle: stay with its address."""
+
+
+def open_transport(url: str, *, expose: bool = False, name: str = "link.url") -> Transport:
+    """The way for bytes that a url names (see the module's text), which was given by a key of that name.
+
+    LinkError for a url that is not understood, an address that cannot be had, or another interface than loopback to
+    wait on without `expose`.
+    """
+    kinds: dict[str, Callable[[str, int], Transport]]
+    kinds = {"udpin": UdpIn, "udpout": UdpOut, "tcp": Tcp, "tcpin": TcpIn, "serial": Serial}
+    kind, _, rest = url.partition(":")
+    where, _, number = rest.rpartition(":")
+    if kind not in kinds or not where or not number.isdigit():
+        raise LinkError(
+            f"`{name}`: {url!r} is not understood; expected udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, "
+            "tcpin:HOST:PORT or serial:DEVICE:BAUD."
+        )
+    port = int(number)
+    if kind != "serial" and not 0 <= port <= 65535:
+        raise LinkError(f"`{name}`: port {port} of {url!r} is not 0 to 65535.")
+    if kind in ("udpin", "tcpin") and not expose and not _loopback(where):
+        raise LinkError(
+            f"`{name}`: {url!r} would listen on an interface that others reach, and MAVLink lets anyone fly. Use "
+            "127.0.0.1, or add link.expose=true, best with link.key_file."
+        )
+    try:
+        return kinds[kind](where, port)
+    except OSError as error:
+        raise LinkError(f"`{name}`: {url!r} cannot be opened ({error}). Is another program on it?") from error
+
+
+def _loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _readable(sock: socket.socket, timeout: float) -> bool:
+    try:
+        return bool(select.select([sock], [], [], timeout)[0])
+    except (OSError, ValueError):  # closed by another thread
+        return False
+
+
+class _Udp(Transport):
+    """A socket for datagrams, which waits at an address or sends to it."""
+
+    listens: bool
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+        self._socket.setblocking(False)
+        try:
+            (self._socket.bind if self.listens else self._socket.connect)((host, port))
+        except OSError:
+            self._socket.close()
+            raise
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@final
+class UdpIn(_Udp):
+    """Waits for the vehicle; answers to the address from which its first good message came."""
+
+    listens = True
+
+    def __init__(self, host: str, port: int) -> None:
+        super().__init__(host, port)
+        self.address: tuple[str, int] = self._socket.getsockname()
+        self._peer: tuple[str, int] | None = None
+        self._last: tuple[str, int] | None = None
+        self._heard, self.foreign = 0.0, 0
+
+    def receive(self, timeout: float) -> bytes:
+        if not _readable(self._socket, timeout):
+            return b""
+        try:
+            data, source = self._socket.recvfrom(65536)
+        except OSError:
+            return b""
+        now = time.monotonic()
+        if self._peer is not None and source != self._peer:
+            # a restarted vehicle has another port; a stranger does not get in while ours is heard
+            if source[0] != self._peer[0] or now - self._heard < TAKEOVER:
+                self.foreign += 1
+                return b""
+        else:
+            self._heard = now
+        self._last = source
+        return data
+
+    def trust(self) -> None:
+        if self._last is not None and self._last != self._peer:
+            self._peer, self._heard = self._last, time.monotonic()
+
+    def send(self, data: bytes) -> None:
+        if self._peer is not None:
+            with suppress(OSError):  # nobody there, or no room: the next one is due in milliseconds
+                self._socket.sendto(data, self._peer)
+
+
+@final
+class UdpOut(_Udp):
+    """Sends to an address and hears only it."""
+
+    listens = False
+
+    def receive(self, timeout: float) -> bytes:
+        if not _readable(self._socket, timeout):
+            return b""
+        try:
+            return self._socket.recv(65536)
+        except OSError:  # "refused": nobody is there yet
+            time.sleep(min(timeout, 0.001))
+            return b""
+
+    def send(self, data: bytes) -> None:
+        with suppress(OSError):
+            self._socket.send(data)
+
+
+class _Connected(Transport):
+    """A TCP connection; when it is lost, nothing is received or sent."""
+
+    stream = True
+
+    def __init__(self) -> None:
+        self._connection: socket.socket | None = None
+
+    @property
+    def connected(self) -> bool:
+        return self._connection is not None
+
+    def _use(self, connection: socket.socket) -> None:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.setblocking(False)
+        self._connection = connection
+
+    def receive(self, timeout: float) -> bytes:
+        if self._connection is None:
+            time.sleep(min(timeout, 0.01))
+            return b""
+        if not _readable(self._connection, timeout):
+            return b""
+        try:
+            data = self._connection.recv(65536)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self._drop()
+        return data
+
+    def send(self, data: bytes) -> None:
+        if self._connection is None:
+            return
+        try:
+            if self._connection.send(data) < len(data):
+                self._drop()  # half a frame went out: nothing after it would be understood
+        except BlockingIOError:
+            return
+        except OSError:
+            self._drop()
+
+    def _drop(self) -> None:
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    def close(self) -> None:
+        self._drop()
+
+
+@final
+class Tcp(_Connected):
+    """A connection made by us."""
+
+    def __init__(self, host: str, port: int) -> None:
+        super().__init__()
+        self._use(socket.create_connection((host, port), timeout=5.0))
+
+
+@final
+class TcpIn(_Connected):
+    """A connection made by the other side, one at a time."""
+
+    def __init__(self, host: str, port: int) -> None:
+        super().__init__()
+        self._server = socket.create_server((host, port))
+        self._server.setblocking(False)
+        self.address: tuple[str, int] = self._server.getsockname()
+
+    def receive(self, timeout: float) -> bytes:
+        if self._connection is None:
+            if not _readable(self._server, timeout):
+                return b""
+            try:
+                self._use(self._server.accept()[0])
+            except OSError:
+                return b""
+        return super().receive(timeout)
+
+    def close(self) -> None:
+        super().close()
+        self._server.close()
+
+
+@final
+class Serial(Transport):
+    """A serial port."""
+
+    stream = True
+
+    def __init__(self, device: str, baud: int) -> None:
+        import serial
+
+        self._port: Any = serial.Serial(device, baud, timeout=0.0, write_timeout=0.0)
+
+    def receive(self, timeout: float) -> bytes:
+        try:
+            if not select.select([self._port.fileno()], [], [], timeout)[0]:
+                return b""
+            data: bytes = self._port.read(4096)
+        except (OSError, ValueError, TypeError):  # unplugged, or closed by another thread
+            time.sleep(min(timeout, 0.01))
+            return b""
+        return data
+
+    def send(self, data: bytes) -> None:
+        with suppress(OSError, ValueError):
+            self._port.write(data)
+
+    def close(self) -> None:
+        self._port.close()

@@ -14,8 +14,7 @@ from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link import frames
 from nsde_torch.px4.link.codec import Codec, Message
 from nsde_torch.px4.link.dialect import Mode, mavlink
-from nsde_torch.px4.link.telemetry import Status, Telemetry, VehicleState
-from nsde_torch.px4.link.timesync import PERIOD
+from nsde_torch.px4.link.telemetry import PERIOD, Status, Telemetry, VehicleState
 from nsde_torch.px4.link.vectors import Vec, finite
 
 INTERVALS: dict[str, float] = {

@@ -25,9 +25,9 @@ from typing import final
 from nsde_torch.px4.flight.cascade import GRAVITY
 from nsde_torch.px4.link import frames
 from nsde_torch.px4.link.codec import Codec, Message
+from nsde_torch.px4.link.connection import Transport
 from nsde_torch.px4.link.dialect import ARMED_FLAG, mavlink
 from nsde_torch.px4.link.endpoint import NUMBERS
-from nsde_torch.px4.link.transport import Transport
 from nsde_torch.px4.link.vectors import (
     Quat,
     Vec,

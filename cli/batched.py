@@ -4,8 +4,6 @@ The first job runs in this process, and what does not depend on its seed or its 
 The others are forked from it, so that they find that in memory, as many at a time as there are cores.
 """
 
-from __future__ import annotations
-
 import logging
 import multiprocessing
 import os

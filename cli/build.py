@@ -3,8 +3,6 @@
 What reads and checks data is imported where it is called: flights need none of it, and it takes half a second to load.
 """
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import fields
 from typing import Any

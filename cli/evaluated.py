@@ -1,9 +1,6 @@
 """What `nsde evaluate` is given: finished runs of one system, and the data to score their models on."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -99,19 +96,11 @@ def _what_is_wrong(folder: Path) -> str:
     return f"this is no run directory (no {METRICS}); give the folder that `nsde train` printed."
 
 
-@dataclass(frozen=True)
-class Chosen:
-    """Runs to score on."""
+def choose(config: DictConfig, trained: Model, machine: SystemInfo) -> tuple[DataSet, Sequence[Run], bool]:
+    """The data set and the runs to score on that the group `data` asks for; of the kind "trained", those of a model.
 
-    data: DataSet  # the data set that they are of
-    runs: Sequence[Run]
-    other_sensors: bool  # whether they are the runs of a `data.test_path`, recorded by other sensors perhaps
-
-
-def choose(config: DictConfig, trained: Model, machine: SystemInfo) -> Chosen:
-    """The runs that the group `data` asks for; of the kind "trained", it means those of a model.
-
-    ConfigError: nothing says which data. DataError: the data cannot be used.
+    With them, whether they are of a `data.test_path`, recorded by other sensors perhaps. ConfigError: nothing says
+    which data. DataError: the data cannot be used.
     """
     if config.kind != TRAINED:
         return _runs_of(config, machine, every=True)
@@ -144,9 +133,9 @@ def _trained_data(folder: Path) -> DictConfig:
     return OmegaConf.create(dict(config["data"]))
 
 
-def _runs_of(config: DictConfig, machine: SystemInfo, *, every: bool) -> Chosen:
+def _runs_of(config: DictConfig, machine: SystemInfo, *, every: bool) -> tuple[DataSet, Sequence[Run], bool]:
     if (other := build.test_data(config, machine)) is not None:
-        return Chosen(other, other.runs, True)
+        return other, other.runs, True
     data = build.dataset(config, machine)
     if config.test is not None:
         runs = [data.runs[k] for k in dict.fromkeys(resolve(data.runs, list(config.test)))]
@@ -156,4 +145,4 @@ def _runs_of(config: DictConfig, machine: SystemInfo, *, every: bool) -> Chosen:
         runs = list(split_runs(data).test)
     if not runs:
         raise DataError(f"no run is held out of {', '.join(data.names)}; name runs with data.test=[...].")
-    return Chosen(data, runs, False)
+    return data, runs, False

@@ -1,7 +1,5 @@
 """Exit statuses of every command."""
 
-from __future__ import annotations
-
 from typing import final
 
 from nsde_torch.errors import NsdeError

@@ -3,8 +3,6 @@
 Help and shell completion start at every key press, so they read the few files that they need by themselves.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import os

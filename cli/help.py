@@ -1,7 +1,5 @@
 """`nsde COMMAND --help`: the config groups and choices, then every key with default, unit and meaning."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import textwrap

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nsde_torch.errors import CheckpointError, ConfigError, NsdeError
 
@@ -25,6 +25,11 @@ from .keys import walk
 from .quoted import as_typed, coordinates_named, path_word, quoted, typed_path
 from .registry import hydra_commands
 from .schemas import CHOICES, NAMES
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig as Config
+else:
+    Config = Any  # omegaconf's: help and completion do without that
 
 _CONFIG_PATH = "pkg://nsde_torch.conf"
 _TRACEBACK = "NSDE_TRACEBACK"

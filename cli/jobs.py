@@ -4,8 +4,6 @@ Hydra stops a sweep at a job that raises, and a launcher in other processes lose
 failure is written to `failed.json` in its own folder, and the command counts these files at the end.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import logging

@@ -4,8 +4,6 @@ A key mirrors an option (`of`), or is the command line's own (`key`); `mirrors` 
 dataclass of the library. OmegaConf wants lists where the library has tuples, and classes that are not frozen.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 import types

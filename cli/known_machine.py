@@ -1,7 +1,5 @@
 """What a diagnosis left of a machine: its system, the runs that were looked at, and what was found."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -35,17 +33,18 @@ class KnownMachine:
     runs: Sequence[Run]  # runs that were looked at
     clock: float  # physical seconds per logged second
     values: Mapping[str, Any]  # effects that were found, with values
+    content: Mapping[str, Any]  # of `diagnosis.json`
+    data: DictConfig | None = None  # configuration of the data, where it was kept
 
 
-def known_machine(folder: Path, content: Mapping[str, Any], system: System, data: DataSet) -> KnownMachine:
-    """What a diagnosis knows: `content` is that of its `diagnosis.json`."""
-    names = set(content["data"]["runs"])
-    return KnownMachine(
-        system,
-        [run for run in data.runs if run.name in names],
-        float(content["data"].get("clock_scale") or 1.0),
-        effects_files.read(folder / EFFECTS)[1] if (folder / EFFECTS).is_file() else {},
-    )
+def known_machine(
+    folder: Path, content: Mapping[str, Any], system: System, data: DataSet, config: DictConfig | None = None
+) -> KnownMachine:
+    """What a diagnosis knows."""
+    runs = [run for run in data.runs if run.name in content["data"]["runs"]]
+    clock = float(content["data"].get("clock_scale") or 1.0)
+    values = effects_files.read(folder / EFFECTS)[1] if (folder / EFFECTS).is_file() else {}
+    return KnownMachine(system, runs, clock, values, content, config)
 
 
 def faults_of_sensors(content: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -61,15 +60,7 @@ def faults_of_sensors(content: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     }
 
 
-@dataclass(frozen=True)
-class Diagnosed(KnownMachine):
-    """A diagnosis, found again."""
-
-    content: Mapping[str, Any]  # content of `diagnosis.json`
-    data: DictConfig  # configuration of the data
-
-
-def diagnosed(folder: Path, moved: str | None) -> Diagnosed:
+def diagnosed(folder: Path, moved: str | None) -> KnownMachine:
     """Read a diagnosis from its folder, with its runs where they were, or where they have been `moved` to.
 
     ConfigError: the folder holds no diagnosis, or one that was stopped. DataError: the runs are not those of the
@@ -103,16 +94,16 @@ def diagnosed(folder: Path, moved: str | None) -> Diagnosed:
             f"{data.get('path', 'the data')} holds other runs than those that {folder} was made of. Say where they are "
             "(runs=FOLDER), or diagnose again."
         )
-    known = known_machine(folder, content, system, all_runs)
-    return Diagnosed(known.system, known.runs, known.clock, known.values, content, data)
+    return known_machine(folder, content, system, all_runs, data)
 
 
-def flown_runs(known: Diagnosed, path: str) -> Sequence[Run]:
+def flown_runs(known: KnownMachine, path: str) -> Sequence[Run]:
     """Runs of a flown experiment, read as those of the diagnosis were.
 
     ConfigError: nothing is there. DataError: they are on another step, or cannot be read as runs of this machine.
     """
     _check_there("flown", path, "the log of the experiment")
+    assert known.data is not None
     config = known.data.copy()
     if config.kind == "simulated":
         plain = {"kind": "csv", "clock": config.clock, "state_smoothing": "keep", "stream_offsets": "keep"}

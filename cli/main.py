@@ -1,7 +1,5 @@
 """`nsde COMMAND ...`: what is typed, to the command that it names."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Sequence
@@ -15,15 +13,7 @@ from .registry import all_commands, entry_of
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command.
-
-    Args:
-        arguments: Words after `nsde`; those of the process when None.
-
-    Returns:
-        Exit status: 0 done, 1 some jobs of a sweep failed, 2 a fault of the user's input, 3 a flight went wrong and
-        landed, 4 a flight was not seen to land, 130 interrupted.
-    """
+    """Run the command that words after `nsde` name, those of the process when None; the exit status (`exit_status`)."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not words or words[0] in ("-h", "--help", "help"):
         print(listing())

@@ -1,7 +1,5 @@
 """What went wrong with the configuration, in one message that names the key and the nearest that exists."""
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import errno

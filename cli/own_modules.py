@@ -1,7 +1,5 @@
 """What is the user's own in the folder that --config-dir names: modules that a run directory needs, systems."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterable
 from pathlib import Path

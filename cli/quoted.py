@@ -8,8 +8,6 @@ Effects of one coordinate: the brackets of `coulomb_friction[q2]` are escaped in
 keys.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

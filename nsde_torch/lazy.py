@@ -5,7 +5,7 @@ A package says what is public in `__all__`, and where each name lives in the imp
     if TYPE_CHECKING:
         from nsde_torch.data.windows import Windows
 
-    __all__ = ["Windows"]
+    __all__ = names(__name__)
     __getattr__ = resolver(__name__)
 
 A name must not be that of a module of the package: which of the two it is would depend on what was imported before.
@@ -39,6 +39,11 @@ def resolver(package: str, home: Mapping[str, str] | None = None) -> Callable[[s
         return value
 
     return resolve
+
+
+def names(package: str) -> list[str]:
+    """The `__all__` of a package of this `__name__`: what it imports for type checkers alone."""
+    return sorted(_homes(package))
 
 
 @cache

@@ -1,7 +1,5 @@
 """All stages of `nsde close-loop`; what is finished is not done again."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path

@@ -3,8 +3,6 @@
 A controller knows the declared physics with the values of the plant, and the effects that it is given.
 """
 
-from __future__ import annotations
-
 import json
 from math import inf
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The record of a closed loop: `close_loop.json`, its text and its picture."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -11,18 +11,15 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from nsde_torch.design.options import DesignOptions
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.whole_files import json_text
 
-from ..hydra_command import HydraCommand, Job, say
+from ..hydra_command import Config, HydraCommand, Job, say
 from ..keys import group, key, of
 from ..schemas import FlownPlantConfig, LimitsConfig, LinkConfig, MpcConfig, ReferenceConfig
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
 
 SETTINGS = "settings.json"
 _FREE = ("out_dir", "threads", "experiments", "truth", "link", "limits")
@@ -97,7 +94,7 @@ COMMAND = HydraCommand(
 )
 
 
-def run(config: DictConfig, job: Job) -> float | None:
+def run(config: Config, job: Job) -> float | None:
     """Fly, diagnose, experiment, fly again; RMSE of the position after over before, None where it is not known."""
     from ..closed_loop.loop import AFTER, BEFORE, DIAGNOSIS, LOG, TRUTH, ClosedLoop
     from ..closed_loop.record import PICTURE, RESULT, picture, record, text
@@ -127,7 +124,7 @@ def run(config: DictConfig, job: Job) -> float | None:
     return ratio
 
 
-def _check(config: DictConfig) -> None:
+def _check(config: Config) -> None:
     """Refuse what no loop flies."""
     from nsde_torch.errors import ConfigError
     from nsde_torch.systems import Multirotor
@@ -142,7 +139,7 @@ def _check(config: DictConfig) -> None:
         )
 
 
-def _same_settings(config: DictConfig, folder: Path) -> None:
+def _same_settings(config: Config, folder: Path) -> None:
     """Refuse a folder with what is of another configuration."""
     from nsde_torch.errors import ConfigError
 

@@ -4,8 +4,6 @@ The script asks `nsde completion query WORD...` at every press of the tab key; t
 nor torch.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from importlib import resources
 

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from nsde_torch.design.options import DesignOptions
 from nsde_torch.errors import ConfigError
 from nsde_torch.whole_files import json_text
 
-from ..hydra_command import HydraCommand, Job
+from ..hydra_command import Config, HydraCommand, Job
 from ..keys import key, mirrors
 from ..quoted import as_typed
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
 
 OBTAINED = "obtained.json"
 
@@ -65,7 +62,7 @@ COMMAND = HydraCommand(
 )
 
 
-def run(config: DictConfig, job: Job) -> None:
+def run(config: Config, job: Job) -> None:
     from nsde_torch.design import DesignOptions, design, question_of
     from nsde_torch.progress import Stages
 
@@ -99,7 +96,7 @@ def run(config: DictConfig, job: Job) -> None:
     )
 
 
-def _options(config: DictConfig) -> dict[str, Any]:
+def _options(config: Config) -> dict[str, Any]:
     from .. import build
 
     given = build.shared(DesignOptions, config)
@@ -115,7 +112,7 @@ def _options(config: DictConfig) -> dict[str, Any]:
     return given
 
 
-def _read(config: DictConfig, job: Job, known: Any, options: DesignOptions) -> None:
+def _read(config: Config, job: Job, known: Any, options: DesignOptions) -> None:
     from dataclasses import replace
 
     from nsde_torch.design import obtained, question_of

@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING, Any
 from nsde_torch.diagnosis.decisions import Options
 
 from ..exit_status import INTERRUPTED, EndedError
-from ..hydra_command import HydraCommand, Job
+from ..hydra_command import Config, HydraCommand, Job
 from ..keys import group, key, of
 from ..schemas import DataConfig, LossConfig, ModelConfig, SolverConfig, SystemConfig, TrainerConfig
 from .train import GROUPS, TrainConfig, fit
 
 if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
     from nsde_torch.diagnosis import Diagnosis
     from nsde_torch.diagnosis.result import Content
 
@@ -76,7 +74,7 @@ COMMAND = HydraCommand(
 )
 
 
-def run(config: DictConfig, job: Job) -> None:
+def run(config: Config, job: Job) -> None:
     import nsde_torch
     from nsde_torch.diagnosis.candidates import check_candidates
     from nsde_torch.diagnosis.files import EFFECTS, PLOTS, REPORT, RESULT, DiagnosisFiles
@@ -121,7 +119,7 @@ def run(config: DictConfig, job: Job) -> None:
         print(f"{job.run_dir / REPORT} has all of it, and so does verbose=true")
 
 
-def _follow(config: DictConfig, job: Job, found: Diagnosis, content: Content) -> None:
+def _follow(config: Config, job: Job, found: Diagnosis, content: Content) -> None:
     """Train and rehearse with what was found."""
     import nsde_torch
     from nsde_torch.diagnosis.files import REPORT, write_content
@@ -140,7 +138,7 @@ def _follow(config: DictConfig, job: Job, found: Diagnosis, content: Content) ->
         print("\n".join(rehearsal_lines(content)))
 
 
-def _training(config: DictConfig, job: Job) -> str:
+def _training(config: Config, job: Job) -> str:
     """The command that trains with what was found, on the same data where these are files."""
     from hydra.core.hydra_config import HydraConfig
 
@@ -155,7 +153,7 @@ def _training(config: DictConfig, job: Job) -> str:
     return as_typed(*words, paths=paths)
 
 
-def _train(config: DictConfig, job: Job, found: Diagnosis) -> dict[str, Any]:
+def _train(config: Config, job: Job, found: Diagnosis) -> dict[str, Any]:
     """Train the model of the configuration with the effects; an ordinary run directory."""
     from omegaconf import open_dict
 

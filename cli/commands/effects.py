@@ -11,14 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from ..hydra_command import HydraCommand, Job
+from ..hydra_command import Config, HydraCommand, Job
 from ..keys import group, key
 from ..own_modules import UNNAMED
 from ..schemas import SystemConfig
 
 if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
     from nsde_torch.effects import Effect
 
 _GAP = "  "
@@ -44,7 +42,7 @@ COMMAND = HydraCommand(
 )
 
 
-def run(config: DictConfig, job: Job) -> None:
+def run(config: Config, job: Job) -> None:
     sys.path.insert(0, os.getcwd())  # a system of the user's own, in a file there
     name = None if config.system.name == UNNAMED else config.system.name
     rows = catalogue(name)

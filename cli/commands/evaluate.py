@@ -5,14 +5,11 @@ from __future__ import annotations
 import os
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from ..hydra_command import HydraCommand, Job
+from ..hydra_command import Config, HydraCommand, Job
 from ..keys import group, key
 from ..schemas import RunChoice
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
 
 
 @dataclass
@@ -61,7 +58,7 @@ COMMAND = HydraCommand(
 )
 
 
-def run(config: DictConfig, job: Job) -> None:
+def run(config: Config, job: Job) -> None:
     import nsde_torch
     from nsde_torch.data.system_info import all_columns
     from nsde_torch.evaluation.comparison import RESULT
@@ -72,14 +69,14 @@ def run(config: DictConfig, job: Job) -> None:
     given = build.options(config)
     trained = evaluated.read_runs(given["run"], given["names"], build.make_device(config.device))
     machine = all_columns([model.system for model in trained.values()])
-    chosen = evaluated.choose(config.data, next(iter(trained.values())), machine)
-    sensors = config.sensor_noise or ("data" if chosen.other_sensors else "train")
+    data, runs, by_others = evaluated.choose(config.data, next(iter(trained.values())), machine)
+    sensors = config.sensor_noise or ("data" if by_others else "train")
     if sensors == "data":
         print("sensor noise is taken from the runs' own fourth differences; nothing else of them is used")
     done = nsde_torch.evaluate(
         trained,
-        chosen.data,
-        runs=chosen.runs,
+        data,
+        runs=runs,
         sensor_noise=sensors,
         **{k: given[k] for k in ("seed", "particles", "horizons", "bootstrap", "compile", "inputs")},
     )

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from nsde_torch.errors import ConfigError
 
-from ..hydra_command import HydraCommand, Job, say
+from ..hydra_command import Config, HydraCommand, Job, say
 from ..keys import group, key
 from ..quoted import as_typed
 from ..schemas import FlownPlantConfig, MpcConfig
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
 
 
 @dataclass
@@ -48,7 +44,7 @@ COMMAND = HydraCommand(
 )
 
 
-def run(config: DictConfig, job: Job) -> None:
+def run(config: Config, job: Job) -> None:
     """Write one controller; ConfigError where the file is there already, or cannot hold a setting."""
     import torch
 

@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, Any
 from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.whole_files import json_text
 
-from ..hydra_command import HydraCommand, Job, say
+from ..hydra_command import Config, HydraCommand, Job, say
 from ..keys import group, key, of
 from ..quoted import from_file
 from ..schemas import LimitsConfig, LinkConfig, MpcConfig, ReferenceConfig
 
 if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
     from nsde_torch.px4.flight.flying import FlightReport
 
 RESULT, LOG = "flight.json", "log"
@@ -83,7 +81,7 @@ COMMAND = HydraCommand(
 )
 
 
-def run(config: DictConfig, job: Job) -> float | None:
+def run(config: Config, job: Job) -> float | None:
     """Fly a reference once or several times; RMSE of the position over all flights [m], None if it was not flown.
 
     NsdeError: nothing was flown, or it ended otherwise than asked for, and why.

@@ -15,15 +15,13 @@ from nsde_torch.data.readers import READERS
 from nsde_torch.errors import ConfigError
 
 from ..exit_status import FAILED_JOBS, EndedError
-from ..hydra_command import WITH_VALUE, HydraCommand, Job
+from ..hydra_command import WITH_VALUE, Config, HydraCommand, Job
 from ..keys import group, key
 from ..own_modules import UNNAMED
 from ..quoted import as_typed
 from ..schemas import SystemConfig
 
 if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
     from nsde_torch.api.inspecting import Inspection
 
 _SHOWN = 40
@@ -94,7 +92,7 @@ COMMAND = HydraCommand(
 )
 
 
-def run(config: DictConfig, job: Job) -> None:
+def run(config: Config, job: Job) -> None:
     """Print what is in a log, and write the mapping; EndedError where it cannot be used so."""
     import torch
 

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any
 from nsde_torch.errors import ConfigError
 from nsde_torch.policy.options import PolicyOptions
 
-from ..hydra_command import HydraCommand, Job
+from ..hydra_command import Config, HydraCommand, Job
 from ..keys import group, key, mirrors, of
 
 if TYPE_CHECKING:
-    from omegaconf import DictConfig
     from torch import Generator
 
     from nsde_torch.models import Model
@@ -80,7 +79,7 @@ COMMAND = HydraCommand(
 )
 
 
-def run(config: DictConfig, job: Job) -> float:
+def run(config: Config, job: Job) -> float:
     """Learn one policy; minus the mean reward per episode where it learned.
 
     ConfigError: The environment is no model of this system, `propagation` is given for what is no ensemble, or the

@@ -5,16 +5,13 @@ from __future__ import annotations
 import secrets
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from nsde_torch.errors import ConfigError
 
-from ..hydra_command import HydraCommand, Job
+from ..hydra_command import Config, HydraCommand, Job
 from ..keys import group, key
 from ..schemas import SystemConfig
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
 
 HOST = "127.0.0.1"  # the page is for who sits at this machine: no other address is ever bound
 _THREADS = 8  # requests at a time
@@ -53,7 +50,7 @@ COMMAND = HydraCommand(
 )
 
 
-def run(config: DictConfig, job: Job) -> None:
+def run(config: Config, job: Job) -> None:
     """Serve until Ctrl-C; ConfigError where a package, the port or the machine is not there."""
     from hydra.core.hydra_config import HydraConfig
 

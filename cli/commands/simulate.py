@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from nsde_torch.errors import ConfigError
 from nsde_torch.recording.faults import RecordingOptions
 from nsde_torch.simulation.options import ReplayOptions
 
-from ..hydra_command import HydraCommand, Job
+from ..hydra_command import Config, HydraCommand, Job
 from ..keys import group, key, mirrors
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
 
 
 @dataclass
@@ -89,7 +86,7 @@ COMMAND = HydraCommand(
 )
 
 
-def run(config: DictConfig, job: Job) -> None:
+def run(config: Config, job: Job) -> None:
     from nsde_torch.recording.chain import Recording
     from nsde_torch.simulation.generate import check_free, simulate, truth_path, write
     from nsde_torch.simulation.replay import Replay

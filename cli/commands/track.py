@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 from nsde_torch.errors import ConfigError
 from nsde_torch.whole_files import json_text
 
-from ..hydra_command import HydraCommand, Job, say
+from ..hydra_command import Config, HydraCommand, Job, say
 from ..keys import group, key
 from ..quoted import from_file
 from ..schemas import FlownPlantConfig, MpcConfig, ReferenceConfig
 
 if TYPE_CHECKING:
-    from omegaconf import DictConfig
     from torch import Tensor
 
     from nsde_torch.control.loop import Flight
@@ -65,7 +64,7 @@ COMMAND = HydraCommand(
 )
 
 
-def run(config: DictConfig, job: Job) -> float | None:
+def run(config: Config, job: Job) -> float | None:
     """Follow one reference with one or several controllers.
 
     Returns the RMSE of the position [m] of a multirotor, the largest of the error groups of another machine; None if
@@ -138,7 +137,7 @@ def run(config: DictConfig, job: Job) -> float | None:
 
 
 def _fly(
-    config: DictConfig,
+    config: Config,
     name: str,
     known: Model | System,
     first: Model | System,
@@ -208,7 +207,7 @@ def _line(label: str, found: dict[str, Any]) -> str:
 
 
 def _pictures(
-    config: DictConfig, job: Job, flights: dict[str, list[Flight]], path: StateReference, system: System
+    config: Config, job: Job, flights: dict[str, list[Flight]], path: StateReference, system: System
 ) -> list[str]:
     import numpy as np
 

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from nsde_torch.recall import recall
 from nsde_torch.training.options import LossOptions, TrainerOptions
 
-from ..hydra_command import HydraCommand, Job
+from ..hydra_command import Config, HydraCommand, Job
 from ..keys import group, key
 from ..schemas import DataConfig, LossConfig, ModelConfig, SolverConfig, SystemConfig, TrainerConfig
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
 
 
 @dataclass
@@ -61,7 +58,7 @@ COMMAND = HydraCommand(
 )
 
 
-def run(config: DictConfig, job: Job) -> float:
+def run(config: Config, job: Job) -> float:
     """Train one model; the validation score of the kept one."""
     from .. import build
 
@@ -70,7 +67,7 @@ def run(config: DictConfig, job: Job) -> float:
     return float(metrics["validation"]["score"])
 
 
-def fit(config: DictConfig, run_dir: Path, *, about: dict[str, Any]) -> dict[str, Any]:
+def fit(config: Config, run_dir: Path, *, about: dict[str, Any]) -> dict[str, Any]:
     """Build what a configuration describes and train it; returns the content of `metrics.json`.
 
     The configuration is composed and checked, its effects files expanded; `about` is the one that is recorded.

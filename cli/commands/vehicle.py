@@ -11,13 +11,11 @@ from typing import TYPE_CHECKING, Any
 from nsde_torch.errors import ConfigError
 from nsde_torch.px4.simulator.sensor_errors import CLOCK, SensorErrors
 
-from ..hydra_command import HydraCommand, Job, say
+from ..hydra_command import Config, HydraCommand, Job, say
 from ..keys import group, key, mirrors
 from ..schemas import FlownPlantConfig, LinkConfig
 
 if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
     from nsde_torch.px4.simulator.body import Body
 
 
@@ -65,7 +63,7 @@ COMMAND = HydraCommand(
 )
 
 
-def run(config: DictConfig, job: Job) -> None:
+def run(config: Config, job: Job) -> None:
     """Be a vehicle; ConfigError for what is no multirotor, or options that it does not have."""
     from nsde_torch.px4.simulator.autopilot import PARAMETERS
 
@@ -86,7 +84,7 @@ def run(config: DictConfig, job: Job) -> None:
         _fly(config, body, parameters, errors)
 
 
-def _simulate(config: DictConfig, first: Body, errors: SensorErrors) -> None:
+def _simulate(config: Config, first: Body, errors: SensorErrors) -> None:
     """Be the simulator of a real PX4."""
     from nsde_torch.px4.link.connection import open_transport
     from nsde_torch.px4.simulator.hil import HilPlant, HilServer, airframe
@@ -116,7 +114,7 @@ def _ends(duration: float | None) -> Callable[[], bool]:
     return lambda: end is not None and time.monotonic() >= end
 
 
-def _fly(config: DictConfig, body: Body, parameters: dict[str, float], errors: SensorErrors) -> None:
+def _fly(config: Config, body: Body, parameters: dict[str, float], errors: SensorErrors) -> None:
     """Be a vehicle with a PX4 in it."""
     from nsde_torch.px4.link.connection import open_transport
     from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot

@@ -5,17 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from nsde_torch.errors import ExportError
 from nsde_torch.whole_files import json_text
 
-from ..hydra_command import HydraCommand, Job
+from ..hydra_command import Config, HydraCommand, Job
 from ..keys import group, key
 from ..schemas import ReferenceConfig
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
 
 _ESTIMATED = 200  # states that the estimator of a file is given
 
@@ -52,7 +48,7 @@ COMMAND = HydraCommand(
 )
 
 
-def run(config: DictConfig, job: Job) -> None:
+def run(config: Config, job: Job) -> None:
     """Verify one file; ExportError where it is damaged, of another model, or does not do what its model does."""
     import torch
 

@@ -13,8 +13,6 @@
 What is under `/api` needs the token. Files of a job need its id, which nobody can guess and only `/api` returns.
 """
 
-from __future__ import annotations
-
 import hmac
 import json
 import sys

@@ -8,8 +8,6 @@ OUT_DIR/ID/result/              what `nsde diagnose` wrote
 OUT_DIR/ID/log.txt              what the commands printed
 """
 
-from __future__ import annotations
-
 import json
 import re
 import secrets

@@ -1,7 +1,5 @@
 """A command of `nsde` as a process that can be stopped: what it says, how far it is, how it ended."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

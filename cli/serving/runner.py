@@ -1,7 +1,5 @@
 """What is done with the logs of a job: looked into, then diagnosed, each by a command in a process of its own."""
 
-from __future__ import annotations
-
 import shutil
 import time
 from collections.abc import Callable

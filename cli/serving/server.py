@@ -4,8 +4,6 @@ waitress takes the whole body of a request before it calls the application. So t
 as soon as it has the header: a body without it is not read.
 """
 
-from __future__ import annotations
-
 import json
 import socket
 from collections.abc import Callable, Iterable

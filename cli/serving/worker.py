@@ -3,8 +3,6 @@
 `python -m nsde_torch.cli.serving.worker MEMORY SECONDS PARENT WORD...`. It ends when its parent does.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

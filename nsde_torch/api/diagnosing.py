@@ -1,7 +1,5 @@
 """`nsde_torch.diagnose`: what `nsde diagnose` does."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """`nsde_torch.evaluate`: what `nsde evaluate` does."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is in a log, what its columns mean to a system, and whether that is so."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace

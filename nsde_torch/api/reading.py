@@ -1,7 +1,5 @@
 """Runs from wherever a user has them: a folder, a log, a simulation, arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import exp

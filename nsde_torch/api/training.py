@@ -1,7 +1,5 @@
 """`nsde_torch.train`: what `nsde train` does."""
 
-from __future__ import annotations
-
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence

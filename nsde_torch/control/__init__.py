@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from nsde_torch.lazy import resolver
+from nsde_torch.lazy import names, resolver
 
 if TYPE_CHECKING:
     from nsde_torch.control.autopilots import Autopilot, CascadePilot, PredictivePilot
@@ -16,33 +16,5 @@ if TYPE_CHECKING:
     from nsde_torch.control.shapes import circle, lemniscate
     from nsde_torch.control.solve import Solution, Solver
 
-__all__ = [
-    "Autopilot",
-    "Cascade",
-    "CascadePilot",
-    "Controller",
-    "EstimatorOptions",
-    "Flight",
-    "FlightPath",
-    "Gains",
-    "Plan",
-    "Planner",
-    "PredictivePilot",
-    "Predictor",
-    "ProblemOptions",
-    "Reference",
-    "SafetyOptions",
-    "Solution",
-    "Solver",
-    "SolverOptions",
-    "StateReference",
-    "SteppedMachine",
-    "circle",
-    "course",
-    "fly",
-    "lemniscate",
-    "problem_of",
-    "setpoint",
-]
-
+__all__ = names(__name__)
 __getattr__ = resolver(__name__)

@@ -1,7 +1,5 @@
 """What flies a machine in a closed loop: the predictive controller, and a cascade of proportional loops beside it."""
 
-from __future__ import annotations
-
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence

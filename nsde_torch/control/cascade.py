@@ -9,8 +9,6 @@
 physics of the machine and nothing of lag, drag or gusts.
 """
 
-from __future__ import annotations
-
 from dataclasses import KW_ONLY, dataclass, field
 from math import radians, sin
 from typing import final

@@ -4,8 +4,6 @@ The states of a reference fix accelerations and angular accelerations; the least
 must lie within the bounds, and some of their range must be left to control with.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import isfinite
 

@@ -17,8 +17,6 @@ The first states may be those of the plan before: the gaps F(z_k, u_k) - z_{k+1}
 shooting; Bock and Plitt, IFAC 1984), and no rollout comes before the linearisation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple, final
 

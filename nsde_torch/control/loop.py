@@ -1,7 +1,5 @@
 """Closed loops: plants under an autopilot, with latencies, all machines of a batch at once."""
 
-from __future__ import annotations
-
 import csv
 from collections import Counter
 from collections.abc import Callable, Sequence

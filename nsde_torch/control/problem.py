@@ -13,8 +13,6 @@ vector part is that of the short way round. The first line is a multirotor's; th
 the error of its state in its error channels, angles the short way round.
 """
 
-from __future__ import annotations
-
 from math import cos, inf, radians
 from typing import Any, final
 

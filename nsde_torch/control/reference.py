@@ -6,8 +6,6 @@ Kumar, ICRA 2011), of which this knows no more than gravity, as the supplement's
     z_body = (a + g) / |a + g|,   heading = yaw,   omega = 2 vec(q^-1 dq/dt)
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import isfinite

@@ -8,8 +8,6 @@ ends, so that the path has four continuous derivatives. Sizes are chosen such th
 supplement's Figures 17 and 18 (32 deg; for the lemniscate 32 deg of roll and 19 deg of pitch).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import radians, sqrt, tan
 from pathlib import Path

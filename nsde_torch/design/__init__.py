@@ -10,7 +10,7 @@ obtain      the evidence of a flown experiment, beside the expected one         
 
 from typing import TYPE_CHECKING
 
-from nsde_torch.lazy import resolver
+from nsde_torch.lazy import names, resolver
 
 if TYPE_CHECKING:
     from nsde_torch.design.designing import design
@@ -19,17 +19,5 @@ if TYPE_CHECKING:
     from nsde_torch.design.options import DesignOptions
     from nsde_torch.design.questions import Question, Standing, open_questions, question_of, standing_of
 
-__all__ = [
-    "DesignOptions",
-    "Experiment",
-    "Obtained",
-    "Question",
-    "Standing",
-    "design",
-    "obtained",
-    "open_questions",
-    "question_of",
-    "standing_of",
-]
-
+__all__ = names(__name__)
 __getattr__ = resolver(__name__)

@@ -2,12 +2,11 @@
 
 from typing import TYPE_CHECKING
 
-from nsde_torch.lazy import resolver
+from nsde_torch.lazy import names, resolver
 
 if TYPE_CHECKING:
     from nsde_torch.evaluation.comparison import Comparison, compare
     from nsde_torch.evaluation.metrics import evaluate
 
-__all__ = ["Comparison", "compare", "evaluate"]
-
+__all__ = names(__name__)
 __getattr__ = resolver(__name__)

@@ -5,7 +5,7 @@
 
 from typing import TYPE_CHECKING
 
-from nsde_torch.lazy import resolver
+from nsde_torch.lazy import names, resolver
 
 if TYPE_CHECKING:
     from nsde_torch.policy.actor import Actor, load_policy
@@ -22,25 +22,5 @@ if TYPE_CHECKING:
     from nsde_torch.policy.options import PolicyOptions
     from nsde_torch.policy.training import PolicyTraining, Rewards, episode_rewards, random_policy, score
 
-__all__ = [
-    "TASKS",
-    "TRUTHS",
-    "Actor",
-    "BatchEnvironment",
-    "Box",
-    "CartpoleSwingUp",
-    "Dynamics",
-    "PolicyOptions",
-    "PolicyTraining",
-    "Rewards",
-    "Transition",
-    "episode_rewards",
-    "load_policy",
-    "make_learned",
-    "make_task",
-    "make_truth",
-    "random_policy",
-    "score",
-]
-
+__all__ = names(__name__)
 __getattr__ = resolver(__name__)

@@ -5,8 +5,6 @@
 Its file holds tensors and, in the header, plain words (safetensors): a file is read without running code.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Mapping, Sequence

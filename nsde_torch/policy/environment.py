@@ -7,8 +7,6 @@ noise. An episode that has had all its steps is cut off (`truncated`); one that 
 numbers, is over (`terminated`) and pays its last reward for every step that was left.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import KW_ONLY, dataclass
 from math import pi

@@ -7,8 +7,6 @@ time from the state that it predicted. The state evolves without sensor noise; t
 its sensors is added to what is measured.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from typing import Any, final
 

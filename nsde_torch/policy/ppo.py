@@ -6,8 +6,6 @@ moments and the number of interactions. The episodes under way and the state of 
 learning that was interrupted is continued, not repeated.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -5,7 +5,7 @@ NED world and FRD body exist inside this package only; `frames` converts at its 
 
 from typing import TYPE_CHECKING
 
-from nsde_torch.lazy import resolver
+from nsde_torch.lazy import names, resolver
 
 if TYPE_CHECKING:
     from nsde_torch.px4.flight.cascade import CascadeController, PathPoints
@@ -16,20 +16,5 @@ if TYPE_CHECKING:
     from nsde_torch.px4.link.connection import Link, open_link
     from nsde_torch.px4.simulator.simulated import Vehicle, fly_simulated
 
-__all__ = [
-    "CascadeController",
-    "FlightOptions",
-    "FlightOutcome",
-    "FlightReport",
-    "Limits",
-    "Link",
-    "PathPoints",
-    "PredictiveController",
-    "SetpointLimits",
-    "Vehicle",
-    "fly",
-    "fly_simulated",
-    "open_link",
-]
-
+__all__ = names(__name__)
 __getattr__ = resolver(__name__)

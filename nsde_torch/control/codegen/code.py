@@ -1,7 +1,5 @@
 """Scalars as functions in C: statements, networks with loops, and products with sparse matrices."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise

@@ -7,8 +7,6 @@
 model and no torch, and is what holds the vehicle where any other controller has failed.
 """
 
-from __future__ import annotations
-
 from dataclasses import KW_ONLY, dataclass
 from math import atan2, cos, radians, sin, sqrt, tan
 from typing import final

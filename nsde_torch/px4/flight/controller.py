@@ -5,8 +5,6 @@ it has answered for the one before, so nothing piles up, and sees the newest. If
 the pipe says so; either way the loop goes on and knows.
 """
 
-from __future__ import annotations
-
 import contextlib
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """A flight in real time: the loop that streams, and what it measured."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import signal

@@ -6,8 +6,6 @@ Any trouble leads by its action (see `safety`) to SAFE_HOLD, LAND, BLIND or WATC
 again: the vehicle is the operator's or PX4's. Landing is PX4's own LAND mode, which needs nothing from us.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field, replace

@@ -13,8 +13,6 @@ A solver that starts from a plan that came late may end in another valley of its
 that tilts beyond what ends a flight is not flown. Another is made from hovering, or the one before goes on.
 """
 
-from __future__ import annotations
-
 import copy
 import time as clock
 from bisect import bisect_right

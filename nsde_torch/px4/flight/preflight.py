@@ -1,7 +1,5 @@
 """What must be right before anything is armed; each fault with its reason and remedy."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from math import ceil, hypot, inf, isfinite
 from typing import NamedTuple

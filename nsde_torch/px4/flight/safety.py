@@ -22,8 +22,6 @@
 | crash of a part | exception | hold if the loop lives, else LAND is asked for and the stream ends |
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -6,8 +6,6 @@ with f the specific force along the body's z axis that the velocity showed, over
 it was a motor's lag before.
 """
 
-from __future__ import annotations
-
 from collections import Counter, deque
 from math import cos
 from typing import final

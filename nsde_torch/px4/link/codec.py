@@ -11,8 +11,6 @@ A signature's time must grow; it is compared only after the signature itself was
 cannot move it.
 """
 
-from __future__ import annotations
-
 import binascii
 import hashlib
 import struct

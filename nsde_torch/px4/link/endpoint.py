@@ -3,8 +3,6 @@
 Time and bytes come in as arguments, so that the same code flies over sockets and, in tests, in virtual time.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass

@@ -7,8 +7,6 @@ The last line is `q_ENU<-NED q_NED<-FRD q_FRD<-FLU` multiplied out (half turns a
 is its own inverse. Quaternions are `w x y z`, body to world, on both sides.
 """
 
-from __future__ import annotations
-
 from math import sqrt
 
 from nsde_torch.px4.link.vectors import Quat, Vec

@@ -5,8 +5,6 @@ the attitude's time, p + v (t_attitude - t_position). The velocity of ODOMETRY i
 it; where LOCAL_POSITION_NED, whose frame is beyond doubt, says that it is in the body, it is turned.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass, field, replace
 from math import inf, nan

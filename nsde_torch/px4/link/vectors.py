@@ -3,8 +3,6 @@
 Loops at hundreds of hertz on one row: a NumPy call costs more than all the arithmetic of a rotation.
 """
 
-from __future__ import annotations
-
 from math import acos, atan2, cos, degrees, isfinite, sin, sqrt
 
 Vec = tuple[float, float, float]

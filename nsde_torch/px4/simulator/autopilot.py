@@ -9,8 +9,6 @@ stream stops the last rates are held for COM_OF_LOSS_T, then it fails over, and 
 to OFFBOARD by itself; ODOMETRY's velocity is in the local frame. What its estimator gets wrong is in `estimate`.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field, replace

@@ -10,8 +10,6 @@ the rigid body, computed every 10 ms and held:  z' = rigid(z, u) + [plant(z_k, u
 The ground is a plane at height 0 that carries what does not lift itself, without bounce or slip.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import KW_ONLY, dataclass
 from math import exp

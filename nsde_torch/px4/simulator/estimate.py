@@ -14,8 +14,6 @@ cannot show of a touch-down it does not know: one at 0.7 m/s takes it half a met
 `landed` comes only when the estimate no longer sinks.
 """
 
-from __future__ import annotations
-
 import random
 from cmath import rect
 from dataclasses import dataclass, field

@@ -12,8 +12,6 @@ machine is put back on the ground, and the next PX4 finds it new.
 Motors are numbered as in PX4: channel k of the controls is motor k (`PWM_MAIN_FUNCk = 100 + k`).
 """
 
-from __future__ import annotations
-
 import random
 import time
 from collections import deque

@@ -58,7 +58,7 @@ def run(config: Config, job: Job) -> None:
 
     try:
         from ..serving.app import ServedPage
-        from ..serving.server import listen
+        from ..serving.server import listen, serve
     except ModuleNotFoundError as error:
         package = str(error.name).partition(".")[0]
         raise ConfigError(
@@ -83,19 +83,20 @@ def run(config: Config, job: Job) -> None:
         jobs=config.jobs,
         keep=config.keep,
     )
-    server = listen(HOST, config.port, largest=limits.upload + _SPARE, threads=_THREADS)
+    sock = listen(HOST, config.port)
+    port = sock.getsockname()[1]
     token = secrets.token_urlsafe(24)
     shelf = Shelf(Path(config.out_dir), limits)
     runner = JobRunner(shelf, known, limits)
-    hosts = [f"{name}:{server.port}" for name in (HOST, "localhost")]
+    hosts = [f"{name}:{port}" for name in (HOST, "localhost")]
     page: Any = ServedPage(runner, token=token, hosts=hosts)
-    print(f"http://{HOST}:{server.port}/#{token}", flush=True)
+    print(f"http://{HOST}:{port}/#{token}", flush=True)
     print(
         f"Open this address in a browser of this machine. Logs and results are kept in {shelf.folder}; Ctrl-C ends it.",
         flush=True,
     )
     try:
-        server.run(page, token=token)
+        serve(sock, page, token=token, largest=limits.upload + _SPARE, threads=_THREADS)
     finally:
         runner.close()
     print(f"\nnsde serve: ended; {len(shelf.all())} diagnoses are kept in {shelf.folder}.")

@@ -18,7 +18,7 @@ import json
 import sys
 import traceback
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass
 from importlib import resources
 from typing import Any
 
@@ -164,7 +164,7 @@ class ServedPage:
     def _show(self, request: Request, name: str) -> Response:
         job = self._shelf.get(name)
         with self._shelf.lock:
-            content = {**job.content(), **self._brief(job)}
+            content = {**asdict(job), **self._brief(job)}
         found = self._shelf.read(job, INSPECTION)
         if found is not None:
             content["inspection"] = {**found, "columns": _first(found), "all_columns": len(found["columns"])}

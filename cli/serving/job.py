@@ -11,7 +11,6 @@ OUT_DIR/ID/log.txt              what the commands printed
 import json
 import re
 import secrets
-import shlex
 import shutil
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -83,18 +82,10 @@ class ServedJob:
     state: str = "uploading"  # key of `STATES`
     sentence: str = ""  # why it is refused or failed; empty where it is not
     mapped: bool = False  # whether the user gave the mapping
-    # what the diagnosis did: stage, number done, number in all, second at which it began, and what was found
-    # so far
     stages: list[dict[str, Any]] = field(default_factory=list)
+    """What the diagnosis did: stage, number done and in all, second at which it began, and what was found so far."""
     seconds: float = 0.0  # how long the diagnosis took or has taken
     repeat: str = ""  # the command that repeats the diagnosis
-
-    def content(self) -> dict[str, Any]:
-        return asdict(self)
-
-    def save(self, folder: Path) -> None:
-        """Write the record, whole or not at all."""
-        write_whole(folder / RECORD, json.dumps(self.content(), indent=1) + "\n")
 
 
 def load(folder: Path) -> ServedJob | None:
@@ -118,10 +109,21 @@ class Machines:
     first: str | None = None  # the one that is chosen at first; None: chosen by what is logged
     typed: Sequence[str] = ()  # what was typed of it, `system.effects=[linear_drag]`
 
-    @property
-    def options(self) -> list[str]:
-        """Words that make a command know them."""
-        return [] if self.folder is None else ["--config-dir", str(self.folder)]
+    def inspect_words(self, logs: Path, *, system: str | None, mapping: Path | None, out: Path) -> list[str]:
+        """The words that look into logs of a system; None: guessed."""
+        words = ["inspect", str(logs), "out=none", f"json={out}"]
+        words += [f"system={self.names[system]}"] if system else []
+        return [*words, f"mapping={mapping}"] if mapping else words
+
+    def diagnose_words(
+        self, logs: Path, *, system: str, mapping: Path | None, max_minutes: float
+    ) -> list[str]:
+        """The words that diagnose logs, wherever they are typed; without a mapping where the reader needs none."""
+        folder = [] if self.folder is None else ["--config-dir", str(self.folder)]
+        own = self.typed if system == self.first else ()
+        words = ["diagnose", *folder, f"system={system}", *own, "data=log", f"data.path={logs}"]
+        words += [f"data.mapping={mapping}"] if mapping else []
+        return [*words, "retrain=false", f"max_minutes={max_minutes:g}"]
 
 
 def machines(folder: Path | None, *, first: str | None = None, typed: Sequence[str] = ()) -> Machines:
@@ -133,30 +135,6 @@ def machines(folder: Path | None, *, first: str | None = None, typed: Sequence[s
     }
     named = {choice: str(v["name"]) for choice, v in values.items() if "name" in v}
     return Machines(named, None if folder is None else folder.resolve(), first, typed)
-
-
-def inspect_words(
-    logs: Path, *, known: Machines, system: str | None, mapping: Path | None, out: Path
-) -> list[str]:
-    """The words that look into logs of a system of `known`; None: guessed."""
-    words = ["inspect", str(logs), "out=none", f"json={out}"]
-    words += [f"system={known.names[system]}"] if system else []
-    return [*words, f"mapping={mapping}"] if mapping else words
-
-
-def diagnose_words(
-    logs: Path, *, known: Machines, system: str, mapping: Path | None, max_minutes: float
-) -> list[str]:
-    """The words that diagnose logs, wherever they are typed; without a mapping where the reader needs none."""
-    own = known.typed if system == known.first else ()
-    words = ["diagnose", *known.options, f"system={system}", *own, "data=log", f"data.path={logs}"]
-    words += [f"data.mapping={mapping}"] if mapping else []
-    return [*words, "retrain=false", f"max_minutes={max_minutes:g}"]
-
-
-def shell(words: Sequence[str]) -> str:
-    """The words of a command, without `nsde`, as one line for a shell."""
-    return f"nsde {shlex.join(words)}"
 
 
 _PICKLES = READERS["published"].suffixes
@@ -330,7 +308,7 @@ class Shelf:
             for key, value in changed.items():
                 setattr(job, key, value)
             if job.id in self._jobs:
-                job.save(self.of(job))
+                write_whole(self.of(job) / RECORD, json.dumps(asdict(job), indent=1) + "\n")
 
     def delete(self, job: ServedJob) -> None:
         """Remove a job with its folder; RefusedError where it is at work."""

@@ -1,5 +1,6 @@
 """What is done with the logs of a job: looked into, then diagnosed, each by a command in a process of its own."""
 
+import shlex
 import shutil
 import time
 from collections.abc import Callable
@@ -7,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
-from .job import Machines, RefusedError, ServedJob, ServeLimits, Shelf, diagnose_words, inspect_words, shell
+from .job import Machines, RefusedError, ServedJob, ServeLimits, Shelf
 from .process import CommandProcess, EndOfProcess, Say
 from .summary import RESULT, save_summary
 
@@ -124,7 +125,7 @@ class JobRunner:
         folder = self.shelf.of(job)
         given = folder / MAPPING if job.mapped else None
         out = folder / INSPECTION
-        words = inspect_words(folder / "logs", known=self.machines, system=job.system, mapping=given, out=out)
+        words = self.machines.inspect_words(folder / "logs", system=job.system, mapping=given, out=out)
         limits = replace(self.limits, seconds=min(_LOOK, self.limits.seconds))
         end = self._run(job, words, limits, lambda *step: None)
         found = self.shelf.read(job, INSPECTION)
@@ -137,14 +138,13 @@ class JobRunner:
             (folder / MAPPING).write_text(found["mapping"], encoding="utf-8")
         if not found["usable"] or system not in self.machines.names:
             return {"state": "refused", "sentence": self._plain(_why_not(found), job)}
-        return {"state": "ready", "repeat": shell(self._words(job))}
+        return {"state": "ready", "repeat": shlex.join(["nsde", *self._words(job)])}
 
     def _words(self, job: ServedJob) -> list[str]:
         folder, most = self.shelf.of(job), self.limits.max_minutes
         mapping = folder / MAPPING if (folder / MAPPING).is_file() else None
-        return diagnose_words(
-            folder / "logs", known=self.machines, system=job.machine, mapping=mapping, max_minutes=most
-        )
+        how: dict[str, Any] = {"system": job.machine, "mapping": mapping, "max_minutes": most}
+        return self.machines.diagnose_words(folder / "logs", **how)
 
     def _diagnose(self, job: ServedJob) -> dict[str, Any]:
         folder = self.shelf.of(job)
@@ -161,7 +161,7 @@ class JobRunner:
                 stages[-1].update(done=done, total=total, found=found)
 
         words = self._words(job)
-        self.shelf.note(job, state="running", stages=stages, repeat=shell(words))
+        self.shelf.note(job, state="running", stages=stages, repeat=shlex.join(["nsde", *words]))
         end = self._run(job, [*words, f"out_dir={folder / RESULT}"], self.limits, say)
         if end.stopped == "cancelled":
             return {"state": "cancelled", "sentence": end.sentence}

@@ -52,31 +52,24 @@ def _channel(token: str) -> type[HTTPChannel]:
     return Channel
 
 
-class PageServer:
-    """A socket that listens, and what answers there; requests have `largest` bytes at most."""
-
-    def __init__(self, sock: socket.socket, *, largest: int, threads: int) -> None:
-        self.socket, self._largest, self._threads = sock, largest, threads
-        self.port: int = sock.getsockname()[1]
-
-    def run(self, application: WSGI, *, token: str) -> None:
-        """Answer until Ctrl-C or SIGTERM."""
-        server = create_server(
-            application,
-            sockets=[self.socket],
-            threads=self._threads,
-            max_request_body_size=self._largest,
-            clear_untrusted_proxy_headers=True,
-            ident=None,
-        )
-        server.channel_class = _channel(token)
-        try:
-            server.run()
-        finally:
-            server.close()
+def serve(sock: socket.socket, application: WSGI, *, token: str, largest: int, threads: int) -> None:
+    """Answer requests of `largest` bytes at most, until Ctrl-C or SIGTERM."""
+    server = create_server(
+        application,
+        sockets=[sock],
+        threads=threads,
+        max_request_body_size=largest,
+        clear_untrusted_proxy_headers=True,
+        ident=None,
+    )
+    server.channel_class = _channel(token)
+    try:
+        server.run()
+    finally:
+        server.close()
 
 
-def listen(host: str, port: int, *, largest: int, threads: int) -> PageServer:
+def listen(host: str, port: int) -> socket.socket:
     """Bind a port, 0 for any that is free; ConfigError where it is taken, or may not be bound."""
     sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -89,4 +82,4 @@ def listen(host: str, port: int, *, largest: int, threads: int) -> PageServer:
             f"`port`: {host}:{port} cannot be bound ({error.strerror}); another page may run there: port=0 takes any "
             "that is free."
         ) from error
-    return PageServer(sock, largest=largest, threads=threads)
+    return sock

@@ -6,7 +6,7 @@ from nsde_torch.lazy import names, resolver
 
 if TYPE_CHECKING:
     from nsde_torch.control.autopilots import Autopilot, CascadePilot, PredictivePilot
-    from nsde_torch.control.cascade import Cascade, Gains
+    from nsde_torch.control.cascade import Cascade
     from nsde_torch.control.controller import Controller, Plan, Planner
     from nsde_torch.control.loop import Flight, SteppedMachine, fly
     from nsde_torch.control.options import EstimatorOptions, ProblemOptions, SafetyOptions, SolverOptions

@@ -9,8 +9,8 @@
 physics of the machine and nothing of lag, drag or gusts.
 """
 
-from dataclasses import KW_ONLY, dataclass, field
-from math import radians, sin
+from dataclasses import KW_ONLY, dataclass
+from math import radians, tan
 from typing import final
 
 import torch
@@ -21,18 +21,17 @@ from nsde_torch.rotation import rotation_between
 from nsde_torch.systems import Multirotor
 from nsde_torch.systems.multirotor import GRAVITY
 
-
-@dataclass(frozen=True)
-class Gains:
-    """Gains of the cascade, each in 1/s; horizontal and vertical, or roll, pitch and yaw."""
-
-    position: tuple[float, float, float] = (0.8, 0.8, 1.5)  # velocity per position error
-    velocity: tuple[float, float, float] = (1.6, 1.6, 3.5)  # acceleration per velocity error
-    integral: tuple[float, float, float] = (0.25, 0.25, 0.8)  # growth per velocity error [1/s2]
-    attitude: tuple[float, float, float] = (6.0, 6.0, 2.5)  # rate per attitude error
-    rate: tuple[float, float, float] = (11.0, 11.0, 5.0)  # angular acceleration per rate error
-    tilt: float = radians(40.0)  # largest tilt [rad]
-    integral_limit: float = 2.0  # largest integral [m/s2]
+# gains along x, y, z, or of roll, pitch and yaw [1/s]
+POSITION, VELOCITY = (
+    (0.8, 0.8, 1.5),
+    (1.6, 1.6, 3.5),
+)  # velocity per position error, acceleration per velocity error
+INTEGRAL = (0.25, 0.25, 0.8)  # growth per velocity error [1/s2]
+ATTITUDE, RATE = (
+    (6.0, 6.0, 2.5),
+    (11.0, 11.0, 5.0),
+)  # rate per attitude error, angular acceleration per rate error
+TILT, INTEGRAL_LIMIT = radians(40.0), 2.0  # largest tilt [rad] and integral [m/s2]
 
 
 @final
@@ -43,17 +42,14 @@ class Cascade:
     system: Multirotor  # declared physics that the mixing and the hover thrust come from
     _: KW_ONLY
     dt: float  # sample [s]
-    gains: Gains = field(default_factory=Gains)
     device: torch.device | str = "cpu"  # where the states are
 
     def __post_init__(self) -> None:
         def row(values: tuple[float, ...]) -> Tensor:
             return torch.tensor(values, dtype=torch.float64, device=self.device)
 
-        gains = self.gains
-        self._dt, self._limit, self._sin_tilt = self.dt, gains.integral_limit, sin(gains.tilt)
-        self._kp, self._kv, self._ki = row(gains.position), row(gains.velocity), row(gains.integral)
-        self._ka, self._kw = row(gains.attitude), row(gains.rate)
+        self._kp, self._kv, self._ki = row(POSITION), row(VELOCITY), row(INTEGRAL)
+        self._ka, self._kw = row(ATTITUDE), row(RATE)
         values = {k: float(v) for k, (v, _) in self.system.declared_parameters().items() if v.numel() == 1}
         self._offset = values["thrust_offset"]
         per_unit = row(tuple(values[f"{k}_gain"] for k in ("thrust", "roll", "pitch", "yaw")))
@@ -81,14 +77,12 @@ class Cascade:
             yaw, yaw_rate: Wanted headings [rad] and their rates [rad/s] (B,).
         """
         error = v + self._kp * (p - x[:, :3]) - x[:, 3:6]
-        self._sum = (self._sum + self._ki * self._dt * error).clamp(-self._limit, self._limit)
+        self._sum = (self._sum + self._ki * self.dt * error).clamp(-INTEGRAL_LIMIT, INTEGRAL_LIMIT)
         force = a + self._kv * error + self._sum + self._gravity
         up = force[:, 2:].clamp_min(0.3 * GRAVITY)
         side = force[:, :2]
         size = torch.linalg.vector_norm(side, dim=1, keepdim=True)
-        # tan of the largest tilt, through its sine
-        most = up * (self._sin_tilt / (1.0 - self._sin_tilt**2) ** 0.5)
-        side = side * (most / size.clamp_min(1e-9)).clamp_max(1.0)
+        side = side * (up * tan(TILT) / size.clamp_min(1e-9)).clamp_max(1.0)
         force = torch.cat((side, up), 1)
         thrust = torch.linalg.vector_norm(force, dim=1, keepdim=True)
         rates = self._ka * rotation_between(x[:, 6:10], attitude_along(force / thrust, yaw))

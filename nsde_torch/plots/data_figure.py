@@ -69,16 +69,15 @@ COLUMNS = 4  # runs that have a column of their own; of more, the first ones are
 
 
 @style.styled
-def data_summary(dataset: DataSet, system: System, *, title: str | None = None) -> Figure:
-    """The data over time; the title is by default the system, the number of runs and the recorded time.
+def data_summary(dataset: DataSet, system: System) -> Figure:
+    """The data over time.
 
     For a system with velocity `v_x v_y v_z` and a quaternion: panels (speed, roll, pitch, yaw) by run. For others:
     states and inputs over time with all runs in one panel, and phase portraits.
     """
     runs = dataset.runs
     seconds = sum(float(r.t[b - 1] - r.t[a]) for r in runs for a, b in r.segments)
-    if title is None:
-        title = f"{system.name}: {len(runs)} run{'s' * (len(runs) > 1)}, {seconds:.1f} s recorded"
+    title = f"{system.name}: {len(runs)} run{'s' * (len(runs) > 1)}, {seconds:.1f} s recorded"
     if system.quaternion is not None and {"v_x", "v_y", "v_z"} <= set(system.state_names):
         return _flights(runs, system, title)
     return _channels(dataset, system, title)

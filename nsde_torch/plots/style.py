@@ -184,12 +184,12 @@ def some(points: ArrayLike, most: int) -> Array:
     return rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).round().astype(int)]
 
 
-def save(figure: Figure, path: str | Path, *, dpi: int = DPI) -> Path:
+def save(figure: Figure, path: str | Path) -> Path:
     """Write a figure to a file, which is returned; the ending says the format (`.png`, `.pdf`, `.svg`)."""
     import matplotlib
 
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with matplotlib.rc_context(_LOOK):
-        figure.savefig(path, dpi=dpi)
+        figure.savefig(path, dpi=DPI)
     return path

@@ -87,9 +87,10 @@ def screen(driver: Any, tmp_path: Path, played: Played) -> Iterator[Screen]:
 
     from nsde_torch.cli.serving.server import listen
 
-    server = listen("127.0.0.1", 0, largest=1 << 20, threads=4)
-    page = make_page(tmp_path / "served", played, hosts=[f"127.0.0.1:{server.port}"], upload=1 << 18, keep=4)
-    running = create_server(page.app, sockets=[server.socket], threads=4)
+    sock = listen("127.0.0.1", 0)
+    address = f"127.0.0.1:{sock.getsockname()[1]}"
+    page = make_page(tmp_path / "served", played, hosts=[address], upload=1 << 18, keep=4)
+    running = create_server(page.app, sockets=[sock], threads=4)
 
     def answer() -> None:
         with contextlib.suppress(OSError):  # its socket is closed at the end, from another thread
@@ -97,7 +98,7 @@ def screen(driver: Any, tmp_path: Path, played: Played) -> Iterator[Screen]:
 
     thread = threading.Thread(target=answer, daemon=True)
     thread.start()
-    made = Screen(driver, f"http://127.0.0.1:{server.port}/#{TOKEN}", tmp_path / "served")
+    made = Screen(driver, f"http://{address}/#{TOKEN}", tmp_path / "served")
     driver.get_log("browser")
     driver.set_window_size(1200, 1000)
     driver.get("about:blank")

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from nsde_torch.cli.serving.job import diagnose_words, inspect_words, machines
+from nsde_torch.cli.serving.job import machines
 from tests.serving.conftest import INSPECTION, Page, Played, make_page
 
 CSV = {"run.csv": b"t,q\n0,1\n"}
@@ -124,16 +124,13 @@ def test_machines_of_ones_own_are_offered(tmp_path: Path) -> None:
     (tmp_path / "system" / "mine.yaml").write_text("name: my_machine:Mine\n")
     known = machines(tmp_path)
     assert known.names["mine"] == "my_machine:Mine"
-    assert known.options == ["--config-dir", str(tmp_path)]
     words = machines(tmp_path, first="mine", typed=["system.effects=[linear_drag]"])
     logs = tmp_path / "logs"
-    made = diagnose_words(logs, known=words, system="mine", mapping=None, max_minutes=10.0)
+    made = words.diagnose_words(logs, system="mine", mapping=None, max_minutes=10.0)
     assert made[1:5] == ["--config-dir", str(tmp_path), "system=mine", "system.effects=[linear_drag]"]
     assert made[-2:] == ["retrain=false", "max_minutes=10"]
-    other = diagnose_words(logs, known=words, system="cartpole", mapping=None, max_minutes=10.0)
+    other = words.diagnose_words(logs, system="cartpole", mapping=None, max_minutes=10.0)
     assert "linear_drag" not in str(other)
-    assert (
-        inspect_words(logs, known=words, system="mine", mapping=None, out=logs)[-1]
-        == "system=my_machine:Mine"
-    )
+    looks = words.inspect_words(logs, system="mine", mapping=None, out=logs)
+    assert looks[-1] == "system=my_machine:Mine"
     assert set(machines(None).names) == {"mass_spring_damper", "cartpole", "hexacopter", "quadrotor"}

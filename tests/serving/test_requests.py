@@ -8,7 +8,7 @@ import threading
 import pytest
 
 from nsde_torch.cli.serving.job import FORMATS, file_names
-from nsde_torch.cli.serving.server import listen
+from nsde_torch.cli.serving.server import listen, serve
 from nsde_torch.data.readers import READERS
 from tests.serving.conftest import HOST, TOKEN, Page, Played
 
@@ -123,21 +123,21 @@ def test_a_body_is_not_read_before_the_token_is_seen(token: str | None, length: 
         start_response("200 OK", [])
         return [b""]
 
-    server = listen("127.0.0.1", 0, largest=1 << 30, threads=1)
+    sock = listen("127.0.0.1", 0)
 
-    def serve() -> None:
+    def run() -> None:
         with contextlib.suppress(OSError):  # its socket is closed at the end, from another thread
-            server.run(page, token=TOKEN)
+            serve(sock, page, token=TOKEN, largest=1 << 30, threads=1)
 
-    threading.Thread(target=serve, daemon=True).start()
+    threading.Thread(target=run, daemon=True).start()
     head = f"PUT /api/jobs/x/logs/0 HTTP/1.1\r\nHost: {HOST}\r\nContent-Length: {length}\r\n"
     head += "" if token is None else f"X-Nsde-Token: {token}\r\n"
     head += "Connection: close\r\n"
-    with socket.create_connection(("127.0.0.1", server.port), timeout=20) as client:
+    with socket.create_connection(sock.getsockname(), timeout=20) as client:
         client.sendall(f"{head}\r\n".encode() + b"ab")  # of half a GiB that is announced
         with client.makefile("rb") as arriving:
             answer = arriving.read()  # its header and its text may come apart
-    server.socket.close()
+    sock.close()
     assert answer.startswith(b"HTTP/1.1 " + status)
     assert taken == ([b"ab"] if token == TOKEN else [])
     assert token == TOKEN or b"it holds the key to this page" in answer

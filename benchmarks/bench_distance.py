@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 from scipy.stats import spearmanr
 
 import nsde_torch
+from nsde_torch.api.reading import split_runs
 from nsde_torch.cli import build
 
 
@@ -42,7 +43,7 @@ def score(folder: Path, seed: int) -> dict[str, float]:
     model = nsde_torch.load(folder)
     config = OmegaConf.create(yaml.safe_load((folder / "config.yaml").read_text())["config"])
     system = build.system(config.system)
-    split = build.split(config.data, build.dataset(config.data, system), system)
+    split = split_runs(build.dataset(config.data, system), config.data.test)
     assert set(json.loads((folder / "metrics.json").read_text())["test_runs"]) == {r.name for r in split.test}
     train, test = (
         model.system.features(

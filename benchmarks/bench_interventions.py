@@ -34,8 +34,8 @@ import nsde_torch
 from nsde_torch.data import DataSet, Windows
 from nsde_torch.evaluation.common_grid import Candidate
 from nsde_torch.evaluation.comparison import Comparison, compare
-from nsde_torch.evaluation.metrics import group_rms, start_grid
-from nsde_torch.evaluation.scores import LEVELS
+from nsde_torch.evaluation.metrics import start_grid
+from nsde_torch.evaluation.scores import LEVELS, group_squares, rms_by_group
 from nsde_torch.evaluation.seen import SeenRuns
 from nsde_torch.models.neural_sde import NeuralSDE
 from nsde_torch.recording import read
@@ -106,11 +106,9 @@ def oracle(system: str, data: DataSet, horizons: Sequence[float] = HORIZONS) -> 
     for k in range(u.shape[1]):
         plant.step(u[:, k])
         path.append(plant.state)
-    out: Errors = {g: {} for g in GROUPS}
-    for h, k in steps.items():
-        for g, value in group_rms(plant.system, plant.system.error(path[k], x[:, k])).items():
-            out[g][f"{h:g}"] = value
-    return out
+    system = plant.system
+    squares = [group_squares(system, system.error(path[k], x[:, k])) for k in steps.values()]
+    return rms_by_group(system, torch.stack(squares, 1), [f"{h:g}" for h in steps])
 
 
 def _rows_before(data: DataSet, name: str, row: int) -> int:

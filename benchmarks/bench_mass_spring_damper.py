@@ -25,6 +25,7 @@ from common import train_all
 from omegaconf import OmegaConf
 
 import nsde_torch
+from nsde_torch.api.reading import split_runs
 from nsde_torch.cli import build
 from nsde_torch.evaluation.scores import interval_quantiles
 
@@ -86,7 +87,7 @@ def widening(folder: Path, seed: int) -> list[float]:
     model = nsde_torch.load(folder)
     config = OmegaConf.create(yaml.safe_load((folder / "config.yaml").read_text())["config"])
     system = build.system(config.system)
-    split = build.split(config.data, build.dataset(config.data, system), system)
+    split = split_runs(build.dataset(config.data, system), config.data.test)
     train, test = (
         torch.as_tensor(np.concatenate([r.x for r in side])).float() for side in (split.train, split.test)
     )

@@ -26,7 +26,7 @@ from typing import Any
 from common import learn_policy, train
 
 from nsde_torch.plots import save
-from nsde_torch.plots.policy_rewards import policy_rewards
+from nsde_torch.plots.evaluation import policy_rewards
 
 DATA = {"on_policy": "published", "random": "published", "plant_on_policy": "plant", "plant_random": "plant"}
 FILES = {"on_policy": "learned.pkl", "random": "random.pkl"}

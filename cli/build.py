@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from nsde_torch.data import DataSet, Split, SystemInfo
+from nsde_torch.data import DataSet, SystemInfo
 from nsde_torch.effects.files import is_file, own_name, read_for
 from nsde_torch.effects.law import split_name
 from nsde_torch.errors import ConfigError, DataError
@@ -108,17 +108,6 @@ def _files(config: DictConfig, machine: SystemInfo, path: str) -> DataSet:
     import nsde_torch
 
     return nsde_torch.read(path, system=machine, **options(config, "path", *_NOT_FOR_DATA))
-
-
-def split(config: DictConfig, data: DataSet, machine: SystemInfo) -> Split:
-    """Training runs and those held out, which `data.test` names; with `data.test_path` the test is that file or folder.
-
-    The runs that `data.test` names do not train. DataError: there is no such run, none is left, or one is on both.
-    """
-    from nsde_torch.api.reading import split_runs
-
-    test = None if config.test is None else list(config.test)
-    return split_runs(data, test, test_data=test_data(config, machine))
 
 
 def system_options(config: DictConfig) -> SystemOptions:

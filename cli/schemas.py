@@ -18,7 +18,7 @@ from nsde_torch.control.options import (
 )
 from nsde_torch.data.readers import READERS
 from nsde_torch.models.options import MODELS
-from nsde_torch.px4.flight.options import Limits, SetpointLimits
+from nsde_torch.px4.options import Limits, SetpointLimits
 from nsde_torch.recording.faults import RemedyOptions
 from nsde_torch.sde.names import STEP_HOMES
 from nsde_torch.sde.options import IntegratorOptions, TorchDiffEqOptions

@@ -20,9 +20,9 @@ from nsde_torch.errors import ConfigError
 from nsde_torch.px4.flight.cascade import PathPoints
 from nsde_torch.px4.flight.controller import FlightController
 from nsde_torch.px4.flight.flying import fly as fly_vehicle
-from nsde_torch.px4.flight.options import FlightOptions, Limits
 from nsde_torch.px4.flight.predictive import PredictiveController, told
 from nsde_torch.px4.flight.safety import MARGIN
+from nsde_torch.px4.options import FlightOptions, Limits
 from nsde_torch.px4.simulator.simulated import fly_simulated
 from nsde_torch.systems import Multirotor, System
 from nsde_torch.systems.machines import plant_effects

@@ -37,11 +37,7 @@ class ExportConfig:
     mpc: MpcConfig = group(MpcConfig, "the controller")
 
 
-COMMAND = HydraCommand(
-    name="export",
-    schema=ExportConfig,
-    groups={"plant": "hexacopter", "mpc": "default"},
-)
+COMMAND = HydraCommand(name="export", schema=ExportConfig, groups={"plant": "hexacopter", "mpc": "default"})
 
 
 def run(config: Config, job: Job) -> None:

@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from nsde_torch.px4.flight.options import FlightOptions
+from nsde_torch.px4.options import FlightOptions
 from nsde_torch.whole_files import json_text
 
 from ..hydra_command import Config, HydraCommand, Job, say

@@ -32,9 +32,7 @@ _MARKS = {True: "ok  ", False: "NO  ", None: "?   "}
 class InspectConfig:
     log: str = key("???", "log or folder of logs; `nsde inspect LOG` says the same", file=True)
     kind: str | None = key(
-        None,
-        "reader of the format; null: by the names of the files",
-        choices=tuple(READERS),
+        None, "reader of the format; null: by the names of the files", choices=tuple(READERS)
     )
     mapping: str | None = key(
         None,

@@ -14,11 +14,7 @@ class LandConfig:
     link: LinkConfig = group(LinkConfig, "how the vehicle is reached")
 
 
-COMMAND = HydraCommand(
-    name="land",
-    schema=LandConfig,
-    groups={"link": "default"},
-)
+COMMAND = HydraCommand(name="land", schema=LandConfig, groups={"link": "default"})
 
 
 def run(config: Config, job: Job) -> None:

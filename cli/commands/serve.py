@@ -57,8 +57,7 @@ def run(config: Config, job: Job) -> None:
     from ..own_modules import config_folders
 
     try:
-        from ..serving.app import ServedPage
-        from ..serving.server import listen, serve
+        from ..serving.app import ServedPage, listen, serve
     except ModuleNotFoundError as error:
         package = str(error.name).partition(".")[0]
         raise ConfigError(

@@ -79,11 +79,7 @@ class SimulateConfig:
     replay: ReplayConfig = group(ReplayConfig, "interventions, with pilot=replay")
 
 
-COMMAND = HydraCommand(
-    name="simulate",
-    schema=SimulateConfig,
-    groups={"system": "hexacopter"},
-)
+COMMAND = HydraCommand(name="simulate", schema=SimulateConfig, groups={"system": "hexacopter"})
 
 
 def run(config: Config, job: Job) -> None:

@@ -48,7 +48,7 @@ def main(arguments: Sequence[str]) -> int:
         names = ", ".join(sorted({name for job in jobs for name in job.metrics})) or "none at all"
         raise ConfigError(f"no job has the metric `{options.by}`; there are: {names}.")
     columns = _columns(jobs, options.columns or COLUMNS, score)
-    groups = ranked(grouped(jobs), score)
+    groups = sorted(grouped(jobs), key=lambda group: (_place(group.mean(score)), group.label))
     if options.by:  # the user says that this number compares
         groups = [replace(group, jobs=tuple(replace(j, scale="") for j in group.jobs)) for group in groups]
     print(report(jobs, groups, score, columns))
@@ -65,14 +65,9 @@ def complete(words: Sequence[str]) -> list[str]:
     return found_files(current)
 
 
-def ranked(groups: Sequence[Group], score: str) -> list[Group]:
-    """Groups from the best mean score to the worst; those without one last."""
-
-    return sorted(groups, key=lambda g: (_last_if_nan(g.mean(score)), g.label))
-
-
-def _last_if_nan(value: float) -> float:
-    return math.inf if math.isnan(value) else value
+def _place(value: float | None) -> float:
+    """By which scores are ranked: what has none comes last."""
+    return math.inf if value is None or math.isnan(value) else value
 
 
 def report(jobs: Sequence[SweepJob], groups: Sequence[Group], score: str, columns: Sequence[str]) -> str:
@@ -114,7 +109,7 @@ def _ranking(groups: Sequence[Group], score: str, columns: Sequence[str]) -> lis
         [str(rank), str(len(group.jobs)), *(_pair(group, name) for name in (score, *columns)), group.label]
         for rank, group in enumerate(groups, start=1)
     ]
-    best = min(groups[0].jobs, key=lambda job: _last_if_nan(job.metrics.get(score, math.nan)))
+    best = min(groups[0].jobs, key=lambda job: _place(job.metrics.get(score)))
     table = aligned([head, *rows], left=len(head))
     return [*(f"  {row}" for row in table), f"  best job: {best.folder}"]
 
@@ -154,13 +149,9 @@ def _columns(jobs: Sequence[SweepJob], patterns: Sequence[str], score: str) -> l
 
 def _pair(group: Group, metric: str) -> str:
     mean, spread = group.mean(metric), group.spread(metric)
-    if math.isnan(mean):
+    if mean is None:
         return "-"
-    return f"{mean:.4g}" if math.isnan(spread) else f"{mean:.4g} +- {spread:.2g}"
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+    return f"{mean:.4g}" if spread is None else f"{mean:.4g} +- {spread:.2g}"
 
 
 def _write_json(
@@ -174,8 +165,8 @@ def _write_json(
                 "among": scale,
                 "label": group.label,
                 "jobs": [job.folder.name for job in group.jobs],
-                "mean": {name: _finite(group.mean(name)) for name in (score, *columns)},
-                "standard_deviation": {name: _finite(group.spread(name)) for name in (score, *columns)},
+                "mean": {name: group.mean(name) for name in (score, *columns)},
+                "standard_deviation": {name: group.spread(name) for name in (score, *columns)},
             }
             for scale, alike in by_scale(groups).items()
             for rank, group in enumerate(alike, start=1)
@@ -228,15 +219,15 @@ class Group:
         found = (job.metrics.get(metric, math.nan) for job in self.jobs)
         return [value for value in found if math.isfinite(value)]
 
-    def mean(self, metric: str) -> float:
-        """Mean over the seeds; not a number if no job has the metric."""
+    def mean(self, metric: str) -> float | None:
+        """Mean over the seeds; None if no job has the metric."""
         values = self.values(metric)
-        return fmean(values) if values else math.nan
+        return fmean(values) if values else None
 
-    def spread(self, metric: str) -> float:
-        """Sample standard deviation over the seeds; not a number for a single job."""
+    def spread(self, metric: str) -> float | None:
+        """Sample standard deviation over the seeds; None for a single job."""
         values = self.values(metric)
-        return stdev(values) if len(values) > 1 else math.nan
+        return stdev(values) if len(values) > 1 else None
 
 
 def read_jobs(sweep_dir: Path) -> list[SweepJob]:

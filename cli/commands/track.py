@@ -157,13 +157,7 @@ def _fly(
         if autopilot is None or count != size:
             size = count
             autopilot = track_build.autopilot(
-                name,
-                known,
-                config,
-                path,
-                batch=count,
-                sample=plant.dt,
-                say=say,
+                name, known, config, path, batch=count, sample=plant.dt, say=say
             )
         out.append(
             fly(

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from nsde_torch.errors import ConfigError
-from nsde_torch.px4.simulator.sensor_errors import CLOCK, SensorErrors
+from nsde_torch.px4.options import CLOCK, SensorErrors
 
 from ..hydra_command import Config, HydraCommand, Job, say
 from ..keys import group, key, mirrors

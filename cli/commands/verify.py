@@ -41,10 +41,7 @@ def _file_first(words: Sequence[str]) -> list[str]:
 
 
 COMMAND = HydraCommand(
-    name="verify",
-    schema=VerifyConfig,
-    groups={"reference": "lemniscate"},
-    words=_file_first,
+    name="verify", schema=VerifyConfig, groups={"reference": "lemniscate"}, words=_file_first
 )
 
 

@@ -72,24 +72,20 @@ class Envelope:
 
 def envelope(reference: Reference, predictor: Predictor) -> Envelope:
     """What a reference asks of a machine, by the model's own account."""
-    return _envelope(reference, _inputs_along(reference, predictor))
+    return _asked(reference, predictor)[0]
 
 
-def _inputs_along(reference: Reference, predictor: Predictor) -> Tensor:
-    """Inputs (T, nu) that fly a reference."""
+def _asked(reference: Reference, predictor: Predictor) -> tuple[Envelope, Tensor]:
+    """The same, and the inputs (T, nu) that fly it."""
     x, a = reference.states, torch.from_numpy(reference.path.a)
     angular = torch.gradient(x[:, 10:13], spacing=reference.dt, dim=0)[0]
-    return inputs_for(predictor, x, torch.cat((a, angular), 1)).double()
-
-
-def _envelope(reference: Reference, u: Tensor) -> Envelope:
-    x = reference.states
+    u = inputs_for(predictor, x, torch.cat((a, angular), 1)).double()
     tilt = torch.rad2deg(torch.arccos((1 - 2 * (x[:, 7] ** 2 + x[:, 8] ** 2)).clamp(-1, 1)))
     values = {"speed": x[:, 3:6].norm(dim=1), "tilt": tilt, "lowest": x[:, 2]}
     values |= {"input_low": u.min(1).values, "input_high": u.max(1).values}
     worst = {name: int((-v if "low" in name else v).argmax()) for name, v in values.items()}
     most = {name: float(v[worst[name]]) for name, v in values.items()}
-    return Envelope(**most, when={name: row * reference.dt for name, row in worst.items()})
+    return Envelope(**most, when={name: row * reference.dt for name, row in worst.items()}), u
 
 
 def check(
@@ -101,8 +97,7 @@ def check(
     """
     inputs, name = predictor.system.input_names, reference.name
     low, high = (torch.tensor(options.of_inputs(k, inputs), dtype=torch.float64) for k in ("low", "high"))
-    u, margin = _inputs_along(reference, predictor), _RESERVE * (high - low)
-    found = _envelope(reference, u)
+    (found, u), margin = _asked(reference, predictor), _RESERVE * (high - low)
     remedy = "Fly slower, or give it more time; reference.check=false flies it all the same."
     if not all(isfinite(value) for key, value in vars(found).items() if key != "when"):
         raise ConfigError(f"reference {name!r} is not finite. {remedy}")

@@ -2,7 +2,7 @@
 
 import csv
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -58,10 +58,6 @@ class SteppedMachine(Protocol):
         """Advance by a sample; returns what is measured."""
 
 
-Fault = Callable[[float, Tensor], Tensor]
-"""Changes measured states (N, nx) at a time [s] before the autopilot sees them."""
-
-
 @dataclass(frozen=True)
 class Flight:
     """What happened in a closed loop."""
@@ -84,7 +80,6 @@ def fly(
     start: Tensor | None = None,
     state_latency: float = 0.0,
     duration: float | None = None,
-    faults: Sequence[Fault] = (),
 ) -> Flight:
     """Fly machines along a reference, from its first state or another.
 
@@ -96,7 +91,6 @@ def fly(
         start: First state (nx,); None: that of the reference.
         state_latency: Age of a measured state when the autopilot gets it [s], a multiple of the plant's sample.
         duration: How long [s]; None: as long as the reference.
-        faults: What happens to measurements on their way.
 
     Raises:
         ConfigError: times that are no multiples of the plant's sample.
@@ -114,12 +108,8 @@ def fly(
     true, seen, commands, decisions = [plant.state.clone()], [measured], [], []
     for k in range(samples + 1):
         if k % every == 0:
-            newest = seen[max(k - late, 0)]
-            for fault in faults:
-                newest = fault(k * dt, newest)
-            decision = autopilot.command(k * dt, newest)
-            decisions.append(decision)
-            u = decision.u
+            decisions.append(autopilot.command(k * dt, seen[max(k - late, 0)]))
+            u = decisions[-1].u
         commands.append(u.double())
         off = plant.state - wanted[k]
         away = off[:, :3].norm(dim=1) if isinstance(reference, Reference) else 0.0 * off.sum(1)

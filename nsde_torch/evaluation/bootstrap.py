@@ -25,8 +25,6 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, stdtrit
 from torch import Tensor
 
-from nsde_torch.errors import ShapeError
-
 BLOCK_S = 4.0
 WHOLE_RUNS = 10
 FEWEST_BLOCKS = 5
@@ -90,15 +88,7 @@ def paired_bootstrap(
     replicates: int = REPLICATES,
     level: float = 0.95,
 ) -> Difference:
-    """Interval of the difference of two root mean squares, of squared errors from the same starts (S, K).
-
-    ShapeError where the starts do not agree.
-    """
-    if first.ndim != 2 or first.shape != other.shape or len(first) != len(blocks.of_start):
-        raise ShapeError(
-            f"`first` and `other` must be (starts, K) with {len(blocks.of_start)} starts; got "
-            f"{tuple(first.shape)} and {tuple(other.shape)}."
-        )
+    """Interval of the difference of two root mean squares, of squared errors from the same starts (S, K)."""
     k = first.shape[1]
     alike = (first == other).all(0)  # sums of equal columns may differ in their last bits
 
@@ -117,7 +107,7 @@ def mean_bootstrap(
 ) -> Difference:
     """Interval of the mean difference of two models at each row, such as of their log densities.
 
-    `values` are other minus first (S, K); the other arguments, result and errors are those of `function_bootstrap`.
+    `values` are other minus first (S, K); the other arguments and the result are those of `function_bootstrap`.
     """
     return function_bootstrap(values, lambda means: means, blocks, generator=generator, level=level)
 
@@ -134,12 +124,8 @@ def function_bootstrap(
     """Interval of a function of means over rows (S, K), such as the ratio of two.
 
     The function is from means (..., K) to quantities (..., L), NaN where there is none. Below five blocks, or where a
-    resample has no value, the ends are NaN. ShapeError where the rows do not agree.
+    resample has no value, the ends are NaN.
     """
-    if values.ndim != 2 or len(values) != len(blocks.of_start):
-        raise ShapeError(
-            f"`values` must be (rows, K) with {len(blocks.of_start)} rows; got {tuple(values.shape)}."
-        )
     values = values.double()
     value = function(values.mean(0))
     if blocks.count < FEWEST_BLOCKS:

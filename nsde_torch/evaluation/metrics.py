@@ -15,9 +15,8 @@ from nsde_torch.data import Run, Windows
 from nsde_torch.data.interventions import interventional, longest_stretch
 from nsde_torch.errors import DataError
 from nsde_torch.evaluation.one_step import one_step
-from nsde_torch.evaluation.scores import LEVELS, PARTICLES, Scores, group_squares, rms_by_group, score
+from nsde_torch.evaluation.scores import LEVELS, PARTICLES, Scores, rms_by_group, score
 from nsde_torch.models.model import Model
-from nsde_torch.systems import System
 
 HORIZONS = (0.1, 0.25, 0.5, 1.0, 2.0)
 START_EVERY = 0.25
@@ -41,12 +40,6 @@ def thinned(starts: Tensor) -> Tensor:
     if len(starts) <= MOST_STARTS:
         return starts
     return starts[torch.linspace(0, len(starts) - 1, MOST_STARTS).round().long()]
-
-
-def group_rms(system: System, errors: Tensor) -> dict[str, float]:
-    """Root mean square of the norm of each error group, errors (B, n_error), in the group's unit."""
-    rms = group_squares(system, errors).mean(0).sqrt()
-    return {g.name: float(rms[i]) * g.factor for i, g in enumerate(system.error_groups)}
 
 
 def evaluate(

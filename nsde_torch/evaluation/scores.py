@@ -42,8 +42,6 @@ def crps(errors: Tensor) -> Tensor:
     distance = errors.abs().mean(0)
     if p == 1:
         return distance
-    if p == 2:
-        return distance - (errors[0] - errors[1]).abs() / 2
     ordered = errors.sort(0).values
     rank = torch.arange(1, p + 1, device=errors.device, dtype=errors.dtype)
     weight = (2 * rank - p - 1).reshape(p, *[1] * (errors.ndim - 1))

@@ -33,8 +33,6 @@ from nsde_torch.errors import ConfigError, ShapeError
 class Dynamics(ABC):
     """A batch of machines. What a path carries beside its state (memory, disturbance) stays in here."""
 
-    name: str  # for tables and files
-
     @property
     @abstractmethod
     def state(self) -> Tensor:
@@ -129,9 +127,7 @@ _LARGEST = 1e3
 class Transition:
     """What one step of all machines gives."""
 
-    observation: (
-        Tensor  # what the policy sees next (N, no), float32; of a machine that starts anew, its first one
-    )
+    observation: Tensor  # what the policy sees next (N, no), float32; of a machine that starts anew its first
     reward: Tensor  # of the step (N,)
     terminated: Tensor  # rows whose episode is over for good
     truncated: Tensor  # rows whose episode has had all its steps

@@ -82,8 +82,6 @@ class _Rows(Dynamics):
 class PlantDynamics(Dynamics):
     """A plant of the package; arguments are those of `make_plant`."""
 
-    name = "plant"
-
     def __init__(self, system: str, **how: Any) -> None:
         self.plant = make_plant(system, check=False, **how)
         self._width = self.plant.system.nu + len(self.plant.system.exogenous)
@@ -105,8 +103,6 @@ class PlantDynamics(Dynamics):
 @final
 class PublishedCartpole(_Rows):
     """The cart and pole of the published data; arguments are those of `make_truth`."""
-
-    name = "published"
 
     def __init__(self, system: str, *, dt: float, sensor_noise: float, generator: torch.Generator) -> None:
         self.system = make_plant_system(system, declared_only=True).double().requires_grad_(False)
@@ -162,7 +158,7 @@ class _SDEDynamics(_Rows):
     def __init__(
         self, model: NeuralSDE, *, dt: float, sensor_noise: float, generator: torch.Generator
     ) -> None:
-        self.model, self.name = model, model.spec.kind
+        self.model = model
         self._dt, self._generator = dt, generator
         self._std = sensor_noise * model.measurement_std
         self._noisy = bool((self._std > 0).any())
@@ -207,7 +203,7 @@ class _EnsembleDynamics(_Rows):
                 f"`environment` is an ensemble that learned steps of {model.spec.dt:g} s and knows no other; the task "
                 f"has steps of {dt:g} s. Train another with system.dt={dt:g}."
             )
-        self.model, self.name = model, model.spec.kind
+        self.model = model
         self._generator, self._redrawn = generator, propagation == "redrawn"
         self._x, self._nx = model.clock_scale.new_empty(0, model.system.nx), model.system.nx
         self.members = torch.empty(0, dtype=torch.long, device=self._x.device)
@@ -239,7 +235,7 @@ class _SampledDynamics(_Rows):
     """Any other model, through `sample` with one step."""
 
     def __init__(self, model: Model, *, dt: float, generator: torch.Generator) -> None:
-        self.model, self.name = model, model.spec.kind
+        self.model = model
         self._dt, self._generator = dt, generator
         self._x, self._nx = model.clock_scale.new_empty(0, model.system.nx), model.system.nx
 

@@ -239,7 +239,7 @@ class PolicyTraining:
 
     def _draw(self, result: Mapping[str, Any]) -> None:
         from nsde_torch.plots import save
-        from nsde_torch.plots.policy_rewards import policy_rewards
+        from nsde_torch.plots.evaluation import policy_rewards
 
         name = result["environment"]["name"]
         figure = policy_rewards(

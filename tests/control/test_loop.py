@@ -1,6 +1,7 @@
 """Closed loops: tracking, latency, pushes, weak motors, lost machines."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -29,7 +30,7 @@ def _flight(
     known: float | None = None,
     duration: float = 2.0,
     estimator: dict[str, float] | None = None,
-    faults: tuple[object, ...] = (),
+    fault: Callable[[float, torch.Tensor], torch.Tensor] | None = None,
     **plant: object,
 ) -> Flight:
     given = {"declared_only": True, "process_noise": 0.0, "sensor_noise": 0.0, **plant}
@@ -43,8 +44,10 @@ def _flight(
     }
     options = EstimatorOptions(latency=total, **{"force_time": 0.0, **(estimator or {})})
     pilot = PredictivePilot(controller_of(declared), declared, reference, estimator=options, **times)
-    flown: dict[str, Any] = {"state_latency": state_latency, "duration": duration, "faults": faults}
-    return fly(pilot, machine, reference, **flown)
+    if fault is not None:
+        command = pilot.command
+        pilot.command = lambda t, x: command(t, fault(t, x))  # type: ignore[method-assign]
+    return fly(pilot, machine, reference, state_latency=state_latency, duration=duration)
 
 
 def _rmse(flight: Flight) -> float:
@@ -94,7 +97,7 @@ def test_states_that_are_lost_on_their_way_for_a_while_do_not_lose_the_machine(d
     def gap(t: float, x: torch.Tensor) -> torch.Tensor:
         return torch.full_like(x, float("nan")) if 0.8 <= t < 1.1 else x
 
-    flight = _flight(declared, faults=(gap,))
+    flight = _flight(declared, fault=gap)
     words = {d.status[0] for d in flight.decisions}
     assert "bad_state:kept" in words
     assert bool(torch.isfinite(flight.u).all())
@@ -124,7 +127,7 @@ def test_a_machine_that_is_lost_is_counted_and_when(declared: System) -> None:
         return torch.full_like(x, float("nan")) if t > 1.0 else x
 
     path = Reference(lemniscate(duration=6.0, ramp=1.0))
-    flight = _flight(declared, path, faults=(elsewhere,), duration=5.0)
+    flight = _flight(declared, path, fault=elsewhere, duration=5.0)
     found = summarise([flight], make_system("hexacopter"))
     assert found["lost"] == 1
     assert found["rmse_m"] is None

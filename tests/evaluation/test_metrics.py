@@ -13,8 +13,15 @@ import torch
 from nsde_torch.data import Run
 from nsde_torch.errors import DataError
 from nsde_torch.evaluation import evaluate
-from nsde_torch.evaluation.metrics import group_rms, horizons_of
-from nsde_torch.evaluation.scores import LEVELS, baselines, gaussian_nll, interval_quantiles
+from nsde_torch.evaluation.metrics import horizons_of
+from nsde_torch.evaluation.scores import (
+    LEVELS,
+    baselines,
+    gaussian_nll,
+    group_squares,
+    interval_quantiles,
+    rms_by_group,
+)
 from nsde_torch.models import NeuralSDE, SDESpec
 from nsde_torch.models.run_directory import save
 from nsde_torch.systems import make_system
@@ -102,10 +109,10 @@ def test_group_error_is_the_rms_of_the_norm_in_the_groups_unit() -> None:
     e = torch.zeros(2, 12)
     e[0, :3] = torch.tensor([3.0, 4.0, 0.0])
     e[:, 6] = math.pi / 180
-    rms = group_rms(system, e)
-    assert rms["position"] == pytest.approx(math.sqrt(25 / 2))
-    assert rms["attitude"] == pytest.approx(1.0)
-    assert rms["velocity"] == 0.0
+    rms = rms_by_group(system, group_squares(system, e)[:, None], ["1"])
+    assert rms["position"]["1"] == pytest.approx(math.sqrt(25 / 2))
+    assert rms["attitude"]["1"] == pytest.approx(1.0)
+    assert rms["velocity"]["1"] == 0.0
 
 
 def with_gap(run: Run, at: int) -> Run:

@@ -18,16 +18,15 @@ from nsde_torch.control import shapes
 from nsde_torch.px4.flight.cascade import CascadeController, PathPoints
 from nsde_torch.px4.flight.controller import Inline, Runner
 from nsde_torch.px4.flight.offboard import Offboard
-from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.safety import Limits, Phase, Trouble
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.codec import Codec
 from nsde_torch.px4.link.dialect import mavlink
 from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.link.vectors import Vec, distance
+from nsde_torch.px4.options import CLOCK, FlightOptions, SensorErrors
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
-from nsde_torch.px4.simulator.sensor_errors import CLOCK, SensorErrors
 
 START = 1000.0
 TICK = 0.01

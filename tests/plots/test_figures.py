@@ -26,7 +26,7 @@ from nsde_torch.plots import (
     slice_grid,
 )
 from nsde_torch.plots.data_figure import roll_pitch_yaw
-from nsde_torch.plots.policy_rewards import policy_rewards
+from nsde_torch.plots.evaluation import policy_rewards
 from nsde_torch.plots.style import RED
 from nsde_torch.systems import SYSTEMS
 from tests.helpers.flights import flight

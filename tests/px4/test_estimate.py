@@ -11,12 +11,11 @@ from nsde_torch.control import shapes
 from nsde_torch.px4.flight.cascade import PathPoints
 from nsde_torch.px4.flight.flight_log import FlightLog
 from nsde_torch.px4.flight.flying import Recorder
-from nsde_torch.px4.flight.options import FlightOptions, Limits
 from nsde_torch.px4.flight.safety import Phase, contradicted
 from nsde_torch.px4.link.dialect import mavlink
 from nsde_torch.px4.link.telemetry import EstimateQuality
 from nsde_torch.px4.link.vectors import yaw_of
-from nsde_torch.px4.simulator.sensor_errors import SensorErrors
+from nsde_torch.px4.options import FlightOptions, Limits, SensorErrors
 from nsde_torch.recording import read
 from nsde_torch.systems import make_system
 from tests.helpers.px4_world import World, under_way

@@ -4,9 +4,9 @@ import pytest
 
 from nsde_torch.control import shapes
 from nsde_torch.px4.flight.cascade import PathPoints
-from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.preflight import failsafe_faults, failsafe_warnings
 from nsde_torch.px4.flight.safety import Limits, Phase
+from nsde_torch.px4.options import FlightOptions
 from tests.helpers.px4_world import World, under_way
 
 FAST = PathPoints(shapes.lemniscate(duration=20.0))

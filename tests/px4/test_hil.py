@@ -15,6 +15,7 @@ from nsde_torch.px4.link.codec import Codec
 from nsde_torch.px4.link.connection import TcpIn
 from nsde_torch.px4.link.dialect import mavlink
 from nsde_torch.px4.link.vectors import Quat, Vec, from_rotation_vector, rotate, turned_by_rates
+from nsde_torch.px4.options import SensorErrors
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.hil import (
     BAROMETER,
@@ -27,7 +28,6 @@ from nsde_torch.px4.simulator.hil import (
     place,
     pressure,
 )
-from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 
 S = sqrt(0.5)
 REST: Vec = (0.0, 0.0, 0.0)

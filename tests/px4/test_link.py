@@ -17,8 +17,8 @@ from nsde_torch.control import shapes
 from nsde_torch.px4.flight.cascade import CascadeController, PathPoints
 from nsde_torch.px4.flight.controller import Inline
 from nsde_torch.px4.flight.flying import fly
-from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.link.connection import Link, LinkError, Serial, UdpIn, UdpOut, open_transport
+from nsde_torch.px4.options import FlightOptions
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.simulated import Vehicle

@@ -14,9 +14,9 @@ from nsde_torch.px4.flight.cascade import CascadeController, PathPoints
 from nsde_torch.px4.flight.controller import Inline
 from nsde_torch.px4.flight.flying import land
 from nsde_torch.px4.flight.offboard import Offboard
-from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.safety import Limits, Phase
 from nsde_torch.px4.link import dialect as d
+from nsde_torch.px4.options import FlightOptions
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.simulated import VirtualLink

@@ -22,7 +22,6 @@ from nsde_torch.models.run_directory import make_model, make_spec
 from nsde_torch.px4.flight.cascade import PathPoints
 from nsde_torch.px4.flight.controller import Asked, Demand, DemandPlan
 from nsde_torch.px4.flight.flying import FlightReport
-from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.predictive import (
     NO_DRAG,
     PredictiveController,
@@ -33,6 +32,7 @@ from nsde_torch.px4.flight.predictive import (
     without_covered,
 )
 from nsde_torch.px4.link.vectors import Vec, scaled
+from nsde_torch.px4.options import FlightOptions
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.simulated import fly_simulated
 from nsde_torch.systems import make_plant_system

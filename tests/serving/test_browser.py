@@ -85,7 +85,7 @@ def screen(driver: Any, tmp_path: Path, played: Played) -> Iterator[Screen]:
     programs()
     from waitress.server import create_server
 
-    from nsde_torch.cli.serving.server import listen
+    from nsde_torch.cli.serving.app import listen
 
     sock = listen("127.0.0.1", 0)
     address = f"127.0.0.1:{sock.getsockname()[1]}"

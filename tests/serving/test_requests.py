@@ -7,8 +7,8 @@ import threading
 
 import pytest
 
+from nsde_torch.cli.serving.app import listen, serve
 from nsde_torch.cli.serving.job import FORMATS, file_names
-from nsde_torch.cli.serving.server import listen, serve
 from nsde_torch.data.readers import READERS
 from tests.serving.conftest import HOST, TOKEN, Page, Played
 

@@ -250,11 +250,12 @@ def held_out(folder: Path) -> Split:
     import yaml
     from omegaconf import OmegaConf
 
+    from nsde_torch.api.reading import split_runs
     from nsde_torch.cli import build
 
     config = OmegaConf.create(yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8"))["config"])
     system = build.system(config.system)
-    return build.split(config.data, build.dataset(config.data, system), system)
+    return split_runs(build.dataset(config.data, system), config.data.test)
 
 
 FIGURES: dict[str, Figure] = {

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from nsde_torch.errors import DataError
-from nsde_torch.plots.policy_rewards import policy_rewards
+from nsde_torch.plots.evaluation import policy_rewards
 
 from .outcome import Check, ExperimentOutcome
 

@@ -15,7 +15,6 @@ from typing import final
 from nsde_torch.px4.flight import preflight
 from nsde_torch.px4.flight.cascade import GRAVITY, LEAD, PathPoints, Point, SetpointCascade
 from nsde_torch.px4.flight.controller import Demand, DemandPlan, Runner
-from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.safety import FLYING, REFUSED, Action, FlightOutcome, Limits, Phase, Trouble, Watch
 from nsde_torch.px4.flight.setpoint import Guard, HoverThrottle, SetpointLimits, level
 from nsde_torch.px4.link import dialect as d
@@ -23,6 +22,7 @@ from nsde_torch.px4.link.connection import why_no_state
 from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.link.telemetry import Status, VehicleState
 from nsde_torch.px4.link.vectors import Vec, between, distance, length, plus, yaw_of
+from nsde_torch.px4.options import FlightOptions
 
 REST, SETTLE = 1.0, 4.0
 """Time of rest after the reference, and longest wait for it above the place of take-off [s]."""

@@ -5,12 +5,12 @@ from math import ceil, hypot, inf, isfinite
 from typing import NamedTuple
 
 from nsde_torch.px4.flight.cascade import PathPoints
-from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.flight.safety import MARGIN, Limits, contradicted
 from nsde_torch.px4.link import dialect as d
 from nsde_torch.px4.link.endpoint import Endpoint
 from nsde_torch.px4.link.telemetry import Status, VehicleState
 from nsde_torch.px4.link.vectors import length, tilt_of
+from nsde_torch.px4.options import FlightOptions
 
 FEWEST = 70.0  # states in a second with which a flight may begin; more are asked for, and some get lost
 CLIMB_TIME = 0.55

@@ -30,7 +30,6 @@ from math import inf, isfinite, radians
 from typing import final
 
 from nsde_torch.px4.flight.controller import TIPPED, DemandPlan
-from nsde_torch.px4.flight.options import Limits
 from nsde_torch.px4.link.telemetry import EstimateQuality, Followed, Status, VehicleState
 from nsde_torch.px4.link.vectors import (
     Vec,
@@ -44,6 +43,7 @@ from nsde_torch.px4.link.vectors import (
     tilt_of,
     turned_by_rates,
 )
+from nsde_torch.px4.options import Limits
 
 # Steps of the autopilot's estimate: a state against what the one before it predicts.
 #

@@ -12,9 +12,9 @@ from typing import final
 
 from nsde_torch.px4.flight.cascade import GRAVITY, levelling
 from nsde_torch.px4.flight.controller import Demand
-from nsde_torch.px4.flight.options import SetpointLimits
 from nsde_torch.px4.link.telemetry import VehicleState
 from nsde_torch.px4.link.vectors import Vec, cos_tilt, finite, rotate_back, tilt_of
+from nsde_torch.px4.options import SetpointLimits
 
 LAG, WINDOW, LEARNING = 0.07, 0.2, 1.5
 """From throttle to thrust, the window that the velocity is looked at over, and time constant of learning [s]."""

@@ -22,9 +22,9 @@ from nsde_torch.px4.link.codec import Codec, Message
 from nsde_torch.px4.link.dialect import Mode, mavlink
 from nsde_torch.px4.link.endpoint import NUMBERS
 from nsde_torch.px4.link.vectors import Vec, bounded, finite, plus, yaw_of
+from nsde_torch.px4.options import SensorErrors
 from nsde_torch.px4.simulator.body import Body
 from nsde_torch.px4.simulator.estimate import Estimate, SimulatedEstimator
-from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 
 PARAMETERS: dict[str, tuple[float, int]] = {
     "COM_OF_LOSS_T": (1.0, d.REAL32),

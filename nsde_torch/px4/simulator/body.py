@@ -20,6 +20,7 @@ import torch
 
 from nsde_torch.effects import Port
 from nsde_torch.errors import ConfigError
+from nsde_torch.px4.flight.cascade import GRAVITY
 from nsde_torch.px4.link.vectors import Quat, Vec, parts, plus, rotate, rotate_back, turned_by_rates
 from nsde_torch.rotation import euler_coupling
 from nsde_torch.simulation.battery import ENDURANCE, FULL, HOVER, LOAD, SWING
@@ -28,7 +29,6 @@ from nsde_torch.systems import Multirotor
 from nsde_torch.systems.frozen import frozen
 from nsde_torch.systems.machines import Effects, machine, make_plant_system, named_effects
 
-GRAVITY = 9.81
 HELD = 0.01  # interval at which gusts and effects beyond the rigid body are computed [s]
 _NATIVE = {"motor_lag", "linear_drag"}
 

@@ -21,8 +21,8 @@ from math import cos, radians, sin
 from typing import final
 
 from nsde_torch.px4.link.vectors import Quat, Vec, from_rotation_vector, multiply, plus
+from nsde_torch.px4.options import SensorErrors
 from nsde_torch.px4.simulator.body import Body
-from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 
 ALIGNED = 1.5  # height above ground at which the heading is reset [m]
 HEADING = (radians(1.0), radians(9.0))

@@ -40,8 +40,8 @@ from nsde_torch.px4.link.vectors import (
     scaled,
     turned_by_rates,
 )
+from nsde_torch.px4.options import SensorErrors
 from nsde_torch.px4.simulator.body import Body
-from nsde_torch.px4.simulator.sensor_errors import SensorErrors
 from nsde_torch.systems import Multirotor
 
 # What sensors on a machine would show, as the messages that PX4 takes from a simulator.

@@ -18,12 +18,11 @@ from typing import final
 from nsde_torch.px4.flight.cascade import PathPoints
 from nsde_torch.px4.flight.controller import FlightController, Inline
 from nsde_torch.px4.flight.flying import FlightReport, fly
-from nsde_torch.px4.flight.options import FlightOptions
 from nsde_torch.px4.link.connection import POLL, Connection, Transport
 from nsde_torch.px4.link.endpoint import Endpoint
+from nsde_torch.px4.options import CLOCK, FlightOptions
 from nsde_torch.px4.simulator.autopilot import SimulatedAutopilot
 from nsde_torch.px4.simulator.body import Body
-from nsde_torch.px4.simulator.sensor_errors import CLOCK
 
 START = 1000.0  # first time of our clock; the vehicle's begins at 0 [s]
 STEP = 0.002  # longest step between looks at what has arrived [s]

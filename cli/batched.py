@@ -26,11 +26,7 @@ log = logging.getLogger(__name__)
 
 
 class Batched(Launcher):
-    """See above. Where processes cannot be forked (Windows), jobs run one after the other, and share all the same.
-
-    Args:
-        n_jobs: Jobs at a time; 0: one for each core.
-    """
+    """See above; `n_jobs` at a time (0: one for each core), one by one where none can be forked (Windows)."""
 
     __module__ = "hydra_plugins.nsde_torch"  # see `register`
 

@@ -23,11 +23,7 @@ TRAINED = "trained"
 
 
 def read_runs(given: object, names: Sequence[str] | None, device: Any) -> dict[str, Model]:
-    """The models of the runs of the key `run`, by names that were given or made from the folders.
-
-    ConfigError: not a folder or list of folders, a folder twice, or names that do not fit. CheckpointError: a folder
-    is missing, holds no finished run, or is damaged.
-    """
+    """The models of the runs of the key `run`, by names that were given or made from the folders."""
     folders = _folders(given)
     if names is None:
         names = short_names(folders)
@@ -97,11 +93,7 @@ def _what_is_wrong(folder: Path) -> str:
 
 
 def choose(config: DictConfig, trained: Model, machine: SystemInfo) -> tuple[DataSet, Sequence[Run], bool]:
-    """The data set and the runs to score on that the group `data` asks for; of the kind "trained", those of a model.
-
-    With them, whether they are of a `data.test_path`, recorded by other sensors perhaps. ConfigError: nothing says
-    which data. DataError: the data cannot be used.
-    """
+    """Data set and runs to score on that the group `data` asks for, and whether they are of a `data.test_path`."""
     if config.kind != TRAINED:
         return _runs_of(config, machine, every=True)
     assert trained.folder is not None

@@ -38,11 +38,7 @@ _UNUSED = ("motor_latency", "force_time", "moment_time")
 
 
 def known(config: DictConfig) -> Model | System:
-    """What is known of the machine, for `run=pid` too: its declared physics.
-
-    ConfigError: no multirotor, or keys of `mpc` that a flight on PX4 does not have. CheckpointError: no such run
-    directory.
-    """
+    """What is known of the machine, for `run=pid` too: its declared physics."""
     plain = build.options(config.mpc)
     from .schemas import MpcConfig
 
@@ -100,10 +96,7 @@ def predictive(
 
 
 def runner(config: DictConfig, path: PathPoints, reference: Reference) -> Runner:
-    """The controller, where it runs: a cascade in the loop, the predictive one in a process of its own.
-
-    A check flies nothing, and waits for no solver to be compiled.
-    """
+    """The controller where it runs: a cascade (for a check too) in the loop, else in a process of its own."""
     if config.run == track_build.PID or config.check:
         lead = {} if config.lead is None else {"lead": config.lead}
         return Inline(CascadeController(path, **lead))

@@ -35,10 +35,7 @@ def config_dir(words: Sequence[str]) -> Path | None:
 
 
 def check_own_files(folder: Path, chosen: Mapping[str, str]) -> None:
-    """Refuse choices of the user's own, in the folder of `--config-dir`, that cannot be read, before Hydra reads them.
-
-    ConfigError: one is no plain YAML, which could name objects of Python, or holds no keys.
-    """
+    """Refuse choices of `--config-dir` that are no plain YAML, which could name objects of Python, or hold no keys."""
     for group, choice in chosen.items():
         for name in (choice, *_parents(group, choice, folder)):
             if (file := folder / group / f"{name}.yaml").is_file():

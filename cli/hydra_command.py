@@ -219,10 +219,7 @@ class HydraCommand:
 
 @contextlib.contextmanager
 def _composed_once(words: Sequence[str]) -> Iterator[None]:
-    """Without Hydra's first composition, which only reads `hydra.mode`: a third of a second of every start.
-
-    Words may set it, and files of the user's own.
-    """
+    """Without Hydra's first composition, a third of a second, which only reads `hydra.mode`: words may set that."""
     from hydra._internal import hydra
 
     owner: Any = hydra.Hydra
@@ -253,10 +250,7 @@ def _reader_chosen(words: list[str], command: str) -> list[str]:
 
 
 def _check_folders(words: Sequence[str]) -> None:
-    """What is written lies in the folder of the run or the sweep, which a key of the command names.
-
-    A run is never written over another; the check comes before Hydra touches the folder.
-    """
+    """Refuse folders that no key of the command names, or that hold a run, before Hydra touches them."""
     results = [command.result for command in hydra_commands().values() if command.result is not None]
     for word in words:
         key, _, value = word.lstrip("+").partition("=")

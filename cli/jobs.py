@@ -65,11 +65,7 @@ class HydraJob:
     folder: bool  # whether the job has a folder, into which a failure is written
 
     def __call__(self, config: DictConfig) -> float | None:
-        """Check a composed configuration, run the job on it, and record its failure instead of raising.
-
-        Returns:
-            The objective of the job (smaller is better, for the Optuna sweeper); None if it failed or has none.
-        """
+        """Check a configuration and run the job; its objective, None without one or where a failure was recorded."""
         hydra = HydraConfig.get()
         job = Job(run_dir=Path(hydra.runtime.output_dir), sweep=hydra.mode == RunMode.MULTIRUN)
         LAST.error = None

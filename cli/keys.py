@@ -5,7 +5,9 @@ dataclass of the library. OmegaConf wants lists where the library has tuples, an
 """
 
 import dataclasses
+import functools
 import inspect
+import operator
 import types
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -30,10 +32,7 @@ def of(library: type, name: str, **changed: Any) -> Any:
 
 
 def mirrors(library: type, *, without: tuple[str, ...] = ()) -> Callable[[type[T]], type[T]]:
-    """Class decorator: a dataclass with a key for every option of the library's, before those of the class itself.
-
-    An option that the class declares itself keeps its place and is what the class says.
-    """
+    """Class decorator: a key for every option of the library's, before the class's own, which may replace some."""
 
     def make(cls: type[T]) -> type[T]:
         own = dict(inspect.get_annotations(cls))
@@ -61,11 +60,7 @@ def _listed(hint: Any) -> Any:
     """A type with lists and dicts in the place of tuples, sequences and mappings."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
-        members = [_listed(member) for member in inner]
-        made = members[0]
-        for member in members[1:]:
-            made = made | member
-        return made
+        return functools.reduce(operator.or_, map(_listed, inner))
     if origin in (tuple, Sequence):
         return list[_listed(inner[0])]  # type: ignore[misc]
     if origin is Mapping:

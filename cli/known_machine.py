@@ -61,11 +61,7 @@ def faults_of_sensors(content: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def diagnosed(folder: Path, moved: str | None) -> KnownMachine:
-    """Read a diagnosis from its folder, with its runs where they were, or where they have been `moved` to.
-
-    ConfigError: the folder holds no diagnosis, or one that was stopped. DataError: the runs are not those of the
-    diagnosis.
-    """
+    """Read a diagnosis from its folder, with its runs where they were, or where they have been `moved` to."""
     if not (folder / RESULT).is_file() or not (folder / CONFIG).is_file():
         command = as_typed("nsde", "diagnose", paths={"out_dir": folder})
         raise ConfigError(f"`run`: {folder} holds no {RESULT} with {CONFIG}; `{command}` writes them.")
@@ -98,10 +94,7 @@ def diagnosed(folder: Path, moved: str | None) -> KnownMachine:
 
 
 def flown_runs(known: KnownMachine, path: str) -> Sequence[Run]:
-    """Runs of a flown experiment, read as those of the diagnosis were.
-
-    ConfigError: nothing is there. DataError: they are on another step, or cannot be read as runs of this machine.
-    """
+    """Runs of a flown experiment, read as those of the diagnosis were."""
     _check_there("flown", path, "the log of the experiment")
     assert known.data is not None
     config = known.data.copy()

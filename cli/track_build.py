@@ -94,10 +94,7 @@ _LAGS = {"motor_lag", "actuator_lag", "asymmetric_lag", "input_delay"}
 
 
 def knowledge(name: str, config: DictConfig, beside: Model | System | None = None) -> Model | System:
-    """What `run=` names, a model or the declared physics of the plant; ConfigError for no machine.
-
-    `beside` has the machine where the plant names none.
-    """
+    """What `run=` names: a model, or the declared physics of the plant, whose machine may be that of `beside`."""
     if is_exported(name):
         return exported(name).known
     machine_name = config.system or (beside.spec.system if isinstance(beside, Model) else None)

@@ -50,10 +50,7 @@ class StoppedLoop:
 
 
 def run_experiments(loop: ClosedLoop) -> tuple[list[dict[str, Any]], StoppedLoop]:
-    """Experiments from a first diagnosis on, until nothing is open, the budget is spent, or none is informative.
-
-    Returns a record of each, and why there is no further one; the last diagnosis is then that of the loop.
-    """
+    """Experiments until nothing is open, affordable or informative: a record of each, and why there is no further."""
     done: list[dict[str, Any]] = []
     for number in range(1, loop.config.experiments + 1):
         content = loop.found

@@ -135,10 +135,7 @@ class ClosedLoop:
         file.write_text(json_text(content, indent=None), encoding="utf-8")
 
     def _fly(self, name: str, path: FlightPath, effects: list[Any], seed: int, log: Path) -> dict[str, Any]:
-        """Fly once, and put the log into its place.
-
-        EndedError: the flight does not count: too little was flown, or the vehicle is not ours to fly on.
-        """
+        """Fly once, and put the log into its place; EndedError: too little was flown, or the vehicle is not ours."""
         assert self.machine is not None
         started = time.perf_counter()
         again = (

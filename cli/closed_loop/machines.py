@@ -34,10 +34,7 @@ LINK, HAND, PLANT = "link", "hand", "plant"
 
 
 def needed(effects: list[Any], by: str) -> list[Any]:
-    """Those of some effects that a controller needs to know, in one order, whichever was found first.
-
-    Controllers of the same effects share what is compiled.
-    """
+    """Effects that a controller needs to know, in one order: those of the same share what is compiled."""
     known = effects if by == PLANT else told(effects)
     return sorted(known, key=lambda entry: str(next(iter(entry))))
 
@@ -58,10 +55,7 @@ def true_effects(config: DictConfig) -> list[Any]:
 
 @final
 class VirtualVehicle:
-    """The simulated vehicle with the link, the state machine and the logs of a PX4, in virtual time.
-
-    Lags and delays are not given: `delay` covers them.
-    """
+    """The simulated vehicle with link, state machine and logs of a PX4, in virtual time; `delay` covers lags."""
 
     def __init__(self, config: DictConfig) -> None:
         self._config = config

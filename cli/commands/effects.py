@@ -65,10 +65,7 @@ def run(config: Config, job: Job) -> None:
 
 
 def catalogue(system: str | None = None) -> list[dict[str, Any]]:
-    """What the catalogue says of every effect, or of those that one system can have.
-
-    A system is a key of `SYSTEMS`, or `module:Class`. ConfigError: There is no such system.
-    """
+    """What is known of every effect, or of those that a system (key of `SYSTEMS`, or `module:Class`) can have."""
     from nsde_torch.diagnosis.candidates import why_not
     from nsde_torch.effects import EFFECTS
     from nsde_torch.effects.law import split_name
@@ -116,10 +113,7 @@ def _row(cls: type[Effect], systems: Sequence[str]) -> dict[str, Any]:
 
 
 def table(rows: Sequence[dict[str, Any]], width: int, *, systems: bool) -> str:
-    """The catalogue as aligned tables, the source of each effect under it; cells that are too long are wrapped.
-
-    With `systems`, effects are headed by the systems of the package that they are for.
-    """
+    """The catalogue as aligned tables, sources under the effects; with `systems`, headed by who they are for."""
     cells = [(row["name"], row["port"], row["formula"], _parameters(row)) for row in rows]
     fixed = [max(map(len, column)) for column in list(zip(*cells, strict=True))[:3]]
     fixed[2] = min(fixed[2], (width - sum(fixed[:2])) // 2)

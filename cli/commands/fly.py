@@ -82,10 +82,7 @@ COMMAND = HydraCommand(
 
 
 def run(config: Config, job: Job) -> float | None:
-    """Fly a reference once or several times; RMSE of the position over all flights [m], None if it was not flown.
-
-    NsdeError: nothing was flown, or it ended otherwise than asked for, and why.
-    """
+    """Fly a reference once or several times; RMSE of the position over all flights [m], None if it was not flown."""
     from nsde_torch.px4.flight.cascade import PathPoints
     from nsde_torch.px4.flight.flying import fly
 

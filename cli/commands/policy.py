@@ -80,12 +80,7 @@ COMMAND = HydraCommand(
 
 
 def run(config: Config, job: Job) -> float:
-    """Learn one policy; minus the mean reward per episode where it learned.
-
-    ConfigError: The environment is no model of this system, `propagation` is given for what is no ensemble, or the
-    extra is not installed. CheckpointError: The environment is no run directory, or what it is scored against no
-    policy.
-    """
+    """Learn one policy; minus the mean reward per episode where it learned."""
     from nsde_torch.policy import PolicyTraining, make_learned, make_task, make_truth
 
     from .. import build

@@ -65,11 +65,7 @@ COMMAND = HydraCommand(
 
 
 def run(config: Config, job: Job) -> float | None:
-    """Follow one reference with one or several controllers.
-
-    Returns the RMSE of the position [m] of a multirotor, the largest of the error groups of another machine; None if
-    all machines were lost.
-    """
+    """Follow a reference; RMSE of the position [m], or the largest of the error groups; None if all were lost."""
     from nsde_torch.control.loop import summarise, write_log
     from nsde_torch.control.reference import Reference
     from nsde_torch.systems import Multirotor

@@ -68,10 +68,7 @@ def run(config: Config, job: Job) -> float:
 
 
 def fit(config: Config, run_dir: Path, *, about: dict[str, Any]) -> dict[str, Any]:
-    """Build what a configuration describes and train it; returns the content of `metrics.json`.
-
-    The configuration is composed and checked, its effects files expanded; `about` is the one that is recorded.
-    """
+    """Train what a checked configuration describes; `about` is what is recorded. The content of `metrics.json`."""
     import torch
     from omegaconf import OmegaConf
 

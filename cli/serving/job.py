@@ -266,10 +266,7 @@ class Shelf:
         return self.folder / job.id
 
     def create(self, given: Sequence[tuple[str, int]], system: str | None) -> ServedJob:
-        """A job for logs that are about to be sent, by name and size [bytes] of each; no machine: it is to be guessed.
-
-        RefusedError: no log, too many, too large, or no room.
-        """
+        """A job for logs of these names and sizes [bytes], to be sent next; no machine: it is to be guessed."""
         limits, total = self.limits, sum(size for _, size in given)
         if not given:
             raise RefusedError("Nothing was dropped: drop a log, or several of one format.")

@@ -33,10 +33,7 @@ class JobRunner:
         self._looks, self._diagnoses = ThreadPoolExecutor(1), ThreadPoolExecutor(self.limits.jobs)
 
     def inspect(self, job: ServedJob, *, system: str | None, mapping: str | None) -> None:
-        """Look into the logs of a job, for a machine and with a mapping or without (None: guessed, and proposed).
-
-        RefusedError: an unknown machine, logs that have not arrived, or a job that is at work or done.
-        """
+        """Look into the logs of a job, for a machine and with a mapping or without (None: guessed, and proposed)."""
         if system is not None and system not in self.machines.names:
             raise RefusedError(
                 f"There is no system {system!r}: choose one of {', '.join(self.machines.names)}."

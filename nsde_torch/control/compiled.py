@@ -98,10 +98,7 @@ class CompiledMethod:
 def compiled_estimator(
     made: Estimator, predictor: Predictor, *, folder: str | None = None, say: Say = None
 ) -> Callable[..., list[Tensor]]:
-    """`Estimator.forward` as machine code, of an estimator with its predictor; see `library`.
-
-    NoCompiler: there is none for this model, or no compiler.
-    """
+    """`Estimator.forward` as machine code, of an estimator with its predictor; NoCompiler: see `library`."""
 
     def source() -> str:
         from nsde_torch.control.codegen.sources import estimator_library

@@ -15,7 +15,6 @@ from nsde_torch.arrays import Array
 from nsde_torch.errors import ShapeError
 from nsde_torch.plots import style
 from nsde_torch.plots.data_figure import with_angles
-from nsde_torch.plots.style import BLACK, BLUE, GREEN, GREY, VERMILLION, legend_below, panels, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -432,7 +431,7 @@ Curve = Sequence[Mapping[str, float]]
 _TITLE = 14  # letters on a line above a panel
 
 
-@styled
+@style.styled
 def policy_rewards(
     curves: Mapping[str, Sequence[Curve]],
     *,
@@ -447,22 +446,22 @@ def policy_rewards(
     `environment_reward`. `limited` is the reward of policies that had no more of the truth than the
     models' training data.
     """
-    figure, axes = panels(1, len(curves), height=3.8, title=title, sharey=True)
+    figure, axes = style.panels(1, len(curves), height=3.8, title=title, sharey=True)
     most = max(map(len, curves.values()))
     handles: dict[str, object] = {}
     for ax, (name, runs) in zip(axes[0], curves.items(), strict=True):
         for column, colour, dash, label in (
-            ("environment_reward", GREY, ":", "in the environment it learns in"),
-            ("truth_reward", BLUE, "-", "on the truth"),
+            ("environment_reward", style.GREY, ":", "in the environment it learns in"),
+            ("truth_reward", style.BLUE, "-", "on the truth"),
         ):
             n, mean, std = _over_seeds(runs, column)
             handles[label] = ax.plot(n / 1e3, mean, color=colour, linestyle=dash)[0]
             if len(runs) > 1:
                 ax.fill_between(n / 1e3, mean - std, mean + std, color=colour, alpha=0.2, linewidth=0)
         for value, colour, label in (
-            (truth, GREEN, "trained on the truth"),
-            (limited, VERMILLION, "trained on as much of the truth as the models"),
-            (random, BLACK, "random actions"),
+            (truth, style.GREEN, "trained on the truth"),
+            (limited, style.VERMILLION, "trained on as much of the truth as the models"),
+            (random, style.BLACK, "random actions"),
         ):
             if value is not None:
                 handles[label] = ax.axhline(value, color=colour, linestyle="--", linewidth=1.0)
@@ -470,7 +469,7 @@ def policy_rewards(
         ax.set_title(shown if most == 1 else f"{shown}\n{len(runs)} seed{'s' * (len(runs) > 1)}")
         ax.set_xlabel("interactions / 1000")
     axes[0, 0].set_ylabel("reward per episode" + ("\nmean ± std over seeds" if most > 1 else ""))
-    legend_below(figure, list(handles.values()), list(handles))
+    style.legend_below(figure, list(handles.values()), list(handles))
     return figure
 
 

@@ -62,10 +62,7 @@ def put(name: str, values: Iterable[Number]) -> list[tuple[str, Number]]:
 
 
 def solver(method: GaussNewton, networks: Networks) -> dict[str, str]:
-    """Parts of a file that hold an iteration of a plan along one path, by the name that the file asks for them by.
-
-    ExportError: the model holds an operation that is not known in C.
-    """
+    """Parts of a file that hold an iteration of a plan along one path, by the name that it asks for them by."""
     h = method.horizon
     o, dtype, rate = h.options, h.predictor.dtype, float(h.rate_weight) > 0
     (z, u, _), (after,) = scalars(
@@ -126,10 +123,7 @@ def solver(method: GaussNewton, networks: Networks) -> dict[str, str]:
 
 
 def estimator(made: Estimator, predictor: Predictor, networks: Networks) -> dict[str, str]:
-    """Parts of a file that hold the update of the estimator, by the name that the file asks for them by.
-
-    ExportError: the model holds an operation that is not known in C.
-    """
+    """Parts of a file that hold the update of the estimator, by the name that it asks for them by."""
     p, sizes = predictor, {"z": predictor.nz, "u": predictor.nu, "d": predictor.nd}
     later = scalars(lambda z, u, d: (p(z, u, d),), sizes, p.dtype)[1]
     known = {"x": p.nx, "z": p.nz, "d": p.nd}
@@ -160,10 +154,7 @@ def _filled(files: Iterable[str], values: Mapping[str, object]) -> dict[str, str
 
 
 def solver_library(method: GaussNewton | AcceleratedGradient) -> str:
-    """Source of a library of `nsde_iterate`, see `templates/solver_rows.c`.
-
-    ExportError: the model holds an operation that is not known in C.
-    """
+    """Source of a library of `nsde_iterate`, see `templates/solver_rows.c`."""
     own, newton = ("gauss_newton.c", method) if isinstance(method, GaussNewton) else ("apg.c", method.newton)
     with scalar.of_their_own():
         parts = solver(newton, Networks())
@@ -175,10 +166,7 @@ def solver_library(method: GaussNewton | AcceleratedGradient) -> str:
 
 
 def estimator_library(made: Estimator, predictor: Predictor) -> str:
-    """Source of a library of `nsde_estimate`, see `templates/estimator_rows.c`.
-
-    ExportError: the model holds an operation that is not known in C.
-    """
+    """Source of a library of `nsde_estimate`, see `templates/estimator_rows.c`."""
     with scalar.of_their_own():
         parts = estimator(made, predictor, Networks())
     rows = template(_TEMPLATES / "estimator_rows.c", {})

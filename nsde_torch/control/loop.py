@@ -84,10 +84,7 @@ def fly(
     """Fly machines along a reference, from its first state or another.
 
     Args:
-        autopilot: What flies.
         plant: What is flown; it should not raise when a machine is lost.
-        reference: Where to fly.
-        machines: Machines at a time.
         start: First state (nx,); None: that of the reference.
         state_latency: Age of a measured state when the autopilot gets it [s], a multiple of the plant's sample.
         duration: How long [s]; None: as long as the reference.

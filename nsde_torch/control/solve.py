@@ -89,7 +89,6 @@ class Solver:
         """Improve plans.
 
         Args:
-            problem: What to solve.
             u: Inputs to start from (N, K, nu), within bounds.
             z: States near those that they lead to (N, P, K + 1, nz).
         """

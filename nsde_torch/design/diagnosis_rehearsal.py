@@ -154,7 +154,6 @@ def rehearse(
     """Rehearse a diagnosis, which takes as long as `logs` + 1 diagnoses.
 
     Args:
-        found: The diagnosis.
         logs: Logs of the machine that was found.
         seed: Seed of their noise.
         say: None: progress is printed on standard error; False: nothing is printed; or a function that takes stage,

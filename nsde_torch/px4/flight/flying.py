@@ -256,9 +256,7 @@ def fly(
 
     Args:
         motors: Number of motors, for the log.
-        log: File of the log; None: none.
         limits, setpoints, options: See `Limits`, `SetpointLimits` and `FlightOptions`.
-        say: Takes a line about each step.
         rate: Setpoints in a second.
         watch: Called after every tick, for tests and pictures.
 

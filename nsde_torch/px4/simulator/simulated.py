@@ -86,8 +86,6 @@ def fly_simulated(
 
     Args:
         body: The machine, on the ground.
-        controller: See `FlightController`.
-        path: Where to fly, from the place of take-off.
         seed: Of the noise of the estimate; `sensor_noise` is a factor on it.
         period: Time between plans [s].
         options, log: See `fly`.

@@ -1,11 +1,12 @@
 """The noise of a column from row to row: its size, samples that are no part of it, and lines that have none.
 
-    d[k] = x[k] - (4 (x[k-1] + x[k+1]) - (x[k-2] + x[k+2])) / 6
+    d[k] = x[k] - (4 (x[k-1] + x[k+1]) - (x[k-2] + x[k+2])) / 6        in equal steps, Lagrange's weights else
 
 is what a cubic through the neighbours leaves of a sample. A glitch exceeds 8 robust standard deviations of its column,
-4 times the 90 % quantile of its neighbourhood, and 4 usual changes from row to row (a kink, as where a force changes
-its sign, does not); with it taken out its neighbours fit, which rules out a step; and it is no motion: a position
-whose rate goes the same way is kept. What was off is put on the cubic.
+4 times the 90 % quantile of its neighbourhood without glitches, and 4 usual changes from row to row (a kink, as where a
+force changes its sign, does not); with it taken out, or with another one of the four rows around it, its neighbours
+fit, which rules out a step; and it is no motion: a position whose rate goes the same way is kept. What was off is put
+on the cubic.
 
 A rotor at speed n pulls with k n^2 (momentum theory), so that the share of its thrust is u = (n / n_max)^2. It has
 inertia: where a value leaves what lies on both sides of it for a few rows, by more than a tenth of n_max and by 8 times
@@ -163,9 +164,9 @@ def _mended(column: Array, rate: Array | None, t: Array) -> tuple[Array, dict[in
         return column, off
     column = column.copy()
     for k in candidates[np.argsort(-size[candidates])].tolist():
-        # of two within four rows each spoils the neighbours of the other
-        beside = [j for j in candidates if 0 < abs(j - k) <= 4 and j not in off] if k not in off else []
-        for rows in ([k], *([k, int(j)] for j in sorted(beside, key=lambda j: -size[j]))):
+        # of two within four rows each spoils the neighbours of the other, and of two in a row neither stands out
+        beside = {k - 1, k + 1, *(int(j) for j in candidates if abs(j - k) <= 4)} - {k, *off}
+        for rows in () if k in off else ([k], *([k, j] for j in sorted(beside, key=lambda j: -size[j]))):
             found = _off(column, t, rows, least)
             if not found or (
                 rate is not None and any(_moves(column, by, rate, t, j) for j, by in found.items())
@@ -173,7 +174,7 @@ def _mended(column: Array, rate: Array | None, t: Array) -> tuple[Array, dict[in
                 continue
             for j, by in found.items():
                 column[j] -= by
-                off[j] = off.get(j, 0.0) + by
+                off[j] = by
             break
     # the neighbourhood without them: of three in a second none stood out (a cart of which 1 % of samples were off)
     left = np.abs(off_curve(column, t))

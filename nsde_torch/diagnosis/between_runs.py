@@ -155,7 +155,7 @@ def with_differences(
     there = sorted(set(begun.at.of.space.steps.runs))
     if len(there) < 2:  # of the others no stretch is long enough
         return now
-    middle = there[reference(first[0].each[:, 0], [log.runs[r].name not in whole for r in there])]
+    middle = there[reference(first[0].each, [log.runs[r].name not in whole for r in there])]
     numbered, names = _numbered(log, [middle, *(r for r in there if r != middle)])
     again = numbered.search(numbered.runs).apart(apart)
     declared = joint.declared.system.reading(RUN)
@@ -194,13 +194,16 @@ def _within_reach(made: JointSearch, place: FittedPhysics) -> float:
     return place.value + sum(one.nats for one in made.look(place) if one.accepted)
 
 
-def reference(sizes: Array, parts: Sequence[bool]) -> int:
-    """Which run the others are held against, from a size in each (R,) and whether it is part of one that was cut.
+def reference(numbers: Array, parts: Sequence[bool]) -> int:
+    """Which run the others are held against, from numbers in each (R, k) and whether it is part of one that was cut.
+
+    By the number that differs most: of six motors the one that breaks.
 
     The one in the middle: where one run has another load, that one is named. Where a run changes, the part of one that
     is nearest: held against a third run, short or odd, neither part of a motor's run differed, though they differ from
     each other (the prbs run of DCMotor.jl, beside 6 s of a step).
     """
+    sizes = numbers[:, np.ptp(numbers, 0).argmax()]
     middle = np.sort(sizes)[(len(sizes) - 1) // 2]
     able = np.flatnonzero(parts) if any(parts) else np.arange(len(sizes))
     return int(able[np.abs(sizes[able] - middle).argmin()])

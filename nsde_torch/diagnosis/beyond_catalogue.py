@@ -21,12 +21,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, product
 from math import log
 
 import numpy as np
 import torch
 
+from nsde_torch.arrays import Array
 from nsde_torch.diagnosis.candidates import Start, candidate_names, effect_of, joined, values_of
 from nsde_torch.diagnosis.ceiling import functions_beside
 from nsde_torch.diagnosis.evidence import folds_of
@@ -162,7 +163,9 @@ class _LawSearch:
         return found
 
     def _couplings(self, place: FittedPhysics) -> list[Term]:
-        """Products of three variables, or of two with the sine or cosine of an angle, as of Coriolis forces.
+        """Products of three variables, one of them squared or none, as of Coriolis forces and of those of a flow.
+
+        Of an angle the sine or cosine too.
 
         Functions are of two variables: of a gimbal whose yaw lacked such a force two false laws were provisional, and
         the effects explained all that functions can (tests/diagnosis/test_laws_beyond_the_catalogue.py); of a turbine
@@ -178,15 +181,28 @@ class _LawSearch:
         values = {name: v for name, v in values.items() if name not in known}
         if len(values) > _COUPLED:
             return []
-        products = {" ".join(names): [values[n] for n in names] for names in combinations(values, 3)}
-        for a in angles:
-            waves = {f"{f}({turn}{a})": (f, turn) for f in ("sin", "cos") for turn in ("", "2 ")}
-            others = [name for name in values if name != a]
-            for text, (f, turn) in waves.items():
-                wave = getattr(np, f)((2.0 if turn else 1.0) * values[a])
-                products |= {
-                    f"{text} {b} {c}": [wave, values[b], values[c]] for b, c in combinations(others, 2)
-                }
+        # forces of a flow go with the square of its speed: `cos(psi) sail wind^2` was four laws, one of them sure
+        of_one = {name: {name: v, f"{name}^2": v * v} for name, v in values.items()}
+        waves = {
+            a: {
+                f"{f}({turn}{a})": getattr(np, f)((2.0 if turn else 1.0) * values[a])
+                for f in ("sin", "cos")
+                for turn in ("", "2 ")
+            }
+            for a in angles
+        }
+        products = dict[str, list[Array]]()
+        for factors in [
+            *(tuple(of_one[n] for n in names) for names in combinations(values, 3)),
+            *(
+                (waves[a], of_one[b], of_one[c])
+                for a in angles
+                for b, c in combinations([name for name in values if name != a], 2)
+            ),
+        ]:
+            for texts in product(*factors):
+                if sum("^" in text for text in texts) < 2:
+                    products[" ".join(texts)] = [one[text] for one, text in zip(factors, texts, strict=True)]
         ports = [k for k, (port, _) in enumerate(space.disturbances) if port in system.residual_ports]
         least = log(max(len(products) * len(ports), 1) / self._search.search.level("effects"))
         for k in ports if products else ():

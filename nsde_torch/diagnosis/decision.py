@@ -200,7 +200,8 @@ def judged_by_the_ceiling(outcome: Outcome, found: Ceiling) -> Outcome:
     Where nothing was named, something is missing. Effects that act where functions explain as much as makes one
     provisional are leads, as a law that was not written down may be behind both; what is missing of the moments casts
     no doubt on a wind (Neural-Fly at 8.5 m/s, pulses below 1000 cut off: 318 nats of roll and pitch, 240 of a steady
-    force). Where functions explain more than all effects, the verdict is `unexplained`.
+    force). So are those beside much that such leads bring: the level of a motor whose back-EMF is missing was 38 % too
+    high beside four of them. Where functions explain more than all effects, the verdict is `unexplained`.
     """
     if not found.rows:
         return outcome
@@ -208,13 +209,20 @@ def judged_by_the_ceiling(outcome: Outcome, found: Ceiling) -> Outcome:
     verdict: Verdict = "unexplained" if not outcome.found or rest > found.effects else outcome.verdict
     brought = nats_by_channel(outcome.declared, outcome.final)
 
-    def why(f: Found) -> str:
+    def imitates(f: Found) -> str:
         own = sum(row.nats for row in found.rows if row.channels & {*f.moves})
         if not _too_much(own, f, brought, decisions):
             return ""
         return f"functions explain {own:.0f} nats more: it may imitate another law"
 
-    return replace(outcome.provisional(why), verdict=verdict)
+    outcome = outcome.provisional(imitates)
+    doubtful = [f for f in outcome.found if imitates(f)]
+
+    def beside(f: Found) -> str:
+        own = sum(g.evidence.nats for g in doubtful if g is not f and {*g.moves} & {*f.moves})
+        return "what acts there too may imitate another law" if _too_much(own, f, brought, decisions) else ""
+
+    return replace(outcome.provisional(beside), verdict=verdict)
 
 
 def _too_much(rest: float, f: Found, brought: Mapping[str, float], decisions: Decisions) -> bool:
@@ -290,7 +298,7 @@ def _slow(search: Search, regression: Regression, name: str) -> str:
     """Why what repeats in time is provisional: too seldom for anybody to know that it does (an encoder that jumps)."""
     few = repeats_seldom(search, regression.vector, regression.theta, name)
     fewest = search.decisions.least_periods
-    return f"fewer than {fewest:g} periods of it are in the longest stretch" if few else ""
+    return f"fewer than {fewest:g} periods of it are in the data" if few else ""
 
 
 def guard_of(log: Log, outcome: Outcome) -> Guarded:

@@ -95,7 +95,9 @@ class Decisions:
         0.5, "shortest lag or delay that is named; below, how inputs are held decides", unit="steps"
     )
     least_periods: float = key(
-        1.5, "fewest periods of a sinusoid in the longest stretch; slower is a drift", unit="periods"
+        1.5,
+        "fewest periods of a sinusoid in the longest stretch, or of a ripple in the range of its angle",
+        unit="periods",
     )
 
     # ---- folds and blocks of time -----------------------------------------------------------------------

@@ -100,9 +100,17 @@ def bent_shape(regression: Regression, name: str) -> str:
 
 
 def repeats_seldom(search: "Search", vector: ParameterVector, theta: Array, name: str) -> bool:
-    """Whether an effect repeats in time, but too seldom in the longest stretch for anybody to know that it does."""
+    """Whether an effect repeats, but too seldom for anybody to know that it does.
+
+    In time, in the longest stretch; or with an angle, within its range: of a boat's heading a ripple of order 2.2 was
+    what a product of three variables left, surely.
+    """
     fewest, seconds = search.decisions.least_periods, search.longest * search.steps.dt
     times = [abs(theta[j]) * seconds for j in vector.of(name) if vector.units[j] == "Hz"]
+    effect = next(e for e in vector.system.effects if e.name == name)
+    if isinstance(effect, Law) and effect.at.position is not None:
+        turns = np.ptp(search.steps.x0[:, effect.at.position].numpy()) / (2.0 * np.pi)
+        times += [abs(theta[j]) * turns for j in vector.of(name) if own_name(vector.labels[j]) == "order"]
     return bool(min(times, default=fewest) < fewest)
 
 

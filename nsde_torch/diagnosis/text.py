@@ -25,6 +25,7 @@ _VERDICTS = {
     "undecided": "Not decided yet",
     "doubted": "The fit is rejected",
 }
+_AXES = 3  # numbers of a run that are read by their order
 _CELLS = "│"  # between the cells of a table in a template
 
 
@@ -89,7 +90,8 @@ def sizes(finding: Mapping[str, Any], content: Content) -> str:
 def _by_run(axes: Sequence[Mapping[str, Any]]) -> tuple[list[str], str]:
     """Values with intervals; of what differs between runs those of each run behind its name, the largest first.
 
-    Where one run has something, those that may have nothing come last, together: a gust parts its run in three.
+    Where one run has something, those that may have nothing come last, together: a gust parts its run in three. Of more
+    than three numbers of a run, those that are something are named by their place.
     """
     found: dict[str, list[Mapping[str, Any]]] = {}
     for p in axes:
@@ -102,6 +104,10 @@ def _by_run(axes: Sequence[Mapping[str, Any]]) -> tuple[list[str], str]:
     there = sorted(found, key=lambda run: -max(abs(p["value"]) for p in found[run]))
     nothing = [run for run in found if all(_may_be_nothing(p) for p in found[run])]
     few = nothing if 1 < len(nothing) < len(found) else []
+    for run, numbers in found.items():
+        shown = [k for k, p in enumerate(numbers) if not _may_be_nothing(p)]
+        if len(numbers) > _AXES and 0 < len(shown) < len(numbers):  # of six motors the one that broke
+            said[run] = [f"{said[run][k]} of number {k + 1}" for k in shown]
     listed = [f"{run} {' and '.join(said[run])}" for run in there if run not in few]
     return listed, f", indistinguishable from 0 in {', '.join(few)}" if few else ""
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 from nsde_torch.data import DataSet
+from nsde_torch.diagnosis.beyond_catalogue import zero_of_an_input
 from nsde_torch.diagnosis.candidates import effect_of, values_of, without_motion
 from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.cross_validation import LARGER, HeldOut
@@ -649,7 +650,8 @@ def _law(outcome: Outcome, f: Found) -> dict[str, Any]:
         "unit": effect.unit,
         "latex": grammar.latex(effect.law, values),
         "sympy": grammar.sympy_text(effect.law, values),
-        "looks_like": looks_like(effect.law, values, outcome.declared_system),
+        "looks_like": zero_of_an_input(outcome.final.physics.steps, outcome.declared_system, effect)
+        or looks_like(effect.law, values, outcome.declared_system),
     }
 
 

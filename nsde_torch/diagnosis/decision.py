@@ -164,7 +164,7 @@ def decide(search: Search, chosen: Outcome, alone: FittedPhysics | None = None) 
     found = [replace(f, moves=moved_channels(base, f.name)) for f in found]
     abrupt = abrupt_changes(declared, base, found, search.decisions)
     for i, f in enumerate(found):
-        why = _bent(bent_shape(base, f.name)) or provisional_reason(f, left, brought, search.decisions)
+        why = _bent(base, f.name) or provisional_reason(f, left, brought, search.decisions)
         why = why or _unshown(base, f.name) or _slow(search, base, f.name) or _of_many(f, chosen.test)
         why = why or next((text for channel, text in abrupt.items() if channel in f.moves), "")
         why = why or _shared(f, found, base.vector.system)
@@ -268,8 +268,19 @@ def _variable(effect: object) -> tuple[str, int | None] | None:
     return "state", effect.at.position if effect.along == "position" else effect.at.velocity
 
 
-def _bent(shape: str) -> str:
-    return f"{shape} is at the end of what these data tell from another law" if shape else ""
+def _bent(regression: Regression, name: str) -> str:
+    """Why an effect is provisional whose shape is at an end.
+
+    A mass that hardly resonates moves along: a ball that is hollow, and a pole that is 18 % longer, were hidden masses.
+    """
+    shape = bent_shape(regression, name)
+    if not shape:
+        return ""
+    why, labels = f"{shape} is at the end of what these data tell from another law", regression.vector.labels
+    if not effect_class(name).estimated or f"{name}.mass" not in labels:
+        return why
+    share = regression.theta[labels.index(f"{name}.mass")]
+    return f"{why}, and the machine may be as if its inertia were {share:.0%} larger"
 
 
 def _unshown(regression: Regression, name: str) -> str:

@@ -55,10 +55,13 @@ def without_motion(system: System) -> tuple[str, str]:
     of = (named or list(system.state_names))[:width]
     made = ", ".join(f'Coordinate("{n}", "{n}", Port.{port.name}, row={k})' for k, n in enumerate(of))
     said = "no friction and no force is among the candidates"
+    if named:
+        where = f"{' and '.join(of)} {'are velocities' if len(of) > 1 else 'is a velocity'}"
+    else:  # levels and temperatures
+        where = f"something may act on {' and '.join(of)} as a force does on a velocity"
     return (
         f"{said}: system {system.name!r} declares no coordinate, and none is recognised",
-        f"where {' and '.join(of)} {'are velocities' if len(of) > 1 else 'is a velocity'}, this line in its class "
-        f"adds them: coordinates = ({made},)",
+        f"where {where}, this line in its class adds them: coordinates = ({made},)",
     )
 
 

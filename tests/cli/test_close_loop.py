@@ -180,7 +180,7 @@ def test_by_hand_it_says_what_to_fly_and_goes_on_with_the_log(refused: Said, sho
     assert "logs of several kinds (.csv, .ulg)" in refused("close-loop", *hand)
     Path("out/log/experiment_1.ulg").unlink()
     # of a log that is not of this machine it is said, by name, and another may be put in
-    Path("out/log/experiment_1.csv").write_text("\n".join(_stronger(log.read_text().splitlines())) + "\n")
+    Path("out/log/experiment_1.csv").write_text("\n".join(_turned(log.read_text().splitlines())) + "\n")
     assert main(["close-loop", *hand]) == 0
     content = json.loads(Path("out/close_loop.json").read_text())
     assert content["stopped"]["kind"] == "other_machine"
@@ -188,11 +188,10 @@ def test_by_hand_it_says_what_to_fly_and_goes_on_with_the_log(refused: Said, sho
     assert not Path("out/experiment_1/obtained.json").exists()
 
 
-def _stronger(lines: list[str]) -> list[str]:
-    """A log of a machine whose motors are 1.4 times as strong: its commands are smaller by as much."""
-    motors = [name.startswith("u_") for name in lines[0].split(",")]
-    rows = [zip(line.split(","), motors, strict=True) for line in lines[1:]]
-    return [
-        lines[0],
-        *(",".join(str(float(cell) / 1.4) if motor else cell for cell, motor in row) for row in rows),
-    ]
+def _turned(lines: list[str]) -> list[str]:
+    """A log of a machine whose motors are numbered in another order."""
+    names = lines[0].split(",")
+    motors = [k for k, name in enumerate(names) if name.startswith("u_")]
+    taken = dict(zip(motors, [*motors[1:], motors[0]], strict=True))
+    rows = [line.split(",") for line in lines[1:]]
+    return [lines[0], *(",".join(row[taken.get(k, k)] for k in range(len(row))) for row in rows)]

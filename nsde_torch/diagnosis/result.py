@@ -354,12 +354,14 @@ def summary(
     functions: str = "",
     *,
     moments: Moments,
+    smoothed: bool = False,
     channels: Sequence[ChannelResidual] = (),
 ) -> str:
     """The verdict in one or two sentences.
 
     `faults` are names of those of the recording chain, `shapes` what the residual still depends on; `functions` says
-    what functions that explain more are of, where no test of structure says what is missing; `channels` what is left.
+    what functions that explain more are of, where no test of structure says what is missing; `channels` what is left;
+    `smoothed` whether states were smoothed before they were logged.
     """
     added, provisional = [*faults, *shown.few, *shown.rest], {f.name for f in outcome.found if f.provisional}
     moved, left = {name for f in outcome.found for name in f.moves}, outcome.structured
@@ -373,6 +375,7 @@ def summary(
         "names": named([*faults, *shown.few], shown),
         "hidden": outcome.test.hidden,
         "known": outcome.test.most_known,
+        "smoothed": smoothed,
         "larger": any(f.provisional == LARGER for f in outcome.found),
         "blind": list(
             dict.fromkeys(n.effect for n in _not_shown(outcome) if n.smallest is None and not n.declared)

@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from scipy.signal import butter, filtfilt
 
 import nsde_torch
-from nsde_torch.diagnosis.beyond_catalogue import same_effect
+from nsde_torch.diagnosis.between_runs import reference
+from nsde_torch.diagnosis.beyond_catalogue import same_effect, zero_of_an_input
 from nsde_torch.diagnosis.candidates import candidate_names, effect_of, joined, starts, values_of
 from nsde_torch.diagnosis.decisions import Options
 from nsde_torch.diagnosis.search import Search, fitted_system
@@ -15,6 +17,7 @@ from nsde_torch.inference.steps import data_sizes
 from nsde_torch.simulation import simulate
 from nsde_torch.systems import System, make_system
 from tests.helpers.diagnosed import recorded
+from tests.helpers.two_joints import HOME
 
 
 @pytest.mark.parametrize(
@@ -79,3 +82,27 @@ def test_what_stands_in_for_an_effect_starts_as_that_effect(name: str) -> None:
     sizes = [own for own, theirs in effect_class(name).shared(type(coulomb)).items() if theirs == "size"]
     assert any(all(start[key] == pytest.approx(size) for key in sizes) for start in begun)
     assert len(begun) == len({tuple(map(str, start.items())) for start in begun})
+
+
+@pytest.mark.parametrize(
+    ("law", "said"),
+    [
+        ("torque[q1] = c1", "a zero that is off: what 0.3 N m more of tau1 would do"),
+        ("torque[q1] = c1 q2", None),
+    ],
+)
+def test_a_law_that_does_what_a_constant_in_an_input_does_says_so(law: str, said: str | None) -> None:
+    plant = {"inputs": [0.1, 0.1], "noise": [0.01] * 4}
+    data, system = recorded(HOME, durations=(4.0,), dt=0.01, plant=plant), make_system(HOME)
+    steps = Search(system, data.runs, 1.0, Options()).steps
+    assert zero_of_an_input(steps, system, system.make_effect(law, {"c1": 0.3})) == said
+
+
+def test_the_reference_is_the_sound_run_by_the_number_that_differs_most() -> None:
+    """Of motors of which the third breaks in the second run, the run before that; of whole runs the middle one."""
+    rng = np.random.default_rng(0)
+    numbers = 0.003 * rng.normal(size=(4, 6))
+    numbers[2, 2] += 0.12
+    numbers[2, 0] = np.median(numbers[:, 0])
+    assert reference(numbers, [False, True, True, False]) == 1
+    assert reference(np.array([[0.3], [0.1], [0.2]]), [False] * 3) == 2

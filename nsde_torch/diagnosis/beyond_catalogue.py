@@ -28,7 +28,14 @@ import numpy as np
 import torch
 
 from nsde_torch.arrays import Array
-from nsde_torch.diagnosis.candidates import Start, candidate_names, effect_of, joined, values_of
+from nsde_torch.diagnosis.candidates import (
+    Start,
+    candidate_names,
+    effect_of,
+    joined,
+    values_of,
+    variable_of,
+)
 from nsde_torch.diagnosis.ceiling import functions_beside
 from nsde_torch.diagnosis.evidence import folds_of
 from nsde_torch.diagnosis.gram_table import GramTable
@@ -39,7 +46,7 @@ from nsde_torch.diagnosis.periodicity import COUNTS, PARTS, best_repeat
 from nsde_torch.diagnosis.regressors import machine_variables
 from nsde_torch.effects import Effect, Law, Parameter, Port, effect_class
 from nsde_torch.effects.expression_grammar import is_law
-from nsde_torch.effects.law import AND, split_name
+from nsde_torch.effects.law import AND
 from nsde_torch.errors import ConfigError
 from nsde_torch.inference.force_scores import force_scores
 from nsde_torch.inference.functions import Functions
@@ -75,7 +82,7 @@ def with_laws(
     # not where feedback may have made it: that is not named under another name either
     names = [f.name for f in outcome.found if f.name in joint.selected] if of_functions else []
     near = [(name,) for name in names if joint.selected[name].law]
-    alike = [pair for pair in combinations(names, 2) if of_one_variable(*pair)]
+    alike = [pair for pair in combinations(names, 2) if of_one_variable(joint.final.system, pair)]
     likelier, as_good = settings.decisions.alike_nats, -settings.decisions.wider_nats
     for replaced, least in (*((one, likelier) for one in near), *((pair, as_good) for pair in alike)):
         settings.say(f"trying laws in the place of {AND.join(replaced)}", 0, 1)
@@ -311,15 +318,10 @@ class _LawSearch:
         return found
 
 
-def of_one_variable(name: str, other: str) -> bool:
-    """Whether two effects are laws of the same quantity, at the same place."""
-    one, two = effect_class(name), effect_class(other)
-    return bool(one.along) and _variable(one) == _variable(two)
-
-
-def _variable(effect: type[Effect]) -> tuple[str, Port, str]:
-    """What a law is a law of: a quantity, on a port or of a coordinate."""
-    return effect.along, effect.port, split_name(effect.name)[1]
+def of_one_variable(system: System, names: Sequence[str]) -> bool:
+    """Whether two effects of a system are functions of the same quantity, at the same place."""
+    one, two = (effect_of(system, name) for name in names)
+    return one.port is two.port and variable_of(one) is not None and variable_of(one) == variable_of(two)
 
 
 _MOVED, _ALIKE = 1e-3, 0.02  # of an input's largest value, and of a law that may be more than its zero

@@ -6,6 +6,7 @@ from math import prod
 import torch
 
 from nsde_torch.effects import EFFECTS, Effect, Law, Port, effect_class, register
+from nsde_torch.effects.expression import Expression
 from nsde_torch.effects.law import joined_name, split_name
 from nsde_torch.effects.one_input import OnOneInput, of_several_units
 from nsde_torch.errors import ConfigError
@@ -43,6 +44,18 @@ def why_not(system: System, name: str) -> str:
     if cls.port is Port.POSITION and not _depends(system, name):
         return "nothing that is declared depends on that position"
     return cls.no_candidate(system.name)
+
+
+def variable_of(effect: object) -> tuple[str, object] | None:
+    """The one quantity that an effect is a function of: its kind, and where it is; None where it is no such term."""
+    if isinstance(effect, Expression):
+        each = [(source.kind, source.column) for source in effect.sources.values()]
+        return each[0] if len(each) == 1 else None
+    if isinstance(effect, Law) and effect.along in ("position", "speed"):
+        return "state", effect.at.position if effect.along == "position" else effect.at.velocity
+    if isinstance(effect, Effect) and effect.along:
+        return effect.along, (effect.port, split_name(str(effect.name))[1])
+    return None
 
 
 def without_motion(system: System) -> tuple[str, str]:

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from nsde_torch.arrays import Array
+from nsde_torch.diagnosis.candidates import variable_of
 from nsde_torch.diagnosis.ceiling import Ceiling
 from nsde_torch.diagnosis.cross_validation import LARGER, HeldOut
 from nsde_torch.diagnosis.decisions import DECISIONS, Decisions
@@ -35,9 +36,8 @@ from nsde_torch.diagnosis.search import Search, bent_shape, fitted_system, moved
 from nsde_torch.diagnosis.shape import channel_residuals
 from nsde_torch.effects import effect_class
 from nsde_torch.effects.by_run import BY_RUN, target_of
-from nsde_torch.effects.expression import Expression
 from nsde_torch.effects.expression_grammar import is_law
-from nsde_torch.effects.law import Law, split_name
+from nsde_torch.effects.law import split_name
 from nsde_torch.sysid.feedback_test import FeedbackTest
 from nsde_torch.sysid.guard import Guarded, doubts_the_fit, guarded
 from nsde_torch.sysid.readings import LESS
@@ -250,22 +250,12 @@ def _shared(f: Found, found: Sequence[Found], system: System) -> str:
     With two others, a law beyond the catalogue among them, or with another law: a pull of 0.03 / (0.9 - q)^2 was two
     stops, two laws and a constant force, and a second relaxation of a battery two laws of its charge, one of them sure.
     """
-    of = {str(effect.name): _variable(effect) for effect in system.effects}
+    of = {str(effect.name): variable_of(effect) for effect in system.effects}
     own = of.get(f.name)
     alike = [o.name for o in found if own and {*o.moves} == {*f.moves} and of.get(o.name) == own]
     laws = sum(map(is_law, alike))
     many = len(alike) > 2 if laws == 1 else laws > 1
     return f"{len(alike)} terms of one variable may share a law that is not listed" if many else ""
-
-
-def _variable(effect: object) -> tuple[str, int | None] | None:
-    """The one variable that a term is a function of: its kind, and its column there; None where it is no such term."""
-    if isinstance(effect, Expression):
-        each = [(source.kind, source.column) for source in effect.sources.values()]
-        return each[0] if len(each) == 1 else None
-    if not isinstance(effect, Law) or effect.along not in ("position", "speed"):
-        return None
-    return "state", effect.at.position if effect.along == "position" else effect.at.velocity
 
 
 def _bent(regression: Regression, name: str) -> str:
